@@ -10,14 +10,15 @@ import tempfile
 import time
 from pathlib import Path
 
-from ca.certificates import build_request
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
+from ca.svid import build_request
 from grants.document import grant_id
 from grants.model import ID_SIZE
+from rossec.authority.grant_operations import MasterCall
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import NAME, read_policy
-from rossec.authority.service import AuthorityService, MasterCall
+from rossec.authority.service import AuthorityService
 from rossec.authority.signing import SigningAuthority, certificate_row
 
 SIZES = (30, 300, 3000)

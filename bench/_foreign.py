@@ -11,16 +11,13 @@ from functools import partial
 
 from bench.grants import shortest_us
 from ca.authority import Authority, create_root
-from ca.certificates import build_request
-from ca.domains.anchors import Anchors
-from ca.domains.lists import DomainList, ForeignDomain, sign_domains
-from ca.keys import key_files
-from ca.keys.publickey import thumbprint
-from ca.keys.signer import KeySigner
+from ca.domains.trust import Anchors, DomainList, ForeignDomain, sign_domains
+from ca.keys import private_keys
+from ca.keys.signing import KeySigner, thumbprint
+from ca.svid import build_request
 from grants.document import sign
 from grants.model import Draft, Permission, Right
-from grants.narrowing import sign_narrowing
-from grants.token import Verifier, pack_chain, peek
+from grants.token import Verifier, pack_chain, peek, sign_narrowing
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import Credentials
 
@@ -116,7 +113,7 @@ def chains(seconds: float) -> dict[str, float]:
 
 
 def _signer() -> KeySigner:
-    return KeySigner(key_files.generate())
+    return KeySigner(private_keys.generate())
 
 
 def _draft(holder: KeySigner, may_narrow: int, now: int) -> Draft:

@@ -19,12 +19,12 @@ from grants.document import grant_id
 from grants.model import Right
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect, serve
-from rossec.net.rpc.client import RpcClient, serve_calls
+from rossec.net.rpc.calls import RpcClient, serve_calls
 from rossec.node import Node
 from rossec.participant.access import FIELD
+from rossec.participant.handshakes import TopicEndpoint
 from rossec.participant.message_types import message_type
-from rossec.participant.topic_handshake import TopicEndpoint
-from rossec.ros import header
+from rossec.ros import tcpros
 from tests.support.site import Site
 
 TOPIC = "/shared/t"
@@ -170,7 +170,7 @@ async def revocation(site: Site, environ: dict[str, str], count: int) -> list[fl
                 "md5sum": kind.md5sum,
                 FIELD: encode([member.grant]),
             }
-            await stream.send(header.encode(fields))
+            await stream.send(tcpros.encode(fields))
             return stream
 
         async with asyncio.TaskGroup() as group:

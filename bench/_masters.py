@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ca.authority import Authority
-from ca.certificates import Identity, build_request
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
+from ca.certificates import Identity
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
+from ca.svid import build_request
 from grants import document
 from grants.model import Draft, Permission, Right
 from rossec.channel.edhoc.credentials import Credentials

@@ -15,9 +15,8 @@ from bench._views import NOW, Publisher, by_preset, header, layout, poses, recei
 from bench._watchers import day, first_messages
 from grants.filters.layout import Layout
 from grants.model import Restriction
-from grants.vocabulary.describe import describe
-from grants.vocabulary.resolve import resolve
-from grants.vocabulary.words import DataWord
+from grants.vocabulary.contents import DataWord, describe
+from grants.vocabulary.levels import resolve
 
 _FIX: Final = "sensor_msgs/NavSatFix"
 _JOINTS: Final = "sensor_msgs/JointState"

@@ -9,8 +9,9 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.authority import Authority, create_root
-from ca.certificates import TrustAnchor, build_request, from_pem, to_pem
-from ca.keys.signer import KeySigner
+from ca.certificates import TrustAnchor, from_pem, to_pem
+from ca.keys.signing import KeySigner
+from ca.svid import build_request
 from rossec.channel.edhoc.credentials import Credentials
 
 _DAY = 86400

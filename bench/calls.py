@@ -22,8 +22,8 @@ from ca.certificates import TrustAnchor
 from grants.model import Right
 from rossec.errors import ChannelError, RossecError
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
-from rossec.net.rpc.client import RpcClient
-from rossec.ros.callclient import CallClient
+from rossec.net.rpc.calls import RpcClient
+from rossec.ros.calls import CallClient
 from tests.support.site import Site
 
 WITHOUT: Final = {"/none": Right.SUBSCRIBE}

@@ -20,7 +20,7 @@ from bench._foreign import chains, handshakes
 from bench._latency import percentile
 from bench._masters import Master
 from bench._sites import TYPE, Meter, Slave, enroll_masters, master, register_facts, slave
-from rossec.participant.graph_view import METHOD, GraphView
+from rossec.participant.registrations import WATCH_GRAPH, GraphView
 from rossec.ros.names import MASTER
 from tests.support.site import Site
 
@@ -118,7 +118,7 @@ async def _watched(tool: Slave, facts: int) -> float:
     """When a watcher knows so many facts."""
     view = GraphView()
     while len(view.facts) < facts:
-        view.take(await tool.ask(METHOD, *view.next_params))
+        view.take(await tool.ask(WATCH_GRAPH, *view.next_params))
     return time.perf_counter()
 
 

@@ -18,7 +18,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.utils import encode_dss_signature
 
 from bench import policy
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner
 from grants.conditions.compile import compile_condition
 from grants.document import open_grant, sign
 from grants.filters.compile import compile_filter

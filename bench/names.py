@@ -9,9 +9,9 @@ import statistics
 import time
 from typing import Any, Final
 
-from rossec.naming import shipped
-from rossec.naming.metadata import Kind
-from rossec.naming.runner import RuleRunner
+from rossec.naming import rule_runner
+from rossec.naming.requests import Kind
+from rossec.naming.rule_runner import RuleRunner
 
 GOAL: Final = 10.0  # milliseconds, the median of a warm name
 _WAYS: Final = 5
@@ -24,7 +24,7 @@ def measure(seconds: float) -> dict[str, Any]:
 
 
 async def _measure(seconds: float) -> dict[str, Any]:
-    rules, phone = shipped.rules(), shipped.example("phone.xml")
+    rules, phone = rule_runner.shipped_rules(), rule_runner.shipped_example("phone.xml")
     result: dict[str, Any] = {"start_and_one_name": await _cold(rules, phone, seconds)}
     async with RuleRunner(rules, children=4) as runner:
         warm = await _repeat(lambda: runner.name(phone, *_TOPIC), seconds)

@@ -23,9 +23,9 @@ from typing import Any, Final
 
 from grants.model import Right
 from rossec.node import Node
-from rossec.participant.deflating import deflated
+from rossec.participant.delivery import deflated
 from rossec.participant.message_types import message_type
-from rossec.sidecar.processes import descendants, parents
+from rossec.sidecar.callers import descendants, parents
 from tests.integration.sidecarworld import ROSSEC
 from tests.support.fleet import SECURE, Program, entitle, environment
 from tests.support.kinds import KINDS, command

@@ -4,10 +4,17 @@ It issues exactly what a request shows (name and key) and nothing the approver d
 wildcard tail only if the approver asks for it. Time and randomness are arguments: `now`, and
 serials of 128 random bits. Whether an identity may be issued is decided by the store and the
 operator.
+
+A certificate that is to be signed: what it says is read before the key signs it. Pure.
+
+A signer gets the TBSCertificate (RFC 5280 section 4.1) as bytes. Here it is completed with an empty
+signature, parsed as every certificate is, and only the two forms that an authority issues are
+accepted: the identity of a node, and an intermediate. Both must be of its own trust domain and name
+it as the issuer, so that its key cannot be made to sign a certificate of any other form.
 """
 
 from datetime import UTC, datetime
-from typing import Final
+from typing import Final, NamedTuple
 
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
@@ -15,16 +22,20 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import NameOID
 
-from ca.certificates import Identity, TrustAnchor
-from ca.errors import IssueRefused
-from ca.intermediates import Intermediate, check_intermediate_request, policy
-from ca.keys.publickey import require_p256, thumbprint
-from ca.keys.signer import Signer
-from ca.keys.x509signer import X509Signer
-from ca.names import check_domain, check_wildcard, spiffe_id
-from ca.renewal import BACKDATE, Renewal
-from ca.requests import check_request
-from ca.svid import SCHEME, WILDCARD, WILDCARD_VALUE
+from ca import svid
+from ca.certificates import (
+    BACKDATE,
+    Identity,
+    Intermediate,
+    Renewal,
+    TrustAnchor,
+    check_intermediate_request,
+    policy,
+)
+from ca.errors import CertificateRefused, IssueRefused, NameRefused
+from ca.keys.signing import Signer, X509Signer, require_p256, thumbprint
+from ca.names import check_domain, check_wildcard, parse_spiffe_id, spiffe_id
+from ca.svid import SCHEME, WILDCARD, WILDCARD_VALUE, check_request
 
 DAY: Final = 86_400
 LIFETIME: Final = 30 * DAY
@@ -279,3 +290,66 @@ def _usage(*, authority: bool) -> x509.KeyUsage:
         encipher_only=False,
         decipher_only=False,
     )
+
+
+_SEQUENCE: Final = b"\x30"
+# AlgorithmIdentifier: ecdsa-with-SHA256, without parameters (RFC 5758 section 3.2).
+_ECDSA_WITH_SHA256: Final = bytes.fromhex("300a06082a8648ce3d040302")
+# A BIT STRING of no unused bits with an ECDSA-Sig-Value of r = s = 1: nothing verifies it.
+_NO_SIGNATURE: Final = bytes.fromhex("0309003006020101020101")
+
+
+class UnsignedCertificate(NamedTuple):
+    """What is to be certified: a node's name, or the trust domain of an intermediate."""
+
+    name: str
+    is_intermediate: bool
+
+
+def read_unsigned(content: bytes, issuer: x509.Name, domain: str) -> UnsignedCertificate:
+    """Read a TBSCertificate (DER) that `issuer`, an authority of `domain`, is to sign.
+
+    Raises:
+        CertificateRefused: malformed, another issuer, trust domain or form.
+    """
+    certificate = svid.parse(_completed(content))
+    found = svid.certificate_signature(certificate, issuer)
+    if found is None or found.content != content:
+        raise CertificateRefused("a certificate of another issuer, algorithm or form")
+    svid.key_of(certificate)
+    svid.validity(certificate)
+    extensions = svid.extensions(certificate)
+    if svid.is_authority(extensions):
+        svid.check_intermediate(extensions)
+        if svid.trust_domain(extensions) != domain:
+            raise CertificateRefused("an intermediate of another trust domain")
+        return UnsignedCertificate(domain, is_intermediate=True)
+    svid.check_leaf(extensions)
+    svid.has_wildcard(extensions)
+    return UnsignedCertificate(
+        _unsigned_name(svid.only_uri(extensions), domain), is_intermediate=False
+    )
+
+
+def _unsigned_name(uri: str, domain: str) -> str:
+    try:
+        of_domain, name = parse_spiffe_id(uri)
+    except NameRefused as error:
+        raise CertificateRefused(f"a certificate whose name is invalid: {error}") from error
+    if of_domain != domain:
+        raise CertificateRefused("an identity of another trust domain")
+    return name
+
+
+def _completed(content: bytes) -> bytes:
+    """The certificate: the content, the algorithm, and a signature of nobody."""
+    body = content + _ECDSA_WITH_SHA256 + _NO_SIGNATURE
+    return _SEQUENCE + _length(len(body)) + body
+
+
+def _length(size: int) -> bytes:
+    """The length octets of DER (X.690 section 8.1.3)."""
+    if size < 0x80:
+        return bytes((size,))
+    octets = size.to_bytes((size.bit_length() + 7) // 8)
+    return bytes((0x80 | len(octets),)) + octets

@@ -5,30 +5,220 @@ URI name, not a CA, one key usage, issued by the trust anchor or by one intermed
 A chain is one or two certificates in this order: there is no path building, where verifiers
 have most of their bugs. The signature is checked before any content is trusted; size before
 parsing.
+
+Whether a certificate is valid at a moment, and what is said when it is not. Pure.
+
+The moment is that of the host's clock, which may be wrong. So a certificate that is over says two
+things: when the clock is right, how to have it renewed; and that it may be the clock. A certificate
+that is not valid yet always is a matter of clocks, as all begin an hour early.
+
+Intermediates: authorities that sign nodes for some months, under a root that stays offline.
+
+An intermediate is an authority of path length 0 for the same trust domain, signed by the root. Its
+SPIFFE ID is the domain, and every verifier here requires the same domain of its leaves. X.509 name
+constraints could say that for URIs, but `cryptography`'s verifier refuses chains that have them.
+A certificate policy, set at issuance, tells what its host may do: renew existing identities, or
+also enroll new ones. The host's own tools (`ca.authority`) enforce it. It does not bind an
+attacker: the holder of an intermediate's key can sign any name until the root revokes it.
+
+Renewal: a valid identity requests its successor, without operator action.
+
+The request is a CSR for the same name, inside a statement signed by the *old* key: the CSR proves
+possession of the new key, the statement the right to the name. Its type is in the signed header, so
+nothing else the key signs is a renewal. The key may stay the same (and keeps its grants) or be new.
+The authority's rules are here as well: the old identity is valid and not revoked, the name is the
+same, at least half of the lifetime is over, and the new lifetime is not longer than the old one.
+
+A node writes its new key to the disk *before* it sends the request, and repeats the same bytes
+until it has the answer: the authority answers one request always with the same certificate.
 """
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from typing import Final, NamedTuple, Self
 
 from cryptography import x509
+from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from ca import svid
-from ca.domains.aliases import refuse_alias
+from ca.encoding import Value
 from ca.errors import (
+    CertificateExpired,
+    CertificateNotYetValid,
     CertificateRefused,
+    EncodingError,
     ForeignCertificate,
     NameRefused,
+    RenewalRefused,
+    RequestRefused,
+    SignatureError,
 )
-from ca.intermediates import Intermediate, read_intermediate
-from ca.keys.publickey import thumbprint
-from ca.names import check_wildcard, covers, parse_spiffe_id
-from ca.requests import MAX_REQUEST, IdentityRequest, build_request, check_request
-from ca.svid import MAX_CERTIFICATE
-from ca.validity import check_time, way_back
+from ca.keys.signing import Profile, Signer, X509Signer, thumbprint
+from ca.names import check_domain, check_wildcard, covers, parse_spiffe_id, refuse_alias
+from ca.svid import (
+    MAX_CERTIFICATE,
+    MAX_REQUEST,
+    SCHEME,
+    IdentityRequest,
+    build_request,
+    check_request,
+    read_request,
+    request_builder,
+)
+
+SET_CLOCK: Final = "set this host's clock, or synchronize it (NTP)"
+_SECONDS: Final = 180  # up to which a span is given in seconds
+_DAY: Final = 86_400
+_PLAUSIBLE: Final = 2 * _DAY  # that a host was off, or nothing was signed
+
+
+def utc(seconds: int) -> str:
+    """Seconds since the epoch as `2026-11-20 18:00:00 UTC`; the number if out of range."""
+    try:
+        return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    except (ValueError, OverflowError, OSError):
+        return f"second {seconds}"
+
+
+def span(seconds: int) -> str:
+    """A span in one unit: `59 s`, `7 min`, `5 h`, `400 days`."""
+    if seconds < _SECONDS:
+        return f"{seconds} s"
+    for size, unit, least in ((_DAY, "days", 2 * _DAY), (3600, "h", 7200)):
+        if seconds >= least:
+            return f"{seconds // size} {unit}"
+    return f"{seconds // 60} min"
+
+
+def way_back(name: str) -> str:
+    """The commands by which the identity of `name`, which is over, comes back."""
+    if name == "/ca":
+        return "rossec ca renew /ca"
+    return f"rossec ca renew --expired {name}, then on its machine: rossec node install FILE"
+
+
+def check_time(what: str, start: int, end: int, now: int, back: str) -> None:
+    """Return if a certificate, called `what`, is valid at `now`; `back`: what renews it.
+
+    Raises:
+        CertificateNotYetValid, CertificateExpired: otherwise.
+    """
+    if now < start:
+        raise CertificateNotYetValid(
+            f"the {what} becomes valid in {span(start - now)}",
+            f"check this computer's clock: it says {utc(now)}",
+        )
+    if now > end:
+        raise CertificateExpired(
+            f"the {what} expired {span(now - end)} ago, on {utc(end)}",
+            f"this host's clock says {utc(now)}: if that is wrong, {SET_CLOCK}; else {back}",
+        )
+
+
+def own_end(name: str, end: int, now: int, seen: int) -> CertificateExpired:
+    """The refusal of this host's own identity `name`, which was valid until `end`.
+
+    `seen` is the latest time that is known by anything else than the clock, such as the time of
+    the newest signature here. If it is after the end, or not long ago, the clock is not in doubt.
+    """
+    back = f"where the authority is: {way_back(name)}"
+    if seen >= end or now - seen <= _PLAUSIBLE:
+        return CertificateExpired(f"the identity of {name} ended on {utc(end)}", back)
+    return CertificateExpired(
+        f"by this host's clock, which says {utc(now)}, the identity of {name} ended on {utc(end)};"
+        f" nothing here is newer than {utc(seen)}",
+        f"is the clock right? if not, {SET_CLOCK}; if it is, {back}",
+    )
+
+
+def everything_ended(domain: str, end: int, now: int) -> CertificateExpired:
+    """The refusal where the certificate of the authority itself is over: it lasts ten years."""
+    return CertificateExpired(
+        f"by this host's clock, which says {utc(now)}, everything of {domain!r} is over, the"
+        f" authority's own certificate too, since {utc(end)}",
+        f"the clock is wrong, or the authority is ten years old: {SET_CLOCK}",
+    )
+
+
+# Private policies, from UUIDs (ITU-T X.667).
+MAY_RENEW: Final = x509.ObjectIdentifier("2.25.283421307419275216482910536471209357741")
+MAY_ENROLL: Final = x509.ObjectIdentifier("2.25.140372948105529641730282947561038846219")
+_HINT: Final = "make it on the host with `rossec ca intermediate request`"
+
+
+@dataclass(frozen=True)
+class Intermediate:
+    """A verified intermediate. Times are inclusive, in seconds."""
+
+    public_key: ec.EllipticCurvePublicKey
+    thumbprint: bytes
+    not_before: int
+    not_after: int
+    certificate: bytes
+    subject: x509.Name
+    serial: int
+    may_enroll: bool
+
+
+def read_intermediate(certificate: x509.Certificate, der: bytes, domain: str) -> Intermediate:
+    """Read an intermediate whose signature was verified; its validity is not checked here.
+
+    Raises:
+        CertificateRefused: another form, or another trust domain.
+    """
+    extensions = svid.extensions(certificate)
+    svid.check_intermediate(extensions)
+    found = svid.trust_domain(extensions)
+    if found != domain:
+        raise CertificateRefused(f"the intermediate is for trust domain {found!r}, not {domain!r}")
+    key = svid.key_of(certificate)
+    start, end = svid.validity(certificate)
+    may_enroll = _power(svid.policies(extensions))
+    subject = svid.subject(certificate)
+    return Intermediate(
+        key, thumbprint(key), start, end, der, subject, certificate.serial_number, may_enroll
+    )
+
+
+def policy(*, may_enroll: bool) -> x509.CertificatePolicies:
+    """The certificate policy that says what an intermediate may do."""
+    power = MAY_ENROLL if may_enroll else MAY_RENEW
+    return x509.CertificatePolicies([x509.PolicyInformation(power, None)])
+
+
+def _power(policies: frozenset[x509.ObjectIdentifier]) -> bool:
+    if policies not in ({MAY_RENEW}, {MAY_ENROLL}):
+        raise CertificateRefused(
+            "the intermediate has no policy to renew or enroll", "make a new one"
+        )
+    return MAY_ENROLL in policies
+
+
+def build_intermediate_request(signer: Signer, domain: str) -> bytes:
+    """Return a CSR (DER) for an intermediate of `domain` with the signer's key.
+
+    Raises:
+        NameRefused: `domain` is not a trust domain.
+    """
+    builder = request_builder(f"{SCHEME}{check_domain(domain)}")
+    return builder.sign(X509Signer(signer), hashes.SHA256()).public_bytes(Encoding.DER)
+
+
+def check_intermediate_request(csr: bytes, domain: str) -> ec.EllipticCurvePublicKey:
+    """Return the key of a request for an intermediate of `domain`; possession is proven.
+
+    Raises:
+        RequestRefused: malformed, without proof of possession, or for anything else.
+    """
+    key, *asked = read_request(csr, _HINT)
+    if asked != [f"{SCHEME}{domain}", False]:
+        raise RequestRefused(f"this is not a request for an intermediate of {domain!r}", _HINT)
+    return key
+
 
 __all__ = [
     "MAX_CERTIFICATE", "MAX_REQUEST", "Identity", "IdentityRequest", "TrustAnchor",
@@ -48,7 +238,7 @@ class Identity:
     Grants and rules are for `name`; with `wildcard` it also covers anonymous nodes (`covers`).
     For a node of a foreign domain `name` is its alias here, `/remote/LABEL/...`, so that no
     comparison of names can take it for a node of the own domain; `certified` is then the name in
-    its certificate, `root` the thumbprint of the foreign root (`ca.domains.anchors` sets them).
+    its certificate, `root` the thumbprint of the foreign root (`ca.domains.trust` sets them).
     """
 
     domain: str
@@ -290,3 +480,128 @@ def from_pem(data: bytes) -> tuple[bytes, ...]:
             "this is not a PEM certificate", "name the file that `rossec ca sign` wrote"
         ) from error
     return tuple(certificate.public_bytes(Encoding.DER) for certificate in certificates)
+
+
+PROFILE: Final = Profile("rossec-renewal+cwt")
+MAX_CHAIN: Final = 2
+MAX_RENEWAL: Final = MAX_REQUEST + MAX_CHAIN * MAX_CERTIFICATE + 512
+MAX_AGE: Final = 300  # seconds: two clocks and a slow network
+# Certificates are backdated by this much: the clock of robots without a battery-backed one may be
+# behind after a start.
+BACKDATE: Final = 3600
+_IAT, _CSR, _CHAIN = 6, -70021, -70022
+
+
+@dataclass(frozen=True)
+class Renewal:
+    """A verified renewal: the current identity, and the request."""
+
+    identity: Identity
+    request: IdentityRequest
+    csr: bytes
+
+    @property
+    def max_lifetime(self) -> int:
+        """The lifetime (seconds) of the identity, which the successor's may not exceed."""
+        return self.identity.not_after - signed_at(
+            self.identity.not_before, self.identity.not_after
+        )
+
+
+def signed_at(not_before: int, not_after: int) -> int:
+    """When an identity was signed: the backdated hour is not part of its lifetime.
+
+    Otherwise each successor would live an hour longer, and a short one would be due at once.
+    """
+    began = not_before + BACKDATE
+    return began if began < not_after else not_before
+
+
+def renew_at(not_before: int, not_after: int) -> int:
+    """When to renew: after two thirds of an identity's lifetime."""
+    began = signed_at(not_before, not_after)
+    return began + (not_after - began) * 2 // 3
+
+
+def retry_delay(not_before: int, not_after: int, longest: int) -> int:
+    """Seconds to wait after a refusal, at most `longest`; a twentieth of a short lifetime."""
+    life = not_after - signed_at(not_before, not_after)
+    return max(1, min(longest, life // 20))
+
+
+def sign_renewal(old: Signer, chain: Sequence[bytes], csr: bytes, now: int) -> bytes:
+    """Sign, with the old key, the request that `csr` succeed `chain` (DER, leaf first)."""
+    certificates: list[Value] = [*chain]
+    return PROFILE.sign(old, {_IAT: now, _CSR: csr, _CHAIN: certificates})
+
+
+def open_renewal(
+    data: bytes, anchor: TrustAnchor, now: int, check: Callable[[bytes, int], None]
+) -> Renewal:
+    """Return the renewal in `data`, if it is valid.
+
+    `check(entry, now)` raises when a key's thumbprint is revoked, or its status is unknown
+    (`Revocations.check`).
+
+    Raises:
+        RenewalRefused: malformed, not signed by the identity, too old, for another name, or early.
+        CertificateRefused: the old identity is invalid: expired, or of another authority.
+        RequestRefused: the CSR is invalid.
+        Revoked, RevocationsStale: what `check` raises.
+    """
+    _, _, chain = _renewal_read(_peek(data))
+    identity = anchor.verify(chain, now)
+    issued, csr, _ = _renewal_read(_open(data, identity))
+    for key in identity.keys:
+        check(key, now)
+    if not now - MAX_AGE <= issued <= now + MAX_AGE:
+        raise RenewalRefused("the renewal is too old, or from the future", "check both clocks")
+    request = check_request(csr, anchor.domain, wildcard=identity.wildcard)
+    if request.name != identity.name:
+        raise RenewalRefused(
+            f"{identity.name} requests the identity of {request.name}",
+            "a node renews its own name; for another one it must be enrolled",
+        )
+    _check_due(identity, now)
+    return Renewal(identity, request, csr)
+
+
+def _check_due(identity: Identity, now: int) -> None:
+    began = signed_at(identity.not_before, identity.not_after)
+    half = began + (identity.not_after - began) // 2
+    if now < half:
+        raise RenewalRefused(
+            f"the identity of {identity.name} is not due for renewal for {half - now} s",
+            "possible after half its lifetime; before that, where the authority is:"
+            f" rossec ca renew {identity.name}",
+        )
+
+
+def _peek(data: bytes) -> Value:
+    try:
+        return PROFILE.peek(data, limit=MAX_RENEWAL)
+    except (SignatureError, EncodingError) as error:
+        raise RenewalRefused(f"this is not a renewal: {error}") from error
+
+
+def _open(data: bytes, identity: Identity) -> Value:
+    try:
+        return PROFILE.open(data, identity.public_key, limit=MAX_RENEWAL)
+    except (SignatureError, EncodingError) as error:
+        raise RenewalRefused(
+            f"the renewal is not signed by {identity.name}: {error}",
+            "renew on the node that has the key",
+        ) from error
+
+
+def _renewal_read(value: Value) -> tuple[int, bytes, tuple[bytes, ...]]:
+    match value:
+        case {6: int() as issued, -70021: bytes() as csr, -70022: list() as items, **rest} if (
+            not rest and not isinstance(issued, bool) and 1 <= len(items) <= MAX_CHAIN
+        ):
+            chain = tuple(item for item in items if isinstance(item, bytes))
+        case _:
+            raise RenewalRefused("the renewal has missing or unknown fields")
+    if len(chain) != len(items):
+        raise RenewalRefused("the renewal's chain is not a list of certificates")
+    return issued, csr, chain

@@ -7,13 +7,91 @@ or normalised, and two names are equal if their bytes are.
 
 An identity with a wildcard tail covers its name, and that name followed by `_` and more:
 `/rviz` also covers `/rviz_1234_1700000000000`, the form of the names of anonymous nodes in ROS.
+
+What was probably meant by a value that is not known, or by a name that is refused. Pure.
+
+For hints alone: nothing is decided by it.
+
+Patterns over ROS names: `*` stands for one segment, `**` for one or more.
+
+Segments are compared whole, so `/a` never covers `/ab` (the prefix confusion of ROSRV), and a
+wildcard never stands for part of a segment. Names are absolute: relative and private (`~`)
+names must be resolved by the caller, or they are refused. Names are ASCII: homoglyphs are refused.
+
+A tail pattern is `/rviz~/get_loggers`: `rviz~` stands for `rviz` and all that a wildcard tail of
+`/rviz` covers (`ca.names`), in the last segment of one node's name and nowhere else. Only grants
+to an identity with that tail have them; `check_pattern` refuses them.
+
+Names of other masters and domains here: `/remote/<label>`, then the name at the origin.
+
+The only place that maps between the two. A label is chosen by the importing side; an alias is a
+local name: it is on no wire, in no grant of the origin, and cannot be registered or enrolled. What
+is not below `/remote` is a name of the own domain.
+
+What a gateway serves of another domain: `/gateway/<label>`, then the name at the origin.
+
+A served name stands for the same thing as the alias `/remote/<label>/...`, but it is a name of the
+own domain: its authority grants rights on it, and never on the alias, where the origin's count. The
+only place that maps between the two (docs/decisions/0035). A label is never the last segment, so
+no served name is the name of a gateway.
 """
 
 import re
+import unicodedata
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from typing import Final
 
-from ca.errors import NameRefused
-from ca.suggestions import proposed_domain, proposed_name
+from ca.errors import NameRefused, PatternRefused
+
+_SIMILAR: Final = 0.6
+_COMPARED: Final = 5000  # values; more would take a second
+_MAX: Final = 255  # as `ca.names.MAX_NAME`; of longer ones nothing is proposed
+_LETTERS: Final = str.maketrans({"ß": "ss", "æ": "ae", "Æ": "AE", "ø": "o", "Ø": "O", "œ": "oe",
+                                 "Œ": "OE", "ł": "l", "Ł": "L", "đ": "d", "Đ": "D"})  # fmt: skip
+_NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9_]+")
+_NOT_IN_DOMAINS: Final = re.compile(r"[^a-z0-9._-]+")
+
+
+def closest(value: str, known: Iterable[str]) -> str | None:
+    """The known value most like `value`; None: none is like it."""
+    values = sorted({str(each) for each in known})[:_COMPARED]
+    import difflib  # noqa: PLC0415 - for mistakes alone
+
+    found = difflib.get_close_matches(value, values, 1, _SIMILAR)
+    return found[0] if found else None
+
+
+def proposed_name(text: str) -> str | None:
+    """The absolute ROS name most like `text`, which is none: `talker-1` -> `/talker_1`.
+
+    None: there is nothing to keep, or it is private (`~pose`) and has its place elsewhere.
+    """
+    if len(text) > _MAX or text.startswith("~"):
+        return None
+    segments = [found for each in _plain(text).split("/") if (found := _segment(each))]
+    name = "".join(f"/{each}" for each in segments)
+    return name if name and len(name) <= _MAX else None
+
+
+def proposed_domain(text: str) -> str | None:
+    """The trust domain most like `text`, which is none: `My Home` -> `my-home`."""
+    if len(text) > _MAX:
+        return None
+    return _NOT_IN_DOMAINS.sub("-", _plain(text).lower()).strip("-") or None
+
+
+def _segment(text: str) -> str:
+    """A segment of a name: what is not in it becomes `_`, and it begins with a letter."""
+    kept = _NOT_IN_NAMES.sub("_", text).strip("_")
+    return f"n{kept}" if kept[:1].isdigit() else kept
+
+
+def _plain(text: str) -> str:
+    """Letters without their accents; in ASCII as far as there is such a letter."""
+    decomposed = unicodedata.normalize("NFKD", text.translate(_LETTERS))
+    return "".join(each for each in decomposed if not unicodedata.combining(each))
+
 
 MAX_NAME: Final = 255
 AUTHORITY: Final = "/ca"  # the authority's own node
@@ -137,3 +215,321 @@ def parse_spiffe_id(text: str) -> tuple[str, str]:
         raise NameRefused(f"{text[:MAX_NAME]!a} is not a SPIFFE ID")
     domain, slash, path = text.removeprefix(_SCHEME).partition("/")
     return check_domain(domain), check_name(slash + path)
+
+
+TAIL: Final = "~"
+_WILDCARDS = ("*", "**")
+_HINT: Final = "* stands for one whole segment, ** for one or more: /robot1/*/scan, /robot1/**"
+_HINT_LABEL: Final = "a pattern is of one domain's own names, which have no label: /robot1/**"
+
+
+def check_pattern(text: str) -> str:
+    """Return `text` if it is a name in which whole segments may be `*` or `**`.
+
+    Raises:
+        PatternRefused: not a name (see `ca.names`), or a wildcard beside other characters.
+    """
+    segments = ["x" if segment in _WILDCARDS else segment for segment in text.split("/")]
+    try:
+        check_name("/".join(segments))
+    except NameRefused as error:
+        raise PatternRefused(f"not a name pattern: {error}", _hint(text)) from None
+    return text
+
+
+def _hint(text: str) -> str:
+    if ":/" in text:
+        return _HINT_LABEL
+    proposed = None if "*" in text else proposed_name(text)
+    return _HINT if proposed is None else f"for example {proposed}; {_HINT}"
+
+
+def check_tail_pattern(text: str) -> str:
+    """Return `text` if it is a pattern, or a tail pattern.
+
+    Raises:
+        PatternRefused: neither; also a tail of a reserved name, which nothing may have.
+    """
+    base, mark, rest = text.partition(TAIL)
+    if not mark:
+        return check_pattern(text)
+    try:
+        check_wildcard(check_name(base))
+    except NameRefused as error:
+        raise PatternRefused(f"not a tail pattern: {error}", error.hint) from None
+    if rest and not rest.startswith("/"):
+        raise PatternRefused(f"not a tail pattern: {text[:80]!a}", "for example /rviz~/get_loggers")
+    check_pattern(base + rest)
+    return text
+
+
+def tail_base(pattern: str) -> str | None:
+    """The node whose tail a tail pattern is about; None for any other pattern."""
+    base, mark, _ = pattern.partition(TAIL)
+    return base if mark else None
+
+
+def fits(segment: str, found: str) -> bool:
+    """Whether one segment of a pattern, other than `**`, stands for the segment `found`.
+
+    `found` may be one of a tail pattern: then whether it stands for all of its names.
+    """
+    if segment in ("*", found):
+        return True
+    return segment.endswith(TAIL) and _in_tail(segment[:-1], found.removesuffix(TAIL))
+
+
+def _in_tail(base: str, segment: str) -> bool:
+    """As `ca.names.covers` for an identity with a tail, of one segment of a checked name."""
+    rest = segment.removeprefix(base)
+    return segment == base or (rest != segment and len(rest) > 1 and rest.startswith("_"))
+
+
+def pattern_covers(pattern: str, name: str) -> bool:
+    """Whether `pattern` covers `name`, segment by segment; it may be a tail pattern.
+
+    Raises:
+        PatternRefused, NameRefused: invalid pattern or name.
+    """
+    check_tail_pattern(pattern)
+    check_name(name)
+    if "*" not in pattern and TAIL not in pattern:
+        return pattern == name
+    segments = _segments(name)
+    return len(segments) in _match_ends(_segments(pattern), segments)
+
+
+def covers_tree(pattern: str, name: str) -> bool:
+    """Whether `pattern` covers `name` or a parent of it.
+
+    For parameters: setting `/a` also sets every `/a/...`, because the value may be a tree. So a
+    right to a key is always a right to all of its descendants, and never to a parent.
+
+    Raises:
+        PatternRefused, NameRefused: invalid pattern or name.
+    """
+    pattern_segments = _pattern_segments(pattern)
+    check_name(name)
+    return bool(_match_ends(pattern_segments, _segments(name)))
+
+
+def covers_below(pattern: str, namespace: str) -> bool:
+    """Whether `covers_tree` is true for every name below `namespace`; `/` is the root.
+
+    Raises:
+        PatternRefused: invalid pattern.
+    """
+    below = [*_namespace_segments(namespace), _WILDCARDS[0]]  # a segment that only wildcards match
+    return bool(_match_ends(_pattern_segments(pattern), below))
+
+
+def touches(pattern: str, namespace: str) -> bool:
+    """Whether `covers_tree` is true for `namespace` or any name below it; `/` is the root.
+
+    Raises:
+        PatternRefused: invalid pattern.
+    """
+    name, ends = _namespace_segments(namespace), {0}
+    for segment in _pattern_segments(pattern):
+        if len(name) in ends:  # the rest of the pattern covers names below
+            return True
+        ends = _advance(ends, segment, name)
+    return bool(ends)
+
+
+def _namespace_segments(text: str) -> list[str]:
+    return [] if text == "/" else text[1:].split("/")
+
+
+def _segments(text: str) -> list[str]:
+    return text[1:].split("/")
+
+
+@lru_cache(maxsize=4096)
+def _pattern_segments(pattern: str) -> tuple[str, ...]:
+    """The segments of a pattern, cached: a pattern is compared with thousands of names."""
+    return (*_segments(check_tail_pattern(pattern)),)
+
+
+def _match_ends(pattern: Sequence[str], name: list[str]) -> set[int]:
+    """The numbers of leading segments of `name` that all of `pattern` can match.
+
+    A set of positions instead of backtracking: time is the product of the lengths for every
+    pattern (a chain of `**` would be exponential in a regular expression).
+    """
+    ends = {0}
+    for segment in pattern:
+        if not ends:
+            break
+        ends = _advance(ends, segment, name)
+    return ends
+
+
+def _advance(ends: set[int], segment: str, name: list[str]) -> set[int]:
+    if segment == "**":
+        return set(range(min(ends, default=len(name)) + 1, len(name) + 1))
+    if TAIL in segment:
+        return {at + 1 for at in ends if at < len(name) and fits(segment, name[at])}
+    # As `fits`, without a call for each segment: the master checks thousands of names in one turn.
+    return {at + 1 for at in ends if at < len(name) and segment in ("*", name[at])}
+
+
+REMOTE: Final = "/remote"
+MAX_LABEL: Final = 32
+_LABEL: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_PREFIX: Final = f"{REMOTE}/"
+
+
+def check_label(text: str) -> str:
+    """Return `text` if it is a label: one segment of a name, at most 32 characters.
+
+    Raises:
+        NameRefused: anything else.
+    """
+    if len(text) > MAX_LABEL or _LABEL.fullmatch(text) is None:
+        raise NameRefused(
+            f"{text[:MAX_NAME]!a} is not a label",
+            f"one word of at most {MAX_LABEL} letters, digits or _, for example hospital",
+        )
+    return text
+
+
+def alias_of(label: str, name: str) -> str:
+    """The local name of `name`, an absolute name of the origin `label`.
+
+    Raises:
+        NameRefused: a label or name that is not one, an alias, or an alias longer than a name.
+    """
+    if is_alias(check_name(name)):
+        raise NameRefused(f"{name} is an alias at the origin itself", "a name travels one hop")
+    return check_name(f"{_PREFIX}{check_label(label)}{name}")
+
+
+def split_alias(name: str) -> tuple[str, str] | None:
+    """The label and the origin's name of an alias; None: a name of the own domain.
+
+    Raises:
+        NameRefused: below `/remote`, but no label and name follow.
+    """
+    if not is_alias(name):
+        return None
+    label, slash, rest = name.removeprefix(_PREFIX).partition("/")
+    if name == REMOTE or not slash:
+        raise NameRefused(f"{name} names no origin", "/remote/LABEL/NAME")
+    return check_label(label), check_name(slash + rest)
+
+
+def origin_of(name: str) -> str:
+    """The name on the wire: that of the origin for an alias, else `name` itself.
+
+    Raises:
+        NameRefused: as `split_alias`.
+    """
+    found = split_alias(name)
+    return name if found is None else found[1]
+
+
+def is_alias(name: str) -> bool:
+    """Whether a name lies in `/remote`."""
+    return name == REMOTE or name.startswith(_PREFIX)
+
+
+def refuse_alias(name: str) -> str:
+    """Return `name` if it is not below `/remote`: for what can have no alias.
+
+    Raises:
+        NameRefused: it is.
+    """
+    if is_alias(name):
+        raise NameRefused(
+            f"{name[:MAX_NAME]!a} is below {REMOTE}, which stands for other masters' names",
+            "choose another name",
+        )
+    return name
+
+
+def display_name(domain_label: str, name: str) -> str:
+    """For people: `hospital:/robot/pose`; a name of the own domain (label empty) as it is."""
+    return f"{domain_label}:{name}" if domain_label else name
+
+
+def shown(name: str) -> str:
+    """A local name for people: an alias as `hospital:/robot/pose`, any other text as it is."""
+    try:
+        found = split_alias(name)
+    except NameRefused:
+        return name
+    return name if found is None else display_name(*found)
+
+
+def local_name(text: str) -> str:
+    """The local name of what a person wrote: `hospital:/robot/pose` is an alias.
+
+    Text without a colon is returned as it is: it may be a relative name.
+
+    Raises:
+        NameRefused: what is around the colon is no label and absolute name.
+    """
+    label, colon, name = text.partition(":")
+    return alias_of(label, name) if colon else text
+
+
+def local_pattern(text: str) -> str:
+    """The pattern of local names of what a person wrote: `hospital:/rounds/*` is one of aliases.
+
+    Raises:
+        NameRefused: what is around the colon is no label and pattern, or it is no pattern.
+    """
+    label, colon, pattern = text.partition(":")
+    if not colon:
+        return check_pattern(text)
+    if is_alias(check_pattern(pattern)):
+        raise NameRefused(f"{pattern} is an alias at the origin itself", "a name travels one hop")
+    return check_pattern(f"{_PREFIX}{check_label(label)}{pattern}")
+
+
+__all__ = (
+    "GATEWAY",
+    "alias_of_served",
+    "is_gateway",
+    "is_in_gateway",
+    "is_served",
+    "served_name",
+)
+
+_SERVED_PREFIX: Final = f"{GATEWAY}/"
+
+
+def served_name(alias: str) -> str:
+    """The served name of an alias: `/gateway/hospital/pose` for `/remote/hospital/pose`.
+
+    Raises:
+        NameRefused: no alias of a label and a name, or a served name that would be too long.
+    """
+    found = split_alias(alias)
+    if found is None:
+        raise NameRefused(f"{alias} is a name of this domain: no gateway serves it")
+    alias_of(*found)  # an alias at the origin itself is served by nobody: one hop
+    return check_name(f"{_SERVED_PREFIX}{found[0]}{found[1]}")
+
+
+def alias_of_served(name: str) -> str | None:
+    """The alias that a served name stands for; None: it is no served name."""
+    if not is_in_gateway(name):
+        return None
+    label, slash, rest = name.removeprefix(_SERVED_PREFIX).partition("/")
+    try:
+        check_name(name)
+        return alias_of(label, slash + rest)
+    except NameRefused:
+        return None
+
+
+def is_served(name: str) -> bool:
+    """Whether a gateway may serve something under `name`: a label and a name are in it."""
+    return alias_of_served(name) is not None
+
+
+def is_in_gateway(name: str) -> bool:
+    """Whether a name lies below `/gateway`: nobody but gateways publishes there."""
+    return name.startswith(_SERVED_PREFIX)

@@ -3,17 +3,19 @@
 Every value is checked when it is constructed, so a value that exists is well-formed: no unknown
 right, operator or parameter can be represented. Whether a restriction fits a *message type* can
 only be checked with its definition (`grants.guard`).
+
+When a grant is valid: `not_before <= now < expires`, by the host's clock, never ROS time.
 """
 
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from enum import IntFlag
 from typing import Any, Final, Self, TypeAlias
 
-from ca.names import check_name
-from ca.patterns import check_tail_pattern, covers, covers_tree, tail_base
-from grants.errors import FilterRefused, GrantMalformed
+from ca.names import check_name, check_tail_pattern, covers_tree, pattern_covers, tail_base
+from grants.errors import FilterRefused, GrantExpired, GrantMalformed, GrantNotYetValid
 from grants.limits import MAX_PAD, MAX_SLOT, MIN_PAD, MIN_SLOT, is_body, rate_text
 
 Scalar: TypeAlias = bool | int | float | str
@@ -133,7 +135,7 @@ class Restriction:
         keep_when_stale: an established connection may stay open while revocation data is stale.
         layer: in a decision, how many links of a chain stand before its own: it is applied to what
             the restrictions of these let through. 0 as signed.
-        body: what shows the same thing as other topics of the publisher (`grants.common_state`).
+        body: what shows the same thing as other topics of the publisher (`grants.filters.coarsening`).
         pad: what is sent for the right has, encrypted, a multiple of so many bytes.
     """
 
@@ -219,7 +221,9 @@ class Permission:
     def matches(self, name: str, right: Right) -> bool:
         """Whether the pattern covers `name`; for parameters also if it covers a parent of it."""
         return (
-            covers_tree(self.pattern, name) if right & TREE_RIGHTS else covers(self.pattern, name)
+            covers_tree(self.pattern, name)
+            if right & TREE_RIGHTS
+            else pattern_covers(self.pattern, name)
         )
 
     def covers(self, right: Right, name: str) -> bool:
@@ -291,7 +295,7 @@ class Grant(Draft):
     """A grant as signed: `id` identifies it for revocation, `issuer` is the authority's thumbprint.
 
     `via` is set by renewal: the delegation's id and its holder's key. Both may be revoked.
-    A chain (`grants.narrowing`) is one grant too: the first link's, with the id, subject and holder
+    A chain (`grants.token`) is one grant too: the first link's, with the id, subject and holder
     of the last, valid while every link is; `chain` is all of them, and each must authorize.
     """
 
@@ -343,3 +347,29 @@ def merge(restrictions: Iterable[Restriction | None]) -> tuple[Restriction, ...]
         if restriction is not None and restriction.restricts_messages
     }
     return tuple(sorted(unique, key=lambda each: (each.layer, repr(each))))
+
+
+def check_time(grant: Grant, now: int) -> None:
+    """Return if `grant` is valid at `now` (seconds since the epoch).
+
+    Raises:
+        GrantNotYetValid, GrantExpired: otherwise.
+    """
+    if now < grant.not_before:
+        raise GrantNotYetValid(
+            f"grant {grant.short_id} is not valid before {format_time(grant.not_before)}",
+            "check this host's clock",
+        )
+    if now >= grant.expires:
+        raise GrantExpired(
+            f"grant {grant.short_id} expired at {format_time(grant.expires)}",
+            "ask the authority to renew it, or check this host's clock",
+        )
+
+
+def format_time(seconds: int) -> str:
+    """Seconds since the epoch as `2026-11-20 18:00:00 UTC`; the number if out of range."""
+    try:
+        return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    except (ValueError, OverflowError, OSError):
+        return f"second {seconds}"

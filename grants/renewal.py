@@ -13,12 +13,10 @@ from typing import Any, Final
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.cose import Profile
 from ca.encoding import Value, decode
 from ca.errors import EncodingError, HintedError, SignatureError
-from ca.keys.publickey import thumbprint
-from ca.keys.signer import Signer
-from grants.claims import issuer_uri, read_issuer
+from ca.keys.signing import Profile, Signer, thumbprint
+from grants.document import issuer_uri, read_issuer
 from grants.errors import (
     GrantMalformed,
     GrantRevoked,
@@ -29,8 +27,7 @@ from grants.errors import (
     RenewalNotInTime,
     RenewalTooWide,
 )
-from grants.model import ID_SIZE, KEY_SIZE, Grant
-from grants.validity import format_time
+from grants.model import ID_SIZE, KEY_SIZE, Grant, format_time
 
 DELEGATION: Final = Profile("rossec-delegation+cwt")
 TICKET: Final = Profile("rossec-ticket+cwt")

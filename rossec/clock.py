@@ -8,7 +8,7 @@ the machine is suspended. They count `DRIFT` slower, since counters and clocks d
 corrects 500 ppm at most): a small step back is caught up.
 
 A clock that went back by more than `SKEW` is a *setback*: it is counted, and revocation data is not
-relied on until it is confirmed (`rossec.participant.revocation_watch`). If the clock was wrong
+relied on until it is confirmed (`rossec.participant.connections`). If the clock was wrong
 before and is right now, a trusted clock shows it: `correct` then follows the host's clock again.
 """
 
@@ -17,7 +17,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
-from ca.revocation.state import SKEW
+from ca.revocation.trust_status import SKEW
 
 DRIFT: Final = 500e-6
 

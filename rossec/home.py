@@ -1,35 +1,113 @@
 """The directory of a node below ROSSEC_HOME, and its files.
 
-A shell. Keys are written by `ca.keys.key_files`, everything else by `rossec.files`; content is
+A shell. Keys are written by `ca.keys.private_keys`, everything else by `rossec.files`; content is
 verified by the module of its format. The hints of errors name the next command.
+
+What a node says when its own identity is over: that it ended, or that the clock is in doubt.
+
+A shell: what was signed, and the times of the files, show how late it is at least. A host whose
+clock is years ahead has nothing of that time; neither has one that was off for as long, so that
+both are told.
+
+The keys of a node's pseudonyms, one file each: random, created on first use, never replaced.
 """
 
-from collections.abc import Iterator
+import secrets
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Final, Self
 
 from ca import svid
-from ca.certificates import (
-    Identity,
-    IdentityRequest,
-    TrustAnchor,
-    build_request,
-    check_request,
-    from_pem,
-    to_pem,
+from ca.certificates import Identity, TrustAnchor, everything_ended, from_pem, own_end, to_pem
+from ca.errors import (
+    CertificateExpired,
+    HintedError,
+    KeyRefused,
+    PathRefused,
+    RequestRefused,
+    RevocationRefused,
 )
-from ca.errors import CertificateExpired, HintedError, KeyRefused, RequestRefused
-from ca.keys import key_files
-from ca.keys.signer import KeySigner
+from ca.keys import private_keys
+from ca.keys.signing import KeySigner
 from ca.names import check_name
-from ca.revocation.state import NO_FLOOR, open_statement
-from ca.revocation.tree import MAX_TREE_ENTRIES_SIZE
-from rossec import files, home_hints
+from ca.revocation.lists import MAX_TREE_ENTRIES_SIZE
+from ca.revocation.trust_status import NO_FLOOR, open_statement
+from ca.svid import IdentityRequest, build_request, check_request
+from grants.filters.hashing import FILTER_KEY_SIZE, check_key_name
+from rossec import environment, files
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.errors import ConfigurationError
-from rossec.filter_keys import DIRECTORY as FILTERS
-from rossec.filter_keys import filter_key
-from rossec.own_validity import ended, has_key, seen_in
+
+_FILES: Final = ("node.pem", "ca.pem", "revocations.cose", "grants")
+
+
+def ended(
+    name: str, chain: Iterable[bytes], anchor: TrustAnchor, now: int, seen: int
+) -> CertificateExpired:
+    """The refusal of the own identity `name`, whose `chain` is not valid any more at `now`.
+
+    `seen`: how late it is at least, as far as is known without the clock.
+    """
+    if now > anchor.not_after:
+        return everything_ended(anchor.domain, anchor.not_after, now)
+    end = min(svid.validity(svid.parse(der))[1] for der in chain)
+    return own_end(name, end, now, seen)
+
+
+def seen_in(directory: Path, anchor: TrustAnchor, revocations: bytes | None) -> int:
+    """How late it is at least: by the files of a node, and by the list that it holds."""
+    times = [anchor.not_before]
+    for name in _FILES:
+        path = directory / name
+        if path.exists():
+            times.append(int(path.stat().st_mtime))
+    if revocations is not None:
+        with suppress(RevocationRefused):  # of another authority
+            times.append(open_statement(revocations, anchor.public_key).issued)
+    return max(times)
+
+
+def has_key(name: str, directory: Path) -> str:
+    """What somebody does who asks for the key of a node anew, which is in `directory`."""
+    anew = "for a new key, without the grants of this one, move that directory away first"
+    if (directory / "node.pem").exists():
+        renew = f"rossec ca renew --expired {name}, then here: rossec node install FILE"
+        return f"if its identity is over, where the authority is: {renew}; {anew}"
+    return f"its request is {directory / 'node.csr'}; {anew}"
+
+
+FILTERS: Final = "filters"  # of a node
+FILTER_KEYS: Final = (files.Owned(r"[a-z][a-z0-9_-]{0,31}\.key"),)
+
+
+def filter_key(directory: Path, name: str) -> bytes:
+    """The key `name`, 32 random bytes; created on first use.
+
+    Raises:
+        FilterRefused: not a key name.
+        ConfigurationError: the file does not hold a key.
+    """
+    path = directory / f"{check_key_name(name)}.key"
+    files.make_private_directory(directory)
+    with files.locked_directory(directory):
+        if not path.exists():
+            files.create(path, secrets.token_bytes(FILTER_KEY_SIZE))
+    missing = ConfigurationError(f"there is no filter key {name} any more", f"it was {path}")
+    try:
+        key = files.read_own(path, FILTER_KEY_SIZE, missing)
+    except PathRefused as error:  # a peer may read this: no path in it
+        raise ConfigurationError(
+            f"others could have written the filter key {name}", f"{error}: {error.hint}"
+        ) from error
+    if len(key) != FILTER_KEY_SIZE:
+        raise ConfigurationError(
+            # A peer may read this: no path in it.
+            f"the filter key {name} is not a key of {FILTER_KEY_SIZE} bytes",
+            f"move {path} away: a new one is made, and pseudonyms change",
+        )
+    return key
+
 
 _SIZE_LIMIT: Final = 256 * 1024
 REVOCATIONS: Final = "revocations.cose"  # the newest list that the node has seen
@@ -96,9 +174,9 @@ class NodeHome:
                 f"{self.name} has a key already, in {self.path}", has_key(self.name, self.path)
             )
         files.make_private_directory(self.path)
-        key = key_files.generate()
+        key = private_keys.generate()
         request = build_request(KeySigner(key), domain, self.name, wildcard=wildcard)
-        key_files.write_private(self.path / "node.key", key)
+        private_keys.write_private(self.path / "node.key", key)
         files.replace(self.request_path, request, 0o644)
         return check_request(request, domain, wildcard=wildcard)
 
@@ -122,7 +200,7 @@ class NodeHome:
         if not (self.path / "node.key").exists():
             self.create_request(domain, wildcard=wildcard)
         request = self.request()
-        own = key_files.thumbprint(self.signer().public_key)
+        own = private_keys.thumbprint(self.signer().public_key)
         if check_request(request, domain, wildcard=wildcard).thumbprint != own:
             raise ConfigurationError(
                 f"{self.request_path} is for another key than {self.name} has here",
@@ -155,7 +233,7 @@ class NodeHome:
 
     def signer(self) -> KeySigner:
         """This node's key."""
-        return KeySigner(key_files.load_private(self.path / "node.key"))
+        return KeySigner(private_keys.load_private(self.path / "node.key"))
 
     def request(self) -> bytes:
         """The request (DER)."""
@@ -202,7 +280,7 @@ class NodeHome:
                 f"{self.path} holds the identity of {identity.name}, not of {self.name}",
                 f"next: rossec node request {self.name}",
             )
-        if identity.thumbprint != key_files.thumbprint(own.signer.public_key):
+        if identity.thumbprint != private_keys.thumbprint(own.signer.public_key):
             raise ConfigurationError(
                 f"the key and the certificate in {self.path} do not belong together",
                 "restore the key; without it move the directory away and enroll the node anew",
@@ -285,13 +363,13 @@ class NodeHome:
         files.replace(self.path / "delegation.cose", data)
 
     def filter_key(self, name: str) -> bytes:
-        """The key `name` for pseudonyms; raises as `rossec.filter_keys.filter_key`."""
+        """The key `name` for pseudonyms; raises as `rossec.home.filter_key`."""
         return filter_key(self.path / FILTERS, name)
 
     @property
     def _enroll(self) -> str:
         if not (self.path / "node.key").exists():
-            return home_hints.missing_node(self.path.parent.parent, self.name)
+            return environment.missing_node(self.path.parent.parent, self.name)
         return (
             f"next: rossec ca sign {self.request_path}, then rossec node install FILE;"
             " or go on with an invitation: rossec node join"
@@ -309,7 +387,7 @@ class NodeHome:
         return ConfigurationError(f"{self.name} has no {path.name} in {path.parent}", hint)
 
     def _check_is_ours(self, identity: Identity) -> None:
-        own = key_files.thumbprint(self.signer().public_key)
+        own = private_keys.thumbprint(self.signer().public_key)
         if identity.name != self.name or identity.thumbprint != own:
             raise ConfigurationError(
                 f"this identity is for {identity.name} with another key than {self.name} has here",

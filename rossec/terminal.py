@@ -10,6 +10,11 @@ people goes to stderr, where a question can still be understood (docs/spec/resul
 
 Every command prints through these functions, and they escape whatever they are given: names of
 peers and files, reasons in a policy and arguments reach a terminal as text, wherever they are from.
+
+Colour for a person at a terminal: only beside words that say the same, never alone.
+
+There is none where the stream is no terminal, where TERM is `dumb` or not set, and where NO_COLOR
+is set and not empty (https://no-color.org).
 """
 
 import io
@@ -18,12 +23,49 @@ import os
 import re
 import stat
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextvars import ContextVar
 from typing import Any, Final, TextIO
 
-from rossec import colour
-from rossec.ros.text import printable as text_on_one_line
+from rossec.peer_limits import printable as text_on_one_line
+
+RED: Final = "31"
+GREEN: Final = "32"
+YELLOW: Final = "33"
+BOLD: Final = "1"
+
+STATES: Final = {
+    "ok": GREEN, "held": GREEN, "delivered": GREEN, "valid": GREEN, "in force": GREEN,
+    "not ok": RED, "revoked": RED, "denied": RED, "refused": RED,
+    "expired": YELLOW, "stale": YELLOW, "waiting": YELLOW, "unknown": YELLOW,
+}  # fmt: skip
+
+PAINTED: Final = re.compile(
+    "(\x1b\\[(?:{})m *(?:{}) *\x1b\\[0m)".format("|".join({*STATES.values()}), "|".join(STATES))
+)
+"""A state as `state` paints it, and no other sequence that steers a terminal."""
+
+
+def is_wanted(stream: TextIO, environ: Mapping[str, str] | None = None) -> bool:
+    """Whether what is written to `stream` may be coloured."""
+    found = os.environ if environ is None else environ
+    return (
+        not found.get("NO_COLOR")
+        and found.get("TERM", "dumb") != "dumb"
+        and not stream.closed
+        and stream.isatty()
+    )
+
+
+def paint(text: str, colour: str, stream: TextIO) -> str:
+    """`text` in a colour, if that is wanted on `stream`; `text` holds no control character."""
+    return f"\x1b[{colour}m{text}\x1b[0m" if colour and is_wanted(stream) else text
+
+
+def painted_state(word: str, stream: TextIO) -> str:
+    """A state in its colour; spaces around it are kept."""
+    return paint(word, STATES.get(word.strip(), ""), stream)
+
 
 REFUSED = 1
 USAGE = 2
@@ -140,16 +182,16 @@ def note(text: str) -> None:
 def fail(message: str, hint: str = "") -> None:
     """An error and what to do about it; what a peer said begins with `rossec: ` already."""
     message = message.removeprefix("rossec: ")
-    error = colour.paint("error:", colour.RED, sys.stderr)
+    error = paint("error:", RED, sys.stderr)
     _write(sys.stderr, f"rossec: {error} {printable(message)}\n")
     if hint:
-        remedy = colour.paint("hint:", colour.BOLD, sys.stderr)
+        remedy = paint("hint:", BOLD, sys.stderr)
         _write(sys.stderr, f"rossec: {remedy} {printable(hint)}\n")
 
 
 def state(word: str) -> str:
     """A state as results show it: the word, and on a terminal its colour."""
-    return colour.state(word, sys.stdout if FACTS.get() is None else sys.stderr)
+    return painted_state(word, sys.stdout if FACTS.get() is None else sys.stderr)
 
 
 def _write(stream: TextIO, text: str) -> None:
@@ -162,11 +204,10 @@ def _write(stream: TextIO, text: str) -> None:
 
 def _painted(line: str, stream: TextIO) -> str:
     """`line` escaped, but for states that `state` has painted for this stream."""
-    if not colour.is_wanted(stream):
+    if not is_wanted(stream):
         return printable(line)
     return "".join(
-        part if place % 2 else printable(part)
-        for place, part in enumerate(colour.PAINTED.split(line))
+        part if place % 2 else printable(part) for place, part in enumerate(PAINTED.split(line))
     )
 
 

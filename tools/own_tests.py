@@ -25,7 +25,7 @@ OTHERS: Final[dict[str, tuple[str, ...]]] = {
         "rossec/channel/edhoc/test_own_dials.py",
     ),
     # Bases of SecureSocket, which alone is ever made.
-    "rossec/net/threads/carrier.py": (
+    "rossec/net/threads/secure_socket.py": (
         "rossec/net/threads/test_carrier.py",
         "rossec/net/threads/test_secure_socket.py",
     ),
@@ -34,34 +34,34 @@ OTHERS: Final[dict[str, tuple[str, ...]]] = {
         "rossec/net/aio/test_client.py",
         "rossec/net/aio/test_handshake.py",
     ),
-    "rossec/net/aio/driver.py": (
+    "rossec/net/aio/stream.py": (
         "rossec/net/aio/test_driver.py",
         "rossec/net/aio/test_stream.py",
     ),
     # What rospy calls in place of its own: only a program of rospy shows what it does.
-    "rossec/inprocess/headers.py": ("rossec/inprocess/test_connections.py",),
+    "rossec/inprocess/connections.py": ("rossec/inprocess/test_connections.py",),
     "rossec/inprocess/hooks.py": ("rossec/inprocess/test_secure.py",),
-    "rossec/inprocess/plain_stream.py": ("rossec/inprocess/test_sockets.py",),
-    "rossec/inprocess/service_probe.py": (
+    "rossec/inprocess/identity.py": ("rossec/inprocess/test_sockets.py",),
+    "rossec/inprocess/connections.py": (
         "rossec/inprocess/test_secure.py",
         "rossec/inprocess/test_allow_plain.py",
     ),
-    "rossec/inprocess/subscription.py": (
+    "rossec/inprocess/connections.py": (
         "rossec/inprocess/test_connections.py",
         "rossec/inprocess/test_background.py",
     ),
-    "rossec/inprocess/xmlrpc_client.py": (
+    "rossec/inprocess/xmlrpc_calls.py": (
         "rossec/inprocess/test_xmlrpc_client.py",
         "rossec/inprocess/test_early.py",
         "rossec/inprocess/test_connections.py",
     ),
-    "rossec/inprocess/xmlrpc_server.py": (
+    "rossec/inprocess/xmlrpc_calls.py": (
         "rossec/inprocess/test_xmlrpc_server.py",
         "rossec/inprocess/test_connections.py",
         "rossec/inprocess/test_allow_plain.py",
     ),
     # Its rules for anonymous nodes are those of the holder of a grant.
-    "rossec/master/rights/presented_grants.py": (
+    "rossec/master/rights/held_grants.py": (
         "rossec/master/rights/test_presented_grants.py",
         "rossec/master/rights/test_grant_holder.py",
     ),

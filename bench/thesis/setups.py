@@ -16,10 +16,9 @@ from bench._sites import enroll_masters
 from bench.thesis.network import ETHERNET, Device, Testbed
 from bench.thesis.programs import Program, Programs
 from bench.thesis.talk import TOPIC
-from rossec.overlay.mailboxes import BOX, mailbox
-from rossec.overlay.peers import Peer
-from rossec.overlay.relay_files import RelayFiles
-from rossec.overlay.routers import OPEN_SEAT, Routers
+from rossec.overlay.documents import OPEN_SEAT, Peer, Routers
+from rossec.overlay.homes import RelayFiles
+from rossec.overlay.link_frames import BOX, mailbox
 from rossec.ros.names import MASTER
 from tests.support.site import Site
 

@@ -62,7 +62,7 @@ class Grant(NamedTuple):
 class PolicyChange(NamedTuple):
     """A policy file put in force: digests of the one before (zeros: none) and of the new one.
 
-    `effect`: digest of the grants that it makes and revokes (`rossec.authority.policy_plan`).
+    `effect`: digest of the grants that it makes and revokes (`rossec.authority.policyfile`).
     """
 
     old: bytes

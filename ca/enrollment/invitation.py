@@ -5,26 +5,60 @@ never leaves the code: both sides derive a P-256 key from it, the authority keep
 and a node proves the secret by a signature. The text is `ROSSEC-JOIN:` + base32 (RFC 4648): base45
 has a space, `$` and `*`, which a shell changes; base64url leaves the alphanumeric mode of QR codes
 and is longer there. Its last octets are a checksum, since half of a pasted line looks like a whole.
+
+An invitation on an NFC tag: an NDEF message of one record (NFC Forum, NDEF 1.0).
+
+The record is of the type MIME media (TNF 2), `application/vnd.rossec.join`; its payload are the
+octets of the code, not its text, so that it fits on the smallest common tag (NTAG213, 144 octets).
+A phone that reads the tag opens nothing: only a URI or a well-known type would be acted on. The
+reader accepts this one form and no other.
+
+The transcript hash of a join, and the two statements signed over it.
+
+The transcript binds the invitation, a fresh nonce of each side, and the authority's certificates.
+`/ca` signs it, which shows that this very peer has the key of `/ca` now; the node signs it together
+with its request, by the key derived from the secret of the invitation. Each statement is of a kind
+of its own and holds hashes that the signer computed: neither side signs what the other chooses.
+
+A request to join, as it reaches the authority's key, and its proof.
+
+The process that has the key gets it from one that talks to strangers. So its octets have a fixed
+layout, which is cut and not parsed, and nothing in it is looked at before the proof is verified
+over its hashes: whoever does not know an invitation's secret reaches no parser.
+
+A claim of a node that joins, as it reaches the authority's key: its metadata, and its proof.
+
+As with a request to join (`join_request`), its octets are cut and not parsed, and the proof is
+verified over hashes. The metadata are parsed by no process that has a key.
 """
 
 import base64
 import binascii
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import sha256
 from hmac import compare_digest
-from typing import Final
+from typing import Final, Self
 
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
-from ca.encoding import encode
-from ca.errors import CodeExpired, CodeRefused
-from ca.keys.publickey import require_p256
-from ca.keys.signer import KeySigner
+from ca.encoding import Value, encode
+from ca.errors import (
+    CodeExpired,
+    CodeRefused,
+    EnrollmentMessageRefused,
+    JoinRefused,
+    NotTheAuthority,
+    SignatureError,
+)
+from ca.keys.signing import KeySigner, Profile, Signer, require_p256
+from ca.names import MAX_NAME
+from ca.svid import MAX_REQUEST
 
 PREFIX: Final = "ROSSEC-JOIN:"
 MAX_TEXT: Final = 640
@@ -185,3 +219,256 @@ def _checksum(body: bytes) -> bytes:
 
 def _damaged() -> CodeRefused:
     return CodeRefused("the code of the invitation is incomplete or damaged", _HINT)
+
+
+MEDIA_TYPE: Final = b"application/vnd.rossec.join"
+MAX_MESSAGE: Final = 512
+# Message begin and end, TNF 2 (NDEF 3.2): with a payload length of one octet, or of four.
+_SHORT: Final = 0xD2
+_LONG: Final = 0xC2
+
+
+def write(code: InvitationCode) -> bytes:
+    """The NDEF message of an invitation, to be written to a tag."""
+    payload = code.body()
+    if len(payload) < 256:
+        head = bytes([_SHORT, len(MEDIA_TYPE), len(payload)])
+    else:
+        head = bytes([_LONG, len(MEDIA_TYPE)]) + len(payload).to_bytes(4)
+    return head + MEDIA_TYPE + payload
+
+
+def is_message(data: bytes) -> bool:
+    """Whether `data` begins as an NDEF message: the text of a code never does."""
+    return data[:1] in {bytes([_SHORT]), bytes([_LONG])}
+
+
+def read(data: bytes) -> InvitationCode:
+    """Read the invitation in an NDEF message.
+
+    Raises:
+        CodeRefused: anything else.
+    """
+    if len(data) <= MAX_MESSAGE and is_message(data):
+        start = (3 if data[0] == _SHORT else 6) + len(MEDIA_TYPE)
+        code = parse_body(data[start:])
+        if write(code) == data:
+            return code
+    raise CodeRefused(
+        "the tag does not hold an invitation of rossec",
+        "write it with: rossec ca invite PATTERN --ndef FILE",
+    )
+
+
+MAX_STATEMENT: Final = 512
+MAX_METADATA: Final = 4096  # what a node says of itself, where rules give names
+_CONTEXT: Final = "rossec-join-v1"
+_LIVE: Final = Profile("rossec-join-live+cbor")
+_PROOF: Final = Profile("rossec-join-proof+cbor")
+_CLAIM: Final = Profile("rossec-join-claim+cbor")
+
+
+def transcript(
+    invitation: bytes, node_nonce: bytes, own_nonce: bytes, chain: Sequence[bytes], root: bytes
+) -> bytes:
+    """The transcript hash of one join, 32 octets; `own_nonce` is the authority's."""
+    certificates: list[Value] = [_digest(certificate) for certificate in chain]
+    return _digest(
+        encode([_CONTEXT, invitation, node_nonce, own_nonce, certificates, _digest(root)])
+    )
+
+
+def sign_live(signer: Signer, transcript_hash: bytes) -> bytes:
+    """The statement of `/ca` that it takes part in this join."""
+    return _LIVE.sign(signer, [transcript_hash])
+
+
+def check_live(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes) -> None:
+    """Return if the holder of `key` takes part in this join.
+
+    Raises:
+        NotTheAuthority: another key signed it, or it is about another join.
+    """
+    try:
+        _LIVE.check(data, key, [transcript_hash])
+    except SignatureError as error:
+        raise NotTheAuthority(
+            f"the peer does not have the key of the authority's node: {error}",
+            "possible attacker in between: find out who answers at that address",
+        ) from error
+
+
+def sign_proof(
+    signer: Signer, transcript_hash: bytes, csr: bytes, name: str, metadata: bytes = b""
+) -> bytes:
+    """The node's proof of the secret; `signer` has the key derived from it."""
+    return _PROOF.sign(signer, _asked(transcript_hash, csr, name, metadata))
+
+
+def check_proof(
+    data: bytes,
+    key: ec.EllipticCurvePublicKey,
+    transcript_hash: bytes,
+    csr: bytes,
+    name: str,
+    metadata: bytes = b"",
+) -> None:
+    """Return if the holder of the secret asks for `csr` in this join. It is only hashed.
+
+    Raises:
+        JoinRefused: it is not the proof.
+    """
+    _check(_PROOF, data, key, _asked(transcript_hash, csr, name, metadata))
+
+
+def sign_claim(signer: Signer, transcript_hash: bytes, metadata: bytes) -> bytes:
+    """The node's proof of the secret, to be told its name by metadata."""
+    return _CLAIM.sign(signer, [transcript_hash, _digest(metadata)])
+
+
+def check_claim(
+    data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes, metadata: bytes
+) -> None:
+    """Return if the holder of the secret sends `metadata`, which are only hashed.
+
+    Raises:
+        JoinRefused: it is not the proof.
+    """
+    _check(_CLAIM, data, key, [transcript_hash, _digest(metadata)])
+
+
+def _asked(transcript_hash: bytes, csr: bytes, name: str, metadata: bytes) -> list[Value]:
+    """What a proof is about; metadata only if there are some, as in version 1 without them."""
+    asked: list[Value] = [transcript_hash, _digest(csr), name]
+    return [*asked, _digest(metadata)] if metadata else asked
+
+
+def _check(
+    profile: Profile, data: bytes, key: ec.EllipticCurvePublicKey, content: list[Value]
+) -> None:
+    try:
+        profile.check(data, key, content)
+    except SignatureError as error:
+        raise JoinRefused(f"the node does not prove the invitation's secret: {error}") from error
+
+
+def _digest(data: bytes) -> bytes:
+    return sha256(data).digest()
+
+
+_HASH: Final = 32
+_SIZES: Final = ID_SIZE + _HASH  # where those of proof, name and metadata are
+_HEAD: Final = _SIZES + 5
+MAX_REQUEST_METADATA: Final = MAX_METADATA
+MAX_REQUEST_SIZE: Final = _HEAD + MAX_STATEMENT + MAX_NAME + MAX_REQUEST_METADATA + MAX_REQUEST
+
+
+@dataclass(frozen=True)
+class JoinRequest:
+    """A node's request to join: the invitation's id, the transcript, what is asked, the proof.
+
+    `csr` is DER of at most 2048 octets, `name` is ASCII, `metadata` are empty if the node chose its
+    name itself; everything is untrusted until `verify`.
+    """
+
+    invitation: bytes
+    transcript: bytes
+    name: str
+    csr: bytes
+    proof: bytes
+    metadata: bytes = b""
+
+    def __post_init__(self) -> None:
+        exact = len(self.invitation) == ID_SIZE and len(self.transcript) == _HASH
+        fits = (
+            self.name.isascii()
+            and len(self.name) <= MAX_NAME
+            and len(self.csr) <= MAX_REQUEST
+            and len(self.proof) <= MAX_STATEMENT
+            and len(self.metadata) <= MAX_REQUEST_METADATA
+        )
+        if not exact or not fits:
+            raise EnrollmentMessageRefused("the parts of a request to join have wrong sizes")
+
+    @property
+    def digest(self) -> bytes:
+        """The SHA-256 of `csr`, by which the record knows it."""
+        return sha256(self.csr).digest()
+
+    def to_bytes(self) -> bytes:
+        """The request for the process that has the key."""
+        name, parts = self.name.encode(), (self.invitation, self.transcript)
+        sizes = len(self.proof).to_bytes(2) + len(name).to_bytes(1) + len(self.metadata).to_bytes(2)
+        return b"".join((*parts, sizes, self.proof, name, self.metadata, self.csr))
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """The request that `to_bytes` wrote.
+
+        Raises:
+            EnrollmentMessageRefused: too long, too short, or a part is too long.
+        """
+        name = _HEAD + int.from_bytes(data[_SIZES : _SIZES + 2])
+        metadata = name + int.from_bytes(data[_SIZES + 2 : _SIZES + 3])
+        csr = metadata + int.from_bytes(data[_SIZES + 3 : _HEAD])
+        if not csr <= len(data) <= MAX_REQUEST_SIZE or not data[name:metadata].isascii():
+            raise EnrollmentMessageRefused("a request to join of a wrong size")
+        return cls(
+            data[:ID_SIZE], data[ID_SIZE:_SIZES], data[name:metadata].decode(), data[csr:],
+            data[_HEAD:name], data[metadata:csr],
+        )  # fmt: skip
+
+    def verify(self, point: bytes) -> None:
+        """Return if it was made with the secret of the invitation whose key is `point`.
+
+        Raises:
+            JoinRefused: it was not.
+        """
+        key = public_key(point)
+        check_proof(self.proof, key, self.transcript, self.csr, self.name, self.metadata)
+
+
+_JOIN_CLAIM_HEAD: Final = ID_SIZE + _HASH + 2  # and the size of the proof
+MAX_CLAIM_SIZE: Final = _JOIN_CLAIM_HEAD + MAX_STATEMENT + MAX_METADATA
+
+
+@dataclass(frozen=True)
+class JoinClaim:
+    """The invitation's id, the transcript, metadata, and the proof; untrusted until `verify`."""
+
+    invitation: bytes
+    transcript: bytes
+    metadata: bytes
+    proof: bytes
+
+    def __post_init__(self) -> None:
+        exact = len(self.invitation) == ID_SIZE and len(self.transcript) == _HASH
+        fits = 0 < len(self.metadata) <= MAX_METADATA and len(self.proof) <= MAX_STATEMENT
+        if not exact or not fits:
+            raise EnrollmentMessageRefused("the parts of a claim have wrong sizes")
+
+    def to_bytes(self) -> bytes:
+        """The claim for the process that has the key."""
+        size = len(self.proof).to_bytes(2)
+        return b"".join((self.invitation, self.transcript, size, self.proof, self.metadata))
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """The claim that `to_bytes` wrote.
+
+        Raises:
+            EnrollmentMessageRefused: too long, too short, or a part is too long.
+        """
+        metadata = _JOIN_CLAIM_HEAD + int.from_bytes(data[_JOIN_CLAIM_HEAD - 2 : _JOIN_CLAIM_HEAD])
+        if not metadata < len(data) <= MAX_CLAIM_SIZE:
+            raise EnrollmentMessageRefused("a claim of a wrong size")
+        transcript = data[ID_SIZE : ID_SIZE + _HASH]
+        return cls(data[:ID_SIZE], transcript, data[metadata:], data[_JOIN_CLAIM_HEAD:metadata])
+
+    def verify(self, point: bytes) -> None:
+        """Return if it was made with the secret of the invitation whose key is `point`.
+
+        Raises:
+            JoinRefused: it was not.
+        """
+        check_claim(self.proof, public_key(point), self.transcript, self.metadata)

@@ -2,15 +2,20 @@
 
 A frame is a length of four octets and one message. Messages are untrusted here: the state machines
 authenticate them.
+
+What a node checks before it takes an identity: that it is its own, under the offered root.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final, TypeAlias
 
+from ca.certificates import TrustAnchor
 from ca.encoding import Value, decode, encode
 from ca.enrollment import NONCE_SIZE
-from ca.errors import EncodingError, EnrollmentMessageRefused
+from ca.errors import CAError, EncodingError, EnrollmentMessageRefused, OfferRefused
+from ca.svid import IdentityRequest
 
 VERSION: Final = 1
 MAX_MESSAGE: Final = 8192  # a chain of two, a root, a nonce and a tag have at most 6300 octets
@@ -162,3 +167,24 @@ def _offer(chain: list[Value], root: bytes, nonce: bytes, tag: bytes) -> Offer |
     if len(nonce) != NONCE_SIZE or len(tag) not in {0, TAG_SIZE}:
         return None
     return Offer(certificates, root, nonce, tag)
+
+
+def check_issued(
+    root: bytes, chain: Sequence[bytes], own: IdentityRequest, now: int
+) -> TrustAnchor:
+    """Return the anchor in `root` if `chain` is exactly the identity that was asked for.
+
+    Raises:
+        OfferRefused: invalid certificates, or for another key or name.
+    """
+    try:
+        anchor = TrustAnchor.load(root)
+        identity = anchor.verify(chain, now)
+    except CAError as error:
+        raise OfferRefused(f"invalid offer: {error}", error.hint) from error
+    if identity.thumbprint != own.thumbprint:
+        raise OfferRefused("an identity for another key")
+    offered = (identity.domain, identity.name, identity.wildcard)
+    if offered != (own.domain, own.name, own.wildcard):
+        raise OfferRefused("an identity for another name than the one asked for")
+    return anchor

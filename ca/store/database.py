@@ -1,22 +1,443 @@
 """The database file of the authority's record: SQLite, private to its owner, durable transactions.
 
-Does I/O. `ca.store.schema` defines the tables. This module opens the file, refusing a foreign,
+Does I/O. `ca.store.database` defines the tables. This module opens the file, refusing a foreign,
 damaged or missing one without changing it, and runs transactions, which are on the disk when the
 call returns. What is read to decide a change must be read inside `transaction`, which excludes
 every other command until the change is made.
+
+SQLite errors as `StoreError`: whether the record is damaged, or only cannot be used now.
+
+A damaged record must be restored. A full disk, or another running command, is no reason to: a
+backup lacks the revocations made since. So only what SQLite reports as corrupt is called damaged,
+and every other message says that nothing was changed (https://sqlite.org/rescode.html).
+
+The tables and triggers of the authority's record; `ca.store.database` brings older ones up.
+
+All but requests for identities are append-only: triggers refuse every change. Such a request
+follows `ca.store.values.TRANSITIONS` and is deleted at its end; triggers made from that table
+refuse every other transition. Every table in `LOGGED_TABLES` has its rows in the log. All
+functions run inside the caller's transaction.
+
+Older versions of the record are brought up to the present one, and lose nothing.
+
+Version 2 made a tree of the log. Version 3 took the requests for grants and their answers into the
+log, which until then were tables of their own, and knows which grants came from a policy: those
+signed before count as made by hand. Version 4 adds passkeys and approvals, version 5 foreign
+domains, version 6 constrained things, of which there were none. Each step runs inside the caller's
+transaction.
 """
 
 import os
+import re
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final, Self
 
-from ca.errors import StoreError
+from ca.errors import LogDamaged, RecordUnusable, StoreError
 from ca.keys import ownership
-from ca.store import migration, schema
-from ca.store.faults import fault
+from ca.store.values import TRANSITIONS, LogEntry, RequestState, digest_of, extend_peaks
+
+_FULL_HINT: Final = "make room and run the command again; do not restore a backup"
+_MIN_FREE: Final = 128 * 1024  # bytes of free space that SQLite needs to open a record
+_DAMAGED: Final = frozenset({sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB})
+_FAULTS: Final[dict[int, tuple[str, str]]] = {
+    sqlite3.SQLITE_FULL: ("the disk is full, nothing was changed", _FULL_HINT),
+    sqlite3.SQLITE_BUSY: (
+        "another command is using it, nothing was changed",
+        "run the command again when that one has ended",
+    ),
+    sqlite3.SQLITE_READONLY: (
+        "it is read-only, nothing was changed",
+        "is the file system mounted read-only, or the file another user's?",
+    ),
+    sqlite3.SQLITE_IOERR: (
+        "the disk reports an error, nothing was changed",
+        "is it full or failing? see: df, dmesg; check the record: rossec ca log verify",
+    ),
+}
+
+
+def fault(path: Path, error: sqlite3.Error) -> StoreError:
+    """The exception to raise for an SQLite `error` of the record at `path`."""
+    code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF  # the primary code
+    if code in _DAMAGED:
+        return RecordUnusable(
+            f"{path} is damaged: {error}", "restore it from a backup, with --list"
+        )
+    if code == sqlite3.SQLITE_CONSTRAINT:
+        return StoreError(f"the record refuses the entry: {error}")
+    if code in {sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN} and _is_full(path.parent):
+        code = sqlite3.SQLITE_FULL
+    what, hint = _FAULTS.get(code, (f"{error}, nothing was changed", "run the command again"))
+    return RecordUnusable(f"{path} cannot be used: {what}", hint)
+
+
+def _is_full(directory: Path) -> bool:
+    with suppress(OSError):
+        found = os.statvfs(directory)
+        return found.f_bavail * found.f_frsize < _MIN_FREE
+    return False
+
+
+APPLICATION_ID: Final = 0x524F5343  # "ROSC"
+VERSION: Final = 6
+_RESTORE_HINT: Final = "restore a backup of your own, and find out who made this one"
+APPEND_ONLY: Final = ("certificate", "grant_", "revocation", "list", "head", "log")  # of version 1
+ANSWERS: Final = "answer"  # of version 2, and append-only as well
+DECISIONS: Final = (  # of version 3, all append-only
+    "grant_request", "decision", "policy_grant", "invitation", "invitation_use", "invitation_end",
+)  # fmt: skip
+APPROVALS: Final = (  # of version 4, all append-only
+    "passkey", "passkey_end", "approval", "approval_end",
+)  # fmt: skip
+DOMAINS: Final = (  # of version 5, all append-only
+    "foreign_domain", "foreign_domain_end", "domain_list", "foreign_certificate",
+)  # fmt: skip
+THINGS: Final = ("thing",)  # of version 6, append-only
+_APPROVAL: Final = (
+    "id, kind, subject, statement, payload, passkey, client_data, authenticator_data, signature, at"
+)
+# For each kind of log entry: the table, and the columns in the order of the digest.
+LOGGED_TABLES: Final = {
+    "certificate": ("certificate", "serial, name, thumbprint, der, not_before, not_after"),
+    "grant": ("grant_", "id, name, data, not_before, expires"),
+    "revocation": ("revocation", "entry, reason"),
+    "list": ("list", "epoch, seq, data"),
+    "grant request": ("grant_request", "id, name, data, at"),
+    "decision": ("decision", "request, right, pattern, answer, reason, at"),
+    "policy grant": ("policy_grant", "id, rules"),
+    "invitation": ("invitation", "id, key, pattern, uses, wildcard, expires, at"),
+    "join": ("invitation_use", "invitation, request, name, thumbprint, at"),
+    "invitation ended": ("invitation_end", "invitation, reason, at"),
+    "passkey": ("passkey", "id, name, cose_key, aaguid, rp_id, origin, approval, at"),
+    "passkey ended": ("passkey_end", "passkey, reason, at"),
+    "approval": ("approval", _APPROVAL),
+    "approval ended": ("approval_end", "approval, state, result, at"),
+    "domain": ("foreign_domain", "number, domain, label, root, terms, at"),
+    "domain ended": ("foreign_domain_end", "number, reason, at"),
+    "domain list": ("domain_list", "epoch, seq, data"),
+    "foreign certificate": ("foreign_certificate", "thumbprint, root, name, der, at"),
+    "thing": ("thing", "id, name, border, data, not_before, expires"),
+}
+
+VERSION_1: Final = (  # unchanged since version 1
+    """CREATE TABLE certificate (
+        serial BLOB PRIMARY KEY, name TEXT NOT NULL, thumbprint BLOB NOT NULL, der BLOB NOT NULL,
+        not_before INTEGER NOT NULL, not_after INTEGER NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    "CREATE INDEX certificate_name ON certificate (name, not_after)",
+    """CREATE TABLE grant_ (
+        id BLOB PRIMARY KEY, name TEXT NOT NULL, data BLOB NOT NULL,
+        not_before INTEGER NOT NULL, expires INTEGER NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    """CREATE TABLE revocation (entry BLOB PRIMARY KEY, reason TEXT NOT NULL, at INTEGER NOT NULL)
+        STRICT""",
+    """CREATE TABLE list (
+        epoch INTEGER NOT NULL, seq INTEGER NOT NULL, data BLOB NOT NULL, at INTEGER NOT NULL,
+        PRIMARY KEY (epoch, seq)
+    ) STRICT""",
+)
+VERSION_2: Final = (
+    """CREATE TABLE log (
+        number INTEGER PRIMARY KEY, at INTEGER NOT NULL, what TEXT NOT NULL, subject TEXT NOT NULL,
+        detail TEXT NOT NULL, digest BLOB NOT NULL, peaks BLOB NOT NULL
+    ) STRICT""",
+    "CREATE TABLE head (data BLOB PRIMARY KEY, at INTEGER NOT NULL) STRICT",
+    """CREATE TABLE csr (
+        digest BLOB PRIMARY KEY, name TEXT NOT NULL, thumbprint BLOB NOT NULL, der BLOB NOT NULL,
+        source TEXT NOT NULL, arrived INTEGER NOT NULL,
+        state TEXT NOT NULL, reason TEXT NOT NULL, changed INTEGER NOT NULL,
+        replaces INTEGER NOT NULL, wildcard INTEGER NOT NULL
+    ) STRICT""",
+    # One request, one certificate: also when two commands run at once, or one was killed.
+    """CREATE TABLE answer (
+        request BLOB PRIMARY KEY, serial BLOB NOT NULL UNIQUE, at INTEGER NOT NULL
+    ) STRICT""",
+)
+VERSION_3: Final = (
+    """CREATE TABLE grant_request (
+        id BLOB PRIMARY KEY, name TEXT NOT NULL, data BLOB NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    """CREATE TABLE decision (
+        request BLOB NOT NULL, right INTEGER NOT NULL, pattern TEXT NOT NULL,
+        answer TEXT NOT NULL, reason TEXT NOT NULL, at INTEGER NOT NULL,
+        PRIMARY KEY (request, right, pattern)
+    ) STRICT""",
+    # The grants that `policy apply` signed, and the rules they came from; all others are by hand.
+    "CREATE TABLE policy_grant (id BLOB PRIMARY KEY, rules TEXT NOT NULL) STRICT",
+    """CREATE TABLE invitation (
+        id BLOB PRIMARY KEY, key BLOB NOT NULL, pattern TEXT NOT NULL, uses INTEGER NOT NULL,
+        wildcard INTEGER NOT NULL, expires INTEGER NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    # A request uses one invitation, once.
+    """CREATE TABLE invitation_use (
+        invitation BLOB NOT NULL, request BLOB PRIMARY KEY, name TEXT NOT NULL,
+        thumbprint BLOB NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    """CREATE TABLE invitation_end (
+        invitation BLOB PRIMARY KEY, reason TEXT NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+)
+VERSION_4: Final = (
+    """CREATE TABLE passkey (
+        id BLOB PRIMARY KEY, name TEXT NOT NULL, cose_key BLOB NOT NULL, aaguid BLOB NOT NULL,
+        rp_id TEXT NOT NULL, origin TEXT NOT NULL, approval BLOB NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    """CREATE TABLE passkey_end (
+        passkey BLOB PRIMARY KEY, reason TEXT NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    # The id is that of the statement: one statement is approved once.
+    """CREATE TABLE approval (
+        id BLOB PRIMARY KEY, kind INTEGER NOT NULL, subject BLOB NOT NULL,
+        statement BLOB NOT NULL, payload BLOB NOT NULL, passkey BLOB NOT NULL,
+        client_data BLOB NOT NULL, authenticator_data BLOB NOT NULL, signature BLOB NOT NULL,
+        at INTEGER NOT NULL
+    ) STRICT""",
+    "CREATE INDEX approval_subject ON approval (kind, subject)",
+    "CREATE INDEX approval_passkey ON approval (passkey)",
+    """CREATE TABLE approval_end (
+        approval BLOB PRIMARY KEY, state TEXT NOT NULL, result TEXT NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+)
+VERSION_5: Final = (
+    # Each acceptance, and each change of its terms, is a row: the newest one of a domain counts.
+    """CREATE TABLE foreign_domain (
+        number INTEGER PRIMARY KEY, domain TEXT NOT NULL, label TEXT NOT NULL,
+        root BLOB NOT NULL, terms BLOB NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    """CREATE TABLE foreign_domain_end (
+        number INTEGER NOT NULL UNIQUE, reason TEXT NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    """CREATE TABLE domain_list (
+        epoch INTEGER NOT NULL, seq INTEGER NOT NULL, data BLOB NOT NULL, at INTEGER NOT NULL,
+        PRIMARY KEY (epoch, seq)
+    ) STRICT""",
+    # The keys of foreign nodes that grants were signed for, as proved by their certificates.
+    """CREATE TABLE foreign_certificate (
+        thumbprint BLOB NOT NULL, root BLOB NOT NULL, name TEXT NOT NULL, der BLOB NOT NULL UNIQUE,
+        at INTEGER NOT NULL
+    ) STRICT""",
+)
+VERSION_6: Final = (
+    # Statements about constrained things; `border` is the name of the router that serves it.
+    """CREATE TABLE thing (
+        id BLOB PRIMARY KEY, name TEXT NOT NULL, border TEXT NOT NULL, data BLOB NOT NULL,
+        not_before INTEGER NOT NULL, expires INTEGER NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+)
+_TABLES: Final = (*VERSION_1, *VERSION_2, *VERSION_3, *VERSION_4, *VERSION_5, *VERSION_6)
+_NO_CHANGE: Final = """
+CREATE TRIGGER {table}_no_{verb} BEFORE {verb} ON {table}
+BEGIN SELECT RAISE(ABORT, 'the record is append-only'); END;
+"""
+_NEW_REQUEST: Final = f"""
+CREATE TRIGGER csr_begins BEFORE INSERT ON csr WHEN NEW.state <> '{RequestState.PENDING}'
+BEGIN SELECT RAISE(ABORT, 'a request begins pending'); END;
+"""
+_REQUEST_IMMUTABLE: Final = """
+CREATE TRIGGER csr_fixed
+BEFORE UPDATE OF digest, name, thumbprint, der, source, arrived ON csr
+BEGIN SELECT RAISE(ABORT, 'a request does not change'); END;
+"""
+_REQUEST_TRANSITIONS: Final = """
+CREATE TRIGGER csr_moves BEFORE UPDATE OF state, reason, changed, replaces, wildcard ON csr
+WHEN (OLD.state || '>' || NEW.state) NOT IN ({allowed})
+BEGIN SELECT RAISE(ABORT, 'a request does not go this way'); END;
+"""
+_SET: Final = re.compile(r"in \(([^()]*)\)")
+
+
+def create(db: sqlite3.Connection) -> None:
+    """Create the tables of a new record."""
+    append_only = (*APPEND_ONLY, ANSWERS, *DECISIONS, *APPROVALS, *DOMAINS, *THINGS)
+    for statement in (*_TABLES, *append_only_triggers(append_only)):
+        db.execute(statement)
+    for statement in request_triggers():
+        db.execute(statement)
+    db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+    db.execute(f"PRAGMA user_version = {VERSION}")
+
+
+def check_no_foreign_objects(db: sqlite3.Connection) -> None:
+    """Return if this file has no other tables, triggers and views than those created here.
+
+    A trigger could drop an inserted row, a view or a virtual table could replace a table.
+
+    Raises:
+        StoreError: names the first object that is foreign, missing or changed.
+    """
+    expected_db = sqlite3.connect(":memory:")
+    create(expected_db)
+    expected, found = _objects(expected_db), _objects(db)
+    expected_db.close()
+    for name, created in found.items():
+        if expected.get(name) != created:
+            raise StoreError(
+                f"the record holds a {created[0]} that is not rossec's: {name!a}", _RESTORE_HINT
+            )
+    if missing := expected.keys() - found.keys():
+        raise StoreError(f"the record lacks {min(missing)}", _RESTORE_HINT)
+
+
+def _objects(db: sqlite3.Connection) -> dict[str, tuple[str, str, str]]:
+    """The objects in a file: kind, table and SQL by name, without SQLite's own indexes."""
+    rows = db.execute("SELECT name, type, tbl_name, sql FROM sqlite_master WHERE sql IS NOT NULL")
+    return {name: (kind, table, _canonical(text)) for name, kind, table, text in rows}
+
+
+def _canonical(text: str) -> str:
+    """A statement in canonical form: whitespace, case, quotes and IF NOT EXISTS do not matter.
+
+    Nor does the order of a set: until 0.1.0 that of `csr_moves` differed in each process.
+    """
+    words = text.lower().replace('"', "").replace("if not exists ", "").replace(";", " ").split()
+    return _SET.sub(lambda found: str(sorted(found[1].split(", "))), " ".join(words))
+
+
+def version(db: sqlite3.Connection) -> int:
+    """The schema version of this file; 0 if it is not a record."""
+    (number,) = db.execute("PRAGMA user_version").fetchone()
+    return int(number)
+
+
+def check(db: sqlite3.Connection) -> None:
+    """Return if the tables are those created here, with strict types.
+
+    Raises:
+        StoreError: one is missing or different.
+    """
+    rows = db.execute("SELECT name, sql FROM sqlite_master WHERE type = 'table'")
+    found = {name: _normal(sql) for name, sql in rows}
+    for statement in _TABLES:
+        kind, name = statement.split()[1:3]
+        if kind == "TABLE" and found.get(name) != _normal(statement):
+            raise StoreError(
+                f"the table {name} of the record differs from rossec's schema",
+                "restore it from a backup of your own, and find out who changed it",
+            )
+
+
+def _normal(statement: str) -> str:
+    return " ".join(statement.split())
+
+
+def append_entry(
+    db: sqlite3.Connection, at: int, what: str, subject: str, detail: str, digest: bytes
+) -> None:
+    """Append an entry to the log, inside the transaction of the change it describes."""
+    last = db.execute("SELECT number, peaks FROM log ORDER BY number DESC LIMIT 1").fetchone()
+    number, peaks = (0, b"") if last is None else (last[0] + 1, last[1])
+    entry = LogEntry(number, at, what, subject, detail, digest)
+    db.execute("INSERT INTO log VALUES (?, ?, ?, ?, ?, ?, ?)", (*entry, extend_peaks(peaks, entry)))
+
+
+def append_only_triggers(tables: tuple[str, ...]) -> Iterator[str]:
+    """The triggers that refuse every change of `tables`."""
+    for table in tables:
+        for verb in ("UPDATE", "DELETE"):
+            yield _NO_CHANGE.format(table=table, verb=verb)
+
+
+def request_triggers() -> tuple[str, str, str]:
+    """The triggers of requests for identities, from `TRANSITIONS`."""
+    transitions = ", ".join(
+        f"'{old}>{new}'" for old, following in TRANSITIONS.items() for new in sorted(following)
+    )
+    return _NEW_REQUEST, _REQUEST_IMMUTABLE, _REQUEST_TRANSITIONS.format(allowed=transitions)
+
+
+_OF_VERSION_1: Final = ("certificate", "grant", "revocation", "list")  # kinds of log entries
+
+
+def migrate(db: sqlite3.Connection) -> None:
+    """Bring a record up to the present version; another command may have done it."""
+    if version(db) == 1:
+        _to_version_2(db)
+        _finish(db, 2)
+    if version(db) == 2:
+        _to_version_3(db)
+        _finish(db, 3)
+    if version(db) == 3:
+        _add_tables(db, VERSION_4, APPROVALS)
+        _finish(db, 4)
+    if version(db) == 4:
+        _add_tables(db, VERSION_5, DOMAINS)
+        _finish(db, 5)
+    if version(db) == 5:
+        _add_tables(db, VERSION_6, THINGS)
+        _finish(db, 6)
+
+
+def _to_version_2(db: sqlite3.Connection) -> None:
+    old = db.execute("SELECT at, what, subject, detail FROM log ORDER BY number").fetchall()
+    db.execute("DROP TABLE log")  # and its triggers with it
+    if _has_table(db, "request"):  # requests for grants: the name is not theirs any more
+        db.execute("ALTER TABLE request RENAME TO grant_request")
+    tables = ("log", "head", ANSWERS)
+    for statement in (
+        *VERSION_2, *append_only_triggers(tables), *request_triggers(),
+    ):  # fmt: skip
+        db.execute(statement)
+    rows = {what: _rows_of(db, what) for what in _OF_VERSION_1}
+    for number, (at, what, subject, detail) in enumerate(old):
+        row = next(rows.get(what, iter(())), None)
+        if row is None:
+            raise LogDamaged(
+                f"line {number} of the log is about a {what} that is not recorded",
+                "restore a backup, and find out who changed the record",
+            )
+        append_entry(db, at, what, subject, detail, digest_of(row))
+
+
+def _to_version_3(db: sqlite3.Connection) -> None:
+    requests = _taken(db, "grant_request", "id, name, data, at")
+    decisions = _taken(db, "decision", "request, right, pattern, answer, reason, at")
+    for statement in (*VERSION_3, *append_only_triggers(DECISIONS)):
+        db.execute(statement)
+    for row in requests:
+        db.execute("INSERT INTO grant_request VALUES (?, ?, ?, ?)", row)
+        append_entry(db, row[3], "grant request", row[1], row[0].hex(), digest_of(row))
+    names = {row[0]: row[1] for row in requests}
+    for row in decisions:
+        db.execute("INSERT INTO decision VALUES (?, ?, ?, ?, ?, ?)", row)
+        subject = names.get(row[0], "")
+        append_entry(db, row[5], "decision", subject, f"{row[3]} {row[2]}", digest_of(row))
+
+
+def _add_tables(
+    db: sqlite3.Connection, statements: tuple[str, ...], append_only: tuple[str, ...]
+) -> None:
+    for statement in (*statements, *append_only_triggers(append_only)):
+        db.execute(statement)
+
+
+def _taken(db: sqlite3.Connection, table: str, columns: str) -> list[tuple[Any, ...]]:
+    """The rows of a table that may not be there, oldest first; the table is dropped."""
+    if not _has_table(db, table):
+        return []
+    rows = db.execute(f"SELECT {columns} FROM {table} ORDER BY rowid").fetchall()  # noqa: S608  (constants)
+    db.execute(f"DROP TABLE {table}")  # and its triggers with it
+    return rows
+
+
+def _finish(db: sqlite3.Connection, version: int) -> None:
+    (at,) = db.execute("SELECT coalesce(max(at), 0) FROM log").fetchone()
+    append_entry(db, at, "migrated", "record", f"{version - 1} to {version}", b"")
+    db.execute(f"PRAGMA user_version = {version}")
+
+
+def _has_table(db: sqlite3.Connection, name: str) -> bool:
+    query = "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = ?"
+    return db.execute(query, (name,)).fetchone() is not None
+
+
+def _rows_of(db: sqlite3.Connection, what: str) -> Iterator[tuple[int | str | bytes, ...]]:
+    """The rows of the log entries of kind `what`, oldest first."""
+    table, columns = LOGGED_TABLES[what]
+    return iter(db.execute(f"SELECT {columns} FROM {table} ORDER BY rowid").fetchall())  # noqa: S608  (constants)
+
 
 BUSY_TIMEOUT: Final = 30.0  # seconds; other commands hold the lock for milliseconds
 # The statements that begin, commit and roll back a transaction, and a nested one.
@@ -50,7 +471,7 @@ class Database:
         except sqlite3.Error as error:
             raise fault(path, error) from error
         with database.transaction() as db:
-            schema.create(db)
+            create(db)
         return database
 
     @classmethod
@@ -105,10 +526,10 @@ class Database:
         """Return if the file is undamaged and has only the triggers and views of rossec.
 
         Raises:
-            StoreError: see `ca.store.schema.check_no_foreign_objects`; or the file is damaged.
+            StoreError: see `ca.store.database.check_no_foreign_objects`; or the file is damaged.
         """
         try:
-            schema.check_no_foreign_objects(self.connection)
+            check_no_foreign_objects(self.connection)
             found = self.connection.execute("PRAGMA quick_check").fetchall()
         except sqlite3.Error as error:
             raise fault(self._path, error) from error
@@ -164,10 +585,10 @@ class Database:
             )
 
     def _migrate(self) -> None:
-        if schema.version(self.connection) != schema.VERSION:
+        if version(self.connection) != VERSION:
             with self.transaction() as db:
-                migration.migrate(db)
-        schema.check(self.connection)
+                migrate(db)
+        check(self.connection)
 
 
 def _check_file(path: Path) -> None:
@@ -197,13 +618,13 @@ def _connect(path: Path) -> sqlite3.Connection:
 def _check_kind(db: sqlite3.Connection, path: Path) -> None:
     """Before any PRAGMA is set: a database of another program must not be changed."""
     (application,) = db.execute("PRAGMA application_id").fetchone()
-    if application == schema.APPLICATION_ID and schema.version(db) > schema.VERSION:
+    if application == APPLICATION_ID and version(db) > VERSION:
         raise StoreError(
             f"{path} was written by a newer version of rossec",
             "use that version; to go back, move the directory away and restore the backup from"
             " before the update: rossec ca restore FILE --list FILE",
         )
-    if application != schema.APPLICATION_ID or schema.version(db) < 1:
+    if application != APPLICATION_ID or version(db) < 1:
         raise StoreError(f"{path} is not a record of rossec", "restore it from a backup")
 
 

@@ -3,18 +3,55 @@
 A name keeps its key. Another key is accepted in three cases only: the name has no valid identity;
 the operator gives the name again (`replace_key`); or the newest valid key itself signs the renewal
 (`renews`). A renewal by an older key comes from a copy or a restored disk and is refused.
+
+The requests for identities in the authority's record: pending, approved, denied, issued.
+
+It applies `ca.store.values`. A name has one owner: approving a key for a name that has a valid
+identity with another key needs the name again (`replace_key`), and of two keys that request one
+name at the same time neither is approved until the other is denied.
+
+Invitations in the authority's record: nodes that join by a code, without a person each time.
+
+A use is one identity for one new name. It is recorded in the transaction that issues the identity,
+so that two commands never share the last use; the same request uses an invitation once. An
+invitation ends by its time, by its number of uses, or by an entry that says why.
 """
 
+import hashlib
 import json
 import sqlite3
 from collections.abc import Callable
+from typing import NamedTuple
 
-from ca.errors import KeyChanged, NameCovered, RenewalRefused, StoreError
-from ca.names import MASTER, is_master_name
-from ca.store.database import Database
-from ca.store.log_entries import digest_of
-from ca.store.rows import INTERMEDIATE, CertificateRow
-from ca.store.schema import append_entry
+from ca.errors import (
+    InvitationRefused,
+    KeyChanged,
+    NameContested,
+    NameCovered,
+    RenewalRefused,
+    RequestClosed,
+    StoreError,
+    TooManyRequests,
+)
+from ca.names import MASTER, covers, is_master_name
+from ca.store.database import Database, append_entry
+from ca.store.log import COLLECTED
+from ca.store.values import (
+    COLLECTED_AFTER,
+    INTERMEDIATE,
+    JOINING,
+    KEPT_EXPIRED,
+    MAX_JOINING,
+    MAX_OPEN,
+    OPEN,
+    RETENTION,
+    CertificateRow,
+    RequestRow,
+    RequestState,
+    advance,
+    digest_of,
+)
+from ca.svid import IdentityRequest
 
 _COLUMNS = "serial, name, thumbprint, der, not_before, not_after"
 _BEGINS = "(name >= ? AND name < ?)"  # by the index on names, where substr() reads every row
@@ -208,3 +245,361 @@ def _check_newest(name: str, known: list[bytes], renews: bytes) -> None:
             f"{name} was renewed already, by another key",
             "there is a copy of the node: revoke the name, and enroll the node again",
         )
+
+
+_REQUESTS_COLUMNS = (
+    "digest, name, thumbprint, der, source, arrived, state, reason, changed, replaces, wildcard"
+)
+
+_OPEN = ", ".join(f"'{state}'" for state in sorted(OPEN))
+_RETENTION = " ".join(f"WHEN '{state}' THEN {kept}" for state, kept in RETENTION.items())
+# A row in an unknown state is read, and refused: it must not be taken for an expired one.
+_EXPIRES = f"changed + CASE state {_RETENTION} ELSE {1 << 53} END"
+
+
+class RequestTable:
+    """The table of requests."""
+
+    def __init__(self, database: Database, identities: IdentityTable) -> None:
+        self._database = database
+        self._identities = identities
+
+    def add(self, request: IdentityRequest, der: bytes, source: str, now: int) -> RequestRow:
+        """Record a verified request as pending; an already recorded one is returned unchanged.
+
+        `source` is where it came from, for the approver.
+
+        Raises:
+            RequestClosed: too many are open, or it got its certificate and was deleted since.
+        """
+        self.collect(now)
+        with self._database.transaction() as db:
+            stored = self.find(request.digest)
+            if stored is not None and now <= stored.expires:
+                return stored
+            self._check_new(request, source, now)
+            if stored is not None:  # it expired, and is asked anew
+                _delete(db, stored, now)
+            row = RequestRow(
+                request.digest, request.name, request.thumbprint, der, source, now,
+                RequestState.PENDING, "", now,
+            )  # fmt: skip
+            db.execute("INSERT INTO csr VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", row)
+            append_entry(db, now, RequestState.PENDING, row.name, source, row.digest)
+        return row
+
+    def all(self, now: int = 0) -> list[RequestRow]:
+        """Every request that has not expired at `now` (0: expired ones too), oldest first."""
+        return self._rows(f"WHERE {_EXPIRES} >= ? ORDER BY arrived, rowid", now)
+
+    def open(self, now: int = 0) -> list[RequestRow]:
+        """Those that wait for an answer or their identity; at `now` without expired ones."""
+        return self._rows(f"WHERE state IN ({_OPEN}) AND {_EXPIRES} >= ?", now)
+
+    def find(self, digest: bytes) -> RequestRow | None:
+        """The request with this digest, if it is recorded."""
+        return next(iter(self._rows("WHERE digest = ?", digest)), None)
+
+    def get(self, digest: bytes) -> RequestRow:
+        """One request, by its digest.
+
+        Raises:
+            StoreError: there is none.
+        """
+        return self.begun(digest.hex())
+
+    def begun(self, beginning: str) -> RequestRow:
+        """The one request whose digest begins so, in hexadecimal digits.
+
+        Raises:
+            StoreError: there is none, or more than one.
+        """
+        begins = "WHERE substr(lower(hex(digest)), 1, ?) = ?"
+        found = self._rows(begins, len(beginning), beginning.lower())
+        if len(found) != 1 or not beginning:
+            raise StoreError(
+                f"{len(found)} requests begin with {beginning!a}", "see: rossec ca requests"
+            )
+        return found[0]
+
+    def approve(
+        self,
+        digest: bytes,
+        now: int,
+        reason: str = "",
+        *,
+        replace_key: str | None = None,
+        wildcard: bool = False,
+    ) -> RequestRow:
+        """Approve a request. `replace_key` is the name again, when it has another key.
+
+        `wildcard`: the identity shall cover anonymous nodes too, whatever the request says.
+
+        Raises:
+            RequestClosed: it is not pending, or has expired.
+            NameCovered: two keys would share a name.
+            KeyChanged, NameContested: the name has another key, or another key requests it.
+        """
+        with self._database.transaction():
+            row = self.get(digest)
+            self._check_name(row, now, replace_key, wildcard=wildcard)
+            approved = row._replace(replaces=replace_key is not None, wildcard=wildcard)
+            return self._advance(approved, RequestState.APPROVED, now, reason)
+
+    def deny(self, digest: bytes, now: int, reason: str = "") -> RequestRow:
+        """Deny a request, also an approved one that is not issued yet.
+
+        Raises:
+            RequestClosed: it was issued, or denied before.
+        """
+        with self._database.transaction():
+            return self._advance(self.get(digest), RequestState.DENIED, now, reason)
+
+    def collect(self, now: int) -> list[RequestRow]:
+        """Delete what expired long ago and many came after; returns the deleted ones.
+
+        A clock that is ahead for one look would else delete what comes back when it is right: so
+        the newest `KEPT_EXPIRED` stay, whatever the clock says, and count nowhere.
+        """
+        if not self._collectable(now):  # without the lock of a transaction
+            return []
+        with self._database.transaction() as db:
+            over = self._collectable(now)
+            for row in over:
+                _delete(db, row, now)
+        return over
+
+    def mark_issued(self, db: sqlite3.Connection, digest: bytes, now: int) -> None:
+        """Mark as issued, inside the transaction that records the certificate.
+
+        Raises:
+            RequestClosed: it was not approved.
+        """
+        stored = self.find(digest)
+        if stored is None:
+            raise RequestClosed(
+                "the request is not recorded", "first: rossec ca approve REQUEST_ID"
+            )
+        _update(db, advance(stored, RequestState.ISSUED, now))
+
+    def _collectable(self, now: int) -> list[RequestRow]:
+        """All but the newest of those that expired, if they did so `COLLECTED_AFTER` ago."""
+        newest_first = f"WHERE {_EXPIRES} < ? ORDER BY changed DESC, rowid DESC LIMIT -1 OFFSET ?"
+        return self._rows(newest_first, now - COLLECTED_AFTER, KEPT_EXPIRED)
+
+    def _check_name(
+        self, row: RequestRow, now: int, replace_key: str | None, *, wildcard: bool
+    ) -> None:
+        """Return if the key of the request may have the name, as for `approve`."""
+        for other in self.open(now):
+            if other.name == row.name and other.thumbprint != row.thumbprint:
+                raise NameContested(
+                    f"two different keys request the name {row.name}",
+                    f"compare fingerprints, then deny the other: rossec ca deny {_short(other)}",
+                )
+        self._identities.check_names(
+            row.name, row.thumbprint, now, lambda other: covers(row.name, other, wildcard=wildcard)
+        )
+        self._identities.check_key(row.name, row.thumbprint, now, replace_key=replace_key)
+
+    def _check_new(self, request: IdentityRequest, source: str, now: int) -> None:
+        if self._identities.issued_for(request.digest) is not None:
+            raise RequestClosed(
+                f"this request of {request.name} has its certificate already",
+                f"see: rossec ca show {request.name}; for another: rossec ca renew {request.name}",
+            )
+        waiting = self.open(now)
+        joining = sum(row.source.startswith(JOINING) for row in waiting)
+        full = source.startswith(JOINING) and joining >= MAX_JOINING
+        if full or len(waiting) >= MAX_OPEN:
+            raise TooManyRequests(
+                f"{MAX_OPEN} requests are pending, the maximum",
+                "list them with: rossec ca requests, and deny unknown ones",
+            )
+
+    def _advance(self, row: RequestRow, state: RequestState, now: int, reason: str) -> RequestRow:
+        moved = advance(row, state, now, reason)
+        with self._database.transaction() as db:
+            _update(db, moved)
+        return moved
+
+    def _rows(self, clause: str, *values: object) -> list[RequestRow]:
+        rows = self._database.rows(f"SELECT {_REQUESTS_COLUMNS} FROM csr {clause}", *values)  # noqa: S608  (constants)
+        return [
+            RequestRow(*row)._replace(
+                state=RequestState(row[6]), replaces=row[9] != 0, wildcard=row[10] != 0
+            )
+            for row in rows
+        ]
+
+
+def _delete(db: sqlite3.Connection, row: RequestRow, now: int) -> None:
+    db.execute("DELETE FROM csr WHERE digest = ?", (row.digest,))
+    append_entry(db, now, COLLECTED, row.name, row.state, row.digest)
+
+
+def _update(db: sqlite3.Connection, row: RequestRow) -> None:
+    """Triggers refuse other transitions, also when two commands run at once."""
+    db.execute(
+        "UPDATE csr SET state = ?, reason = ?, changed = ?, replaces = ?, wildcard = ?"
+        " WHERE digest = ?",
+        (row.state, row.reason, row.changed, row.replaces, row.wildcard, row.digest),
+    )
+    details = [
+        row.reason,
+        *["replaces the key"] * row.replaces,
+        *["anonymous nodes"] * row.wildcard,
+    ]
+    append_entry(db, row.changed, row.state, row.name, "; ".join(filter(None, details)), row.digest)
+
+
+def _short(row: RequestRow) -> str:
+    return row.digest.hex()[:8]
+
+
+_INVITATIONS_COLUMNS = "id, key, pattern, uses, wildcard, expires, at"
+
+
+class InvitationRow(NamedTuple):
+    """An invitation: nodes whose names `pattern` covers may join, `uses` of them, until `expires`.
+
+    `key` is the public half of the key in its code (an uncompressed P-256 point, 65 bytes), `id`
+    the SHA-256 of `key`; `wildcard`: identities for anonymous nodes too.
+    """
+
+    id: bytes
+    key: bytes
+    pattern: str
+    uses: int
+    wildcard: bool
+    expires: int
+    at: int
+
+
+class InvitationUse(NamedTuple):
+    """One identity that was issued by an invitation; `request` is the digest of its request."""
+
+    invitation: bytes
+    request: bytes
+    name: str
+    thumbprint: bytes
+    at: int
+
+
+class InvitationTable:
+    """The tables of invitations, their uses and their ends."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def add(self, row: InvitationRow) -> None:
+        """Record an invitation.
+
+        Raises:
+            ValueError: `id` is not that of `key`.
+            StoreError: it is recorded already.
+        """
+        if hashlib.sha256(row.key).digest() != row.id:
+            raise ValueError("the id of an invitation is the hash of its key")
+        values = (*row[:4], int(row.wildcard), *row[5:])
+        with self._database.transaction() as db:
+            db.execute("INSERT INTO invitation VALUES (?, ?, ?, ?, ?, ?, ?)", values)
+            detail = f"{row.uses} uses, {row.id.hex()}"
+            append_entry(db, row.at, "invitation", row.pattern, detail, digest_of(values))
+
+    def all(self) -> list[InvitationRow]:
+        """Every invitation, oldest first, also those that have ended."""
+        return self._rows("ORDER BY rowid")
+
+    def get(self, id: bytes) -> InvitationRow:  # noqa: A002 - as in the row
+        """One invitation.
+
+        Raises:
+            InvitationRefused: there is none.
+        """
+        found = self._rows("WHERE id = ?", id)
+        if not found:
+            raise InvitationRefused("there is no such invitation", "see: rossec ca invitations")
+        return found[0]
+
+    def uses(self, id: bytes) -> list[InvitationUse]:  # noqa: A002 - as in the row
+        """The identities that were issued by an invitation, oldest first."""
+        query = (
+            "SELECT invitation, request, name, thumbprint, at FROM invitation_use"
+            " WHERE invitation = ? ORDER BY rowid"
+        )
+        return [InvitationUse(*row) for row in self._database.rows(query, id)]
+
+    def ended(self, id: bytes) -> str | None:  # noqa: A002 - as in the row
+        """Why an invitation was ended, if it was."""
+        rows = self._database.rows("SELECT reason FROM invitation_end WHERE invitation = ?", id)
+        return str(rows[0][0]) if rows else None
+
+    def take(self, use: InvitationUse) -> None:
+        """Record a use; again for the same request: nothing.
+
+        To be called inside the transaction that issues the identity.
+
+        Raises:
+            InvitationRefused: unknown, ended, expired at `use.at`, or used up.
+        """
+        row, taken = self.get(use.invitation), self.uses(use.invitation)
+        if any(known.request == use.request for known in taken):
+            return
+        self._check(row, len(taken), use.at)
+        with self._database.transaction() as db:
+            db.execute("INSERT INTO invitation_use VALUES (?, ?, ?, ?, ?)", use)
+            append_entry(db, use.at, "join", use.name, use.invitation.hex(), digest_of(use))
+
+    def check_open(self, id: bytes, now: int) -> InvitationRow:  # noqa: A002 - as in the row
+        """The invitation, if it can be used at `now`.
+
+        Raises:
+            InvitationRefused: as `take`.
+        """
+        row = self.get(id)
+        self._check(row, len(self.uses(id)), now)
+        return row
+
+    def end(self, id: bytes, reason: str, now: int) -> None:  # noqa: A002 - as in the row
+        """End an invitation; ending it again changes nothing.
+
+        Raises:
+            InvitationRefused: there is none.
+        """
+        pattern = self.get(id).pattern
+        with self._database.transaction() as db:
+            row = (id, reason, now)
+            done = db.execute(
+                "INSERT INTO invitation_end VALUES (?, ?, ?) ON CONFLICT DO NOTHING", row
+            )
+            if done.rowcount:
+                append_entry(db, now, "invitation ended", pattern, reason, digest_of(row))
+
+    def end_all(self, reason: str, now: int) -> None:
+        """End every invitation that has not ended.
+
+        Also those that have expired: the clock may be ahead, and is set back some day.
+        """
+        with self._database.transaction():
+            for row in self.all():
+                self.end(row.id, reason, now)
+
+    def _check(self, row: InvitationRow, used: int, now: int) -> None:
+        reason = self.ended(row.id)
+        if reason is not None:
+            raise InvitationRefused(f"the invitation was ended: {reason}", _AGAIN)
+        if now > row.expires:
+            raise InvitationRefused("the invitation has expired", _AGAIN)
+        if used >= row.uses:
+            raise InvitationRefused(f"the invitation has had its {row.uses} uses", _AGAIN)
+
+    def _rows(self, clause: str, *values: object) -> list[InvitationRow]:
+        rows = self._database.rows(
+            f"SELECT {_INVITATIONS_COLUMNS} FROM invitation {clause}",  # noqa: S608  (constants)
+            *values,
+        )
+        return [InvitationRow(*row)._replace(wildcard=row[4] != 0) for row in rows]
+
+
+_AGAIN = "make another: rossec ca invite PATTERN"

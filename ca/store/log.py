@@ -3,23 +3,52 @@
 `audit` trusts no stored hash: it computes the tree from the entries, compares every row of the
 record with its log entry, replays the transitions of every request, the approvals of persons, the
 foreign domains and the things, and checks each signed head.
+
+The audit of approvals: replayed from the log, in the order in which they were made.
+
+Each was by a passkey that was registered and had not ended, signs its statement, and names a head
+of this log that is true, from after the record was last restored. Each end is of an approval that
+waited. The rows are those of the log already (`ca.store.log`).
+
+Passkeys in the authority's record: the devices that can approve.
+
+A passkey is recorded once, by its credential id, and ends by an entry that says why. One that has
+ended never comes back: the device registers another.
+
+Approvals in the authority's record: what a person approved, and what came of it.
+
+A statement is approved once: its id is the primary key. An approval waits until an entry says that
+it was carried out, failed, or came to nothing. The statement names a head of this log, made since
+the record was last restored: one from before says nothing about the record as it is now.
 """
 
-from itertools import zip_longest
-from typing import Any, Final
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from enum import StrEnum
+from itertools import starmap, zip_longest
+from typing import Any, Final, NamedTuple
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.errors import LogDamaged
+from ca.approvals.passkeys import Approval, ApprovalVerifier, Passkey, counter_of, to_approve
+from ca.approvals.statement import Kind, Statement
+from ca.errors import (
+    ApprovalOutdated,
+    ApprovalOver,
+    ApprovalRefused,
+    ApprovalUsed,
+    LogDamaged,
+    PasskeyUnknown,
+    StoreError,
+)
 from ca.revocation.merkle import Tree, root_of
-from ca.store import schema
-from ca.store.approval_replay import RESTORED, replay_approvals
-from ca.store.database import Database
-from ca.store.domain_replay import KINDS, replay_domains
-from ca.store.lifecycle import TRANSITIONS, RequestState
-from ca.store.log_entries import (
+from ca.store import database
+from ca.store.database import Database, append_entry
+from ca.store.signed_statements import KIND, KINDS, replay_domains, replay_things
+from ca.store.values import (
+    TRANSITIONS,
     Head,
     LogEntry,
+    RequestState,
     check_entries,
     check_head,
     digest_of,
@@ -27,11 +56,89 @@ from ca.store.log_entries import (
     open_head,
     split_peaks,
 )
-from ca.store.thing_replay import KIND, replay_things
+
+RESTORED: Final = "restored"
+_HINT: Final = "somebody changed the record: restore a backup, and find out who"
+Row = tuple[Any, ...]
+
+
+def replay_approvals(
+    entries: Iterable[LogEntry], rows: Mapping[str, Iterable[Row]], tree: Tree
+) -> None:
+    """Check every passkey and approval; `rows` are those of the tables, by kind of entry.
+
+    Raises:
+        LogDamaged: names the first entry that could not have been made.
+    """
+    replay = _Replay(rows, tree)
+    for entry in entries:
+        step = replay.steps.get(entry.what)
+        if step is not None:
+            try:
+                step(entry)
+            except ApprovalRefused as error:
+                raise LogDamaged(f"log entry {entry.number}: {error}", _HINT) from error
+
+
+class _Replay:
+    def __init__(self, rows: Mapping[str, Iterable[Row]], tree: Tree) -> None:
+        self._tree = tree
+        self._passkeys = starmap(Passkey, rows["passkey"])
+        self._passkey_ends: Iterator[Row] = iter(rows["passkey ended"])
+        self._approvals = starmap(Approval, rows["approval"])
+        self._ends: Iterator[Row] = iter(rows["approval ended"])
+        self._active: set[bytes] = set()
+        self._approved: dict[bytes, Statement] = {}
+        self._waiting: set[bytes] = set()
+        self._restored = -1
+        self._verifier = ApprovalVerifier(())
+        self.steps: Mapping[str, Callable[[LogEntry], None]] = {
+            RESTORED: self._restore,
+            "passkey": self._add_passkey,
+            "passkey ended": self._end_passkey,
+            "approval": self._approve,
+            "approval ended": self._end,
+        }
+
+    def _restore(self, entry: LogEntry) -> None:
+        self._restored = entry.number
+
+    def _add_passkey(self, entry: LogEntry) -> None:
+        passkey = next(self._passkeys)
+        if passkey.approval:
+            by = self._approved.get(passkey.approval)
+            _require(by is not None and by.what == to_approve(passkey), entry)
+        self._active.add(passkey.id)
+        self._verifier.add_passkey(passkey)
+
+    def _end_passkey(self, entry: LogEntry) -> None:
+        ended = next(self._passkey_ends)[0]
+        _require(ended in self._active, entry)
+        self._active.discard(ended)
+
+    def _approve(self, entry: LogEntry) -> None:
+        approval = next(self._approvals)
+        _require(approval.passkey in self._active, entry)
+        statement = self._verifier.verify(approval)
+        _require(self._restored < statement.log_size <= entry.number, entry)
+        _require(self._tree.root(statement.log_size) == statement.log_root, entry)
+        self._approved[approval.id] = statement
+        self._waiting.add(approval.id)
+
+    def _end(self, entry: LogEntry) -> None:
+        ended = next(self._ends)[0]
+        _require(ended in self._waiting, entry)
+        self._waiting.discard(ended)
+
+
+def _require(holds: bool, entry: LogEntry) -> None:
+    if not holds:
+        raise LogDamaged(f"log entry {entry.number} says {entry.what}, which cannot be", _HINT)
+
 
 COLLECTED = "collected"
 _OF_APPROVALS: Final = ("passkey", "passkey ended", "approval", "approval ended")
-_HINT = "somebody changed the record: restore a backup, and find out who"
+_LOG_HINT = "somebody changed the record: restore a backup, and find out who"
 
 
 class AuthorityLog:
@@ -109,7 +216,7 @@ class AuthorityLog:
     def _audit(self, key: ec.EllipticCurvePublicKey, more: tuple[bytes, ...]) -> Head:
         tree = check_entries(self._stored_entries())
         entries = self.entries()
-        for what in schema.LOGGED_TABLES:
+        for what in database.LOGGED_TABLES:
             self._check_rows(what, [entry for entry in entries if entry.what == what])
         self._check_requests(entries)
         replay_approvals(entries, {what: self._rows_of(what) for what in _OF_APPROVALS}, tree)
@@ -132,14 +239,14 @@ class AuthorityLog:
         """Check that the rows of a table are those in the log, in the same order."""
         for row, entry in zip_longest(self._rows_of(what), entries):
             if entry is None:
-                raise LogDamaged(f"a {what} is recorded that is not in the log", _HINT)
+                raise LogDamaged(f"a {what} is recorded that is not in the log", _LOG_HINT)
             if row is None or digest_of(row) != entry.digest:
                 raise LogDamaged(
-                    f"the {what} of log entry {entry.number} is missing or was changed", _HINT
+                    f"the {what} of log entry {entry.number} is missing or was changed", _LOG_HINT
                 )
 
     def _rows_of(self, what: str) -> list[Any]:
-        table, columns = schema.LOGGED_TABLES[what]
+        table, columns = database.LOGGED_TABLES[what]
         return self._database.rows(f"SELECT {columns} FROM {table} ORDER BY rowid")  # noqa: S608  (constants)
 
     def _check_requests(self, entries: list[LogEntry]) -> None:
@@ -148,7 +255,7 @@ class AuthorityLog:
         rows = self._database.rows("SELECT digest, state, der FROM csr")
         found = {bytes(digest): RequestState(state) for digest, state, _ in rows}
         if found != states:
-            raise LogDamaged("the states of the requests differ from the log", _HINT)
+            raise LogDamaged("the states of the requests differ from the log", _LOG_HINT)
 
 
 def _replay(entries: list[LogEntry]) -> dict[bytes, RequestState]:
@@ -164,10 +271,235 @@ def _replay(entries: list[LogEntry]) -> dict[bytes, RequestState]:
                 state is RequestState.PENDING if current is None else state in TRANSITIONS[current]
             ):
                 raise LogDamaged(
-                    f"log entry {entry.number} is not an allowed transition of a request", _HINT
+                    f"log entry {entry.number} is not an allowed transition of a request", _LOG_HINT
                 )
             states[entry.digest] = state
     return states
 
 
 _STATES = frozenset(RequestState)
+
+_COLUMNS = "id, name, cose_key, aaguid, rp_id, origin, approval, at"
+
+
+class PasskeyTable:
+    """The passkeys of one record."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def add(self, passkey: Passkey) -> None:
+        """Record a passkey.
+
+        Raises:
+            StoreError: it is, or was, recorded already, or one in use has its name.
+        """
+        with self._database.transaction() as db:
+            if any(known.name == passkey.name for known in self.active()):
+                raise StoreError(
+                    f"there is a passkey called {passkey.name!a}",
+                    "choose another name, or remove that one: rossec console phones remove NAME",
+                )
+            db.execute("INSERT INTO passkey VALUES (?, ?, ?, ?, ?, ?, ?, ?)", passkey)
+            append_entry(
+                db, passkey.at, "passkey", passkey.name, passkey.id.hex(), digest_of(passkey)
+            )
+
+    def all(self) -> list[Passkey]:
+        """Every passkey, oldest first, also those that have ended."""
+        return self._rows("ORDER BY rowid")
+
+    def active(self) -> list[Passkey]:
+        """The passkeys that can approve, oldest first."""
+        return self._rows("WHERE id NOT IN (SELECT passkey FROM passkey_end) ORDER BY rowid")
+
+    def get(self, id: bytes) -> Passkey:  # noqa: A002 - as in the row
+        """A passkey that can approve.
+
+        Raises:
+            PasskeyUnknown: there is none, or it has ended.
+        """
+        for passkey in self.active():
+            if passkey.id == id:
+                return passkey
+        raise PasskeyUnknown(
+            "this passkey is not registered here, or was removed",
+            "register the phone: rossec console phone",
+        )
+
+    def ended(self) -> dict[bytes, str]:
+        """Why passkeys ended, by their credential id."""
+        return dict(self._database.rows("SELECT passkey, reason FROM passkey_end"))
+
+    def end(self, id: bytes, reason: str, now: int) -> None:  # noqa: A002 - as in the row
+        """End a passkey for ever.
+
+        Raises:
+            PasskeyUnknown: there is none, or it has ended.
+        """
+        with self._database.transaction() as db:
+            passkey, row = self.get(id), (id, reason, now)
+            db.execute("INSERT INTO passkey_end VALUES (?, ?, ?)", row)
+            append_entry(db, now, "passkey ended", passkey.name, reason, digest_of(row))
+
+    def end_all(self, reason: str, now: int) -> int:
+        """End every passkey; returns how many."""
+        with self._database.transaction():
+            active = self.active()
+            for passkey in active:
+                self.end(passkey.id, reason, now)
+        return len(active)
+
+    def _rows(self, clause: str) -> list[Passkey]:
+        rows = self._database.rows(f"SELECT {_COLUMNS} FROM passkey {clause}")  # noqa: S608  (constants)
+        return [Passkey(*row) for row in rows]
+
+
+_APPROVALS_COLUMNS = (
+    "id, kind, subject, statement, payload, passkey, client_data, authenticator_data, signature, at"
+)
+_AGAIN = "look at the page again, and approve that"
+
+
+class ApprovalState(StrEnum):
+    """What became of an approval; it waits until an `ApprovalEnd` says otherwise."""
+
+    WAITING = "waiting"
+    DONE = "done"
+    FAILED = "failed"
+    EXPIRED = "expired"
+
+
+class ApprovalEnd(NamedTuple):
+    """The end of an approval; `result` is one line about it."""
+
+    approval: bytes
+    state: str
+    result: str
+    at: int
+
+
+class ApprovalTable:
+    """The approvals of one record."""
+
+    def __init__(self, database: Database, passkeys: PasskeyTable, log: AuthorityLog) -> None:
+        self._database = database
+        self._passkeys = passkeys
+        self._log = log
+
+    def add(self, approval: Approval, counter: int = 0) -> Statement:
+        """Verify and record an approval; returns its statement.
+
+        `counter` is the largest of the passkey that is known besides the recorded ones, as from a
+        login. To be called inside the transaction that carries it out, if it is carried out now.
+
+        Raises:
+            ApprovalUsed: the statement was approved before.
+            ApprovalOutdated: too late, or about a record that was restored or replaced since.
+            PasskeyUnknown: the passkey is not registered, or has ended.
+            ApprovalRefused: as `ca.approvals.passkeys.ApprovalVerifier`.
+        """
+        with self._database.transaction() as db:
+            passkey = self._passkeys.get(approval.passkey)
+            last = max(counter, self.counter(passkey.id))
+            statement = ApprovalVerifier([passkey], [(passkey.id, last)]).verify(approval)
+            self._check_log(statement)
+            if self._rows("WHERE id = ?", approval.id):
+                raise ApprovalUsed("this was approved already", _AGAIN)
+            db.execute("INSERT INTO approval VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", approval)
+            detail = f"{Kind(approval.kind).name.lower()} {approval.id.hex()}"
+            append_entry(db, approval.at, "approval", passkey.name, detail, digest_of(approval))
+        return statement
+
+    def get(self, id: bytes) -> Approval:  # noqa: A002 - as in the row
+        """One approval.
+
+        Raises:
+            ApprovalOver: there is none.
+        """
+        found = self._rows("WHERE id = ?", id)
+        if not found:
+            raise ApprovalOver("there is no such approval", "see: rossec console approvals")
+        return found[0]
+
+    def all(self) -> list[Approval]:
+        """Every approval, oldest first."""
+        return self._rows("ORDER BY rowid")
+
+    def newest(self, count: int) -> list[Approval]:
+        """The `count` newest approvals, newest first."""
+        return self._rows("ORDER BY rowid DESC LIMIT ?", count)
+
+    def last_used(self) -> dict[bytes, int]:
+        """When each passkey approved something last, by its credential id."""
+        return dict(self._database.rows("SELECT passkey, max(at) FROM approval GROUP BY passkey"))
+
+    def approvers(self, kind: Kind) -> dict[bytes, bytes]:
+        """Which passkey approved, by the id of the approval; for one kind."""
+        query = "SELECT id, passkey FROM approval WHERE kind = ?"
+        return dict(self._database.rows(query, int(kind)))
+
+    def about(self, kind: Kind, subject: bytes) -> list[Approval]:
+        """The approvals of one kind about one thing, oldest first."""
+        return self._rows("WHERE kind = ? AND subject = ? ORDER BY rowid", int(kind), subject)
+
+    def waiting(self) -> list[Approval]:
+        """The approvals that were neither carried out nor ended, oldest first."""
+        return self._rows("WHERE id NOT IN (SELECT approval FROM approval_end) ORDER BY rowid")
+
+    def ends(self) -> dict[bytes, ApprovalEnd]:
+        """How approvals ended, by their id; those that wait are not in it."""
+        rows = self._database.rows("SELECT approval, state, result, at FROM approval_end")
+        return {row[0]: ApprovalEnd(*row) for row in rows}
+
+    def state(self, id: bytes) -> ApprovalState:  # noqa: A002 - as in the row
+        """What became of an approval.
+
+        Raises:
+            ApprovalOver: there is none.
+        """
+        query = "SELECT state FROM approval_end WHERE approval = ?"
+        rows = self._database.rows(query, self.get(id).id)
+        return ApprovalState(rows[0][0]) if rows else ApprovalState.WAITING
+
+    def end(self, id: bytes, state: ApprovalState, result: str, now: int) -> None:  # noqa: A002
+        """Record what became of an approval that waits.
+
+        Raises:
+            ApprovalOver: there is none, or it has ended.
+        """
+        if state is ApprovalState.WAITING:
+            raise ValueError("waiting is not an end")
+        with self._database.transaction() as db:
+            if (found := self.state(id)) is not ApprovalState.WAITING:
+                raise ApprovalOver(
+                    f"this approval has ended: {found}", "see: rossec console approvals"
+                )
+            row = ApprovalEnd(id, str(state), result, now)
+            db.execute("INSERT INTO approval_end VALUES (?, ?, ?, ?)", row)
+            append_entry(db, now, "approval ended", id.hex(), f"{state}: {result}", digest_of(row))
+
+    def end_waiting(self, reason: str, now: int) -> int:
+        """End every approval that waits, without carrying it out; returns how many."""
+        with self._database.transaction():
+            waiting = self.waiting()
+            for approval in waiting:
+                self.end(approval.id, ApprovalState.FAILED, reason, now)
+        return len(waiting)
+
+    def counter(self, passkey: bytes) -> int:
+        """The largest counter in the recorded assertions of a passkey; 0: none, or it has none."""
+        rows = self._database.rows(
+            "SELECT authenticator_data FROM approval WHERE passkey = ? ORDER BY rowid DESC LIMIT 1",
+            passkey,
+        )
+        return counter_of(rows[0][0]) if rows else 0
+
+    def _check_log(self, statement: Statement) -> None:
+        size, restored = statement.log_size, self._log.last_restore()
+        if self._log.root_at(size) != statement.log_root or size <= restored:
+            raise ApprovalOutdated("the record was restored or replaced since it was shown", _AGAIN)
+
+    def _rows(self, clause: str, *values: object) -> list[Approval]:
+        rows = self._database.rows(f"SELECT {_APPROVALS_COLUMNS} FROM approval {clause}", *values)  # noqa: S608  (constants)
+        return [Approval(*row) for row in rows]

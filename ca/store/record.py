@@ -13,21 +13,14 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Self
 
+from ca.certificates import utc
 from ca.errors import RequestClosed, StoreError
-from ca.store.approvals import ApprovalState, ApprovalTable
-from ca.store.database import Database
-from ca.store.domains import DomainTable
-from ca.store.identities import IdentityTable
-from ca.store.invitations import InvitationTable
-from ca.store.log import AuthorityLog
-from ca.store.log_entries import digest_of
-from ca.store.passkeys import PasskeyTable
-from ca.store.requests import RequestTable
-from ca.store.rows import CertificateRow, GrantRow, RevocationRow
-from ca.store.schema import append_entry
-from ca.store.things import ThingTable
-from ca.suggestions import closest
-from ca.validity import utc
+from ca.names import closest
+from ca.store.database import Database, append_entry
+from ca.store.identities import IdentityTable, InvitationTable, RequestTable
+from ca.store.log import ApprovalState, ApprovalTable, AuthorityLog, PasskeyTable
+from ca.store.signed_statements import DomainTable, ThingTable
+from ca.store.values import CertificateRow, GrantRow, RevocationRow, digest_of
 
 _OF_NODES = "name IN (SELECT value FROM json_each(?))"  # one pass, however many they are
 

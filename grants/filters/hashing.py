@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from grants.errors import FilterRefused
 from grants.model import FilterRule
 
-if TYPE_CHECKING:  # a node's home does not load the compiler
-    from grants.filters.codegen import Buffer
+if TYPE_CHECKING:
+    from grants.filters.layout import Buffer
+
 
 Keys: TypeAlias = Mapping[str, bytes]
 

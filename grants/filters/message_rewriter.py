@@ -4,17 +4,39 @@ The generated function returns the pieces of the new message in order, for scatt
 sending: kept parts are slices of the message (an image is never copied), adjacent treated
 numbers go through one `struct` call, arrays of numbers and arrays of fixed-size messages through
 numpy. It raises one of `codegen.LAYOUT_ERRORS` if the message does not have the layout.
+
+Arrays of fixed-size elements, treated column by column with numpy.
+
+One copy of the elements is made, read as a table with the treated values as its columns; adjacent
+values under one treatment are one column, so a thousand points cost three calls.
+
+Arrays of elements of different sizes, whose treated values keep their position.
+
+Treating such an array value by value costs more than everything else a filter does. Here the
+generated loop only records where the treated values are; they are then taken out of one copy of the
+array, treated column by column with numpy, and put back. This requires treatments that preserve
+every size: numbers, and constants of a fixed size.
 """
 
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final
 
-from grants.filters.codegen import Buffer, Cursor, Position, SourceWriter, expression
-from grants.filters.fixed_arrays import table_rewriter
-from grants.filters.layout import Array, Primitive, Struct, Type
-from grants.filters.treatments import (
+from grants.filters.coarsening import Vector, np
+from grants.filters.layout import (
+    Array,
+    Buffer,
+    Cursor,
+    Position,
+    Primitive,
+    SourceWriter,
+    Struct,
+    Type,
+    expression,
+)
+from grants.filters.operators import (
     ArrayTreatment,
     Constant,
     ContentTreatment,
@@ -25,7 +47,224 @@ from grants.filters.treatments import (
     SiblingTreatment,
     StructTreatment,
 )
-from grants.filters.variable_arrays import ArrayCollector, preserves_sizes
+
+
+@dataclass(frozen=True)
+class Column:
+    """`count` values of one format, side by side in every element of an array."""
+
+    offset: int
+    code: str
+    count: int
+    vector: Callable[[Vector], Vector]
+
+    def is_continued_by(self, other: "Column") -> bool:
+        """Whether `other` follows this column with the same treatment."""
+        end = self.offset + self.count * np.dtype(self.code).itemsize
+        return (end, self.code, self.vector) == (other.offset, other.code, other.vector)
+
+
+def columns(node: Node, offset: int) -> list[Column]:
+    """The treated values of one fixed-size element that begins at `offset`."""
+    match node:
+        case StructTreatment(kind, parts):
+            found = []
+            for (_, member), part in zip(kind.fields, parts, strict=True):
+                found += columns(part, offset)
+                offset += member.size or 0
+            return found
+        case ArrayTreatment(kind, element):
+            size = kind.element.size or 0
+            return [
+                column
+                for n in range(kind.length or 0)
+                for column in columns(element, offset + n * size)
+            ]
+        case FieldTreatment(_, Constant(data)):
+            fill = np.frombuffer(data, np.uint8)
+            return [Column(offset, "<u1", len(data), lambda _: fill)]
+        case FieldTreatment(Primitive(code=code), Numbers(vector=vector)):
+            return [Column(offset, f"<{code[0]}", len(code), vector)]
+        case _:
+            return []
+
+
+def _merged(found: list[Column]) -> list[Column]:
+    merged: list[Column] = []
+    for column in found:
+        if merged and merged[-1].is_continued_by(column):
+            last = merged.pop()
+            column = Column(last.offset, last.code, last.count + column.count, last.vector)  # noqa: PLW2901 - merged
+        merged.append(column)
+    return merged
+
+
+@dataclass(frozen=True)
+class Table:
+    """The treated values of many elements of `size` bytes each, as columns."""
+
+    dtype: "np.dtype[Any]"
+    treatments: tuple[tuple[str, Callable[[Vector], Vector]], ...]
+
+    def apply(self, elements: Vector) -> None:
+        """TreatmentForType `elements` (of `dtype`) in place."""
+        for name, vector in self.treatments:
+            elements[name] = vector(elements[name])
+
+
+def table(node: Node, size: int) -> Table:
+    """The table for elements of `size` bytes with the treatments in `node`."""
+    return table_from_columns(columns(node, 0), size)
+
+
+def table_from_columns(found: list[Column], size: int) -> Table:
+    """The table with these columns."""
+    merged = _merged(found)
+    names = [f"f{n}" for n in range(len(merged))]
+    dtype: np.dtype[Any] = np.dtype(
+        {
+            "names": names,
+            "formats": [(column.code, (column.count,)) for column in merged],
+            "offsets": [column.offset for column in merged],
+            "itemsize": size,
+        }
+    )
+    return Table(dtype, tuple((n, column.vector) for n, column in zip(names, merged, strict=True)))
+
+
+def table_rewriter(element: Node, size: int) -> Callable[[Buffer, int, int], Buffer]:
+    """Return a function of message, start and count of the elements, to the elements' new bytes.
+
+    It raises ValueError if the message is too short.
+    """
+    match element:
+        case FieldTreatment(Primitive(code=code), Numbers(vector=vector)):
+            return _numbers_rewriter(f"<{code[0]}", len(code), vector)
+        case _:
+            return _elements_rewriter(table(element, size))
+
+
+def _numbers_rewriter(
+    code: str, values: int, vector: Callable[[Vector], Vector]
+) -> Callable[[Buffer, int, int], Buffer]:
+    """For arrays of numbers: without a table, and without a copy to change."""
+
+    def rewrite(message: Buffer, start: int, count: int) -> Buffer:
+        if count == 0:
+            return b""
+        numbers = np.frombuffer(message, code, count * values, start)
+        return vector(numbers).astype(code, copy=False).tobytes()
+
+    return rewrite
+
+
+def _elements_rewriter(table: Table) -> Callable[[Buffer, int, int], Buffer]:
+    size = table.dtype.itemsize
+
+    def rewrite(message: Buffer, start: int, count: int) -> Buffer:
+        end = start + count * size
+        if end > len(message):
+            raise ValueError
+        if count == 0:
+            return b""
+        copy = bytearray(message[start:end])
+        table.apply(np.frombuffer(copy, table.dtype))
+        return copy
+
+    return rewrite
+
+
+def preserves_sizes(node: Node) -> bool:
+    """Whether all treatments in `node` preserve every size."""
+    if isinstance(node, Keep) or node.kind.size is not None:
+        return True
+    if isinstance(node, StructTreatment):
+        return all(map(preserves_sizes, node.parts))
+    if isinstance(node, ArrayTreatment):
+        return node.kind.element.size is None and preserves_sizes(node.element)
+    return False
+
+
+@dataclass
+class _Region:
+    """Adjacent treated values in an element; the list `name` has their positions."""
+
+    name: str
+    end: Position
+    size: int
+    columns: list[Column]
+
+
+class ArrayCollector(Cursor):
+    """A cursor that records where the treated values of elements begin."""
+
+    def __init__(self, source: SourceWriter) -> None:
+        super().__init__(source)
+        self._declared = source.line("")
+        self._regions: list[_Region] = []
+
+    def collect(self, node: Node) -> None:
+        """Move over `node`, writing code that records positions. Requires `preserves_sizes`."""
+        size = node.kind.size
+        match node:
+            case StructTreatment(_, parts) if size is None:
+                for part in parts:
+                    self.collect(part)
+            case ArrayTreatment(kind, element) if size is None:
+                with self.each(kind):
+                    self.collect(element)
+            case _ if isinstance(node, Keep) or not size:
+                self.skip(node.kind)
+            case _:
+                self._note(node, size)
+
+    def _note(self, node: Node, size: int) -> None:
+        if not self._regions or self._regions[-1].end != self.position:
+            name = self.source.new("g")
+            self.source.line(f"{name}.append({self.at()})")
+            self._regions.append(_Region(name, self.position, 0, []))
+        region = self._regions[-1]
+        region.columns += columns(node, region.size)
+        region.size += size
+        self.skip(node.kind)
+        region.end = self.position
+
+    def finish(self) -> str:
+        """Declare the lists; return an expression for a function of message, start and end."""
+        names = [region.name for region in self._regions]
+        self.source.replace(self._declared, ";".join(f"{name}=[]" for name in names))
+        tables = [table_from_columns(region.columns, region.size) for region in self._regions]
+        return f"{self.source.bind(_patcher(tables))}(({''.join(f'{name},' for name in names)}))"
+
+
+def _patcher(
+    tables: list[Table],
+) -> Callable[[tuple[list[int], ...]], Callable[[Buffer, int, int], Buffer]]:
+    return lambda positions: partial(_patch, tables, positions)
+
+
+def _patch(
+    tables: list[Table], positions: tuple[list[int], ...], message: Buffer, start: int, end: int
+) -> Buffer:
+    """A copy of `message[start:end]` with the values at `positions` treated.
+
+    Raises:
+        ValueError: the message is too short.
+    """
+    if end > len(message):
+        raise ValueError
+    copy = bytearray(message[start:end])
+    for table, offsets in zip(tables, positions, strict=True):
+        if offsets:
+            size = table.dtype.itemsize
+            at = np.array(offsets, np.intp) - start
+            # One window at every position where `size` bytes fit; indexing copies the windows.
+            windows: Vector = np.ndarray((len(copy) - size + 1,), f"V{size}", copy, 0, (1,))
+            elements = windows[at]
+            table.apply(elements.view(table.dtype))
+            windows[at] = elements
+    return copy
+
 
 MAX_PIECES: Final = 64  # far below IOV_MAX (1024); more of them cost more than they save
 _UNROLL: Final = range(1, 9)  # fixed arrays of these lengths are cheaper without numpy

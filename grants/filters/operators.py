@@ -4,36 +4,289 @@ An operator reads its named parameters and returns a function from the type of a
 treatment: a constant in its place, a function of its numbers, or a function of its bytes. An
 operator that does not treat a type itself returns `DESCEND`, and is then applied to a message's
 fields or an array's elements. Nothing here is source text: generated code only *calls* it.
+
+The types between rules and generated code: treatments of a field, and the treated layout.
+
+A treatment is the result of an operator for one type; a node says for every part of a message
+whether it is kept, treated, or entered.
+
+The parameters of an operator: exactly its own, each of its type and in its range.
+
+They come from a signed grant or from a policy, so everything that is not expected is refused.
+
+The operator `rooms`, on the messages that have a position: x and y, and z or theta.
+
+Such a message is read as one value of two or three numbers, whatever its type is called: which room
+it is in depends on all of them. Everything but x and y is cleared.
+
+Sorting: the order of an array's elements says which is which, also without their names.
+
+Elements are put in the order of their bytes as they are sent, so what is left of them decides
+alone: nothing of the order in which the publisher wrote them remains.
 """
 
 import difflib
 import math
 import struct
 from collections.abc import Callable
-from dataclasses import replace
-from typing import Final, TypeAlias
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal, TypeAlias
 
 from grants.errors import FilterRefused
-from grants.filters.codegen import Buffer
+from grants.filters.coarsening import (
+    MAX_SIDE,
+    SIBLINGS,
+    HysteresisState,
+    Vector,
+    np,
+    pixelation,
+    read_plan,
+    round_floats,
+    round_integers,
+    round_times,
+    snap_rows,
+    snapping,
+    with_hysteresis,
+)
 from grants.filters.hashing import DEFAULT_LENGTH, RECEIVER, Keys, pseudonyms
-from grants.filters.layout import PRIMITIVES, Array, Primitive, Struct, Text, Type
-from grants.filters.lazy_numpy import Vector, np
-from grants.filters.parameters import Parameters, expect, integer, number
-from grants.filters.pictures import MAX_SIDE, SIBLINGS, pixelation
-from grants.filters.positions import rooms
-from grants.filters.rounding import round_floats, round_integers, round_times, with_hysteresis
-from grants.filters.sorting import sorting
-from grants.filters.treatments import (
-    DESCEND,
-    Constant,
-    ContentTreatment,
-    HysteresisBinding,
-    Numbers,
-    SiblingTreatment,
-    Treatment,
-    TreatmentForType,
+from grants.filters.layout import (
+    PRIMITIVES,
+    Array,
+    Buffer,
+    Cursor,
+    Primitive,
+    SourceWriter,
+    Struct,
+    Text,
+    Type,
 )
 from grants.model import FilterRule, Scalar
+
+DESCEND: Final = "descend"
+
+
+@dataclass(frozen=True)
+class Constant:
+    """These bytes replace the field."""
+
+    data: bytes
+
+
+@dataclass(frozen=True)
+class HysteresisBinding:
+    """A `scalar` with hysteresis: `bind` makes it from the state of the field.
+
+    `parameters` are part of the state's key, so that only equal treatments share the state.
+    """
+
+    parameters: tuple[object, ...]
+    bind: Callable[[HysteresisState], Callable[..., Any]]
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """`scalar` is applied to the values of a `Primitive`, `vector` to arrays of them.
+
+    `scalar` takes as many values as the type's format has, and returns as many (a single one
+    without a tuple). With `hysteresis`, every field gets its own `scalar` from it; such a
+    treatment cannot be used in an array, whose elements have no identity between messages. A
+    message of several numbers that is treated as one value has the `kind` it is read as.
+    """
+
+    scalar: Callable[..., Any]
+    vector: Callable[[Vector], Vector]
+    hysteresis: HysteresisBinding | None = None
+    kind: Primitive | None = None
+
+
+@dataclass(frozen=True)
+class ContentTreatment:
+    """`rewrite` is applied to the content of a string or of an array, without its length.
+
+    `rewrite(content)` returns the new content and the new length, in bytes or elements.
+    """
+
+    rewrite: Callable[[Buffer], tuple[Buffer, int]]
+
+
+@dataclass(frozen=True)
+class SiblingTreatment:
+    """Like `ContentTreatment`, for a field that can only be read with other fields of its message.
+
+    `rewrite(content, *values)` gets the values of the fields `siblings` (names and type
+    names, in this order and before the field), unfiltered, in a message of type `message`.
+    """
+
+    message: str
+    siblings: tuple[tuple[str, str], ...]
+    rewrite: Callable[..., tuple[Buffer, int]]
+
+
+Treatment: TypeAlias = Constant | Numbers | ContentTreatment | SiblingTreatment | Literal["descend"]
+TreatmentForType: TypeAlias = Callable[[Type], Treatment]
+
+
+@dataclass(frozen=True)
+class Keep:
+    """Left as it is."""
+
+    kind: Type
+
+
+@dataclass(frozen=True)
+class FieldTreatment:
+    """A whole value of `kind` under one treatment (`Numbers` only for a `Primitive`)."""
+
+    kind: Type
+    treatment: Constant | Numbers | ContentTreatment | SiblingTreatment
+
+
+@dataclass(frozen=True)
+class StructTreatment:
+    """A message, field by field."""
+
+    kind: Struct
+    parts: tuple["Node", ...]
+
+
+@dataclass(frozen=True)
+class ArrayTreatment:
+    """An array, with one treatment for every element."""
+
+    kind: Array
+    element: "Node"
+
+
+Node: TypeAlias = Keep | FieldTreatment | StructTreatment | ArrayTreatment
+
+
+def has_hysteresis(node: Node) -> bool:
+    """Whether a treatment in `node` has hysteresis."""
+    match node:
+        case FieldTreatment(_, Numbers(hysteresis=hysteresis)):
+            return hysteresis is not None
+        case StructTreatment(_, parts):
+            return any(map(has_hysteresis, parts))
+        case _:
+            return False
+
+
+Parameters: TypeAlias = dict[str, Scalar]
+
+
+def expect(parameters: Parameters, *names: str) -> None:
+    """Return if there are these parameters and no others.
+
+    Raises:
+        FilterRefused: there are others.
+    """
+    if parameters.keys() != set(names):
+        wanted = ", ".join(names) or "no parameters"
+        raise FilterRefused(f"expected {wanted}, found {', '.join(sorted(parameters)) or 'none'}")
+
+
+def number(parameters: Parameters, name: str) -> float:
+    """The number `name`, within 64 bits if it is an integer.
+
+    Raises:
+        FilterRefused: it is missing, or no number.
+    """
+    value = parameters.get(name)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise FilterRefused(f"{name} must be a number")
+    if isinstance(value, int) and abs(value) >= 1 << 64:
+        raise FilterRefused(f"{name} is beyond 64 bits")
+    if math.isnan(value):
+        raise FilterRefused(f"{name} must be a number")
+    return value
+
+
+def integer(parameters: Parameters, name: str, maximum: int, minimum: int = 1) -> int:
+    """The whole number `name`.
+
+    Raises:
+        FilterRefused: it is missing, or not in this range.
+    """
+    value = parameters.get(name)
+    if isinstance(value, bool) or not isinstance(value, int) or not minimum <= value <= maximum:
+        raise FilterRefused(f"{name} must be a whole number from {minimum} to {maximum}")
+    return value
+
+
+_HYSTERESIS: Final = "hysteresis"  # so no room has this name
+_MAX_REACH: Final = 1000  # metres
+_POSITIONS: Final = (("x", "y"), ("x", "y", "z"), ("x", "y", "theta"))
+_FLOATS: Final = (PRIMITIVES["float32"], PRIMITIVES["float64"])
+
+
+def rooms(parameters: Parameters) -> TreatmentForType:
+    """A position becomes the point of its room; see `grants.filters.coarsening`.
+
+    Raises:
+        FilterRefused: no plan, or a hysteresis out of range.
+    """
+    reach = number(parameters, _HYSTERESIS) if _HYSTERESIS in parameters else None
+    if reach is not None and not 0 < reach <= _MAX_REACH:
+        raise FilterRefused(f"hysteresis of rooms is above zero and at most {_MAX_REACH} m")
+    plan = read_plan({name: text for name, text in parameters.items() if name != _HYSTERESIS})
+    bind = snapping(plan, reach)
+    identity = (*sorted(parameters.items()),)
+
+    def treat(kind: Type) -> Treatment:
+        if isinstance(kind, Array):
+            return DESCEND
+        position = _as_one_value(kind)
+        snap = bind(HysteresisState())
+        found = Numbers(snap, snap_rows(snap, len(position.code)), kind=position)
+        return (
+            found if reach is None else replace(found, hysteresis=HysteresisBinding(identity, bind))
+        )
+
+    return treat
+
+
+def _as_one_value(kind: Type) -> Primitive:
+    """A message with a position, as one value of several numbers."""
+    if isinstance(kind, Struct) and tuple(name for name, _ in kind.fields) in _POSITIONS:
+        for float_type in _FLOATS:
+            if all(member is float_type for _, member in kind.fields):
+                count = len(kind.fields)
+                return Primitive(kind.name, float_type.code * count, float_type.size * count)
+    raise FilterRefused(
+        f"rooms needs a message of x, y and maybe z or theta, not {kind.name}",
+        "for example pose.position of a geometry_msgs/PoseStamped",
+    )
+
+
+def sorting(element: Type) -> Callable[[Buffer], tuple[Buffer, int]]:
+    """The function from the elements of an array to the same in order, and how many they are.
+
+    An element has at least one byte, as else nothing would say how many there are. It raises one
+    of `codegen.LAYOUT_ERRORS` for bytes that are no such elements.
+    """
+    split = _splitter(element)
+
+    def rewrite(content: Buffer) -> tuple[Buffer, int]:
+        found = sorted(split(bytes(content)))
+        return b"".join(found), len(found)
+
+    return rewrite
+
+
+def _splitter(element: Type) -> Callable[[bytes], list[bytes]]:
+    source = SourceWriter("b")
+    source.line("p=0;l=[]")
+    with source.block("while p<len(b)"):
+        cursor = Cursor(source)
+        cursor.position = ("p", 0)
+        cursor.skip(element)
+        source.line(f"e={cursor.at()}")
+        source.line("l.append(b[p:e])")
+        source.line("p=e")
+    source.line("if p!=len(b): raise ValueError")
+    source.line("return l")
+    return source.compile()
+
 
 _EMPTY: Final = Constant(bytes(4))
 _INTEGERS: Final = frozenset("bBhHiIqQ")

@@ -2,29 +2,356 @@
 
 A failure names the rule that decided, with its line, and what would be needed. What cannot be
 evaluated, such as a field that a type does not have, fails: a test that tests nothing would pass.
+
+What each operator lets through of one value: nothing, steps, a range, or all of it. Pure.
+
+By the operators' algebra, for the whole range of a type and not for values that were tried. A
+number goes through functions that never decrease, so what lies between two values lies between
+what becomes of them; NaN and infinities pass `round`, and `clamp` makes NaN its lower end. A cell
+that the type's range cuts off, as that of 0 of an unsigned number, counts as a whole one.
+
+How precisely a receiver sees a field, by the algebra of the filters of a verdict. Pure.
+
+What each operator lets through is a table (`grants.policy.assertion_check`), which holds for every value
+of the field's type. Numbers pass functions that never decrease, so one is hidden if the ends of its
+range, both zeros and NaN become the same: that is tried, on the filters the publisher would run.
+A field that a condition reads is not hidden, and finer than any step: that a message comes tells.
+
+Whether a field, or a word of the vocabulary, is seen as a test of a policy says. Pure.
+
+A field is judged by what its filters let through (`sight`), of a word all fields count that tell it
+(`grants.vocabulary.assess`). A name that is both, such as `position`, is the word where the type
+tells it; a part of the field is written `position.x`.
 """
 
+import math
 import struct
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from enum import Enum
+from itertools import pairwise
+from typing import Final, NamedTuple
 
-from ca.domains.aliases import is_alias, shown
 from ca.names import covers as names_cover
-from ca.patterns import covers
+from ca.names import is_alias, pattern_covers, shown
 from grants.conditions.compile import compile_condition
-from grants.errors import GrantError, PolicyRefused
-from grants.filters.layout import Layout
-from grants.model import TREE_RIGHTS, Right
-from grants.policy.assertions import EXACT, NOTHING, Assertion, Claim, Says, SeenField
-from grants.policy.basics import is_basics
-from grants.policy.decision import Decider, Verdict
-from grants.policy.index import is_pattern
+from grants.conditions.syntax import reads
+from grants.decision import Decision
+from grants.errors import FilterRefused, GrantError, MessageRefused, PolicyRefused
+from grants.filters.coarsening import Room, read_plan
+from grants.filters.hashing import FILTER_KEY_SIZE
+from grants.filters.layout import Layout, Primitive, Text
+from grants.guard import Guard, needed_keys
+from grants.model import TREE_RIGHTS, FilterRule, Right, Scalar, format_time
+from grants.policy.assertions import (
+    EXACT,
+    NOTHING,
+    Assertion,
+    Claim,
+    Says,
+    SeenField,
+    Value,
+    below,
+    leaves,
+    read_back,
+    serialize,
+)
+from grants.policy.decision import Decider, Verdict, is_pattern
 from grants.policy.model import Clause, Effect, Policy, PolicyRule, Subject, SubjectPattern
-from grants.policy.own_names import is_own, resolve
-from grants.policy.patterns import gives, overlaps
-from grants.policy.sample_messages import leaves, serialize
-from grants.policy.seen_check import seen_too_well
-from grants.validity import format_time
+from grants.policy.names import gives, is_own, overlaps, resolve
+from grants.policy.privacy import filters_of
+from grants.policy.rules import is_basics
+from grants.policy.source import suggest
+from grants.vocabulary.assess import assess
+from grants.vocabulary.contents import FRAMES, LEVELS, DataWord, Description
+
+Kind = Primitive | Text
+_Parameters = Mapping[str, Scalar]
+_WHOLE: Final = 1e-9  # how far from a whole number the ratio of two steps may be
+_EXACT_UNIT: Final = 1 << 20  # multiples of its inverse, up to 2^32, are exact in 64 bits
+_ROOM_FIELDS: Final = ("x", "y")
+
+
+class Through(Enum):
+    """How much of a value comes through one operator."""
+
+    NOTHING = "the same whatever is sent"
+    STEPS = "one value for each interval of at least a size"
+    RANGE = "as it is within a range, which it never leaves"
+    TOLD = "another value, that tells which are the same"
+    ALL = "as it is"
+
+
+class Passing(NamedTuple):
+    """`size` is that of STEPS; `is_joint`: of cells of several fields together."""
+
+    through: Through
+    size: float = 0.0
+    is_joint: bool = False
+
+
+def passing(rule: FilterRule, kind: Kind, path: str) -> Passing:
+    """What `rule` lets through of the value at `path`, of type `kind`, which it covers.
+
+    Raises:
+        FilterRefused: it depends on other fields of the message, so nothing can be said.
+    """
+    return _OPERATORS[rule.operator](dict(rule.parameters), kind, path)
+
+
+def _nothing(_: _Parameters, _kind: Kind, _path: str) -> Passing:
+    return Passing(Through.NOTHING)
+
+
+def _round(parameters: _Parameters, kind: Kind, _path: str) -> Passing:
+    step = float(parameters["step"])
+    is_integer = isinstance(kind, Primitive) and len(kind.code) == 1 and kind.code not in "fd"
+    return Passing(Through.ALL) if is_integer and step == 1 else Passing(Through.STEPS, step)
+
+
+def _clamp(parameters: _Parameters, kind: Kind, _path: str) -> Passing:
+    low, high = parameters["low"], parameters["high"]
+    if isinstance(kind, Primitive) and kind.code in "bBhHiIqQ":
+        bits = 8 * kind.size
+        least = 0 if kind.code.isupper() else -(1 << bits - 1)
+        if (low, high) == (least, least + (1 << bits) - 1):
+            return Passing(Through.ALL)
+    return Passing(Through.NOTHING if low == high != 0 else Through.RANGE)
+
+
+def _truncate(parameters: _Parameters, _kind: Kind, _path: str) -> Passing:
+    return Passing(Through.NOTHING if parameters["length"] == 0 else Through.TOLD)
+
+
+def _hash(_: _Parameters, _kind: Kind, _path: str) -> Passing:
+    return Passing(Through.TOLD)
+
+
+def _pixelate(_: _Parameters, _kind: Kind, path: str) -> Passing:
+    raise FilterRefused(
+        f"what is seen of {path} depends on other fields of the picture", "ask for its level"
+    )
+
+
+def _rooms(parameters: _Parameters, _kind: Kind, path: str) -> Passing:
+    """A room is known by x and y together; the rest is cleared."""
+    name = path.rpartition(".")[2]
+    if name not in _ROOM_FIELDS:
+        return Passing(Through.TOLD)  # zero in a room, NaN outside
+    plan = read_plan({name: text for name, text in parameters.items() if name != "hysteresis"})
+    return Passing(
+        Through.STEPS, min(_inner(room, _ROOM_FIELDS.index(name)) for room in plan), True
+    )
+
+
+def _inner(room: Room, axis: int) -> float:
+    """Metres of the shortest line through the room that is known by its point: none of a corner.
+
+    Of a rectangle along the axes its side; of another polygon a line through a corner is as short
+    as one likes.
+    """
+    is_rectangle = len(room.corners) == 4 and all(
+        (x0 == x1) != (y0 == y1) for (x0, y0), (x1, y1) in room.edges
+    )
+    sides = [corner[axis] for corner in room.corners]
+    return max(sides) - min(sides) if is_rectangle else 0.0
+
+
+def _all(_: _Parameters, _kind: Kind, _path: str) -> Passing:
+    return Passing(Through.ALL)
+
+
+_OPERATORS: Final[Mapping[str, Callable[[_Parameters, Kind, str], Passing]]] = {
+    "clear": _nothing,
+    "set": _nothing,
+    "redact": _nothing,
+    "drop": _nothing,
+    "zero": _nothing,
+    "round": _round,
+    "clamp": _clamp,
+    "truncate": _truncate,
+    "hash": _hash,
+    "pixelate": _pixelate,
+    "rooms": _rooms,
+    "sort": _all,  # which element is which is hidden, but no value
+}
+
+
+def size_of(passed: Iterable[Passing]) -> float:
+    """The least size of what stands for one value after all of these, in whichever order; 0: none.
+
+    Applied one after another, steps divide each other's intervals unless each is a whole multiple
+    of the one before: then the largest remains, else only the smallest is certain.
+    """
+    found = (each for each in passed if each.through is Through.STEPS)
+    steps = sorted(found, key=lambda each: each.size)
+    if not steps:
+        return 0.0
+    nested = all(_is_multiple(small, large) for small, large in pairwise(steps))
+    return max(each.size for each in steps) if nested else min(each.size for each in steps)
+
+
+def _is_multiple(small: Passing, large: Passing) -> bool:
+    """Whether every border of the large cells is one of the small: even ratios need exact sums."""
+    if small.size == large.size and not (small.is_joint or large.is_joint):
+        return True
+    if small.is_joint or large.is_joint or not small.size:
+        return False
+    ratio = large.size / small.size
+    is_exact = all(float(each.size * _EXACT_UNIT).is_integer() for each in (small, large))
+    return abs(ratio - round(ratio)) < _WHOLE and (round(ratio) % 2 == 1 or is_exact)
+
+
+_FOREVER: Final = 1 << 53
+_NOW: Final = 1_000_000
+_TOLERANCE: Final = 1e-6
+
+
+class Sight:
+    """What the receiver of a verdict sees of messages of one layout.
+
+    `frames`: the leaves that name frames, which conditions may read: as in `vocabulary.assess` a
+    frame is a setting of the robot, which the condition names, and no value that changes.
+
+    Raises:
+        GrantError: the filters do not fit the layout; its methods: they depend on other fields, so
+            nothing is known.
+    """
+
+    def __init__(
+        self, layout: Layout, verdict: Verdict, frames: Collection[str] = frozenset()
+    ) -> None:
+        self._frames = frames
+        self._layout = layout
+        self._leaves = leaves(layout)
+        self._conditions = [text for each in verdict.restrictions for text in each.conditions]
+        restrictions = tuple(
+            replace(
+                each, conditions=(), rate=None, slot=None,
+                filters=tuple(map(_stateless, each.filters)),
+            )
+            for each in verdict.restrictions
+            if each.filters
+        )  # fmt: skip
+        self._rules = [rule for each in restrictions for rule in each.filters]
+        decision = Decision(verdict.right, verdict.name, (), _FOREVER, restrictions)
+        keys = dict.fromkeys(needed_keys(restrictions), bytes(FILTER_KEY_SIZE))
+        self._guard = Guard(layout, decision, keys)
+
+    def is_hidden(self, path: str) -> bool:
+        """Whether the leaf at `path` is the same whatever is sent, and whether or not it is."""
+        return not self._is_read(path) and self._is_constant(path)
+
+    def is_exact(self, path: str) -> bool:
+        """Whether the leaf at `path` is seen as it is sent."""
+        return all(each.through is Through.ALL for each in self._passing(path))
+
+    def is_no_finer_than(self, path: str, step: float) -> bool:
+        """Whether every number seen at `path` stands for an interval of at least `step`.
+
+        Not NaN and the infinities, which pass `round` and are no interval.
+        """
+        if self._is_read(path):
+            return False
+        size = size_of(self._passing(path))
+        return self._is_constant(path) or size >= step * (1 - _TOLERANCE)
+
+    def _is_read(self, path: str) -> bool:
+        return path not in self._frames and any(reads(text, path) for text in self._conditions)
+
+    def _passing(self, path: str) -> list[Passing]:
+        kind = self._leaves[path]
+        return [passing(rule, kind, path) for rule in filters_of(self._rules, path)]
+
+    def _is_constant(self, path: str) -> bool:
+        passed = self._passing(path)
+        if any(each.through is Through.NOTHING for each in passed):
+            return True
+        kind = self._leaves[path]
+        if not any(each.through is Through.RANGE for each in passed) or isinstance(kind, Text):
+            return False
+        return len({self._seen(path, value) for value in _ends(kind)}) == 1
+
+    def _seen(self, path: str, value: Value) -> str:
+        """What is seen of `value` at `path`, as text: NaN is equal to itself, zeros differ."""
+        pieces = self._guard.apply(serialize(self._layout, {path: value}), _NOW)
+        if pieces is None:
+            raise MessageRefused("no message passes")
+        return repr(read_back(self._layout, b"".join(pieces))[path])
+
+
+def _stateless(rule: FilterRule) -> FilterRule:
+    """Without hysteresis, which only makes cells overlap: what was sent before counts for it."""
+    return replace(rule, parameters=tuple(x for x in rule.parameters if x[0] != "hysteresis"))
+
+
+def _ends(kind: Primitive) -> tuple[Value, ...]:
+    """Between these are all values of the type, and NaN beside them."""
+    if kind.code in "fd":
+        return (-math.inf, -0.0, 0.0, math.inf, math.nan)
+    bits = 8 * kind.size
+    return (-(1 << bits - 1), (1 << bits - 1) - 1) if kind.code.islower() else (0, (1 << bits) - 1)
+
+
+_WORDS: Final = frozenset(word.value for word in DataWord)
+
+
+def seen_too_well(
+    policy: Policy, layout_of: Callable[[str], Layout], verdict: Verdict, seen: SeenField
+) -> str:
+    """The first field, or the word, that is seen otherwise than `seen` says; empty if none is.
+
+    Raises:
+        GrantError: it cannot be told: no such type, field or level, or filters that refuse what is
+            tried.
+    """
+    kind = policy.type_of(seen.topic)
+    if kind is None:
+        hint = f"add it to types: {{{seen.topic}: package/Type}}"
+        raise PolicyRefused(f"the message type of {seen.topic} is unknown", hint)
+    layout = layout_of(kind)
+    description = policy.vocabulary.describe(layout, seen.topic)
+    if seen.path in _WORDS and description.tells(DataWord(seen.path)):
+        return _word(description, verdict, seen)
+    fields = leaves(layout)
+    paths = below(fields, seen.path)
+    if not paths:
+        raise PolicyRefused(f"no field {seen.path!r} in {kind}")
+    frames = {each.path for each in description.fields if each.content in FRAMES}
+    sight = Sight(layout, verdict, frames)
+    return next((path for path in paths if not _holds(sight, path, fields[path], seen)), "")
+
+
+def _holds(sight: Sight, path: str, kind: Primitive | Text, seen: SeenField) -> bool:
+    if seen.limit == EXACT:
+        return sight.is_exact(path)
+    if seen.limit == NOTHING:
+        return sight.is_hidden(path)
+    if isinstance(seen.limit, str):
+        hint = f"write a number (no finer than that), {NOTHING} or {EXACT}"
+        raise PolicyRefused(f"not how a field is seen: {seen.limit[:40]!r}", hint)
+    if not isinstance(kind, Primitive) or kind.name == "bool":
+        raise PolicyRefused(f"{path} is no number", f"write {NOTHING} or {EXACT}")
+    return sight.is_no_finer_than(path, seen.limit)
+
+
+def _word(description: Description, verdict: Verdict, seen: SeenField) -> str:
+    """The word, if more of it is seen than the test says; else empty."""
+    word = DataWord(seen.path)
+    if isinstance(seen.limit, str) and seen.limit not in LEVELS[word]:
+        hint = suggest(seen.limit, LEVELS[word])
+        raise PolicyRefused(f"not a level of {word}: {seen.limit[:40]!r}", hint)
+    if isinstance(seen.limit, float) and word is not DataWord.POSITION:
+        hint = f"write one of {', '.join(LEVELS[word])}"
+        raise PolicyRefused(f"{word} has no length", hint)
+    found = assess(description, verdict.restrictions, verdict.rate, [word])[word]
+    if seen.limit == EXACT:
+        return "" if found.level == EXACT and not found.size else word
+    if found.is_no_finer_than(seen.limit):
+        return ""
+    by = f", by {', '.join(found.open)}," if found.open else ""
+    return f"{word} ({found.level}{by})".replace(",)", ")")
+
 
 LayoutOf = Callable[[str], Layout]
 
@@ -103,7 +430,7 @@ class _Checker:
         named = [who for rule in rules for who in (*rule.who, *rule.exceptions)]
         exact = [who.node for who in named if who.node and "*" not in who.node]
         others = {*exact, *(each.subject.name for each in self._policy.tests)}
-        names = [node for node in exact if test.pattern and covers(test.pattern, node)]
+        names = [node for node in exact if test.pattern and pattern_covers(test.pattern, node)]
         found = {
             Subject(name, key, tail): None
             for name in (subject.name, *names)
@@ -235,7 +562,9 @@ def _keys_of(named: Iterable[SubjectPattern], name: str, subject: Subject) -> li
     """The keys that rules pin for a node or for any, unless the test is about one key."""
     if subject.key != _ANY_KEY:
         return []
-    return [who.key for who in named if who.key and (not who.node or covers(who.node, name))]
+    return [
+        who.key for who in named if who.key and (not who.node or pattern_covers(who.node, name))
+    ]
 
 
 _ANY_KEY = bytes(32)

@@ -7,23 +7,252 @@ optionally `"type"`. What a rule already decides is not learned again, in partic
 names of other masters (`/remote/...`) nothing is learned: no rule of this policy can be about them.
 A name below the node's own is learned as `{node}/...`, so it is right for every run of an anonymous
 node; what `basics` gives is left to `basics`.
+
+The commented beginning of a policy, which `rossec policy init` writes. Pure.
+
+It is a valid policy: every node gets what every ROS program needs, and nothing else.
+
+Adding rules to a policy file without changing the rest: comments, order and quotes stay.
+
+Text in, text out; `load` must have accepted the text (it bounds the cost of its YAML). What writes
+is another parser than what reads, so both texts are read by the one of policies: the result is the
+old policy and the new rules, value by value, or it is refused.
 """
 
 import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, field, replace
+from io import StringIO
 from typing import Any, Final
 
-from ca.domains.aliases import is_alias
-from ca.names import check_name
-from grants.basics import is_basic, lasting_name, own_form
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap, CommentedSeq
+from ruamel.yaml.resolver import VersionedResolver
+
+from ca.names import check_name, is_alias
 from grants.errors import GrantError, PolicyRefused
 from grants.model import Right
 from grants.policy.decision import Decider
-from grants.policy.editing import NewRule, add_rules, free_id
 from grants.policy.model import Effect, PolicyRule, Subject, SubjectPattern
-from grants.policy.own_names import NODE
+from grants.policy.names import NODE
 from grants.policy.rules import RIGHTS
+from grants.policy.source import Mistakes, Part, YamlMapping, YamlScalar, YamlSequence, read_source
+from grants.request import is_basic, lasting_name, own_form
+
+_TEXT: Final = """\
+# Who may do what, how precisely, and how long: docs/spec/policy.md.
+#   rossec policy check    every mistake in this file; also runs the tests below
+#   rossec policy lint     what it allows unwisely
+#   rossec policy apply    shows the difference to what is granted, asks, and puts it in force
+rossec: 1
+robot: {robot}
+basics: true  # what every ROS program needs: its log, its loggers, the clock; [tf]: transforms too
+defaults: {{lifetime: 7d}}
+
+# The message type of each topic that a filter or a condition of a rule looks into, as in
+#   types: {{/robot/pose: geometry_msgs/PoseStamped}}
+types: {{}}
+
+# What no rule allows is denied, and one denial overrides all that allows. Names below the asking
+# node's own are ~/pose or "{{node}}/pose"; * is one segment of a name, ** one or more. As in
+#   rules:
+#     - {{id: pose, who: /robot, allow: {{publish: [~/pose]}}, why: it says where it is}}
+#     - id: heating
+#       why: lowers empty rooms
+#       who: /heating
+#       allow: {{subscribe: [/robot/pose]}}
+#       see: {{position: room}}
+rules: []
+
+# What must stay true whatever is changed above; apply refuses a policy of which one fails. As in
+#   tests:
+#     - {{who: /heating, may_not: {{publish: /**}}, sees: {{/robot/pose: {{position: room}}}}}}
+tests: []
+"""
+
+
+def beginning(robot: str) -> str:
+    """The text, for the robot or home of this name."""
+    return _TEXT.format(robot=json.dumps(robot))
+
+
+EMPTY: Final = """# A policy of rossec; see docs/spec/policy.md.
+rossec: 1
+robot: {robot}
+defaults: {{decision: deny, lifetime: 7d}}
+types: {{}}
+rules: []
+"""
+
+
+_NO_FOLDING: Final = 1 << 30  # columns: a folded text loses its spaces at the end of a line
+
+
+@dataclass(frozen=True)
+class NewRule:
+    """A rule to add. `rights` are name patterns by right label."""
+
+    id: str
+    why: str
+    who: str
+    effect: str
+    rights: Mapping[str, Iterable[str]]
+    types: Mapping[str, str] = field(default_factory=dict)
+    filter: str | None = None
+
+
+def empty(robot: str = "robot") -> str:
+    """A policy that denies everything."""
+    return EMPTY.format(robot=robot)
+
+
+def add_rules(text: str, rules: Iterable[NewRule]) -> str:
+    """`text` with `rules` added; an existing rule with the same id is extended.
+
+    Raises:
+        PolicyRefused: the text cannot be rewritten so that nothing else in it changes.
+    """
+    rules = list(rules)
+    yaml = _yaml()
+    data = yaml.load(text)
+    known = _rules(data)
+    for rule in rules:
+        _add_types(data, rule.types)
+        _add_rule(data, known, rule)
+    out = StringIO()
+    yaml.dump(data, out)
+    _check(text, out.getvalue(), rules)
+    return out.getvalue()
+
+
+def free_id(taken: Iterable[str], preferred: str) -> str:
+    """`preferred`, or `preferred-2` and so on."""
+    used = taken if isinstance(taken, AbstractSet) else set(taken)
+    number = 1
+    name = preferred
+    while name in used:
+        number += 1
+        name = f"{preferred}-{number}"
+    return name
+
+
+class _TextResolver(VersionedResolver):
+    """Each plain scalar is its text: written as it was read, whatever it may stand for."""
+
+    @property
+    def versioned_resolver(self) -> dict[str, Any]:
+        """No kinds of scalars."""
+        return {}
+
+
+def _check(before: str, after: str, rules: Iterable[NewRule]) -> None:
+    """Return if `after` says what `before` does, and `rules`, and nothing else.
+
+    Raises:
+        PolicyRefused: it does not.
+    """
+    expected, found = _values(before), _values(after)
+    assert isinstance(expected, dict)  # noqa: S101 - it was loaded as a policy
+    for rule in rules:
+        _add_values(expected, rule)
+    if found != expected:
+        raise PolicyRefused(
+            "this policy cannot be rewritten without changing what it says, nothing was written",
+            "add the rules by hand: "
+            + ", ".join(f"{rule.effect} for {rule.who} ({rule.id})" for rule in rules),
+        )
+
+
+def _values(text: str) -> object:
+    """What a text says, each scalar with its kind; keys in any order, as in a policy."""
+    mistakes = Mistakes("the policy")
+    source = read_source(text, mistakes)
+    mistakes.raise_if_any()
+    return _value(source)
+
+
+def _value(part: Part | None) -> object:
+    if isinstance(part, YamlMapping):
+        return {key: _value(value) for key, (_, value) in part.entries.items()}
+    if isinstance(part, YamlSequence):
+        return [_value(item) for item in part.items]
+    return (type(part.value).__name__, repr(part.value)) if isinstance(part, YamlScalar) else None
+
+
+def _text(value: str) -> object:
+    return _value(YamlScalar(value, 0, 0))
+
+
+def _add_values(policy: dict[str, Any], rule: NewRule) -> None:
+    """`rule` as `add_rules` adds it, in the values of a policy."""
+    if rule.types:
+        types = policy["types"] if isinstance(policy.get("types"), dict) else {}
+        policy["types"] = {**{name: _text(kind) for name, kind in rule.types.items()}, **types}
+    known = policy["rules"]
+    policy["rules"] = known = known if isinstance(known, list) else [known]
+    if known == [_text("")]:
+        known.clear()
+    entry = next((item for item in known if item["id"] == _text(rule.id)), None)
+    if entry is None:
+        entry = {"id": _text(rule.id), "why": _text(rule.why), "who": _text(rule.who)}
+        entry[rule.effect] = {}
+        if rule.filter is not None:
+            entry["filter"] = {"use": _text(rule.filter)}
+        known.append(entry)
+    rights = entry[rule.effect]
+    for label, patterns in rule.rights.items():
+        present = rights.get(label, [])
+        present = present if isinstance(present, list) else [present]
+        rights[label] = [*present, *(x for x in map(_text, patterns) if x not in present)]
+
+
+def _yaml() -> YAML:
+    yaml = YAML(typ="rt", pure=True)
+    yaml.preserve_quotes = True
+    yaml.width = _NO_FOLDING
+    yaml.Resolver = _TextResolver
+    yaml.indent(mapping=2, sequence=4, offset=2)
+    return yaml
+
+
+def _add_types(data: Any, types: Mapping[str, str]) -> None:
+    if types and not data.get("types"):
+        data["types"] = CommentedMap()
+    for topic, kind in types.items():
+        if topic not in data["types"]:  # before the others: comments belong to the last
+            data["types"].insert(0, topic, kind)
+
+
+def _rules(data: Any) -> dict[str, Any]:
+    """The existing rules by id; afterwards `data` has a list of rules."""
+    if not data["rules"]:
+        data["rules"] = CommentedSeq()
+    if isinstance(data["rules"], CommentedMap):  # a single rule may be written without a dash
+        data["rules"] = CommentedSeq([data["rules"]])
+    return {item["id"]: item for item in data["rules"]}
+
+
+def _add_rule(data: Any, known: dict[str, Any], rule: NewRule) -> None:
+    if rule.id not in known:
+        entry = known[rule.id] = CommentedMap(id=rule.id, why=rule.why, who=rule.who)
+        entry[rule.effect] = CommentedMap()
+        if rule.filter is not None:
+            entry["filter"] = CommentedMap(use=rule.filter)
+        data["rules"].append(entry)
+    rights = known[rule.id][rule.effect]
+    for label, patterns in rule.rights.items():
+        present = rights.get(label, [])
+        present = present if isinstance(present, list) else [present]
+        new = [name for name in patterns if name not in present]
+        rights[label] = _flow([*present, *new])
+
+
+def _flow(items: Iterable[str]) -> CommentedSeq:
+    row = CommentedSeq(items)
+    row.fa.set_flow_style()
+    return row
+
 
 MAX_LINE: Final = 4096
 MAX_OBSERVATIONS: Final = 100_000

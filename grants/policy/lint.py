@@ -4,48 +4,479 @@ Precision removed from one field is often still in related fields, on other topi
 node of the same owner. So each check sees what a receiver gets from all rules together
 (`lint_views`), and what a field shows is decided by its type (`lint_facts`). Each kind of advice
 has a stable code (`lint_findings`). A check yields findings and changes nothing.
+
+Advice on parameters: what is missing for a step to hold, and values that do nothing.
+
+Floors are what sensors err anyway, or what the attackers of docs/spec/policy.md, "Lint", needed.
+An array has no hysteresis (docs/spec/grant.md 6.1), so it is not advised there: an array is
+cleared.
+
+Advice on rules as such: reasons, lifetimes, width, names of others, what never decides.
+
+Advice on conditions: a condition on a field that the same receiver may not see is an oracle.
+
+That a message comes says that the condition held: of a position that is cleared, `x < 5` told the
+crossing to 0.13 s (docs/spec/policy.md, "Lint"), and `frame_id == "map"` tells a cleared name.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Final
 
-from grants.policy import (
-    lint_conditions,
-    lint_fields,
-    lint_parameters,
-    lint_related,
-    lint_relatives,
-    lint_rules,
+from ca.names import is_alias
+from grants.conditions.syntax import fields_read
+from grants.model import FilterRule, Right, Scalar
+from grants.policy import lint_topics
+from grants.policy.lint_findings import (
+    ACROSS,
+    ADVICE,
+    BLOCK,
+    COARSE_DEGREES,
+    COARSE_JOINT,
+    COARSE_STEP,
+    COARSE_TIME,
+    LEVELS,
+    ROOM_REACH,
+    SHARE,
+    Finding,
+    Suggestion,
+    limiting,
+    replacing,
 )
-from grants.policy.lint_findings import ADVICE, Finding
-from grants.policy.lint_views import LayoutOf, Scene, sample_subject
-from grants.policy.model import Policy
+from grants.policy.lint_views import (
+    Aspect,
+    LayoutOf,
+    Precision,
+    Scene,
+    View,
+    sample_subject,
+    too_fine,
+    too_small,
+)
+from grants.policy.model import Clause, Effect, Policy, PolicyRule, SubjectPattern
+from grants.policy.names import (
+    NODE,
+    any_node,
+    gives,
+    includes,
+    intersects,
+    is_own,
+    speaks_for_others,
+)
+from grants.policy.privacy import filters_of
+from grants.vocabulary.levels import NARROWEST, SMALLEST, Treatment, narrowest, smallest
+
+_FASTEST: Final = 2.0  # a second: at a walk one message every half metre
+_SMALLEST_SHARE: Final = 10  # a hysteresis below this part of a step is noise
+_CELLS: Final = ("round", "rooms")
+_MOST_LEVELS: Final = 16
+_REGION: Final = ("x", "y", "width", "height")
+_DENSE: Final = (Aspect.POSITION, Aspect.SURROUNDINGS)
+
+
+def parameters(scene: Scene) -> Iterator[Finding]:
+    """Each filter of each view, by the table of its operator."""
+    for views in scene.views.values():
+        for view in views:
+            for rule, paths in _treated(view).items():
+                yield from _OPERATORS.get(rule.operator, _nothing)(view, rule, paths)
+
+
+def rates(scene: Scene) -> Iterator[Finding]:
+    """A coarse value, or an empty message, at the full rate or a high one."""
+    for views in scene.views.values():
+        for view in views:
+            rounded = any(
+                view.filter_on(path).operator in _CELLS for path in view.coarse(Aspect.POSITION)
+            )
+            squares = bool(view.coarse(Aspect.IMAGE))
+            if (rounded or squares or view.is_empty) and not view.has_slot:
+                yield from _rate(view, "coarse" if rounded or squares else "empty")
+
+
+def _rate(view: View, what: str) -> Iterator[Finding]:
+    hint, suggestions = limiting(view)
+    begin = f"rule {view.rule.id}: {view.topic} is {what}"
+    if view.verdict.rate is None:
+        message = f"{begin}, but sent at the full rate"
+        yield Finding(view.rule.line, "no-rate", message, hint, suggestions)
+    elif view.verdict.rate > _FASTEST:
+        message = f"{begin}, but {view.verdict.rate:g} messages a second hide no movement"
+        yield Finding(view.rule.line, "rate-does-nothing", message, hint, suggestions)
+
+
+def _treated(view: View) -> dict[FilterRule, list[str]]:
+    """The leaves that show something, by the filter that treats them; not what another hides."""
+    found: dict[FilterRule, list[str]] = {}
+    for path in view.aspects:
+        if view.left(path) is not Precision.HIDDEN:
+            for rule in filters_of(view.filters, path):
+                found.setdefault(rule, []).append(path)
+    return found
+
+
+def _nothing(_view: View, _rule: FilterRule, _paths: list[str]) -> Iterator[Finding]:
+    yield from ()
+
+
+def _round(view: View, rule: FilterRule, paths: list[str]) -> Iterator[Finding]:
+    fine = [
+        path
+        for path in paths
+        if too_fine(rule, view.aspects[path], path) and view.left(path) is Precision.EXACT
+    ]
+    places = [path for path in paths if view.aspects[path] is Aspect.POSITION]
+    if fine:
+        what = f"{rule.path} of {view.topic} is rounded to {_step(rule):g}, less than sensors err"
+        yield _finding(view, rule, "step-does-nothing", what, _coarser(rule, fine[0], view))
+    elif _is_dense_array(view, paths):
+        what = f"values of the array {rule.path} of {view.topic} together give the exact ones"
+        yield _finding(view, rule, "rounded-array", what, FilterRule(rule.path, "clear"))
+    elif places:
+        yield from _hysteresis(view, rule)
+
+
+def _hysteresis(view: View, rule: FilterRule) -> Iterator[Finding]:
+    share = dict(rule.parameters).get("hysteresis")
+    better = _with_hysteresis(rule, _step(rule))
+    if share is None and not _has_hysteresis(view, rule):
+        yield _finding(
+            view, rule, "no-hysteresis", f"{rule.path} is rounded without hysteresis", better
+        )
+    elif share is not None and float(share) * _SMALLEST_SHARE < _step(rule):
+        what = f"a hysteresis of {share} on {rule.path} of {view.topic} is within the noise"
+        yield _finding(view, rule, "hysteresis-does-nothing", what, better)
+
+
+def _has_hysteresis(view: View, rule: FilterRule) -> bool:
+    """Whether another filter of the same field has it."""
+    others = (each for each in view.filters if each.path == rule.path)
+    return any("hysteresis" in dict(each.parameters) for each in others)
+
+
+def _coarser(rule: FilterRule, path: str, view: View) -> FilterRule:
+    match view.aspects[path]:
+        case Aspect.POSITION:
+            degrees = path.endswith(("latitude", "longitude"))
+            return _with_hysteresis(rule, COARSE_DEGREES if degrees else COARSE_STEP)
+        case Aspect.JOINT:
+            return FilterRule(rule.path, "round", (("step", COARSE_JOINT),))
+        case Aspect.TIME:
+            return FilterRule(rule.path, "round", (("step", COARSE_TIME),))
+        case _:
+            return FilterRule(rule.path, "clear")
+
+
+def _with_hysteresis(rule: FilterRule, step: float) -> FilterRule:
+    return FilterRule(rule.path, "round", (("hysteresis", step / SHARE), ("step", step)))
+
+
+def _is_dense_array(view: View, paths: list[str]) -> bool:
+    dense = [path for path in paths if view.aspects[path] in _DENSE]
+    inside = any("[*]" in path for path in dense)
+    return inside or any(view.aspects[path] is Aspect.SURROUNDINGS for path in dense)
+
+
+def _step(rule: FilterRule) -> float:
+    return float(dict(rule.parameters)["step"])
+
+
+def _clamp(view: View, rule: FilterRule, paths: list[str]) -> Iterator[Finding]:
+    places = [path for path in paths if view.aspects[path] is Aspect.POSITION]
+    if places and all(view.left(path) is Precision.EXACT for path in places):
+        what = f"{rule.path} of {view.topic} is clamped, and exact between the limits"
+        yield _finding(view, rule, "clamp-keeps-values", what, _with_hysteresis(rule, COARSE_STEP))
+
+
+def _rooms(view: View, rule: FilterRule, _paths: list[str]) -> Iterator[Finding]:
+    parameters = dict(rule.parameters)
+    plan = Treatment(rule.operator, rule.parameters)
+    if smallest(plan) < SMALLEST or narrowest(plan) < NARROWEST:
+        what = f"the rooms for {rule.path} of {view.topic} are smaller than rooms: a grid"
+        better = _with_hysteresis(FilterRule(rule.path, "round"), COARSE_STEP)
+        yield _finding(view, rule, "rooms-too-small", what, better)
+    elif "hysteresis" not in parameters:
+        what = f"{rule.path} is snapped to rooms without hysteresis: a door tells the position"
+        better = _with(rule, hysteresis=ROOM_REACH)
+        yield _finding(view, rule, "no-hysteresis", what, better)
+
+
+def _pixelate(view: View, rule: FilterRule, _paths: list[str]) -> Iterator[Finding]:
+    parameters = dict(rule.parameters)
+    levels = parameters.get("levels")
+    squares = _with(rule, across=ACROSS, block=max(_block(rule), BLOCK), levels=LEVELS)
+    whole = tuple(item for item in squares.parameters if item[0] not in _REGION)
+    if "width" in parameters and not _has_whole(view, rule):
+        what = f"only a region of {view.topic} is in squares: beside it everything is as it is"
+        better = FilterRule(rule.path, rule.operator, whole)
+        yield _finding(view, rule, "region-open", what, better)
+    elif too_small(rule):
+        size = f"of {_block(rule)} pixels" if "block" in parameters else "as small as these"
+        what = f"squares {size} of {view.topic} hide nobody"
+        yield _finding(view, rule, "pixels-too-small", what, squares)
+    elif "across" not in parameters:
+        size = f"of {_block(rule)} pixels"
+        what = f"squares {size} show a face where pictures of {view.topic} are large"
+        yield _finding(view, rule, "pixels-fixed", what, squares)
+    elif levels is None or int(levels) > _MOST_LEVELS:
+        what = f"squares of {view.topic} in full colours show a face in ten moving pictures"
+        yield _finding(view, rule, "no-grey-levels", what, _with(rule, levels=LEVELS))
+
+
+def _block(rule: FilterRule) -> int:
+    return int(dict(rule.parameters).get("block", 0))
+
+
+def _has_whole(view: View, rule: FilterRule) -> bool:
+    """Whether another filter treats all of the picture."""
+    others = (each for each in filters_of(view.filters, rule.path) if each != rule)
+    return any("width" not in dict(each.parameters) for each in others)
+
+
+def _with(rule: FilterRule, **changed: float) -> FilterRule:
+    parameters: dict[str, Scalar] = {**dict(rule.parameters), **changed}
+    return FilterRule(rule.path, rule.operator, tuple(sorted(parameters.items())))
+
+
+def _finding(view: View, old: FilterRule, code: str, what: str, better: FilterRule) -> Finding:
+    text, suggestions = replacing(view, old, better)
+    rule, _ = view.place(old)
+    return Finding(rule.line, code, f"rule {rule.id}: {what}", f"write {text}", suggestions)
+
+
+_OPERATORS: Final[dict[str, Callable[[View, FilterRule, list[str]], Iterator[Finding]]]] = {
+    "round": _round,
+    "clamp": _clamp,
+    "pixelate": _pixelate,
+    "rooms": _rooms,
+}
+
+_ACTING: Final = Right.PUBLISH | Right.CALL | Right.PARAM_SET | Right.ADMIN
+_SPEAKING: Final = Right.PUBLISH | Right.PROVIDE | Right.PARAM_SET
+_LONG: Final = 366 * 86400
+
+
+def reasons_and_times(scene: Scene) -> Iterator[Finding]:
+    """Rules without a reason, and with no lifetime or a long one."""
+    for rule in scene.policy.rules:
+        if not rule.why:
+            yield _of(rule, "no-reason", "gives no reason", "add why: ...")
+        if rule.effect is Effect.DENY:
+            continue
+        if not rule.has_lifetime and not scene.policy.defaults.has_lifetime:
+            hint = "add lifetime: to the rule or to defaults"
+            yield _of(rule, "no-lifetime", "has no lifetime", hint)
+        if max(rule.lifetime, rule.renew_until) > _LONG:
+            yield _of(rule, "long-lifetime", "holds for more than a year", "shorten it")
+
+
+def width(scene: Scene) -> Iterator[Finding]:
+    """Rights to act on more than the own names."""
+    for rule in _giving(scene):
+        for clause in rule.clauses:
+            if all(_owns(who, clause.pattern) for who in rule.who):
+                continue
+            what = f"{clause.right.label} on {clause.pattern}"
+            if clause.right & _ACTING and "**" in clause.pattern:
+                hint = "name the topics and services one by one"
+                yield _of(rule, "wide-right", f"{what} may move anything", hint, ": ")
+            elif clause.right & _SPEAKING and "*" in clause.pattern and _are_many(rule.who):
+                yield _for_others(rule, clause, what)
+
+
+def _for_others(rule: PolicyRule, clause: Clause, what: str) -> Finding:
+    message = f"with {what} each of {rule.subjects_text} can act for the others"
+    own = _own_names(rule, clause.pattern)
+    if own is None:
+        hint = "give each node its own names, in a rule of its own"
+        return _of(rule, "speaks-for-others", message, hint, ": ")
+    change = Suggestion(rule.id, clause.pattern, instead=own)
+    return _of(rule, "speaks-for-others", message, f'write "{own}"', ": ", (change,))
+
+
+def _own_names(rule: PolicyRule, pattern: str) -> str | None:
+    """What was meant: `{node}/pose`, if the pattern is that of the nodes and a name below it."""
+    nodes = [who.node for who in rule.who]
+    if len(nodes) == 1 and nodes[0] is not None and pattern.startswith(f"{nodes[0]}/"):
+        return NODE + pattern.removeprefix(nodes[0])
+    return speaks_for_others(pattern, nodes)
+
+
+def _owns(who: SubjectPattern, pattern: str) -> bool:
+    """Whether the names are below the node's own: `/heating/**` of `/heating`."""
+    if is_own(pattern):
+        return True
+    base = (who.node or "*").removesuffix("/**")
+    return "*" not in base and pattern.startswith(f"{base}/")
+
+
+def _are_many(who: Iterable[SubjectPattern]) -> bool:
+    nodes = {each.node for each in who if each.node is not None}
+    return len(nodes) > 1 or any("*" in node for node in nodes)
+
+
+def stale(scene: Scene) -> Iterator[Finding]:
+    """Connections that outlive withheld revocation data."""
+    for rule in _giving(scene):
+        if rule.keep_when_stale:
+            what = ", ".join(sorted({clause.pattern for clause in rule.clauses}))
+            message = f"if revocation data is withheld, {what} stays connected"
+            hint = "use on_stale: keep only for what must not stop, as an emergency stop"
+            yield _of(rule, "keep-when-stale", message, hint, ": ")
+
+
+def shadowed(scene: Scene) -> Iterator[Finding]:
+    """Rights that another rule always denies, and prompts that are always allowed."""
+    denials = [rule for rule in scene.policy.rules if rule.effect is Effect.DENY]
+    allowing = [rule for rule in scene.policy.rules if rule.effect is Effect.ALLOW]
+    for rule in _giving(scene):
+        stronger = [*denials, *(allowing if rule.effect is Effect.PROMPT else ())]
+        for clause in rule.clauses:
+            for other in stronger:
+                if _always_decides(other, rule, clause):
+                    verb = "denied" if other.effect is Effect.DENY else "allowed"
+                    what = f"{clause.right.label} {clause.pattern} never applies"
+                    message = f"{what}: it is always {verb} by rule {other.id}"
+                    yield _of(
+                        rule, "never-decides", message, "remove it, or narrow the other", ": "
+                    )
+                    break
+
+
+def _always_decides(other: PolicyRule, rule: PolicyRule, clause: Clause) -> bool:
+    """Whether `other`, of a stronger effect, decides wherever `clause` of `rule` matches."""
+    covered = any(
+        each.right is clause.right and _gives(each.pattern, clause.right, clause.pattern)
+        for each in other.clauses
+    )
+    return covered and all(_applies_to_all(other, who) for who in rule.who)
+
+
+def _gives(pattern: str, right: Right, requested: str) -> bool:
+    if is_own(pattern):
+        return pattern == requested
+    return gives(pattern, right, any_node(requested))
+
+
+def _applies_to_all(rule: PolicyRule, who: SubjectPattern) -> bool:
+    if any(_may_be_of(each, who) for each in rule.exceptions):
+        return False
+    return any(_is_wider(each, who) for each in rule.who)
+
+
+def _may_be_of(one: SubjectPattern, other: SubjectPattern) -> bool:
+    """Whether some node may be both."""
+    if one.key is not None and other.key is not None and one.key != other.key:
+        return False
+    return one.node is None or other.node is None or intersects(one.node, other.node)
+
+
+def _is_wider(one: SubjectPattern, other: SubjectPattern) -> bool:
+    """Whether every node of `other` is certainly one of `one`."""
+    if one.key is not None and one.key != other.key:
+        return False
+    if is_alias(other.node or "") and not is_alias(one.node or ""):
+        return False  # a foreign node is meant only where its domain is named
+    return one.node is None or (other.node is not None and includes(one.node, other.node))
+
+
+def unused(scene: Scene) -> Iterator[Finding]:
+    """Identities, groups, filters and types that no rule uses."""
+    policy = scene.policy
+    used = {who.label for rule in policy.rules for who in (*rule.who, *rule.exceptions)}
+    for name in sorted(policy.identities.keys() - used):
+        message = f"identity {name} is used by no rule"
+        yield Finding(0, "unused-identity", message, "remove it, or use it")
+    for name in policy.unused_groups:
+        message = f"group {name} is used by no rule"
+        yield Finding(0, "unused-group", message, "remove it, or use it")
+    clauses = [clause for rule in policy.rules for clause in rule.clauses]
+    filtered = {clause.restriction.filters for clause in clauses if clause.restriction is not None}
+    for name, rules in policy.filters.items():
+        if tuple(sorted(rules)) not in filtered:
+            message = f"filter {name} is used by no rule"
+            yield Finding(0, "unused-filter", message, "remove it, or use it")
+    yield from _unused_types(policy.types, {clause.pattern for clause in clauses})
+
+
+def _unused_types(types: Iterable[str], named: set[str]) -> Iterator[Finding]:
+    names = {any_node(pattern) for pattern in named}
+    wide = [pattern for pattern in names if "*" in pattern]
+    for topic in types:
+        name = any_node(topic)
+        below = any(includes(pattern, name) for pattern in wide)
+        above = "*" in name and any(includes(name, each) for each in names)
+        if name not in names and not below and not above:
+            message = f"the type of {topic} is used by no rule"
+            yield Finding(0, "unused-type", message, "remove it, or correct the name")
+
+
+def _giving(scene: Scene) -> Iterator[PolicyRule]:
+    """The rules that allow or prompt."""
+    return (rule for rule in scene.policy.rules if rule.effect is not Effect.DENY)
+
+
+def _of(
+    rule: PolicyRule, code: str, message: str, hint: str, joint: str = " ",
+    suggestions: tuple[Suggestion, ...] = (),
+) -> Finding:  # fmt: skip
+    return Finding(rule.line, code, f"rule {rule.id}{joint}{message}", hint, suggestions)
+
+
+def oracles(scene: Scene) -> Iterator[Finding]:
+    """Conditions on fields that filters hide from the same receiver."""
+    for views in scene.views.values():
+        for view in views:
+            if view.filters:
+                yield from _oracles_of(view)
+
+
+def _oracles_of(view: View) -> Iterator[Finding]:
+    for rule, text in _conditions(view):
+        for path in fields_read(text):
+            left = view.left(path)
+            if left is Precision.EXACT:
+                continue
+            how = "coarsely" if left is Precision.COARSE else "not at all"
+            message = (
+                f"rule {rule.id}: {view.receiver.label} sees {path} of {view.topic} {how},"
+                f" but a condition on it tells its value"
+            )
+            hint = f"remove the condition on {path}, or leave the field as it is"
+            change = (Suggestion(rule.id, without=text),)
+            yield Finding(rule.line, "condition-tells", message, hint, change)
+
+
+def _conditions(view: View) -> Iterator[tuple[PolicyRule, str]]:
+    for rule, clause in zip(view.verdict.rules, view.verdict.clauses, strict=True):
+        for text in clause.restriction.conditions if clause.restriction is not None else ():
+            yield rule, text
+
 
 __all__ = ["ADVICE", "Finding", "lint", "sample_subject"]
 
 CHECKS: Final[tuple[Callable[[Scene], Iterator[Finding]], ...]] = (
-    lint_rules.reasons_and_times,
-    lint_rules.width,
-    lint_rules.stale,
-    lint_rules.shadowed,
-    lint_rules.unused,
-    lint_conditions.oracles,
-    lint_fields.beside_position,
-    lint_fields.other_coordinates,
-    lint_fields.other_names,
-    lint_parameters.parameters,
-    lint_parameters.rates,
-    lint_relatives.relatives,
-    lint_relatives.saved_poses,
-    lint_relatives.unknown,
-    lint_relatives.second_receivers,
-    lint_relatives.versions,
-    lint_relatives.pseudonyms,
-    lint_relatives.wheels,
-    lint_related.related,
-    lint_related.presence,
-    lint_related.services,
-    lint_related.graph,
+    reasons_and_times,
+    width,
+    stale,
+    shadowed,
+    unused,
+    oracles,
+    lint_topics.beside_position,
+    lint_topics.other_coordinates,
+    lint_topics.other_names,
+    parameters,
+    rates,
+    lint_topics.relatives,
+    lint_topics.saved_poses,
+    lint_topics.unknown,
+    lint_topics.second_receivers,
+    lint_topics.versions,
+    lint_topics.pseudonyms,
+    lint_topics.wheels,
+    lint_topics.related,
+    lint_topics.presence,
+    lint_topics.services,
+    lint_topics.graph,
 )
 
 

@@ -2,20 +2,35 @@
 
 The effect of a right field by field, for a record of processing (GDPR article 30) as much as for
 users at home. Built from what the policy allows or from live grants: both are `ReceiverAccess`.
+
+What a policy lets a node see of a topic, in the words of people. Pure.
+
+For explanations, reports and assertions: from the verdict, whichever rules, filters and presets it
+came from. A topic of unknown type says nothing.
+
+The effect of a verdict on one message: sent or withheld, and which fields change. Pure.
+
+For answers before anything is granted: the guard of a publisher is built from the verdict, so the
+answer is the actual result, not a description of it.
 """
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Final
 
-from grants.filters.layout import Array, Layout, Struct, Type
+from grants.conditions.compile import compile_condition
+from grants.decision import Decision
+from grants.errors import GrantError
+from grants.filters.hashing import FILTER_KEY_SIZE, key_names
+from grants.filters.layout import Array, Buffer, Layout, Struct, Type
+from grants.guard import Guard
 from grants.limits import rate_text
 from grants.model import FilterRule, Restriction, Right
-from grants.policy.decision import Decider, span
-from grants.policy.model import Effect, Subject, SubjectPattern
-from grants.policy.vocabulary import Vocabulary
-from grants.vocabulary.assess import assess
-from grants.vocabulary.sentences import sentence
+from grants.policy.decision import Decider, Verdict, span
+from grants.policy.model import Effect, Policy, Subject, SubjectPattern, Vocabulary
+from grants.policy.wanted import permissions
+from grants.vocabulary.assess import Seen, assess, details, seen, sentence
+from grants.vocabulary.contents import DataWord
 
 AS_IT_IS: Final = "as it is"
 WHOLE: Final = "(everything)"
@@ -177,9 +192,9 @@ def lines(found: Sequence[PrivacyRow]) -> list[str]:
     for row in found:
         key = (row.topic, row.type, row.receiver, row.when, row.why, row.until, row.by, row.sees)
         groups.setdefault(key, {}).setdefault(row.treatment, []).append(row.field)
-    for (topic, kind, receiver, when, why, until, by, seen), treatments in groups.items():
+    for (topic, kind, receiver, when, why, until, by, sees), treatments in groups.items():
         report.append(f"{topic} ({kind}) -> {receiver}")
-        report += [f"  sees {seen}"] if seen else []
+        report += [f"  sees {sees}"] if sees else []
         report.append(f"  why: {why or 'no reason given'} ({by})")
         report += [f"  when: {when}", f"  until: {until}"]
         report += [f"  {name}: {', '.join(fields)}" for name, fields in treatments.items()]
@@ -189,3 +204,105 @@ def lines(found: Sequence[PrivacyRow]) -> list[str]:
 def as_json(found: Sequence[PrivacyRow]) -> list[dict[str, str]]:
     """The rows for programs."""
     return [asdict(row) for row in found]
+
+
+LayoutOf = Callable[[str], Layout]
+
+
+def shown(
+    policy: Policy, verdict: Verdict, layout_of: LayoutOf, words: Sequence[DataWord] | None = None
+) -> dict[DataWord, Seen]:
+    """At which level each word of the topic is seen; empty for what is not allowed or not known.
+
+    `words` are those asked for; without them those the type carries.
+    """
+    kind = next((item.type for item in verdict.restrictions if item.type), None)
+    kind = kind or policy.type_of(verdict.name)
+    if not verdict or kind is None:
+        return {}
+    described = policy.vocabulary.describe(layout_of(kind), verdict.name)
+    return assess(described, verdict.restrictions, verdict.rate, words)
+
+
+def level_lines(found: dict[DataWord, Seen]) -> list[str]:
+    """One line for each word: `sees where it is: the room (no finer than 4 m, ...)`."""
+    return [_line(one) for one in found.values()]
+
+
+def _line(one: Seen) -> str:
+    numbers = details(one)
+    return f"sees {seen(one)}" + (f" ({numbers})" if numbers else "")
+
+
+def levels_json(found: dict[DataWord, Seen]) -> dict[str, str]:
+    """The level by word; a position between two levels is `2 m`."""
+    return {word.value: one.size_text or one.level for word, one in found.items()}
+
+
+_FOREVER = 1 << 53
+
+
+@dataclass(frozen=True)
+class TrialOutcome:
+    """`message` is what the receiver gets, or None; then `reason` is set."""
+
+    message: bytes | None
+    reason: str = ""
+
+
+class Trial:
+    """One verdict, tried on messages of one layout."""
+
+    def __init__(self, layout: Layout, verdict: Verdict) -> None:
+        self._layout = layout
+        self._verdict = verdict
+        self._reason = "" if verdict else f"{verdict.effect}: {_deciding_rule(verdict)}"
+        self._guard: Guard | None = None
+        if verdict:
+            self._guard = self._build()
+
+    def __call__(self, message: Buffer, now: int) -> TrialOutcome:
+        """Try `message` (serialized) at `now`, seconds since the epoch."""
+        if self._guard is None:
+            return TrialOutcome(None, self._reason)
+        try:
+            pieces = self._guard(message, now)
+        except GrantError as error:
+            return TrialOutcome(None, str(error))
+        if pieces is None:
+            return TrialOutcome(None, self._failed_condition(message, now))
+        return TrialOutcome(b"".join(pieces))
+
+    def _build(self) -> Guard | None:
+        verdict = self._verdict
+        found = (item.restriction for item in permissions(verdict))
+        restrictions = tuple(item for item in found if item is not None)
+        decision = Decision(verdict.right, verdict.name, (), _FOREVER, restrictions)
+        try:
+            return Guard(self._layout, decision, _placeholder_keys(verdict))
+        except GrantError as error:
+            self._reason = str(error)
+            return None
+
+    def _failed_condition(self, message: Buffer, now: int) -> str:
+        """The reason why the message is withheld: the first condition that is not true."""
+        for restriction in self._verdict.restrictions:
+            layout = self._layout if restriction.type is not None else None
+            for text in restriction.conditions:
+                if not compile_condition(layout, text)(message, now):
+                    return f"the condition is not true: {text}"
+        slots = [item.slot for item in self._verdict.restrictions if item.slot is not None]
+        if slots:
+            return f"not the one message at the start of each {max(slots)} s"
+        rate = self._verdict.rate
+        return "not admitted" if rate is None else f"more than {rate:g} messages a second"
+
+
+def _placeholder_keys(verdict: Verdict) -> dict[str, bytes]:
+    """Keys for pseudonyms in place of the publisher's; the result has the same form."""
+    rules = (rule for item in verdict.restrictions for rule in item.filters)
+    return {name: bytes(FILTER_KEY_SIZE) for name in key_names(rules)}
+
+
+def _deciding_rule(verdict: Verdict) -> str:
+    return verdict.rules[0].reason if verdict.rules else "no rule matches"

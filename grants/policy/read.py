@@ -2,36 +2,134 @@
 
 Any other key is a mistake. Conditions and filters are compiled against the message type of every
 topic they are for, so a rule that cannot be applied is never accepted.
+
+Names for people: `title:` says what a node or a topic is called at home. Pure.
+
+    title: {/doctor: Dr. Meier, /robot/pose: where the robot is, lamps: a lamp of the house}
+
+A title decides nothing: it is shown beside the name of ROS, never instead of it. So that it can
+imitate neither a name nor another title, it is one short line without control, format or direction
+characters, has no slash, and no two names have the same; that of a group is for its members.
+
+The JSON Schema of a policy, for editors: completion and errors while typing. Pure.
+
+It covers the structure and the keys, not the message types; `rossec policy check` covers all.
+`policy.schema.json` beside this module is its text; a test compares the two.
 """
 
-from collections.abc import Callable, Collection
-from typing import Final
+import json
+import unicodedata
+from collections.abc import Callable, Collection, Iterable, Mapping
+from typing import Any, Final
 
 from ca.errors import HintedError
-from ca.suggestions import closest
+from ca.names import closest
 from grants.filters.layout import Layout, parse
-from grants.policy import readers
-from grants.policy.assertions import read_tests
-from grants.policy.basics import ID as BASICS_ID
-from grants.policy.basics import basics_rule, read_basics
-from grants.policy.fields import FieldRule, read_fields
-from grants.policy.mistakes import Mistake, Mistakes
+from grants.filters.operators import OPERATORS
+from grants.limits import MAX_PAD, MAX_SLOT, MIN_PAD, MIN_SLOT
+from grants.policy import source
+from grants.policy.assertions import NOTHING, Says, read_tests
 from grants.policy.model import (
     EVERYONE,
     LIFETIME,
     PROMPT_TIMEOUT,
+    SAYABLE,
     Defaults,
     Effect,
     Policy,
     PolicyRule,
     SubjectPattern,
+    Vocabulary,
+    read_vocabulary,
 )
-from grants.policy.own_names import NODE
-from grants.policy.rules import RuleReader
-from grants.policy.source import Part, YamlMapping, YamlScalar, read_source
-from grants.policy.subjects import Subjects
-from grants.policy.titles import read_titles
-from grants.policy.vocabulary import Vocabulary, read_vocabulary
+from grants.policy.names import NODE
+from grants.policy.restrictions import FieldRule, read_fields
+from grants.policy.rules import EXTRAS, RIGHTS, RuleReader, Subjects, basics_rule, read_basics
+from grants.policy.rules import ID as BASICS_ID
+from grants.policy.source import (
+    Mistake,
+    Mistakes,
+    Part,
+    YamlMapping,
+    YamlScalar,
+    read_source,
+    suggest,
+)
+from grants.vocabulary.contents import LEVELS
+
+MAX_TITLE: Final = 60  # characters
+_MAX_MARKS: Final = 2  # combining ones in a row: more of them cover the lines above and below
+_MARKS: Final = (["Mn"], ["Me"], ["Mc"])
+_HARMFUL: Final = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
+
+
+def flaw_of(title: str) -> str:
+    """Why this is no title; empty if it is one."""
+    kinds = [unicodedata.category(char) for char in title]
+    spaces = {char for kind, char in zip(kinds, title, strict=True) if kind == "Zs"}
+    flaws = (
+        (not 1 <= len(title) <= MAX_TITLE, f"1 to {MAX_TITLE} characters"),
+        (not _HARMFUL.isdisjoint(kinds), "no control, format or direction characters"),
+        (not spaces <= {" "}, "no other spaces than the usual one"),
+        (" ".join(title.split()) != title, "single spaces, and none at its ends"),
+        (unicodedata.normalize("NFC", title) != title, "the composed form of Unicode (NFC)"),
+        (kinds[:1] in _MARKS or _longest_run(kinds) > _MAX_MARKS, "few combining marks"),
+        ("/" in title, "no slash: it would look like a name"),
+    )
+    return next((f"a title has {said}" for is_flawed, said in flaws if is_flawed), "")
+
+
+def _longest_run(kinds: Iterable[str]) -> int:
+    longest = run = 0
+    for kind in kinds:
+        run = run + 1 if kind in ("Mn", "Me") else 0
+        longest = max(longest, run)
+    return longest
+
+
+def read_titles(
+    part: Part | None, groups: Mapping[str, tuple[SubjectPattern, ...]], mistakes: Mistakes
+) -> dict[str, str]:
+    """Titles by the name of a node, a topic or a pattern; of a group by each name in it."""
+    mapping = source.mapping(part, "title", mistakes)
+    found: dict[str, str] = {}
+    of_groups: dict[str, str] = {}
+    first: dict[str, YamlScalar] = {}
+    for text, (key, value) in mapping.entries.items() if mapping is not None else ():
+        title = _title(text, value, mistakes)
+        names = _names(text, key, groups, mistakes)
+        if title is None or not names:
+            continue
+        same = title.casefold()
+        if same in first:
+            source.again(value, f"title: {title!r}", first[same], mistakes)
+        first.setdefault(same, key)
+        (of_groups if text in groups else found).update(dict.fromkeys(names, title))
+    return {**of_groups, **found}
+
+
+def _title(name: str, part: Part, mistakes: Mistakes) -> str | None:
+    title = source.text(part, f"the title of {name[:60]}", mistakes)
+    flaw = "" if title is None else flaw_of(title)
+    if flaw:
+        mistakes.add(part, f"the title of {name[:60]}: {flaw}", "for example: Dr. Meier")
+        return None
+    return title
+
+
+def _names(
+    text: str, key: YamlScalar, groups: Mapping[str, tuple[SubjectPattern, ...]], mistakes: Mistakes
+) -> tuple[str, ...]:
+    """The names that a key stands for; none if it is a mistake."""
+    if text.startswith("/") or ":" in text:
+        name = source.subject(key, "title", mistakes)
+        return () if name is None else (name,)
+    if text in groups:
+        return tuple(each.node for each in groups[text] if each.node is not None)
+    hint = suggest(text, groups) if groups else "a name begins with /: /doctor, /robot/pose"
+    mistakes.add(key, f"title: {text[:60]!r} is neither a name nor a group", hint)
+    return ()
+
 
 VERSION: Final = 1
 _TOP: Final = (
@@ -68,8 +166,8 @@ def load(
         PolicyRefused: with every mistake of the file.
     """
     mistakes = Mistakes(file)
-    source = read_source(text, mistakes)
-    policy = _PolicyReader(mistakes, definition, known_types).read(source)
+    top = read_source(text, mistakes)
+    policy = _PolicyReader(mistakes, definition, known_types).read(top)
     mistakes.raise_if_any()
     return policy
 
@@ -88,29 +186,29 @@ class _PolicyReader:
         self._definition = definition
         self._known_types = known_types
 
-    def read(self, source: Part | None) -> Policy:
-        if not isinstance(source, YamlMapping):
-            position = source or YamlScalar("", 1, 1)
+    def read(self, top: Part | None) -> Policy:
+        if not isinstance(top, YamlMapping):
+            position = top or YamlScalar("", 1, 1)
             self._mistakes.add(position, "a policy is a mapping", "begin with: rossec: 1")
-            source = YamlMapping({}, 1, 1)
-        readers.check_keys(source, "the policy", _TOP, _REQUIRED, self._mistakes)
-        self._version(source.get("rossec"))
-        defaults = self._defaults(source.get("defaults"))
-        identities = self._identities(source.get("identities"))
-        layouts, types = self._types(source.get("types"))
-        vocabulary = self._vocabulary(source, types, layouts)
-        filters = self._filters(source.get("filters"))
-        subjects = Subjects(self._mistakes, identities, source.get("groups"))
+            top = YamlMapping({}, 1, 1)
+        source.check_keys(top, "the policy", _TOP, _REQUIRED, self._mistakes)
+        self._version(top.get("rossec"))
+        defaults = self._defaults(top.get("defaults"))
+        identities = self._identities(top.get("identities"))
+        layouts, types = self._types(top.get("types"))
+        vocabulary = self._vocabulary(top, types, layouts)
+        filters = self._filters(top.get("filters"))
+        subjects = Subjects(self._mistakes, identities, top.get("groups"))
         reader = RuleReader(self._mistakes, defaults, subjects, types, layouts, filters, vocabulary)
-        rules = self._rules(source.get("rules"), reader)
-        rules += self._basics(source.get("basics"), defaults, rules)
-        robot = readers.text(source.get("robot"), "robot", self._mistakes)
+        rules = self._rules(top.get("rules"), reader)
+        rules += self._basics(top.get("basics"), defaults, rules)
+        robot = source.text(top.get("robot"), "robot", self._mistakes)
         filter_rules = {name: tuple(item.rule for item in rules) for name, rules in filters.items()}
-        tests = read_tests(source.get("tests"), identities, subjects.groups, self._mistakes)
+        tests = read_tests(top.get("tests"), identities, subjects.groups, self._mistakes)
         return Policy(
             robot or "", defaults, identities, types, rules, self._mistakes.file, filter_rules,
             subjects.groups, subjects.unused, vocabulary, tests,
-            read_titles(source.get("title"), subjects.groups, self._mistakes),
+            read_titles(top.get("title"), subjects.groups, self._mistakes),
         )  # fmt: skip
 
     def _basics(
@@ -132,18 +230,18 @@ class _PolicyReader:
             self._mistakes.add(part, "a policy of an unknown version", hint)
 
     def _defaults(self, part: Part | None) -> Defaults:
-        mapping = readers.mapping(part, "defaults", self._mistakes)
+        mapping = source.mapping(part, "defaults", self._mistakes)
         if mapping is None:
             return Defaults()
-        readers.check_keys(mapping, "defaults", _DEFAULTS, (), self._mistakes)
-        decision = readers.choice(
+        source.check_keys(mapping, "defaults", _DEFAULTS, (), self._mistakes)
+        decision = source.choice(
             mapping.get("decision"), "default decision", ("deny", "prompt"), self._mistakes
         )
-        lifetime = readers.duration(mapping.get("lifetime"), "lifetime", self._mistakes)
-        renew = readers.duration(
+        lifetime = source.duration(mapping.get("lifetime"), "lifetime", self._mistakes)
+        renew = source.duration(
             mapping.get("renew_until"), "renew_until", self._mistakes, never=True
         )
-        timeout = readers.duration(mapping.get("prompt_timeout"), "prompt_timeout", self._mistakes)
+        timeout = source.duration(mapping.get("prompt_timeout"), "prompt_timeout", self._mistakes)
         return Defaults(
             Effect(decision) if decision is not None else Effect.DENY,
             LIFETIME if lifetime is None else lifetime,
@@ -153,7 +251,7 @@ class _PolicyReader:
         )
 
     def _identities(self, part: Part | None) -> dict[str, SubjectPattern]:
-        mapping = readers.mapping(part, "identities", self._mistakes)
+        mapping = source.mapping(part, "identities", self._mistakes)
         found: dict[str, SubjectPattern] = {}
         for name, (key, value) in mapping.entries.items() if mapping is not None else ():
             who = self._identity(name, key, value)
@@ -164,12 +262,12 @@ class _PolicyReader:
     def _identity(self, name: str, key: YamlScalar, part: Part) -> SubjectPattern | None:
         if name == EVERYONE or name.startswith("/") or ":" in name:
             self._mistakes.add(key, f"{name[:60]!r} cannot be the name of an identity")
-        mapping = readers.mapping(part, f"identity {name}", self._mistakes)
+        mapping = source.mapping(part, f"identity {name}", self._mistakes)
         if mapping is None:
             return None
-        readers.check_keys(mapping, f"identity {name}", ("node", "key"), (), self._mistakes)
-        node = readers.subject(mapping.get("node"), f"node of {name}", self._mistakes)
-        pinned = readers.key(mapping.get("key"), self._mistakes)
+        source.check_keys(mapping, f"identity {name}", ("node", "key"), (), self._mistakes)
+        node = source.subject(mapping.get("node"), f"node of {name}", self._mistakes)
+        pinned = source.key(mapping.get("key"), self._mistakes)
         if mapping.get("node") is None and mapping.get("key") is None:
             self._mistakes.add(
                 mapping, f"identity {name} has neither node nor key", "add node: /name, or key: ..."
@@ -180,16 +278,16 @@ class _PolicyReader:
         """Layouts by type name, and type names by topic pattern."""
         layouts: dict[str, Layout] = {}
         types: dict[str, str] = {}
-        mapping = readers.mapping(part, "types", self._mistakes)
+        mapping = source.mapping(part, "types", self._mistakes)
         kinds: dict[YamlScalar, str] = {}
         for key, value in mapping.entries.values() if mapping is not None else ():
-            name = readers.text(value, f"the type of {key.value}", self._mistakes)
+            name = source.text(value, f"the type of {key.value}", self._mistakes)
             if name is not None and name not in layouts:
                 self._layout(name, value, layouts)
             if name is not None:
                 kinds[key] = name
-        for topic, key, _ in readers.by_name(
-            mapping, "types", lambda key: readers.pattern(key, "topic", self._mistakes),
+        for topic, key, _ in source.by_name(
+            mapping, "types", lambda key: source.pattern(key, "topic", self._mistakes),
             self._mistakes,
         ):  # fmt: skip
             if topic == NODE:
@@ -221,16 +319,16 @@ class _PolicyReader:
 
     def _filters(self, part: Part | None) -> dict[str, tuple[FieldRule, ...]]:
         found: dict[str, tuple[FieldRule, ...]] = {}
-        mapping = readers.mapping(part, "filters", self._mistakes)
+        mapping = source.mapping(part, "filters", self._mistakes)
         for name, (_, value) in mapping.entries.items() if mapping is not None else ():
-            fields = readers.mapping(value, f"filter {name}", self._mistakes)
+            fields = source.mapping(value, f"filter {name}", self._mistakes)
             found[name] = read_fields(fields, self._mistakes) if fields is not None else ()
         return found
 
     def _rules(self, part: Part | None, reader: RuleReader) -> tuple[PolicyRule, ...]:
         first: dict[str, Part] = {}
         rules: list[PolicyRule] = []
-        for item in readers.items(part):
+        for item in source.items(part):
             rule = reader.read(item)
             if rule is None:
                 continue
@@ -241,3 +339,202 @@ class _PolicyReader:
             first.setdefault(rule.id, item)
             rules.append(rule)
         return tuple(rules)
+
+
+_NAME: Final = r"[A-Za-z][A-Za-z0-9_]*"
+_SEGMENT: Final = rf"(?:{_NAME}|\*\*?)"
+_PATTERN: Final = {"type": "string", "pattern": rf"^(?:/{_SEGMENT})+$"}
+_OWN_NAMES: Final = rf"\{{node\}}(?:/{_SEGMENT})*|~(?:/{_SEGMENT})+"
+_RULE_PATTERN: Final = {"type": "string", "pattern": rf"^(?:(?:/{_SEGMENT})+|{_OWN_NAMES})$"}
+_TOPIC: Final = r"^(?:/|~/|\{node\})"
+_DURATION: Final = {"type": "string", "pattern": "^[1-9][0-9]{0,5}[smhdw]$"}
+_RENEW: Final = {"anyOf": [_DURATION, {"const": "never"}]}
+_TEXT: Final = {"type": "string", "minLength": 1, "maxLength": 1000}
+
+_LIMIT: Final = {
+    "type": "object",
+    "properties": {
+        "rate": {"type": "number", "exclusiveMinimum": 0},
+        "slot": {"type": "integer", "minimum": MIN_SLOT, "maximum": MAX_SLOT},
+        "body": {"type": "string", "pattern": "^[A-Za-z][A-Za-z0-9_-]{0,63}$"},
+        "pad": {"type": "integer", "minimum": MIN_PAD, "maximum": MAX_PAD},
+    },
+    "minProperties": 1,
+    "additionalProperties": False,
+}
+
+
+def _object(properties: dict[str, Any], *required: str) -> dict[str, Any]:
+    return {
+        "type": "object",
+        "properties": properties,
+        "required": list(required),
+        "additionalProperties": False,
+    }
+
+
+def _one_or_many(item: dict[str, Any]) -> dict[str, Any]:
+    return {"anyOf": [item, {"type": "array", "items": item, "minItems": 1}]}
+
+
+def _operator() -> dict[str, Any]:
+    found = _object(dict.fromkeys(sorted(OPERATORS), True))
+    return {**found, "minProperties": 1, "maxProperties": 1}
+
+
+def _fields() -> dict[str, Any]:
+    path = rf"^{_NAME}(?:\[\*\])?(?:\.{_NAME}(?:\[\*\])?)*$"
+    return {
+        "type": "object",
+        "patternProperties": {path: {"$ref": "#/$defs/operator"}},
+        "additionalProperties": False,
+    }
+
+
+def _see() -> dict[str, Any]:
+    levels = {word.value: {"enum": list(names)} for word, names in LEVELS.items()}
+    return {**_object(levels), "minProperties": 1}
+
+
+def _vocabulary() -> dict[str, Any]:
+    path = rf"^{_NAME}(?:\[\*\])?(?:\.{_NAME}(?:\[\*\])?)*$"
+    fields = {
+        "type": "object",
+        "patternProperties": {path: {"enum": sorted(SAYABLE)}},
+        "additionalProperties": False,
+    }
+    names = {"pattern": rf"^(?:{_NAME}/{_NAME}|(?:/{_SEGMENT})+|{_OWN_NAMES})$"}
+    return {"type": "object", "additionalProperties": fields, "propertyNames": names}
+
+
+def _by_topic(item: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "object", "patternProperties": {_TOPIC: item}, "additionalProperties": False}
+
+
+def _rule() -> dict[str, Any]:
+    rights = {
+        **_object({right: _one_or_many(_RULE_PATTERN) for right in RIGHTS}),
+        "minProperties": 1,
+    }
+    use = _object({"use": _TEXT}, "use")
+    plain = {"anyOf": [use, {"$ref": "#/$defs/fields"}]}
+    effects = ("allow", "deny", "prompt")
+    rule = _object(
+        {
+            "id": {"type": "string", "pattern": "^[A-Za-z0-9][A-Za-z0-9_.-]{0,79}$"},
+            "why": _TEXT,
+            "who": _one_or_many(_TEXT),
+            "except": _one_or_many(_TEXT),
+            **{effect: {"$ref": "#/$defs/rights"} for effect in effects},
+            "when": _one_or_many(_TEXT),
+            "filter": {"anyOf": [plain, _by_topic(plain)]},
+            "see": {"anyOf": [{"$ref": "#/$defs/see"}, _by_topic({"$ref": "#/$defs/see"})]},
+            "limit": _LIMIT,
+            "on_stale": {"enum": ["cut", "keep"]},
+            "lifetime": _DURATION,
+            "renew_until": _RENEW,
+        },
+        "id", "who",
+    )  # fmt: skip
+    restricting = ("when", "filter", "see", "limit", "on_stale", "lifetime", "renew_until")
+    unrestricted: dict[str, Any] = {"properties": dict.fromkeys(restricting, False)}
+    return {
+        "$defs": {"rights": rights},
+        **rule,
+        "oneOf": [{"required": [effect]} for effect in effects],
+        "if": {"required": ["deny"]},
+        "then": unrestricted,
+    }
+
+
+def _test() -> dict[str, Any]:
+    limit = {"anyOf": [{"type": "number", "exclusiveMinimum": 0}, _TEXT]}
+    fields = {"type": "object", "additionalProperties": limit, "minProperties": 1}
+    seen = {"anyOf": [{"const": NOTHING}, fields]}
+    rights = {"$ref": "#/$defs/rights"}
+    return _object(
+        {
+            "who": _TEXT,
+            **{says.value: rights for says in Says},
+            "sees": {
+                "type": "object",
+                "patternProperties": {_TOPIC: seen},
+                "additionalProperties": False,
+            },
+            "at": _one_or_many({"type": "string", "format": "date-time"}),
+            "message": {"type": "object"},
+        },
+        "who",
+    )
+
+
+def _titles() -> dict[str, Any]:
+    title = {"type": "string", "minLength": 1, "maxLength": MAX_TITLE, "pattern": "^[^/]*$"}
+    return {"type": "object", "additionalProperties": title}
+
+
+def schema() -> dict[str, Any]:
+    """The schema, for the operators of this version."""
+    rule = _rule()
+    rights = rule.pop("$defs")["rights"]
+    identity = _object(
+        {"node": _PATTERN, "key": {"type": "string", "pattern": "^sha256:[0-9a-f]{64}$"}}
+    )
+    defaults = _object(
+        {
+            "decision": {"enum": ["deny", "prompt"]},
+            "lifetime": _DURATION,
+            "renew_until": _RENEW,
+            "prompt_timeout": _DURATION,
+        }
+    )
+    types = {"type": "string", "pattern": f"^{_NAME}/{_NAME}$"}
+    top = _object(
+        {
+            "rossec": {"const": 1},
+            "robot": _TEXT,
+            "defaults": defaults,
+            "basics": {
+                "anyOf": [
+                    {"type": "boolean"},
+                    {"type": "array", "items": {"enum": sorted(EXTRAS)}, "minItems": 1},
+                ]
+            },
+            "identities": {
+                "type": "object",
+                "additionalProperties": {**identity, "minProperties": 1},
+                "propertyNames": {"pattern": "^[^/*]"},
+            },
+            "groups": {
+                "type": "object",
+                "additionalProperties": _one_or_many(_TEXT),
+                "propertyNames": {"pattern": "^(?!node$)[A-Za-z][A-Za-z0-9_-]{0,79}$"},
+            },
+            "types": {
+                "type": "object",
+                "additionalProperties": types,
+                "propertyNames": _RULE_PATTERN,
+            },
+            "vocabulary": _vocabulary(),
+            "rooms": {"type": "object", "additionalProperties": _TEXT, "minProperties": 1},
+            "filters": {"type": "object", "additionalProperties": {"$ref": "#/$defs/fields"}},
+            "rules": {"type": "array", "items": {"$ref": "#/$defs/rule"}},
+            "tests": {"type": "array", "items": {"$ref": "#/$defs/test"}},
+            "title": _titles(),
+        },
+        "rossec", "robot", "rules",
+    )  # fmt: skip
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "rossec policy",
+        "$defs": {
+            "operator": _operator(), "fields": _fields(), "see": _see(), "rights": rights,
+            "rule": rule, "test": _test(),
+        },
+        **top,
+    }  # fmt: skip
+
+
+def schema_text() -> str:
+    """The schema as the text of the file."""
+    return json.dumps(schema(), indent=2) + "\n"

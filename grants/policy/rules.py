@@ -2,38 +2,173 @@
 
 The restriction of a rule is determined for every topic of the rule separately, against the type of
 that topic: a filter that fits one of two topics is a mistake, not half a filter.
+
+Who a rule is for: names and patterns, nodes of other domains, identities, and groups of these.
+
+A group is a list under a name (`groups: {robots: [/robot1, /robot2]}`) and may name other groups,
+never itself. It stands for its members wherever a rule says `who` or `except`; nothing else is a
+member. Identities and groups share one space of names, so that a word means one thing.
+
+`basics` of a policy: one more rule, which gives every node what every ROS program needs.
+
+`basics: true` is the table of `grants.request` and no more; `basics: [tf]` also lets every node
+subscribe to the transforms. The rule is a rule like any other: a denial overrides it, and `explain`
+names it. It lasts as long as the longest rule of the policy: else it would shorten the grants of
+wide rules, such as `param-get: /**`, that give its names too.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
 from grants.errors import GrantError, GrantMalformed
+from grants.filters.compile import PRESETS, preset
 from grants.filters.hashing import key_names
 from grants.filters.layout import Layout
-from grants.filters.presets import PRESETS, preset
 from grants.model import ALL_RIGHTS, MESSAGE_RIGHTS, Permission, Restriction, Right
-from grants.policy import readers
-from grants.policy.fields import (
+from grants.policy import source
+from grants.policy.model import (
+    EVERYONE,
+    Clause,
+    Defaults,
+    Effect,
+    PolicyRule,
+    SubjectPattern,
+    Vocabulary,
+    type_of,
+)
+from grants.policy.names import BEGINS_TOPIC, NODE, any_node
+from grants.policy.restrictions import (
     ConditionRule,
     FieldRule,
+    Limit,
+    TopicLevels,
     check_condition,
     check_fields,
     check_preset,
     read_condition,
     read_fields,
+    read_limit,
+    read_see,
+    resolve_levels,
+    why_unsignable,
 )
-from grants.policy.limiting import Limit, read_limit
-from grants.policy.mistakes import Mistakes, SourcePosition, suggest
-from grants.policy.model import Clause, Defaults, Effect, PolicyRule, type_of
-from grants.policy.own_names import BEGINS_TOPIC, NODE, any_node
-from grants.policy.seeing import TopicLevels, read_see, resolve_levels
-from grants.policy.signable import why_unsignable
-from grants.policy.source import Part, YamlMapping
-from grants.policy.subjects import Subjects
-from grants.policy.vocabulary import Vocabulary
-from grants.vocabulary.resolve import Resolved, together
+from grants.policy.source import Mistakes, Part, SourcePosition, YamlMapping, YamlScalar, suggest
+from grants.request import BASICS, TRANSFORMS
+from grants.vocabulary.levels import Resolved, together
+
+MAX_MEMBERS: Final = 1000  # of one group, with those of the groups in it
+_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,79}", re.ASCII)
+
+_Members = tuple[SubjectPattern, ...]
+
+
+class Subjects:
+    """Reads subjects in the context of the identities and groups of one policy.
+
+    Attributes:
+        groups: the members of each group, without groups.
+    """
+
+    def __init__(
+        self, mistakes: Mistakes, identities: Mapping[str, SubjectPattern], part: Part | None
+    ) -> None:
+        self._mistakes = mistakes
+        self._identities = identities
+        self._parts = dict(self._named(source.mapping(part, "groups", mistakes)))
+        self._within: dict[str, frozenset[str]] = {}  # the groups in each, itself among them
+        self._used: set[str] = set()
+        self.groups: dict[str, _Members] = {}
+        for name in self._parts:
+            self._members_of(name, ())
+
+    @property
+    def unused(self) -> tuple[str, ...]:
+        """The groups that no rule names, also not through another group."""
+        return tuple(sorted(self.groups.keys() - self._used))
+
+    def read(self, part: Part | None) -> _Members:
+        """The subjects of a rule, each member of a group with the name of the group."""
+        return tuple(who for item in source.items(part) for who in self._subjects(item))
+
+    def _subjects(self, part: Part) -> Iterable[SubjectPattern]:
+        label = source.text(part, "who", self._mistakes)
+        if label is None:
+            return ()
+        if label == EVERYONE:
+            return (SubjectPattern(label, "/**"),)
+        if label in self.groups:
+            self._used |= self._within[label]
+            return (replace(who, group=label) for who in self.groups[label])
+        return self._single(part, label)
+
+    def _single(self, part: Part, label: str) -> _Members:
+        if label.startswith("/") or ":" in label:
+            node = source.subject(part, "who", self._mistakes)
+            return () if node is None else (SubjectPattern(label, node),)
+        if label in self._identities:
+            return (self._identities[label],)
+        if label.startswith(("~", "{")):
+            hint = f"{NODE} stands in the names of a rule; who it is for is a name: /robot1"
+            self._mistakes.add(part, f"{label[:60]!r} is no node", hint)
+            return ()
+        known = {**self._identities, **self._parts}
+        hint = suggest(label, known) if known else f"a node is written /{label.lstrip('/')[:60]}"
+        self._mistakes.add(part, f"unknown identity {label[:60]!r}", hint)
+        return ()
+
+    def _named(self, mapping: YamlMapping | None) -> Iterator[tuple[str, Part]]:
+        """The groups by name, those with a wrong name too, so that rules report no more."""
+        for name, (key, value) in mapping.entries.items() if mapping is not None else ():
+            self._check_name(name, key)
+            yield name, value
+
+    def _check_name(self, name: str, key: YamlScalar) -> None:
+        if name in self._identities:
+            self._mistakes.add(key, f"{name!r} is an identity already", "choose another name")
+        elif _NAME.fullmatch(name) is None or name == NODE[1:-1]:
+            hint = "begin with a letter, then letters, digits, - and _; not node"
+            self._mistakes.add(key, f"{name[:60]!r} cannot be the name of a group", hint)
+
+    def _members_of(self, name: str, above: tuple[str, ...]) -> _Members:
+        """The members of a group, read once; `above` are the groups that are being read."""
+        if name not in self.groups:
+            self.groups[name], self._within[name] = (), frozenset({name})
+            found: dict[SubjectPattern, None] = {}
+            for item in source.items(self._parts[name]):
+                found.update(dict.fromkeys(self._item(item, (*above, name))))
+            self._check_number(name, len(found))
+            self.groups[name] = tuple(found)
+        return self.groups[name]
+
+    def _item(self, part: Part, above: tuple[str, ...]) -> _Members:
+        label = source.text(part, f"a member of group {above[-1]}", self._mistakes)
+        if label is None:
+            return ()
+        if label in above:
+            chain = ", ".join((*above[above.index(label) :], label))
+            message = f"group {label} is a member of itself: {chain}"
+            self._mistakes.add(part, message, "name the nodes in one of them")
+            return ()
+        if label == EVERYONE:
+            hint = f"write who: {EVERYONE!r} in the rule"
+            self._mistakes.add(part, f"group {above[-1]}: {EVERYONE} is every node", hint)
+            return ()
+        if label in self._parts:
+            members = self._members_of(label, above)
+            self._within[above[-1]] |= self._within[label]
+            return members
+        return self._single(part, label)
+
+    def _check_number(self, name: str, number: int) -> None:
+        part = self._parts[name]
+        if number > MAX_MEMBERS:
+            hint = "give the nodes a namespace of their own: /robots/*"
+            self._mistakes.add(part, f"group {name} has more than {MAX_MEMBERS} members", hint)
+        if not source.items(part):
+            self._mistakes.add(part, f"group {name} has no members", "add a name: [/robot1]")
+
 
 _ID: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}", re.ASCII)
 _EFFECTS: Final = tuple(effect.value for effect in Effect)
@@ -78,27 +213,27 @@ class RuleReader:
 
     def read(self, part: Part) -> PolicyRule | None:
         """One rule, or None if its structure is invalid."""
-        mapping = readers.mapping(part, "a rule", self._mistakes)
+        mapping = source.mapping(part, "a rule", self._mistakes)
         if mapping is None:
             return None
-        name = readers.text(mapping.get("id"), "id", self._mistakes) or "?"
+        name = source.text(mapping.get("id"), "id", self._mistakes) or "?"
         if name != "?" and _ID.fullmatch(name) is None:
             self._mistakes.add(mapping, f"not an id: {name[:60]!r}", "letters, digits and dashes")
-        readers.check_keys(mapping, f"rule {name}", _KEYS, ("id", "who"), self._mistakes)
+        source.check_keys(mapping, f"rule {name}", _KEYS, ("id", "who"), self._mistakes)
         effect, rights = self._effect(mapping, name)
         if effect is None or rights is None:
             return None
-        lifetime = readers.duration(mapping.get("lifetime"), "lifetime", self._mistakes)
-        renew = readers.duration(
+        lifetime = source.duration(mapping.get("lifetime"), "lifetime", self._mistakes)
+        renew = source.duration(
             mapping.get("renew_until"), "renew_until", self._mistakes, never=True
         )
-        stale = readers.choice(mapping.get("on_stale"), "on_stale", _ON_STALE, self._mistakes)
+        stale = source.choice(mapping.get("on_stale"), "on_stale", _ON_STALE, self._mistakes)
         return PolicyRule(
             id=name,
             effect=effect,
             who=self._subjects.read(mapping.get("who")),
             exceptions=self._subjects.read(mapping.get("except")),
-            why=readers.text(mapping.get("why"), "why", self._mistakes) or "",
+            why=source.text(mapping.get("why"), "why", self._mistakes) or "",
             clauses=self._clauses(mapping, rights, name),
             lifetime=self._defaults.lifetime if lifetime is None else lifetime,
             renew_until=self._defaults.renew_until if renew is None else renew,
@@ -122,11 +257,11 @@ class RuleReader:
                 message = f"rule {name}: a deny rule cannot have {key!r}"
                 self._mistakes.add(position, message, "remove it, or write an allow rule")
         rights = mapping.get(effect.value)
-        return effect, readers.mapping(rights, f"{effect.value} of rule {name}", self._mistakes)
+        return effect, source.mapping(rights, f"{effect.value} of rule {name}", self._mistakes)
 
     def _clauses(self, mapping: YamlMapping, rights: YamlMapping, name: str) -> tuple[Clause, ...]:
         named = self._named_rights(rights, name)
-        read = [read_condition(item, self._mistakes) for item in readers.items(mapping.get("when"))]
+        read = [read_condition(item, self._mistakes) for item in source.items(mapping.get("when"))]
         conditions = [when for when in read if when is not None]
         seen = [pattern for right, pattern, _ in named if right is Right.SUBSCRIBE]
         filtered = Right.SUBSCRIBE if seen else Right.PUBLISH
@@ -174,11 +309,11 @@ class RuleReader:
                 message = f"unknown right {label[:60]!r} in rule {name}"
                 self._mistakes.add(key, message, suggest(label, RIGHTS))
                 continue
-            items = readers.items(value)
+            items = source.items(value)
             if not items:
                 self._mistakes.add(value, f"rule {name}: {label} has no names", "add a name")
             for item in items:
-                pattern = readers.own_pattern(item, label, RIGHTS[label], self._mistakes)
+                pattern = source.own_pattern(item, label, RIGHTS[label], self._mistakes)
                 if pattern is not None:
                     found.append((RIGHTS[label], pattern, item))
         return found
@@ -284,7 +419,7 @@ class RuleReader:
         self, part: Part | None, topics: list[str], name: str, right: Right
     ) -> dict[str, _TopicFilter]:
         """The filter of every topic: `{use: NAME}`, fields, or either of them by topic."""
-        mapping = readers.mapping(part, f"filter of rule {name}", self._mistakes)
+        mapping = source.mapping(part, f"filter of rule {name}", self._mistakes)
         if mapping is None:
             return {}
         if not topics or not mapping.entries:
@@ -295,14 +430,14 @@ class RuleReader:
             return dict.fromkeys(topics, self._topic_filter(mapping, mapping))
         found: dict[str, _TopicFilter] = {}
         what = f"filter of rule {name}"
-        for topic, key, value in readers.by_name(
-            mapping, what, lambda key: readers.pattern(key, what, self._mistakes), self._mistakes
+        for topic, key, value in source.by_name(
+            mapping, what, lambda key: source.pattern(key, what, self._mistakes), self._mistakes
         ):
             if topic not in topics:
                 message = f"rule {name} has no {right.label} right on {topic[:80]!r}"
                 self._mistakes.add(key, message, suggest(topic, topics))
                 continue
-            inner = readers.mapping(value, f"filter of {topic}", self._mistakes)
+            inner = source.mapping(value, f"filter of {topic}", self._mistakes)
             if inner is not None:
                 found[topic] = self._topic_filter(key, inner)
         return found
@@ -311,9 +446,59 @@ class RuleReader:
         """Fields, or `{use: NAME}` of a filter of this policy or else of a preset."""
         if "use" not in mapping.entries:
             return _TopicFilter(position, read_fields(mapping, self._mistakes))
-        readers.check_keys(mapping, "a filter with use", ("use",), (), self._mistakes)
+        source.check_keys(mapping, "a filter with use", ("use",), (), self._mistakes)
         known = {**PRESETS, **self._filters}
-        name = readers.choice(mapping.get("use"), "filter", known, self._mistakes)
+        name = source.choice(mapping.get("use"), "filter", known, self._mistakes)
         if name is None or name in self._filters:
             return _TopicFilter(position, self._filters.get(name or "", ()))
         return _TopicFilter(position, preset=name)
+
+
+ID: Final = "basics"
+EXTRAS: Final = {"tf": (Right.SUBSCRIBE, TRANSFORMS)}
+_WHY: Final = "what every ROS program needs"
+_HINT: Final = "write basics: true, or basics: [tf] for the transforms too"
+
+
+def read_basics(part: Part | None, mistakes: Mistakes) -> tuple[str, ...] | None:
+    """What `basics` adds to the table: `tf`, or nothing; None without basics."""
+    if part is None or (isinstance(part, YamlScalar) and part.value is False):
+        return None
+    if isinstance(part, YamlScalar) and part.value is True:
+        return ()
+    items = source.items(part)
+    if not items or isinstance(part, YamlScalar):
+        mistakes.add(part, "basics is true, false or a list", _HINT)
+        return None
+    found = (source.choice(item, "part of basics", EXTRAS, mistakes) for item in items)
+    return tuple(dict.fromkeys(name for name in found if name is not None))
+
+
+def basics_rule(
+    extras: Iterable[str], line: int, defaults: Defaults, rules: Iterable[PolicyRule]
+) -> PolicyRule:
+    """The rule of `basics` in this line, beside the other rules of the policy."""
+    clauses = [Clause(right, name) for right, names in BASICS.items() for name in names]
+    for extra in extras:
+        right, names = EXTRAS[extra]
+        clauses += [Clause(right, name) for name in names]
+    lasting = [each for each in rules if each.effect is not Effect.DENY]
+    return PolicyRule(
+        ID,
+        Effect.ALLOW,
+        (SubjectPattern(EVERYONE, "/**"),),
+        tuple(clauses),
+        _WHY,
+        lifetime=max((each.lifetime for each in lasting), default=defaults.lifetime),
+        renew_until=max((each.renew_until for each in lasting), default=defaults.renew_until),
+        has_lifetime=True,
+        line=line,
+    )
+
+
+def is_basics(rule: PolicyRule) -> bool:
+    """Whether the rule is that of `basics`, and gives nothing that is not of the table."""
+    table = {
+        (right, name) for right, names in (*BASICS.items(), *EXTRAS.values()) for name in names
+    }
+    return rule.id == ID and {(each.right, each.pattern) for each in rule.clauses} <= table

@@ -20,8 +20,8 @@ from defusedxml.ElementTree import iterparse
 
 from ca.errors import PatternRefused
 from grants.errors import PolicyRefused
-from grants.policy.editing import NewRule, add_rules, empty, free_id
-from grants.policy.own_names import NODE, check_rule_pattern
+from grants.policy.learn import NewRule, add_rules, empty, free_id
+from grants.policy.names import NODE, check_rule_pattern
 
 VERSION: Final = "0.2.0"
 MAX_SIZE: Final = 4 * 1024 * 1024

@@ -3,18 +3,152 @@
 Each clause of an allowing rule is decided whole, as a request for its pattern would be. Only what
 is allowed is wanted: what a person decides is left to a person, and a pattern of which one name is
 denied is withheld whole: a grant cannot say "except". Both are reported with their rules.
+
+From verdicts to grants: what the authority may sign for a node, no more than was decided.
+
+A right that the policy restricts in several rules becomes several permissions in one grant, each
+with its restriction: the verifier of the grant applies all of them.
+
+What is signed and in force for a right, whatever the policy says of it today. Pure.
+
+A grant holds until it ends or is revoked: one signed by hand, or before a rule was changed, is used
+by its node and accepted by every verifier. So what a policy says is said beside what is in force.
+
+What a policy would grant to a name: shown before the name is certified for a key.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
-from ca.domains.aliases import is_alias
-from grants.model import Permission, Right
+from ca.names import is_alias, shown, tail_base
+from grants.errors import PolicyRefused
+from grants.model import Draft, Grant, Permission, Restriction, Right, format_time
 from grants.policy.decision import Decider, Verdict
-from grants.policy.drafts import permissions
-from grants.policy.model import Effect, PolicyRule, Subject
-from grants.policy.own_names import is_own
+from grants.policy.model import Clause, Effect, Policy, PolicyRule, Subject
+from grants.policy.names import gives, intersects, is_own, overlaps
+from grants.policy.restrictions import divide
+from grants.policy.rules import is_basics
+from grants.request import RequestedRight
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The rights a node requests, by decision."""
+
+    allowed: tuple[Verdict, ...]
+    prompted: tuple[Verdict, ...]
+    denied: tuple[Verdict, ...]
+
+
+def plan(decider: Decider, subject: Subject, rights: Iterable[RequestedRight]) -> Plan:
+    """Decide on every requested right separately.
+
+    Raises:
+        PatternRefused, PolicyRefused: as `Decider.decide`.
+    """
+    verdicts = [
+        decider.decide(subject, requested.right, requested.pattern)
+        for requested in sorted(set(rights))
+    ]
+    by = {effect: tuple(v for v in verdicts if v.effect is effect) for effect in Effect}
+    return Plan(by[Effect.ALLOW], by[Effect.PROMPT], by[Effect.DENY])
+
+
+def approve(verdict: Verdict) -> Verdict:
+    """The verdict after a person approved it; its restrictions stay.
+
+    Raises:
+        PolicyRefused: the policy denies it: a denial cannot be approved.
+    """
+    if verdict.effect is Effect.DENY:
+        reason = verdict.rules[0].reason if verdict.rules else "no rule allows it"
+        raise PolicyRefused(
+            f"the policy denies {verdict.right.label} {verdict.name}: {reason}",
+            "to allow it, change the policy first",
+        )
+    return replace(verdict, effect=Effect.ALLOW)
+
+
+def approximate(verdict: Verdict, restriction: Restriction) -> Verdict:
+    """The verdict, additionally restricted by `restriction`.
+
+    Raises:
+        PolicyRefused: not a subscription.
+    """
+    if verdict.right is not Right.SUBSCRIBE:
+        raise PolicyRefused(
+            f"{verdict.right.label} {verdict.name} cannot be approximate", "only subscriptions can"
+        )
+    base = replace(restriction, rate=None)
+    extra = Clause(verdict.right, verdict.name, base, restriction.rate, restriction.type)
+    return replace(verdict, clauses=(*verdict.clauses, extra))
+
+
+def shorten(verdict: Verdict, seconds: int) -> Verdict:
+    """The verdict for at most `seconds`, without renewal."""
+    return replace(verdict, lifetime=min(verdict.lifetime, seconds), renew_until=0)
+
+
+def limit(verdict: Verdict, seconds: int) -> Verdict:
+    """The verdict for at most `seconds`, its renewals included."""
+    renew = min(verdict.renew_until, seconds)
+    return replace(verdict, lifetime=min(verdict.lifetime, seconds), renew_until=renew)
+
+
+def drafts(
+    verdicts: Iterable[Verdict],
+    *,
+    domain: str,
+    now: int,
+    serial: Callable[[], bytes],
+    skew: int = 0,
+) -> list[Draft]:
+    """The drafts to sign for allowed verdicts: for each subject and validity, as few as fit.
+
+    Tail patterns have drafts of their own, as a verifier that does not know them refuses a grant.
+
+    `skew`: seconds by which they are backdated, for hosts whose clock is behind.
+
+    Raises:
+        PolicyRefused: a verdict other than ALLOW.
+    """
+    groups: dict[tuple[Subject, int, int, bool], list[Verdict]] = {}
+    for verdict in verdicts:
+        if verdict.effect is not Effect.ALLOW:
+            raise PolicyRefused(f"not allowed: {verdict.headline}", "only ALLOW can be signed")
+        tail = tail_base(verdict.name) is not None
+        key = (verdict.subject, verdict.lifetime, verdict.renew_until, tail)
+        groups.setdefault(key, []).append(verdict)
+    return [
+        Draft(
+            domain=domain, subject=subject.name, holder=subject.key, not_before=now - skew,
+            expires=now + lifetime, cap=now + max(lifetime, renew), serial=serial(),
+            permissions=tuple(item for verdict in part for item in permissions(verdict)),
+        )
+        for (subject, lifetime, renew, _), group in groups.items()
+        for part in divide(group, permissions)
+    ]  # fmt: skip
+
+
+def permissions(verdict: Verdict) -> list[Permission]:
+    """The permissions of a grant for `verdict`."""
+    restrictions: list[Restriction | None] = list(verdict.restrictions) or [None]
+    if verdict.rate is not None:
+        restrictions = [_limited(item, verdict.rate) for item in restrictions]
+    if verdict.keep_when_stale:
+        restrictions = [_keep_when_stale(item) for item in restrictions]
+    return [Permission(verdict.name, verdict.right, item) for item in restrictions]
+
+
+def _keep_when_stale(restriction: Restriction | None) -> Restriction:
+    base = Restriction(keep_when_stale=True)
+    return base if restriction is None else replace(restriction, keep_when_stale=True)
+
+
+def _limited(restriction: Restriction | None, rate: float) -> Restriction:
+    return Restriction(rate=rate) if restriction is None else replace(restriction, rate=rate)
+
 
 Atom = tuple[Right, str]
 """One right on one name or pattern."""
@@ -150,3 +284,105 @@ def _clauses(rules: list[PolicyRule], subject: Subject) -> Iterator[tuple[Policy
             for clause in rule.clauses:
                 if (found := clause.of(subject)) is not None:
                     yield rule, (found.right, found.pattern)
+
+
+def in_force(
+    grants: Iterable[Grant],
+    keys: Collection[bytes],
+    right: Right,
+    name: str,
+    *,
+    now: int,
+    revoked: Collection[bytes],
+) -> list[Grant]:
+    """The grants by which a node can use `right` on `name`, or on a part of it, at `now`.
+
+    Args:
+        keys: those the node may prove to hold.
+        name: a name or a pattern; of a parameter with all that is below it.
+        revoked: ids of grants and keys.
+    """
+    return [
+        grant
+        for grant in grants
+        if grant.holder in keys
+        and grant.not_before <= now < grant.expires
+        and grant.holder not in revoked
+        and not any(entry in revoked for entry in grant.revocable)
+        and all(
+            any(
+                right in each.rights and overlaps(each.pattern, right, name)
+                for each in link.permissions
+            )
+            for link in grant.links
+        )
+    ]
+
+
+def in_force_lines(found: Iterable[Grant], verdict: Verdict) -> list[str]:
+    """What is in force, for people; if the policy does not allow it, that is said."""
+    said = held_lines(found, verdict.right, verdict.name)
+    if said and not verdict:
+        return [*said, "the policy does not allow what these grants still give: apply or revoke"]
+    return said
+
+
+def held_lines(found: Iterable[Grant], right: Right, name: str) -> list[str]:
+    """What grants in force give of a right, a line each."""
+    return [_line(grant, right, name) for grant in found]
+
+
+def gives_whole(found: Iterable[Grant], right: Right, name: str) -> bool:
+    """Whether one of these grants gives all of `name`, a name or a pattern."""
+    return any(
+        all(
+            any(
+                right in each.rights and gives(each.pattern, right, name)
+                for each in link.permissions
+            )
+            for link in grant.links
+        )
+        for grant in found
+    )
+
+
+def _line(grant: Grant, right: Right, name: str) -> str:
+    given = [each for each in grant.permissions if right in each.rights]
+    near = [each for each in given if overlaps(each.pattern, right, name)]
+    whole = any(gives(each.pattern, right, name) for each in near)
+    what = ", ".join(dict.fromkeys(shown(each.pattern) for each in near))
+    part = "" if whole else ", a part of it,"
+    limited = [each.restriction for each in near if each.restriction is not None]
+    how = ", with restrictions" if any(each.restricts_messages for each in limited) else ""
+    until = format_time(grant.expires)
+    return f"in force: grant {grant.short_id} gives {right.label} {what}{part} until {until}{how}"
+
+
+_BASICS: Final = "allow what every ROS program needs: its log, its loggers, the clock (rule basics)"
+
+
+def projected_grants(policy: Policy, subject: Subject) -> list[str]:
+    """What is allowed, prompted or denied for `subject`, a line each, in the order of the rules."""
+    return [
+        line
+        for rule in policy.rules
+        if rule.applies_to(subject)
+        for line in [_BASICS] * is_basics(rule)
+        or _lines(rule, filter(None, (each.of(subject) for each in rule.clauses)))
+    ]
+
+
+def projected_for_names(policy: Policy, pattern: str) -> list[str]:
+    """As `projected_grants`, for every name that `pattern` covers: with whom each rule is for."""
+    return [
+        f"{rule.subjects_text}: {line}"
+        for rule in policy.rules
+        if any(who.node is not None and intersects(who.node, pattern) for who in rule.who)
+        for line in [_BASICS] * is_basics(rule) or _lines(rule, rule.clauses)
+    ]
+
+
+def _lines(rule: PolicyRule, clauses: Iterable[Clause]) -> Iterator[str]:
+    for clause in clauses:
+        yield f"{rule.effect} {clause.right.label} {clause.shown} ({rule.reason})"
+        yield from (f"  {line}" for line in clause.lines())

@@ -4,13 +4,65 @@
 `hints` are what a person or a program recognises in it, as a face in a picture; a rule that says a
 level for the field's own word has decided on them. Times tell when a value changed. The figures are
 those of the attackers' programs, in docs/spec/vocabulary.md.
+
+The words for data, and the levels of each, from the most to the least that is shown.
+
+A level is an upper limit of what a receiver learns: each lets through no more than the one before
+it. What a level does to fields is in `levels`, which fields tell a word in `contents` and `types`.
+
+The standard message types: what each of their fields contains. Data, and nothing else.
+
+A field that is a message and is not named here has the contents of its own type; one that is named
+has this content throughout. A type or field that is missing is unknown: it cannot be shown at a
+level (`describe`). The types are those of Debian's std, geometry, sensor, nav, tf2, stereo,
+diagnostic, actionlib, trajectory and visualization packages, and the sound of audio_common.
+
+The contents of a message type, field by field: what each tells, and which fields are unknown.
+
+Types within a type are described by the same table (`types`), so a type that contains a pose is
+described by what a pose is. What is not in the table, nor in the policy's own vocabulary, is
+`unknown`: of such a type nothing can be said to be hidden.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property
 from typing import Final, NamedTuple, Self
 
-from grants.vocabulary.words import DataWord
+from grants.filters.layout import Array, Layout, Struct, Type
+
+EXACT: Final = "exact"
+NO: Final = "no"
+
+
+class DataWord(StrEnum):
+    """A kind of data, as people name it."""
+
+    POSITION = "position"
+    MOVEMENT = "movement"
+    IMAGE = "image"
+    SOUND = "sound"
+    PRESENCE = "presence"
+    IDENTITY = "identity"
+    HOME = "home"
+
+
+LEVELS: Final[Mapping[DataWord, tuple[str, ...]]] = {
+    DataWord.POSITION: (EXACT, "room", "area", NO),
+    DataWord.MOVEMENT: (EXACT, "rough", NO),
+    DataWord.IMAGE: (EXACT, "blurred", NO),
+    DataWord.SOUND: (EXACT, NO),
+    # There is no `no`: a message that arrives tells that its sender works.
+    DataWord.PRESENCE: (EXACT, "minute", "hour"),
+    DataWord.IDENTITY: (EXACT, "pseudonym", NO),
+    DataWord.HOME: (EXACT, "rough", NO),
+}
+
+
+def rank(word: DataWord, level: str) -> int:
+    """The place of a level in the order of its word; 0 is `exact`."""
+    return LEVELS[word].index(level)
 
 
 class Content(StrEnum):
@@ -139,3 +191,328 @@ def fields_by(**contents: str) -> Fields:
         for content, fields in contents.items()
         for field in fields.split()
     }
+
+
+_XYZ: Final = "x y z"
+_BARE: Final = fields_by(bare="data")
+_SCAN: Final = fields_by(
+    format="angle_min angle_max angle_increment time_increment scan_time range_min range_max",
+    distance="ranges intensities",
+)
+_NUMBERS: Final = (
+    "Bool", "Byte", "Char", "Duration", "Float32", "Float64", "Int16", "Int32", "Int64", "Int8",
+    "String", "UInt16", "UInt32", "UInt64", "UInt8",
+)  # fmt: skip
+_ARRAYS: Final = (
+    "Byte", "Float32", "Float64", "Int16", "Int32", "Int64", "Int8", "UInt16", "UInt32", "UInt64",
+    "UInt8",
+)  # fmt: skip
+
+_STD: Final[dict[str, Fields]] = {
+    **{f"std_msgs/{name}": _BARE for name in _NUMBERS},
+    **{f"std_msgs/{name}MultiArray": _BARE for name in _ARRAYS},
+    "std_msgs/Header": fields_by(count="seq", time="stamp", frame="frame_id"),
+    "std_msgs/Time": fields_by(time="data"),
+    "std_msgs/Empty": {},
+    "std_msgs/ColorRGBA": fields_by(reading="r g b a"),  # of a lamp
+    # How many values there are is told without them, and a label may say anything.
+    "std_msgs/MultiArrayLayout": fields_by(count="data_offset"),
+    "std_msgs/MultiArrayDimension": fields_by(text="label", count="size stride"),
+}
+_GEOMETRY: Final[dict[str, Fields]] = {
+    "geometry_msgs/Point": fields_by(coordinate=_XYZ),
+    "geometry_msgs/Point32": fields_by(coordinate=_XYZ),
+    "geometry_msgs/PointStamped": {},
+    "geometry_msgs/Vector3": fields_by(bare=_XYZ),
+    "geometry_msgs/Vector3Stamped": {},
+    "geometry_msgs/Quaternion": fields_by(heading="x y z w"),
+    "geometry_msgs/QuaternionStamped": {},
+    "geometry_msgs/Pose": {},
+    "geometry_msgs/Pose2D": fields_by(coordinate="x y", heading="theta"),
+    "geometry_msgs/PoseStamped": {},
+    "geometry_msgs/PoseArray": {},
+    "geometry_msgs/PoseWithCovariance": fields_by(uncertainty="covariance"),
+    "geometry_msgs/PoseWithCovarianceStamped": {},
+    "geometry_msgs/Polygon": {},
+    "geometry_msgs/PolygonStamped": {},
+    "geometry_msgs/Transform": fields_by(coordinate="translation", heading="rotation"),
+    "geometry_msgs/TransformStamped": fields_by(child_frame="child_frame_id"),
+    "geometry_msgs/Twist": fields_by(velocity="linear angular"),
+    "geometry_msgs/TwistStamped": {},
+    "geometry_msgs/TwistWithCovariance": fields_by(uncertainty="covariance"),
+    "geometry_msgs/TwistWithCovarianceStamped": {},
+    "geometry_msgs/Accel": fields_by(velocity="linear angular"),
+    "geometry_msgs/AccelStamped": {},
+    "geometry_msgs/AccelWithCovariance": fields_by(uncertainty="covariance"),
+    "geometry_msgs/AccelWithCovarianceStamped": {},
+    "geometry_msgs/Wrench": fields_by(force="force torque"),
+    "geometry_msgs/WrenchStamped": {},
+    "geometry_msgs/Inertia": fields_by(mark="m com ixx ixy ixz iyy iyz izz"),
+    "geometry_msgs/InertiaStamped": {},
+}
+_SENSOR: Final[dict[str, Fields]] = {
+    "sensor_msgs/BatteryState": fields_by(
+        charge="percentage",
+        state="voltage temperature current charge power_supply_status present",
+        wear="capacity power_supply_health cell_voltage cell_temperature",
+        mark="design_capacity power_supply_technology",
+        name="location serial_number",
+    ),
+    "sensor_msgs/CameraInfo": fields_by(
+        mark="distortion_model D K R P", format="height width binning_x binning_y",
+        picture_part="roi",
+    ),
+    "sensor_msgs/ChannelFloat32": fields_by(format="name", distance="values"),
+    "sensor_msgs/CompressedImage": fields_by(format="format", compressed_picture="data"),
+    "sensor_msgs/FluidPressure": fields_by(pressure="fluid_pressure", state="variance"),
+    "sensor_msgs/Illuminance": fields_by(ambient_brightness="illuminance", state="variance"),
+    "sensor_msgs/Image": fields_by(
+        format="height width encoding is_bigendian step", picture="data"
+    ),
+    # The compass is in `orientation`; gyroscope and accelerometer give the path.
+    "sensor_msgs/Imu": fields_by(
+        velocity="angular_velocity linear_acceleration",
+        uncertainty="orientation_covariance angular_velocity_covariance"
+        " linear_acceleration_covariance",
+    ),
+    "sensor_msgs/JointState": fields_by(name="name", joint="position velocity effort"),
+    "sensor_msgs/Joy": fields_by(control="axes buttons"),
+    "sensor_msgs/JoyFeedback": fields_by(control="type id intensity"),
+    "sensor_msgs/JoyFeedbackArray": {},
+    "sensor_msgs/LaserEcho": fields_by(distance="echoes"),
+    "sensor_msgs/LaserScan": _SCAN,
+    "sensor_msgs/MultiEchoLaserScan": _SCAN,
+    "sensor_msgs/MagneticField": fields_by(
+        heading="magnetic_field", uncertainty="magnetic_field_covariance"
+    ),
+    "sensor_msgs/MultiDOFJointState": fields_by(name="joint_names"),
+    # Whether there is a fix, and how good it is, tells indoors from outdoors.
+    "sensor_msgs/NavSatFix": fields_by(
+        degrees="latitude longitude", height="altitude",
+        uncertainty="status position_covariance position_covariance_type",
+    ),
+    "sensor_msgs/NavSatStatus": fields_by(uncertainty="status service"),
+    # The number of points changes with what is seen, so a cloud is cleared as a whole.
+    "sensor_msgs/PointCloud": fields_by(distance="points"),
+    "sensor_msgs/PointCloud2": fields_by(
+        format="fields is_bigendian point_step", distance="height width row_step data is_dense"
+    ),
+    "sensor_msgs/PointField": fields_by(format="name offset datatype count"),
+    "sensor_msgs/Range": fields_by(
+        format="radiation_type field_of_view min_range max_range", distance="range"
+    ),
+    "sensor_msgs/RegionOfInterest": fields_by(
+        picture_part="x_offset y_offset height width do_rectify"
+    ),
+    "sensor_msgs/RelativeHumidity": fields_by(
+        ambient_humidity="relative_humidity", state="variance"
+    ),
+    "sensor_msgs/Temperature": fields_by(ambient_temperature="temperature", state="variance"),
+    "sensor_msgs/TimeReference": fields_by(time="time_ref", name="source"),
+}  # fmt: skip
+_NAV: Final[dict[str, Fields]] = {
+    "nav_msgs/GetMapAction": {},
+    "nav_msgs/GetMapActionFeedback": {},
+    "nav_msgs/GetMapActionGoal": {},
+    "nav_msgs/GetMapActionResult": {},
+    "nav_msgs/GetMapFeedback": {},
+    "nav_msgs/GetMapGoal": {},
+    "nav_msgs/GetMapResult": {},
+    "nav_msgs/GridCells": fields_by(map="cell_width cell_height cells"),
+    "nav_msgs/MapMetaData": fields_by(time="map_load_time", map="resolution width height origin"),
+    "nav_msgs/OccupancyGrid": fields_by(map="data"),
+    "nav_msgs/Odometry": fields_by(child_frame="child_frame_id"),
+    "nav_msgs/Path": {},
+}
+_FURTHER: Final[dict[str, Fields]] = {
+    "tf2_msgs/TFMessage": {},
+    "tf2_msgs/TF2Error": fields_by(state="error", text="error_string"),
+    "tf/tfMessage": {},
+    "stereo_msgs/DisparityImage": fields_by(
+        distance="image.data min_disparity max_disparity", mark="f T", format="delta_d",
+        picture_part="valid_window",
+    ),
+    "diagnostic_msgs/DiagnosticArray": {},
+    "diagnostic_msgs/DiagnosticStatus": fields_by(
+        state="level", name="name hardware_id", text="message values"
+    ),
+    "diagnostic_msgs/KeyValue": fields_by(text="key value"),
+    "actionlib_msgs/GoalID": fields_by(time="stamp", request="id"),
+    "actionlib_msgs/GoalStatus": fields_by(state="status", text="text"),
+    "actionlib_msgs/GoalStatusArray": {},
+    "trajectory_msgs/JointTrajectory": fields_by(name="joint_names"),
+    "trajectory_msgs/JointTrajectoryPoint": fields_by(
+        joint="positions velocities accelerations effort time_from_start"
+    ),
+    "trajectory_msgs/MultiDOFJointTrajectory": fields_by(name="joint_names"),
+    "trajectory_msgs/MultiDOFJointTrajectoryPoint": fields_by(velocity="time_from_start"),
+    "shape_msgs/Mesh": fields_by(mark="triangles vertices"),
+    "shape_msgs/MeshTriangle": fields_by(mark="vertex_indices"),
+    "shape_msgs/Plane": fields_by(map="coef"),
+    "shape_msgs/SolidPrimitive": fields_by(mark="type dimensions"),
+    "visualization_msgs/Marker": fields_by(
+        name="ns id", format="frame_locked mesh_use_embedded_materials",
+        coordinate="points scale", state="type action lifetime color colors",
+        text="text mesh_resource",
+    ),
+    "visualization_msgs/MarkerArray": {},
+    "audio_common_msgs/AudioData": fields_by(samples="data"),
+    "audio_common_msgs/AudioDataStamped": {},
+    "audio_common_msgs/AudioInfo": fields_by(
+        format="channels sample_rate sample_format bitrate coding_format"
+    ),
+}  # fmt: skip
+
+TYPES: Final[Mapping[str, Fields]] = {**_STD, **_GEOMETRY, **_SENSOR, **_NAV, **_FURTHER}
+
+_NONE: Final[Fields] = {}
+
+
+@dataclass(frozen=True)
+class FieldContent:
+    """One field without fields of its own.
+
+    Args:
+        path: as in filters: `pose.position.x`, `poses[*].position.x`.
+        content: what it contains.
+        kind: its type.
+        array: the path of the outermost array of messages it lies in; else empty.
+        is_fixed: whether that array has a fixed length.
+    """
+
+    path: str
+    content: Content
+    kind: Type
+    array: str = ""
+    is_fixed: bool = False
+
+    @property
+    def meaning(self) -> Meaning:
+        """The words it tells."""
+        return MEANINGS[self.content]
+
+
+@dataclass(frozen=True)
+class Description:
+    """The fields of one message type, in order of its definition."""
+
+    type_name: str
+    fields: tuple[FieldContent, ...]
+
+    @cached_property
+    def unknown(self) -> tuple[str, ...]:
+        """Paths of fields of which nothing is known; a bare value's meaning is its topic's."""
+        return tuple(field.path for field in self.fields if field.content in NOT_KNOWN)
+
+    @cached_property
+    def words(self) -> tuple[DataWord, ...]:
+        """The words that its fields have as their own, in order; `presence` is left out."""
+        own = {field.meaning.own for field in self.fields if field.content not in TIMES}
+        return tuple(word for word in DataWord if word in own)
+
+    @cached_property
+    def has_names(self) -> bool:
+        """Whether it has names that can become pseudonyms, those of frames apart."""
+        return any(field.content in NAMES for field in self.fields)
+
+    @cached_property
+    def is_outdoors(self) -> bool:
+        """Whether a field is in degrees on the earth, so that cells are of kilometres."""
+        return any(field.content is Content.DEGREES for field in self.fields)
+
+    def carrying(self, word: DataWord) -> tuple[FieldContent, ...]:
+        """The fields whose own word it is: `pose.position.x` for position."""
+        return tuple(field for field in self.fields if field.meaning.own is word)
+
+    def relatives(self, word: DataWord) -> tuple[FieldContent, ...]:
+        """Fields of another word from which it can be computed; not times.
+
+        Heading, velocity and scans for a position. Of a type that does not carry the word, it is
+        what gives it away on another topic: the velocities of `/cmd_vel`, a map, joints.
+        """
+        return tuple(
+            field
+            for field in self.fields
+            if field.meaning.own is not word
+            and word in field.meaning.tells
+            and field.content not in TIMES | NOT_KNOWN
+        )
+
+    def hints(self, word: DataWord) -> tuple[FieldContent, ...]:
+        """Fields in which it may be recognised: a person in a picture; not names of frames."""
+        return tuple(
+            field
+            for field in self.fields
+            if word in field.meaning.hints and field.content not in FRAMES
+        )
+
+    def tells(self, word: DataWord) -> bool:
+        """Whether anything but a time tells it: a level of the word concerns this type."""
+        carried = self.carrying(word) or self.relatives(word) or self.hints(word)
+        return word is DataWord.PRESENCE or len(carried) > 0
+
+    @cached_property
+    def fixed_arrays(self) -> frozenset[str]:
+        """Paths of outermost arrays of messages that always have the same length."""
+        return frozenset(field.array for field in self.fields if field.is_fixed)
+
+    @cached_property
+    def times(self) -> tuple[FieldContent, ...]:
+        """Stamps and sequence numbers."""
+        return tuple(field for field in self.fields if field.content in TIMES)
+
+
+def describe(
+    layout: Layout, own: Mapping[str, Fields] | None = None, here: Fields | None = None
+) -> Description:
+    """The contents of messages of `layout`.
+
+    Args:
+        layout: of the type.
+        own: contents of further types by name, of a policy's vocabulary.
+        here: contents of fields of this type on one topic: the meaning of a bare value.
+    """
+    found = _fields_of(layout.root, "", own or {}, here or _NONE, _Outermost())
+    return Description(layout.type_name, tuple(found))
+
+
+class _Outermost(NamedTuple):
+    """The outermost array of messages around a field, if any."""
+
+    path: str = ""
+    is_fixed: bool = False
+
+
+def _fields_of(
+    kind: Struct, above: str, own: Mapping[str, Fields], given: Fields, array: _Outermost
+) -> Iterator[FieldContent]:
+    contents = {**TYPES.get(kind.name, _NONE), **own.get(kind.name, _NONE), **given}
+    for name, member in kind.fields:
+        within = {
+            path.removeprefix(f"{name}."): content
+            for path, content in contents.items()
+            if path.startswith(f"{name}.")
+        }
+        yield from _field(member, above + name, contents.get(name), own, within, array)
+
+
+def _field(
+    kind: Type,
+    path: str,
+    content: Content | None,
+    own: Mapping[str, Fields],
+    within: Fields,
+    array: _Outermost,
+) -> Iterator[FieldContent]:
+    inner = kind.element if isinstance(kind, Array) else kind
+    if not isinstance(inner, Struct):
+        yield FieldContent(path, content or Content.UNKNOWN, kind, *array)
+        return
+    if isinstance(kind, Array):
+        array = array if array.path else _Outermost(path, kind.length is not None)
+        path = f"{path}[*]"
+    if content is None:
+        yield from _fields_of(inner, f"{path}.", own, within, array)
+        return
+    for name, member in inner.fields:
+        yield from _field(member, f"{path}.{name}", content, own, _NONE, array)

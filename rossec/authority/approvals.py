@@ -17,20 +17,17 @@ from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.errors import HintedError, RecordUnusable, StoreError
-from grants.filters.compile import compile_filter
-from grants.filters.presets import PRESETS, preset
+from grants.filters.compile import PRESETS, compile_filter, preset
 from grants.model import Draft, Restriction
 from grants.policy.decision import Verdict
-from grants.policy.drafts import approve, approximate, drafts, shorten
 from grants.policy.model import Effect, Policy, Subject
-from grants.policy.wanted import rule_ids
+from grants.policy.wanted import approve, approximate, drafts, rule_ids, shorten
 from grants.request import GrantRequest, open_request, peek_request
 from rossec.authority import requests
-from rossec.authority.grantable import OF_ALL
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile, layout_of
 from rossec.authority.requests import GrantRequestStore, StoredRequest
-from rossec.authority.signing import SKEW, SigningAuthority
+from rossec.authority.signing import OF_ALL, SKEW, SigningAuthority
 from rossec.clock import seconds_left_today
 from rossec.errors import ConfigurationError
 

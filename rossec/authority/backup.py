@@ -7,12 +7,19 @@ trust domain, and in one step; newer log entries are lost only if the operator g
 and what it has revoked stays revoked. The backup lacks what was signed after it, so a new epoch of
 lists begins, and signed lists from the master or a node restore the missing revocations, and the
 domains that are trusted (`restored_lists`); without one no foreign domain is.
+
+The files of an authority's directory: which there are, and which of them a backup has.
+
+Nothing is listed here. Each part that writes files says of its own what they are, in its `OWNED`:
+a part that is added brings its declaration along, and a test holds every file of a home that has
+used all of them against this.
 """
 
 import contextlib
+import re
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -20,19 +27,119 @@ from typing import Final
 
 from ca.certificates import TrustAnchor
 from ca.errors import BackupRefused, HintedError, LogDamaged, PassphraseRefused
-from ca.keys.hsm import KeyUri
-from ca.revocation.state import open_list
-from ca.revocation.tree import is_tree, open_tree
-from ca.store import backup
-from ca.store.approval_replay import RESTORED
-from ca.store.lifecycle import RequestState
-from ca.store.log_entries import LogEntry
-from rossec import files
-from rossec.authority import contents, policyfile, restored_lists, token_modules
+from ca.keys import passphrases
+from ca.keys.passphrases import MAX_BACKUP
+from ca.keys.private_keys import KeyUri
+from ca.revocation.lists import is_tree, open_list, open_tree
+from ca.store.log import RESTORED
+from ca.store.values import LogEntry, RequestState
+from rossec import files, home, saved_statements
+from rossec.authority import (
+    grant_operations,
+    policyfile,
+    renewals,
+    requests,
+    restored_lists,
+    signing,
+)
+from rossec.authority import home as authority_home
+from rossec.authority import home as authority_token_modules
+from rossec.authority.console import messages as console
 from rossec.authority.home import KEY_URI, RECORD, AuthorityHome
-from rossec.authority.keyservice.lock import service_lock
+from rossec.authority.keyservice import client
+from rossec.authority.keyservice.client import service_lock
 from rossec.authority.restored_lists import NewerLists
 from rossec.authority.signing import SigningAuthority
+from rossec.errors import ConfigurationError
+from rossec.files import Owned, read_own
+
+_NODE: Final = (
+    *home.OWNED, *saved_statements.OWNED,
+    *(each.below(home.FILTERS) for each in home.FILTER_KEYS),
+)  # fmt: skip
+OWNED: Final[tuple[Owned, ...]] = (
+    *authority_home.OWNED, *renewals.OWNED, *signing.OWNED, *policyfile.OWNED,
+    *requests.OWNED, *grant_operations.OWNED, *client.OWNED, *console.OWNED,
+    *(each.below(authority_home.NODE) for each in _NODE),
+)  # fmt: skip
+# Older versions put every file there is into a backup, of these places.
+_OLDER: Final = re.compile(r"(?:node/|inbox/)?[^/]+")
+_TEMPORARY: Final = re.compile(r"(?:.+/)?\.[^/]+")  # of `files.replace`, when it was interrupted
+
+
+def owner(name: str) -> Owned | None:
+    """What its owner says of the file `name`; None: nobody does."""
+    return next((each for each in OWNED if each.names(name)), None)
+
+
+def undeclared(directory: Path) -> list[str]:
+    """The files in an authority's directory that no part of rossec has written."""
+    return [name for name in _files(directory) if owner(name) is None]
+
+
+def kept(directory: Path) -> dict[str, bytes]:
+    """What a backup has of an authority's directory, except the record.
+
+    Raises:
+        PathRefused: another user could have written one of them, or it is a symbolic link.
+    """
+    content: dict[str, bytes] = {}
+    for name in _files(directory):
+        found = owner(name)
+        if found is None or not found.kept or name == authority_home.RECORD:
+            continue
+        content[name] = read(directory, name)
+    return content
+
+
+def staying(directory: Path) -> list[str]:
+    """The files of an authority's directory that a backup does not replace."""
+    found = ((name, owner(name)) for name in _files(directory))
+    return [name for name, owned in found if owned is not None and owned.stays]
+
+
+def read(directory: Path, name: str) -> bytes:
+    """One file of an authority's directory.
+
+    Raises:
+        PathRefused: another user could have written it, or it is a symbolic link; the policy, the
+            operator's own file, may be one.
+        ConfigurationError: it was removed meanwhile.
+    """
+    gone = ConfigurationError(f"{directory / name} was removed meanwhile", "do it again")
+    return read_own(directory / name, MAX_BACKUP, gone, link=name == policyfile.NAME)
+
+
+def restorable(content: Mapping[str, bytes]) -> tuple[dict[str, bytes], list[str]]:
+    """The files of a backup that are written, and the names of those that are left out.
+
+    A backup is of whoever made it: only what a part of rossec says is its own, and is kept in
+    backups, is written. An older version may have taken other files along from some places.
+
+    Raises:
+        BackupRefused: a name that no version has put into a backup.
+    """
+    found = {name: owner(name) for name in content}
+    for name, owned in found.items():
+        if owned is None and not _OLDER.fullmatch(name):
+            raise BackupRefused(f"{name!a} is not a file of an authority")
+    taken = {name for name, owned in found.items() if owned is not None and owned.kept}
+    left = sorted(found.keys() - taken)
+    return {name: data for name, data in content.items() if name in taken}, left
+
+
+def mode(name: str) -> int:
+    """The mode of the file `name`."""
+    found = owner(name)
+    return 0o644 if found is not None and found.public else 0o600
+
+
+def _files(directory: Path) -> Iterable[str]:
+    for path in sorted(directory.rglob("*")):
+        name = str(path.relative_to(directory))
+        if path.is_file() and _TEMPORARY.fullmatch(name) is None:
+            yield name
+
 
 _HINT: Final = "take another backup, and find out who made this one"
 _TAKE_OVER: Final = "only to revoke what a newer list revokes: rossec ca refresh --list FILE"
@@ -58,11 +165,14 @@ def back_up(home: AuthorityHome, passphrase: str) -> bytes:
         PathRefused: another user could have written one of its files.
         BackupRefused: there is too much.
     """
-    content = contents.kept(home.path)
+    content = kept(home.path)
     with contextlib.closing(home.store()) as store:
         content[RECORD] = store.database.snapshot()
-    salt, nonce = secrets.token_bytes(backup.SALT_SIZE), secrets.token_bytes(backup.NONCE_SIZE)
-    return backup.seal(content, passphrase, salt=salt, nonce=nonce)
+    salt, nonce = (
+        secrets.token_bytes(passphrases.SALT_SIZE),
+        secrets.token_bytes(passphrases.NONCE_SIZE),
+    )
+    return passphrases.seal(content, passphrase, salt=salt, nonce=nonce)
 
 
 def restore(
@@ -110,7 +220,7 @@ def restore(
     said = _Said(over, forget, needs_list and newest_list is None, policy_of_backup)
     target = home / "ca"
     with _staging_beside(target) as staging:
-        content, left = contents.restorable(backup.unseal(data, passphrase))
+        content, left = restorable(passphrases.unseal(data, passphrase))
         uri = _settle_uri(content, home, module)
         _write(staging, content)
         authority = _open_verified(AuthorityHome(staging), secret or passphrase, uri)
@@ -157,7 +267,7 @@ def _put_in_place(
         if said.lacks_list:
             restored_lists.require_list(authority, target.parent, now)
         if (uri := staging.key_uri()) is not None:
-            token_modules.trust(target.parent, uri.module)
+            authority_token_modules.trust(target.parent, uri.module)
         phones, ended, revived = _begin_anew(authority, size, newer, now)
         _commit(staging.path, target, now)
     return Restored(AuthorityHome(target), size, revived, phones, ended, policy=policy)
@@ -167,7 +277,7 @@ def _settle_uri(content: dict[str, bytes], home: Path, module: str | None) -> Ke
     """Where the key is, if it is in a token; the operator's module is in the file from now on."""
     if KEY_URI not in content:
         return None
-    uri = token_modules.restored_uri(content[KEY_URI], home, module)
+    uri = authority_token_modules.restored_uri(content[KEY_URI], home, module)
     content[KEY_URI] = f"{uri}\n".encode()
     return uri
 
@@ -224,12 +334,12 @@ def _write(directory: Path, content: dict[str, bytes]) -> None:
     for name, data in content.items():
         path = directory / name
         files.make_private_directory(path.parent)
-        files.create(path, data, contents.mode(name))
+        files.create(path, data, mode(name))
 
 
 def _keep_what_stays(target: Path, staging: Path, policy: str, said: _Said) -> str:
     """Let what an older one would bring back stay as it is here; returns whose policy it is."""
-    for name in contents.staying(target):
+    for name in staying(target):
         here, there = target / name, staging / name
         if name == policyfile.NAME:
             if said.policy_of_backup and there.exists():
@@ -241,7 +351,7 @@ def _keep_what_stays(target: Path, staging: Path, policy: str, said: _Said) -> s
         if here.is_symlink():  # the operator's own file, elsewhere
             there.symlink_to(here.readlink())
         else:
-            files.create(there, contents.read(target, name), contents.mode(name))
+            files.create(there, read(target, name), mode(name))
     return policy
 
 

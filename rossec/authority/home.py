@@ -1,29 +1,136 @@
-"""The directory of an authority: its key, its certificate, its record; `signing` signs."""
+"""The directory of an authority: its key, its certificate, its record; `signing` signs.
+
+The PKCS#11 modules that the operator of a ROSSEC_HOME trusts: code that rossec loads.
+
+The URI of a key names a module too, but it is in `ca/`, which a backup fills: whoever made that
+would name the code that is run to verify it. So a module is loaded only if it is in
+`pkcs11-modules`, one absolute path a line, beside `ca/`, where nothing that is restored is written.
+`rossec ca init --key` and `rossec ca restore --pkcs11-module` write it there. A home of an older
+version has no such file: it was made here, unless its log says that it was restored.
+
+A node of the authority's own host: enrolled in place, without a request to carry.
+"""
 
 import contextlib
 import secrets
 import shutil
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, Self
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.authority import Authority, create_root
+from ca.authority import LIFETIME, Authority, create_root
 from ca.certificates import TrustAnchor, from_pem, to_pem
-from ca.domains.lists import DomainList, open_domains
-from ca.errors import RevocationRefused
-from ca.keys import key_files
-from ca.keys.hsm import KeyUri, TokenSigner
-from ca.keys.signer import KeySigner, Signer
+from ca.domains.trust import DomainList, open_domains
+from ca.errors import RevocationRefused, TokenRefused
+from ca.keys import private_keys
+from ca.keys.private_keys import KeyUri, TokenSigner
+from ca.keys.signing import KeySigner, Signer
 from ca.names import check_domain
-from ca.revocation.tree import MAX_TREE_ENTRIES_SIZE, TreeEntries, is_tree, open_tree
+from ca.revocation.lists import MAX_TREE_ENTRIES_SIZE, TreeEntries, is_tree, open_tree
 from ca.store.record import Store
-from rossec import files, home_hints
-from rossec.authority import list_contents, token_modules
+from rossec import environment, files
+from rossec.authority import signing
 from rossec.authority.signing import OWN_NODE, SigningAuthority, delegations
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
+
+FILE: Final = "pkcs11-modules"  # in ROSSEC_HOME
+_MAX: Final = 64 * 1024
+
+
+def trusted(home: Path) -> frozenset[str]:
+    """The modules that were named for ROSSEC_HOME `home`; none is named without the file.
+
+    Raises:
+        PathRefused: another user could have written the file.
+        ConfigurationError: it is not UTF-8.
+    """
+    if not exists(home):
+        return frozenset()
+    missing = ConfigurationError(f"there is no {FILE} any more", "do it again")
+    data = files.read_own(home / FILE, _MAX, missing)
+    try:
+        lines = data.decode().splitlines()
+    except UnicodeDecodeError:
+        raise ConfigurationError(
+            f"{home / FILE} is not UTF-8", "write one absolute path a line"
+        ) from None
+    return frozenset(line.strip() for line in lines if line.startswith("/"))
+
+
+def exists(home: Path) -> bool:
+    """Whether modules were named for ROSSEC_HOME `home`."""
+    return (home / FILE).is_symlink() or (home / FILE).exists()
+
+
+def trust(home: Path, module: str) -> None:
+    """Record that the operator named `module`; durable on return.
+
+    Raises:
+        TokenRefused: not an absolute path.
+        NotWritten, PathRefused: it cannot be recorded.
+    """
+    check_absolute(module)
+    known = trusted(home)
+    if module in known:
+        return
+    files.make_private_directory(home)
+    lines = "".join(f"{each}\n" for each in sorted({*known, module}))
+    files.replace(home / FILE, lines.encode())
+
+
+def check_absolute(module: str) -> None:
+    """Return if `module` is one file wherever a command runs.
+
+    Raises:
+        TokenRefused: it is not.
+    """
+    if not module.startswith("/") or not module.isprintable():
+        raise TokenRefused(
+            f"{module!a} is not the absolute path of a PKCS#11 module",
+            "a relative one is another file in each directory: write it from the root",
+        )
+
+
+def require(uri: KeyUri, modules: Collection[str], home: Path) -> KeyUri:
+    """Return `uri` if the operator named its module.
+
+    Raises:
+        TokenRefused: nobody but the file with the URI did.
+    """
+    if uri.module not in modules:
+        raise TokenRefused(
+            f"the key is in a token behind {uri.module!a}, a module that is not trusted here",
+            f"if you know it, write its path into {home / FILE}",
+        )
+    return uri
+
+
+def restored_uri(data: bytes, home: Path, named: str | None) -> KeyUri:
+    """Where the key of a backup is, behind a module that the operator names.
+
+    Args:
+        data: `ca.uri` of the backup, which does not decide about the module.
+        home: ROSSEC_HOME, whose modules are trusted.
+        named: the module that the operator names for it now.
+
+    Raises:
+        TokenRefused: no URI, or the operator names no module.
+    """
+    uri = KeyUri.parse(data.decode(errors="replace").strip())
+    if named is not None:
+        check_absolute(named)
+        return replace(uri, module=named)
+    if uri.module not in trusted(home):
+        raise TokenRefused(
+            f"the key of the backup is in a token, behind the module {uri.module!a} as it says",
+            "a module is code that is run: name the one to trust: --pkcs11-module /path/to.so",
+        )
+    return uri
+
 
 NODE: Final = "node"  # the identity `/ca`
 RECORD: Final = "ca.db"
@@ -60,7 +167,7 @@ class AuthorityHome:
         path = home / "ca"
         if not (path / "ca.pem").exists():
             raise ConfigurationError(
-                f"there is no authority in {home}", home_hints.missing_authority(home)
+                f"there is no authority in {home}", environment.missing_authority(home)
             )
         return cls(path)
 
@@ -93,9 +200,9 @@ class AuthorityHome:
         """
         path = cls.check_new(home)
         check_domain(domain)
-        key = key_files.generate()
+        key = private_keys.generate()
         if uri is not None:
-            token_modules.check_absolute(uri.module)
+            check_absolute(uri.module)
         signer = KeySigner(key) if uri is None else TokenSigner.create(uri, passphrase)
         root = create_root(signer, domain, now=now, serial=secrets.randbits(127) + 1)
         # In a temporary directory: an interrupted creation leaves nothing at `path`.
@@ -103,10 +210,10 @@ class AuthorityHome:
         try:
             _build(staging, signer, root, now)
             if uri is None:
-                key_files.write_private(staging / "ca.key", key, passphrase)
+                private_keys.write_private(staging / "ca.key", key, passphrase)
             else:
                 files.create(staging / KEY_URI, f"{uri}\n".encode())
-                token_modules.trust(home, uri.module)
+                trust(home, uri.module)
             files.commit_directory(staging, path)
         except BaseException:
             shutil.rmtree(staging, ignore_errors=True)
@@ -160,10 +267,10 @@ class AuthorityHome:
         """
         uri = self.key_uri()
         if uri is None:
-            return KeySigner(key_files.load_private(self.path / "ca.key", secret))
+            return KeySigner(private_keys.load_private(self.path / "ca.key", secret))
         home = self.path.parent
         known = self._modules(uri) if modules is None else modules
-        return TokenSigner.open(token_modules.require(uri, known, home), secret)
+        return TokenSigner.open(require(uri, known, home), secret)
 
     def key_uri(self) -> KeyUri | None:
         """Where the key is, if it is in a token.
@@ -179,12 +286,12 @@ class AuthorityHome:
 
     def _modules(self, uri: KeyUri) -> Collection[str]:
         home = self.path.parent
-        if not token_modules.exists(home):
+        if not exists(home):
             with contextlib.closing(self.store()) as store:
                 is_restored = store.log.last_restore() >= 0
             if not is_restored:  # an older version made it here
-                token_modules.trust(home, uri.module)
-        return token_modules.trusted(home)
+                trust(home, uri.module)
+        return trusted(home)
 
     @property
     def is_intermediate(self) -> bool:
@@ -227,7 +334,7 @@ class AuthorityHome:
     def _tree_entries(self, data: bytes) -> bytes:
         tree = open_tree(data, self.anchor().public_key)
         with contextlib.suppress(RevocationRefused):
-            return list_contents.tree_entries(self.store(), tree).encoded()
+            return signing.tree_entries(self.store(), tree).encoded()
         # Written by an older version, which stored them outside the record.
         missing = ConfigurationError("the entries of the tree are missing", "rossec ca refresh")
         data = files.read_own(self.path / ENTRIES, MAX_TREE_ENTRIES_SIZE, missing)
@@ -271,7 +378,7 @@ class AuthorityHome:
         """The number of recorded revocations that are not in the signed list."""
         if self.is_intermediate:
             return 0
-        return len(list_contents.missing_entries(self.store(), self.anchor().public_key, now))
+        return len(signing.missing_entries(self.store(), self.anchor().public_key, now))
 
 
 def _build(path: Path, signer: Signer, root: bytes, now: int) -> None:
@@ -298,3 +405,29 @@ def format_fingerprint(thumbprint: bytes) -> str:
     """
     digits = thumbprint.hex()
     return " ".join(digits[start : start + 4] for start in range(0, 32, 4))
+
+
+def check_new(node: NodeHome) -> None:
+    """Return if `node` has nothing in this ROSSEC_HOME yet.
+
+    Raises:
+        ConfigurationError: it has; nothing of it is replaced.
+    """
+    if node.path.exists():
+        raise ConfigurationError(
+            f"{node.name} is in {node.path} already",
+            "move that away, or enroll it as every other node: rossec node request",
+        )
+
+
+def enroll_here(authority: SigningAuthority, node: NodeHome, now: int) -> int:
+    """Make the key of `node`, sign its identity and install it; returns when it expires.
+
+    Raises:
+        ConfigurationError: as `check_new`.
+        HintedError: as `SigningAuthority.issue`.
+    """
+    check_new(node)
+    node.create_request(authority.domain)
+    bundle = authority.issue(node.request(), now, LIFETIME, source="this host")
+    return node.install(bundle, now).not_after

@@ -9,8 +9,8 @@ from rossec.channel.edhoc.credentials import Credentials
 from rossec.channel.records import ChannelLimits
 from rossec.errors import ChannelError, ConfigurationError
 from rossec.net.aio import SecureContext, WireProtocol, as_master, connect
-from rossec.net.rpc.client import CALL_DEADLINE, RpcClient
-from rossec.ros import settings
+from rossec.net.rpc.calls import CALL_DEADLINE, RpcClient
+from rossec.ros import names
 
 
 @asynccontextmanager
@@ -31,7 +31,7 @@ async def master_connection(
         ConfigurationError: not a URI, or another node answers there.
         HintedError, OSError, TimeoutError: it is unreachable.
     """
-    host, port = settings.parse_uri(uri, "the master's URI")
+    host, port = names.parse_uri(uri, "the master's URI")
     context = SecureContext(
         own,
         anchor.verify,

@@ -2,18 +2,63 @@
 
 It adds I/O to `grants.policy.read`. By default the file is `policy.yaml` next to the authority's
 key; without a file there is no policy, and it permits nothing.
+
+The plan to put a policy in force: for each node, what to sign and revoke. Changes nothing.
+
+The record is the authority's own, so its grants are read without verifying their signatures again.
+The wanted state is that of the nodes with a valid identity; `/ca` and `/master` act by their
+identity and get none. The grants of other keys only lose what the policy no longer allows.
+
+A plan carried out: what is only taken away goes first; then what is new is signed, and what that
+replaces goes, so that no node is without what it keeps.
+
+Each step is one transaction. Where it is cut off between the last two, nodes have the new grants
+and the old ones, the next plan finds the new ones exact, and what is left is to revoke the old.
+A plan made from another record, or by another policy, than there is now does nothing. Where the
+grants of one node cannot be signed, those of the others are, and what it may not have goes.
+
+Opting out: deny a topic to all nodes, or all topics to a node, and revoke what shows them.
+
+The policy is changed first. The grants are then revoked with the record locked: a decision by the
+old policy is signed already, or cannot be (`ApprovalQueue.sign`). What else they allowed is granted
+anew, with the same times.
 """
 
-from dataclasses import dataclass
+import secrets
+import time
+from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import dataclass, replace
+from hashlib import sha256
 from pathlib import Path
-from typing import Final, Self
+from typing import Final, NamedTuple, Self
 
+from ca.encoding import Value, encode
+from ca.errors import HintedError, RevocationRefused
+from ca.names import is_reserved
+from ca.revocation.lists import MAX_ENTRIES, MAX_LEAVES, RevocationList
+from ca.store.record import Store
+from grants import document
+from grants.errors import PolicyRefused
+from grants.model import ID_SIZE, KEY_SIZE, Draft, Grant, Permission, Right
 from grants.policy.decision import Decider
-from grants.policy.model import Policy
+from grants.policy.difference import (
+    Contradiction,
+    Moment,
+    NodeDifference,
+    RecordedGrant,
+    atoms,
+    difference,
+)
+from grants.policy.learn import NewRule, add_rules, free_id
+from grants.policy.model import Policy, Subject
+from grants.policy.names import intersects
 from grants.policy.read import load
 from grants.policy.source import MAX_SIZE
+from grants.policy.wanted import WantedRight, WantedState, rule_ids
 from rossec import files
+from rossec.authority import domain_operations, signing
 from rossec.authority.home import AuthorityHome
+from rossec.authority.signing import CLOCK_SKEW, OF_ALL, SKEW, SigningAuthority
 from rossec.errors import ConfigurationError
 from rossec.participant.host_types import definition_of, layout_of
 from rossec.participant.message_types import type_names
@@ -111,3 +156,451 @@ def read_policy(home: Path, given: Path | None, *, signs: bool = False) -> Polic
 def parse_policy(text: str, file: str) -> Policy:
     """Read a policy with the message types known here."""
     return load(text, definition_of, file=file, known_types=type_names())
+
+
+_Holder = tuple[str, bytes]
+"""The name of a node and the thumbprint of a key."""
+
+_OVER: Final = "apply it in parts (--node NAME), or wait until revoked grants have expired"
+
+
+@dataclass(frozen=True)
+class PlanOptions:
+    """What is asked of a plan.
+
+    Args:
+        names: only these nodes; None for all.
+        prune: revoke grants made by hand against a denial; what else they allow is granted anew.
+    """
+
+    names: Collection[str] | None = None
+    prune: bool = False
+
+
+@dataclass(frozen=True)
+class PolicyPlan:
+    """What applying a policy would do.
+
+    Args:
+        pruned: grants made by hand that go, each with what it allows and the policy does not deny.
+        entries: of the log of the record from which it was made.
+        listed: the number of entries of the revocation list afterwards; 0 if nothing is revoked.
+    """
+
+    policy: PolicyFile
+    options: PlanOptions
+    moment: Moment
+    nodes: tuple[NodeDifference, ...]
+    pruned: tuple[tuple[Grant, tuple[Permission, ...]], ...]
+    entries: int
+    listed: int = 0
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is nothing to do."""
+        return not self.revoke and self.signs == 0
+
+    @property
+    def signs(self) -> int:
+        """The number of grants to sign."""
+        return sum(len(node.sign) for node in self.nodes) + sum(
+            1 for _, left in self.pruned if left
+        )
+
+    @property
+    def revoke(self) -> tuple[Grant, ...]:
+        """The grants to revoke."""
+        gone = [grant for node in self.nodes for grant in node.revoke]
+        return (*gone, *(grant for grant, _ in self.pruned))
+
+    @property
+    def refused(self) -> tuple[str, ...]:
+        """Why some of what the policy allows is in no grant: of these nodes, and of no other."""
+        return tuple(reason for node in self.nodes for reason in node.refused)
+
+    @property
+    def taken(self) -> tuple[Grant, ...]:
+        """Of the grants to revoke those of which nothing is signed anew."""
+        return tuple(grant for node in self.nodes for grant in node.taken)
+
+    def without(self, taken: Iterable[Grant], entries: int) -> "PolicyPlan":
+        """What is left to do when `taken` are revoked, and the log of the record has `entries`."""
+        gone = {grant.id for grant in taken}
+        nodes = tuple(
+            replace(node, revoke=tuple(each for each in node.revoke if each.id not in gone))
+            for node in self.nodes
+        )
+        return replace(self, nodes=nodes, entries=entries)
+
+    @property
+    def contradictions(self) -> tuple[Contradiction, ...]:
+        """What grants made by hand allow against a denial, and will allow afterwards."""
+        if self.options.prune:
+            return ()
+        return tuple(each for node in self.nodes for each in node.contradictions)
+
+    @property
+    def needs_tree(self) -> bool:
+        """Whether there will be more revocations than a list holds."""
+        return self.listed > MAX_ENTRIES
+
+    @property
+    def ends(self) -> int | None:
+        """When the first right from the policy ends, seconds; None without any."""
+        return min((node.ends for node in self.nodes if node.ends is not None), default=None)
+
+    def effect(self, domain: str) -> bytes:
+        """The digest of what it signs and revokes; plans that do the same have the same, whenever.
+
+        SHA-256 of the CBOR of the claims of its grants, as if they were signed at the time `SKEW`
+        with serials of zeros by a key with a thumbprint of zeros, and of the ids that it revokes.
+        """
+        drafts = self.drafts(domain, CLOCK_SKEW, lambda: bytes(ID_SIZE))
+        signs: list[Value] = [
+            [document.from_draft(draft, bytes(KEY_SIZE)), rules] for draft, rules in drafts
+        ]
+        revokes: list[Value] = [*sorted(grant.id for grant in self.revoke)]
+        return sha256(encode([signs, revokes])).digest()
+
+    def drafts(
+        self, domain: str, now: int, serial: Callable[[], bytes]
+    ) -> Iterator[tuple[Draft, str]]:
+        """The grants to sign at `now`, each with the rules it comes from."""
+        for node in self.nodes:
+            for group in node.sign:
+                yield _draft(domain, node.subject, group, now, serial())
+        for grant, left in self.pruned:
+            if left and now < grant.expires:
+                draft = Draft(
+                    domain, grant.subject, grant.holder, grant.not_before, grant.expires,
+                    grant.cap, serial(), left,
+                )  # fmt: skip
+                yield draft, ""
+
+
+def make_plan(store: Store, policy: PolicyFile, options: PlanOptions, moment: Moment) -> PolicyPlan:
+    """Compare what `policy` allows outright with the grants in the record.
+
+    A node that cannot get all of it, or has more to lose than a list has room for, is among its
+    `refused`, and changes nothing for the others.
+
+    Raises:
+        RevocationRefused: more would be pruned than a list can hold.
+    """
+    state = WantedState(policy.decider)
+    with store.database.read_transaction():
+        recorded = _recorded(store, options.names, moment.now)
+        getting = _subjects(store, options.names, moment.now)
+        nodes = tuple(
+            difference(
+                state, getting.get(each, Subject(*each)), recorded.get(each, ()), moment,
+                gets=each in getting,
+            )
+            for each in sorted(getting.keys() | recorded.keys())
+        )  # fmt: skip
+        pruned = tuple(_pruned(nodes)) if options.prune else ()
+        plan = PolicyPlan(policy, options, moment, nodes, pruned, store.log.head(0).size)
+        return _measured(store, plan)
+
+
+def _subjects(store: Store, names: Collection[str] | None, now: int) -> dict[_Holder, Subject]:
+    """The nodes that may get grants, with their present keys."""
+    found = (
+        store.identities.all_valid(now)
+        if names is None
+        else [row for name in names for row in store.identities.valid(name, now)]
+    )
+    newest = {row.name: row for row in found if row.name.startswith("/")}
+    own = [
+        Subject(name, row.thumbprint, row.wildcard)
+        for name, row in newest.items()
+        if not is_reserved(name)
+    ]
+    foreign = domain_operations.subjects(store, now)
+    admitted = [each for each in foreign if names is None or each.name in names]
+    return {(each.name, each.key): each for each in (*own, *admitted)}
+
+
+def _recorded(
+    store: Store, names: Collection[str] | None, now: int
+) -> dict[_Holder, list[RecordedGrant]]:
+    """The grants that are or can be in force, by node and key."""
+    revoked, rules = store.revoked_entries(), store.policy_grants(names)
+    found: dict[_Holder, list[RecordedGrant]] = {}
+    for row in store.unrevoked_grants(names):
+        grant = document.peek(row.data)
+        if now < grant.cap and grant.holder not in revoked:
+            of = found.setdefault((grant.subject, grant.holder), [])
+            of.append(RecordedGrant(grant, rules.get(row.id, "")))
+    return found
+
+
+def _pruned(
+    nodes: tuple[NodeDifference, ...],
+) -> Iterator[tuple[Grant, tuple[Permission, ...]]]:
+    for node in nodes:
+        denied: dict[bytes, set[tuple[int, str]]] = {}
+        for each in node.contradictions:
+            denied.setdefault(each.grant.id, set()).add((each.right, each.pattern))
+        for grant in {each.grant.id: each.grant for each in node.contradictions}.values():
+            kept = [
+                entries for atom, entries in atoms(grant).items() if atom not in denied[grant.id]
+            ]
+            yield grant, tuple(item for entries in kept for item in entries)
+
+
+def _measured(store: Store, plan: PolicyPlan) -> PolicyPlan:
+    """The plan with the length of the list that it would make."""
+    gone = {grant.id for grant in plan.revoke}
+    if not gone:
+        return plan
+    listed = len(signing.required_entries(store, plan.moment.now) | gone)
+    if listed <= MAX_LEAVES:
+        return replace(plan, listed=listed)
+    why = f"a list has room for {MAX_LEAVES} revocations, this would make {listed}"
+    if plan.pruned:
+        raise RevocationRefused(why, _OVER)
+    return _within(plan, MAX_LEAVES - (listed - len(gone)), why)
+
+
+def _within(plan: PolicyPlan, room: int, why: str) -> PolicyPlan:
+    """What of a plan can be revoked: of each node all, of those with fewest first."""
+    room, nodes = max(0, room), list(plan.nodes)
+    left = room
+    for at in sorted(range(len(nodes)), key=lambda at: len(nodes[at].revoke)):
+        if len(nodes[at].revoke) > left:
+            nodes[at] = nodes[at].without_room(left, why)
+        left -= len(nodes[at].revoke)
+    return replace(plan, nodes=tuple(nodes), listed=MAX_LEAVES - left)
+
+
+def _draft(
+    domain: str, subject: Subject, group: tuple[WantedRight, ...], now: int, serial: bytes
+) -> tuple[Draft, str]:
+    lifetime = min(each.lifetime for each in group)
+    renewal = min(max(each.lifetime, each.renew_until) for each in group)
+    draft = Draft(
+        domain=domain, subject=subject.name, holder=subject.key,
+        not_before=now - CLOCK_SKEW, expires=now + lifetime, cap=now + renewal, serial=serial,
+        permissions=tuple(item for each in group for item in each.permissions),
+    )  # fmt: skip
+    return draft, rule_ids(rule for each in group for rule in each.rules)
+
+
+def sign_planned(
+    authority: SigningAuthority, plan: PolicyPlan, now: int
+) -> list[tuple[Draft, bytes]]:
+    """Sign and record the grants of a plan, all or none.
+
+    Raises:
+        ConfigurationError: the record or the policy has changed since the plan was made, or this is
+            an intermediate.
+        StoreError: a key was revoked meanwhile.
+    """
+    drafts = list(plan.drafts(authority.domain, now, lambda: secrets.token_bytes(ID_SIZE)))
+    if not drafts:
+        plan.policy.check_unchanged()  # what it revokes is to be what this policy denies
+        return []
+
+    def check() -> None:
+        plan.policy.check_unchanged()
+        check_record(authority, plan)
+
+    signed = authority.issue_grants(drafts, now, check)
+    return [(draft, data) for (draft, _), data in zip(drafts, signed, strict=True)]
+
+
+def take_away(
+    authority: SigningAuthority, plan: PolicyPlan, now: int
+) -> tuple[RevocationList | None, PolicyPlan]:
+    """Revoke what is only taken away, if something else is signed; returns what is left to do.
+
+    Raises:
+        ConfigurationError: as `sign_planned`.
+    """
+    taken = plan.taken
+    if not taken or not plan.signs:
+        return None, plan
+    with authority.store.transaction():
+        plan.policy.check_unchanged()
+        check_record(authority, plan)
+        listed = authority.revoke_all(frozenset(each.id for each in taken), _reason(plan), now)
+        return listed, plan.without(taken, authority.store.log.head(0).size)
+
+
+def sign_each(
+    authority: SigningAuthority, plan: PolicyPlan, now: int
+) -> tuple[list[tuple[Draft, bytes]], PolicyPlan]:
+    """As `sign_planned`, and where it refuses, for each node alone.
+
+    Returns the grants, and the plan with what is refused: what it revokes is left to do.
+
+    Raises:
+        ConfigurationError: as `sign_planned`.
+        HintedError: nothing can be signed at all.
+    """
+    try:
+        return sign_planned(authority, plan, now), plan
+    except OF_ALL:
+        raise
+    except HintedError:
+        plan.policy.check_unchanged()
+        check_record(authority, plan)
+    signed: list[tuple[Draft, bytes]] = []
+    nodes, pruned = [], []
+    for node in plan.nodes:
+        try:
+            signed += _sign_alone(authority, replace(plan, nodes=(node,), pruned=()), now)
+        except OF_ALL:
+            raise
+        except HintedError as error:
+            node = node.without_signing(str(error))  # noqa: PLW2901 - what is left of it
+        nodes.append(node)
+    for grant, left in plan.pruned:
+        try:
+            alone = replace(plan, nodes=(), pruned=((grant, left),))
+            signed += _sign_alone(authority, alone, now)
+        except OF_ALL:
+            raise
+        except HintedError as error:
+            at = next(at for at, node in enumerate(nodes) if grant in _contradicting(node))
+            nodes[at] = replace(
+                nodes[at], refused=(*nodes[at].refused, f"{grant.subject}: {error}")
+            )
+            left = ()  # noqa: PLW2901 - it goes all the same
+        pruned.append((grant, left))
+    return signed, replace(plan, nodes=tuple(nodes), pruned=tuple(pruned))
+
+
+def _contradicting(node: NodeDifference) -> list[Grant]:
+    return [each.grant for each in node.contradictions]
+
+
+def _sign_alone(
+    authority: SigningAuthority, plan: PolicyPlan, now: int
+) -> list[tuple[Draft, bytes]]:
+    drafts = list(plan.drafts(authority.domain, now, lambda: secrets.token_bytes(ID_SIZE)))
+    signed = authority.issue_grants(drafts, now, plan.policy.check_unchanged) if drafts else []
+    return [(draft, data) for (draft, _), data in zip(drafts, signed, strict=True)]
+
+
+def grant_outright(
+    authority: SigningAuthority,
+    policy: PolicyFile,
+    names: Collection[str],
+    now: int,
+    *,
+    renewed_until: int | None = None,
+) -> list[tuple[Draft, bytes]]:
+    """Sign what `policy` gives the nodes `names` outright and they do not have; revokes nothing.
+
+    `renewed_until`: until when the master can renew grants; None: it cannot.
+
+    Raises:
+        PolicyRefused: one of several cannot get all, or a single one nothing; nothing is signed.
+        ConfigurationError, StoreError: as `sign_planned`.
+    """
+    renews = renewed_until is not None
+    moment = Moment(now, SKEW, renews=renews, renewed_until=renewed_until)
+    plan = make_plan(authority.store, policy, PlanOptions(names), moment)
+    if plan.refused and (len(plan.nodes) > 1 or not plan.signs):
+        raise PolicyRefused(plan.refused[0], "see: rossec policy apply --dry-run")
+    return sign_planned(authority, plan, now)
+
+
+def check_record(authority: SigningAuthority, plan: PolicyPlan) -> None:
+    """Return if a plan made now would do the same.
+
+    Raises:
+        ConfigurationError: it would not.
+    """
+    if authority.store.log.head(0).size == plan.entries:
+        return
+    again = make_plan(authority.store, plan.policy, plan.options, plan.moment)
+    if (again.nodes, again.pruned) != (plan.nodes, plan.pruned):
+        raise ConfigurationError(
+            "the authority's record was changed meanwhile, nothing was done",
+            "run the command again: it then compares with the record of now",
+        )
+
+
+def revoke_planned(
+    authority: SigningAuthority, plan: PolicyPlan, now: int
+) -> RevocationList | None:
+    """Revoke what goes, and sign the list; None if nothing goes."""
+    gone = frozenset(grant.id for grant in plan.revoke)
+    if not gone:
+        return None
+    return authority.revoke_all(gone, _reason(plan), now)
+
+
+def _reason(plan: PolicyPlan) -> str:
+    return f"policy {plan.policy.policy.robot}"
+
+
+class OptOut(NamedTuple):
+    """A denial in the policy: of the topic `name`, or of all topics to the node `name`."""
+
+    policy: PolicyFile
+    rule: str
+    name: str
+    is_node: bool
+
+    def denies(self, permission: Permission) -> bool:
+        """Whether the permission shows what is denied."""
+        shows = Right.SUBSCRIBE in permission.rights
+        return shows and (self.is_node or intersects(permission.pattern, self.name))
+
+    def affects(self, grant: Grant) -> bool:
+        """Whether the grant shows what is denied."""
+        concerns = not self.is_node or grant.subject == self.name
+        return concerns and any(self.denies(permission) for permission in grant.permissions)
+
+
+def add_denial(policy: PolicyFile, name: str, now: int, *, is_node: bool) -> OptOut:
+    """Write the denial into the policy; see `PolicyFile.replace`."""
+    day = time.strftime("%Y-%m-%d", time.gmtime(now))
+    prefix = "opt-out" + name.replace("/", "-").replace("*", "any")[:60]
+    rule = NewRule(
+        free_id([item.id for item in policy.policy.rules], prefix), f"opted out {day}",
+        name if is_node else "*", "deny", {"subscribe": ["/**" if is_node else name]},
+    )  # fmt: skip
+    return OptOut(policy.replace(add_rules(policy.text, [rule])), rule.id, name, is_node)
+
+
+def revoke_shown(
+    authority: SigningAuthority, opted_out: OptOut, now: int
+) -> list[tuple[Grant, bytes | None]]:
+    """Revoke all grants that hold, or will, and show what is denied; or, if one fails, none.
+
+    They are returned with the signed grants of their other rights, where there are any.
+    """
+    store = authority.store
+    with store.transaction():
+        revoked, rules = store.revoked_entries(), store.policy_grants()
+        grants = [document.peek(row.data) for row in store.grants()]
+        return [
+            (grant, _revoke(authority, grant, opted_out, now, rules.get(grant.id, "")))
+            for grant in grants
+            if revoked.isdisjoint((grant.id, grant.holder)) and now < grant.cap
+            and opted_out.affects(grant)
+        ]  # fmt: skip
+
+
+def _revoke(
+    authority: SigningAuthority, grant: Grant, opted_out: OptOut, now: int, rules: str
+) -> bytes | None:
+    """Revoke `grant`; returns what gives its holder the other rights, signed, if there are any."""
+    authority.revoke(grant.id, f"opted out of {opted_out.name}", now)
+    permissions: list[Permission] = []
+    for item in grant.permissions:
+        rights = item.rights & ~Right.SUBSCRIBE if opted_out.denies(item) else item.rights
+        if rights:
+            permissions.append(replace(item, rights=rights))
+    if not permissions or grant.expires <= now:
+        return None
+    draft = Draft(
+        grant.domain, grant.subject, grant.holder, grant.not_before, grant.expires, grant.cap,
+        secrets.token_bytes(16), tuple(permissions),
+    )  # fmt: skip
+    return authority.issue_grant(draft, now, rules)

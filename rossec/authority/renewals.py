@@ -1,26 +1,42 @@
 """Successors, signed and recorded: of identities, of the authority's own node, and intermediates.
 
-A node signs the request with its old key (`ca.renewal`) and gets one answer per request, and no
+A node signs the request with its old key (`ca.certificates`) and gets one answer per request, and no
 further certificate while the newest one is not due; an operator renews by name, for the current key
 of the name. The old identity is looked up in the transaction that records the successor: a key that
 is revoked meanwhile gets none.
+
+Set up an intermediate on its host: a key and a request first, then what the root signed.
+
+Until the root has signed, the directory has no `ca.pem` and is not an authority yet.
 """
 
+import contextlib
 import secrets
 from collections.abc import Callable, Collection
+from pathlib import Path
 from typing import Final
 
-from ca.authority import DAY, LIFETIME, MAX_LIFETIME
-from ca.certificates import Identity, from_pem
+from ca.authority import DAY, LIFETIME, MAX_LIFETIME, Authority
+from ca.certificates import (
+    Identity,
+    Intermediate,
+    Renewal,
+    TrustAnchor,
+    build_intermediate_request,
+    from_pem,
+    open_renewal,
+    renew_at,
+    to_pem,
+)
 from ca.errors import RenewalRefused, Revoked, StoreError
-from ca.keys import key_files
-from ca.keys.signer import KeySigner
-from ca.renewal import Renewal, open_renewal, renew_at
-from ca.requests import build_request
+from ca.keys import private_keys
+from ca.keys.signing import KeySigner
 from ca.store.record import CertificateRow, Store
-from ca.store.rows import INTERMEDIATE
-from rossec.authority import thing_records
-from rossec.authority.home import OWN_LIFETIME
+from ca.store.values import INTERMEDIATE
+from ca.svid import build_request
+from rossec import files
+from rossec.authority import signing
+from rossec.authority.home import OWN_LIFETIME, AuthorityHome
 from rossec.authority.signing import OWN_NODE, SigningAuthority, certificate_row
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -35,14 +51,14 @@ def renew(
     check: Callable[[bytes, int], None] | None = None,
     lifetime: int = LIFETIME,
 ) -> bytes:
-    """Answer a node's renewal (`ca.renewal.sign_renewal`) with its new bundle (PEM).
+    """Answer a node's renewal (`ca.certificates.sign_renewal`) with its new bundle (PEM).
 
     `check(entry, now)` raises for revoked entries; the default uses the authority's record. The
     host of an intermediate has no such record and passes `Revocations.check`.
 
     Raises:
         RenewalRefused: invalid, not due, or the identity was renewed by another key before.
-        CertificateRefused, RequestRefused, Revoked: as `ca.renewal.open_renewal`.
+        CertificateRefused, RequestRefused, Revoked: as `ca.certificates.open_renewal`.
     """
     with authority.store.transaction():
         return _renew(authority, data, now, check or _check_in_record(authority), lifetime)
@@ -158,7 +174,7 @@ def _identity(authority: SigningAuthority, row: CertificateRow, now: int) -> Ide
 def renew_own_node(authority: SigningAuthority, now: int) -> int:
     """Renew the authority's own node, even if expired; returns its `not_after`."""
     own = NodeHome(authority.path / "node", OWN_NODE)
-    key = KeySigner(key_files.load_private(own.path / "node.key"))
+    key = KeySigner(private_keys.load_private(own.path / "node.key"))
     request = build_request(key, authority.domain, OWN_NODE)
     return own.install(authority.issue(request, now, OWN_LIFETIME), now).not_after
 
@@ -224,7 +240,7 @@ def import_identity(
         replace_key = row.name if row.name in replaced else None
         store.add_certificate(row, now, replace_key=replace_key)
         if replace_key is not None:
-            thing_records.end_with_router(store, row.name, now)
+            signing.end_with_router(store, row.name, now)
         store.log_event("imported", row.name, f"{row.serial:x}", now)
         authority.refresh_list(now)
     return identity, True
@@ -254,3 +270,67 @@ def _check_in_record(authority: SigningAuthority) -> Callable[[bytes, int], None
 
 def _serial() -> int:
     return secrets.randbits(127) + 1
+
+
+REQUEST: Final = "intermediate.csr"
+OWNED: Final = (files.Owned(r"intermediate\.csr"), files.Owned(r"intermediate\.pem", public=True))
+
+
+def begin(home: Path, domain: str, passphrase: str) -> Path:
+    """Create the key of an intermediate and its request for the root; returns its path.
+
+    Raises:
+        ConfigurationError: there is an authority here already.
+        KeyRefused: there is a key already.
+    """
+    path = home / "ca"
+    if (path / "ca.pem").exists():
+        raise ConfigurationError(
+            f"there is an authority in {path}, whose service renews identities: rossec ca serve",
+            "for an intermediate on another host, there: ROSSEC_HOME=~/intermediate rossec ca"
+            f" intermediate request {domain}",
+        )
+    files.make_private_directory(path)
+    key = private_keys.generate()
+    request = build_intermediate_request(KeySigner(key), domain)
+    private_keys.write_private(path / "ca.key", key, passphrase)
+    files.create(path / REQUEST, request, 0o644)
+    return path / REQUEST
+
+
+def install(home: Path, bundle: bytes, passphrase: str, now: int) -> Intermediate:
+    """Install what the root signed; a newer certificate for the same key replaces the older.
+
+    Raises:
+        CertificateRefused: not an intermediate, or not valid now.
+        IssueRefused: for another key than the one here.
+        ConfigurationError: below another root than before.
+    """
+    path = home / "ca"
+    der, root = _split(bundle)
+    anchor = TrustAnchor.load(root)
+    found = anchor.check_intermediate(der, now)
+    signer = KeySigner(private_keys.load_private(path / "ca.key", passphrase))
+    Authority(signer, root, der)
+    if (path / "ca.pem").exists() and AuthorityHome(path).anchor().thumbprint != anchor.thumbprint:
+        raise ConfigurationError(
+            "this is the intermediate of another root", "start again in another ROSSEC_HOME"
+        )
+    if not (path / "ca.db").exists():
+        Store.create(path / "ca.db").close()
+    files.replace(path / "intermediate.pem", to_pem(der), 0o644)
+    files.replace(path / "ca.pem", to_pem(root), 0o644)
+    with contextlib.closing(Store.open(path / "ca.db")) as store:
+        store.log_event("installed", "intermediate", found.thumbprint.hex(), now)
+    return found
+
+
+def _split(bundle: bytes) -> tuple[bytes, bytes]:
+    match from_pem(bundle):
+        case (der, root):
+            return der, root
+        case found:
+            raise ConfigurationError(
+                f"a bundle of {len(found)} certificates where two are expected",
+                "take the file `rossec ca intermediate sign` wrote",
+            )

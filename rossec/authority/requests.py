@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from ca.errors import RecordUnusable, StoreError
-from ca.store.database import Database
-from ca.store.log_entries import digest_of
-from ca.store.schema import append_entry
+from ca.store.database import Database, append_entry
+from ca.store.values import digest_of
 from grants.model import Right
 from grants.request import GrantRequest, RequestedRight, peek_request
 from rossec import files

@@ -13,11 +13,18 @@ from pathlib import Path
 from typing import Final
 
 from ca.certificates import TrustAnchor
-from ca.domains.lists import ForeignDomain, open_domains
+from ca.domains.trust import ForeignDomain, open_domains
 from ca.errors import BackupRefused, DomainsRefused, HintedError
-from ca.revocation.lists import MAX_LIST, RevocationList
-from ca.revocation.state import open_list, open_statement
-from ca.revocation.tree import MAX_TREE_ENTRIES_SIZE, TreeEntries, is_tree, open_tree
+from ca.revocation.lists import (
+    MAX_LIST,
+    MAX_TREE_ENTRIES_SIZE,
+    RevocationList,
+    TreeEntries,
+    is_tree,
+    open_list,
+    open_tree,
+)
+from ca.revocation.trust_status import open_statement
 from rossec import files
 from rossec.authority.home import ENTRIES
 from rossec.authority.signing import SigningAuthority

@@ -3,37 +3,328 @@
 Everything is recorded before it is delivered. Two commands may run at the same time: decisions by
 the record (a list number, the valid identities, the entries of a list) are made, signed and
 recorded in one transaction, and so is a revocation with its list.
+
+What an authority grants at all: rights on names of its own domain, and tails to who has them.
+
+The entries that the signed revocation list must have, and those that the newest one lacks.
+
+They are computed from the record: everything revoked that could still be valid. A list is outdated
+when it lacks one of these entries; their order does not matter. A tree does not contain its
+entries; they are those of the record if they give the signed root.
+
+The list of domains that the record calls for, and whether the newest one still is that.
+
+It has the trusted foreign domains whose time is not over, and the keys of all valid identities with
+a master's name. An authority without foreign domains and with one master signs none: its nodes then
+work as they did before there were such lists. Once one was signed, there always is one.
+
+What the record says of things, as the authority's decisions need it.
+
+A border router has the keys of the nodes that stand for its things. So where a router, or the node
+of a thing, loses its key, what depended on it ends in the same list.
 """
 
 import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
+from ca import svid
 from ca.authority import LIFETIME, Authority
-from ca.certificates import Identity, check_request, to_pem
-from ca.domains.lists import DomainList
-from ca.errors import ForeignCertificate, RequestClosed
-from ca.keys.signer import Signer
-from ca.names import check_name
-from ca.revocation.state import MAX_ENTRIES, RevocationList, open_statement, sign_list
-from ca.revocation.tree import RevocationTree, TreeEntries, sign_tree
-from ca.store.lifecycle import RequestState
-from ca.store.log_entries import sign_head
-from ca.store.record import CertificateRow, GrantRow, Store
-from ca.store.rows import INTERMEDIATE
+from ca.certificates import Identity, TrustAnchor, to_pem
+from ca.domains.trust import DomainList, ForeignDomain, open_domains, sign_domains
+from ca.errors import (
+    ForeignCertificate,
+    PassphraseRefused,
+    RecordUnusable,
+    RequestClosed,
+    RevocationRefused,
+    ThingUnknown,
+    TokenRefused,
+)
+from ca.keys.signing import Signer, to_coordinates
+from ca.names import check_name, is_alias, shown
+from ca.revocation.lists import (
+    MAX_ENTRIES,
+    RevocationList,
+    RevocationTree,
+    TreeEntries,
+    sign_list,
+    sign_tree,
+)
+from ca.revocation.trust_status import open_statement
+from ca.store.record import CertificateRow as record_CertificateRow
+from ca.store.record import GrantRow, Store
+from ca.store.signed_statements import ThingRow
+from ca.store.values import INTERMEDIATE, CertificateRow, RequestState, sign_head
+from ca.svid import check_request
 from grants import document
-from grants.model import Draft
+from grants.model import Draft, Permission, Right
 from grants.renewal import Delegation, OpenDelegation, open_delegation, sign_delegation
 from rossec import files
-from rossec.authority import domain_list, list_contents, thing_records
-from rossec.authority.grantable import check_own_names, check_tail
-from rossec.errors import ConfigurationError
+from rossec.errors import (
+    AuthorityLocked,
+    ConfigurationError,
+    KeyServiceFailed,
+    KeyServiceRefused,
+    SigningRefused,
+)
 
-SKEW: Final = list_contents.SKEW  # backdates grants, for hosts whose clock is behind
+OF_ALL: Final = (
+    AuthorityLocked, KeyServiceFailed, KeyServiceRefused, PassphraseRefused, RecordUnusable,
+    SigningRefused, TokenRefused,
+)  # fmt: skip
+"""Refusals that are about the key or the record, and so of every grant."""
+
+
+def check_own_names(permissions: Iterable[Permission]) -> None:
+    """Return if an authority may grant these: of others' names it shows its own graph, no more.
+
+    Raises:
+        ConfigurationError: a right on a name below `/remote`, which another authority grants.
+    """
+    for permission in permissions:
+        if is_alias(permission.pattern) and permission.rights & ~Right.GRAPH:
+            raise ConfigurationError(
+                f"{shown(permission.pattern)} is a name of another domain or site",
+                "its own authority grants rights on it, by its name there; here only --graph",
+            )
+
+
+def check_tail(draft: Draft, valid: Iterable[CertificateRow]) -> None:
+    """Return if no names of anonymous nodes are granted, or the holder has their wildcard tail.
+
+    Args:
+        valid: the valid identities of the subject, oldest first; the newest of the key counts.
+
+    Raises:
+        ConfigurationError: its identity has none.
+    """
+    if not draft.has_tail_patterns:
+        return
+    tails = [row.wildcard for row in valid if row.thumbprint == draft.holder]
+    if not any(tails[-1:]):
+        raise ConfigurationError(
+            f"{draft.subject} is one node, and has no names of anonymous nodes",
+            f"give its names as they are: {draft.subject}/..., without ~",
+        )
+
+
+CLOCK_SKEW: Final = 60  # seconds that another host's clock may be behind
+
+
+def required_entries(store: Store, now: int) -> frozenset[bytes]:
+    """The entries of a list signed at `now`.
+
+    Grants that have expired and cannot be renewed are left out, and so are statements about things.
+    A node refuses a list from its future, so a node without the entry finds the grant expired (RFC
+    9770 removes entries in the same way). Keys stay: they are few, and a certificate renewed by the
+    master may be valid longer than those recorded here.
+    """
+    ended = (
+        row.id for row in store.revoked_grants() if document.peek(row.data).cap + CLOCK_SKEW < now
+    )
+    expired = (row.id for row in store.things.revoked() if row.expires + CLOCK_SKEW < now)
+    return store.revoked_entries() - frozenset(ended) - frozenset(expired)
+
+
+def missing_entries(store: Store, key: ec.EllipticCurvePublicKey, now: int) -> frozenset[bytes]:
+    """The entries that the newest signed list lacks; all, where that is unknown.
+
+    `key` is the authority's.
+
+    Raises:
+        RevocationRefused: the list in the record is not signed by the authority.
+    """
+    with store.database.read_transaction():
+        data = store.newest_list()
+        statement = None if data is None else open_statement(data, key)
+        return required_entries(store, now) - _listed_entries(store, statement)
+
+
+def tree_entries(store: Store, tree: RevocationTree) -> TreeEntries:
+    """The entries of a signed tree, from the record.
+
+    Raises:
+        RevocationRefused: those in the record do not give its root.
+    """
+    listing = TreeEntries(required_entries(store, tree.issued))
+    listing.check(tree)
+    return listing
+
+
+def _listed_entries(
+    store: Store, statement: RevocationList | RevocationTree | None
+) -> frozenset[bytes]:
+    match statement:
+        case RevocationList(entries=entries):
+            return entries
+        case RevocationTree():
+            try:
+                return tree_entries(store, statement).entries
+            except RevocationRefused:
+                return frozenset()
+        case _:
+            return frozenset()
+
+
+DOMAIN_LIST_LIFETIME: Final = 90 * 86400
+DOMAIN_LIST_REFRESH: Final = 7 * 86400
+
+
+def required_domains(store: Store, now: int) -> tuple[ForeignDomain, ...]:
+    """The foreign domains that are trusted at `now`, sorted by name."""
+    found = [row.read() for row in store.domains.accepted()]
+    return tuple(each for each in found if now < each.until)
+
+
+def required_masters(store: Store, now: int) -> tuple[bytes, ...]:
+    """The keys of the domain's masters, as x and y, sorted."""
+    rows = store.identities.valid_masters(now)
+    return tuple(sorted({to_coordinates(svid.key_of(svid.parse(row.der))) for row in rows}))
+
+
+def is_domain_list_due(store: Store, anchor: TrustAnchor, now: int) -> bool:
+    """Whether a list has to be signed: there is none, or it is old, or it says something else.
+
+    Raises:
+        DomainsRefused: the list in the record is not signed by the authority.
+    """
+    with store.database.read_transaction():
+        data, domains = store.domains.newest_list(), required_domains(store, now)
+        if not data:
+            return bool(domains) or len({m.name for m in store.identities.valid_masters(now)}) > 1
+        held = open_domains(data, anchor)
+        said = held.domains, held.masters
+        return now - held.issued > DOMAIN_LIST_REFRESH or said != (
+            domains,
+            required_masters(store, now),
+        )
+
+
+def sign_domain_list(
+    authority: Authority, store: Store, now: int, *, new_epoch: bool = False, above: int = 0
+) -> DomainList:
+    """Sign and record a list with the next number; `new_epoch`, `above`: as for a revocation list.
+
+    Raises:
+        DomainsRefused: there are too many domains or masters, or their terms are too long.
+    """
+    with store.transaction():
+        epoch, seq = store.domains.next_number()
+        if new_epoch:
+            epoch, seq = max(epoch + 1, above + 1, now), 1
+        listed = DomainList(
+            epoch, seq, now, now + DOMAIN_LIST_LIFETIME,
+            required_domains(store, now), required_masters(store, now),
+        )  # fmt: skip
+        data = sign_domains(authority.signer, listed, authority.anchor.domain)
+        store.domains.save_list(listed.number, data, now)
+    return listed
+
+
+IN_FORCE: Final = "in force"
+RENEWED: Final = "renewed"
+EXPIRED: Final = "expired"
+REVOKED: Final = "revoked"
+OTHER_KEY: Final = "its border router has another key"
+
+
+class ThingState(NamedTuple):
+    """A statement, and what it is now: in force, renewed, expired, revoked, or of a former key."""
+
+    row: ThingRow
+    state: str
+
+
+def states(store: Store, now: int) -> list[ThingState]:
+    """Every statement, oldest first, with what it is at `now`."""
+    with store.database.read_transaction():
+        rows, revoked = store.things.all(), store.revoked_entries()
+        newest = {row.name: row.id for row in store.things.in_force(now)}
+        borders = {row.border for row in rows}
+        keys = {name: _newest_key(store, name, now) for name in borders}
+    return [ThingState(row, _state(row, now, newest, revoked, keys)) for row in rows]
+
+
+def _newest_key(store: Store, name: str, now: int) -> bytes:
+    """The thumbprint of the newest valid key of a node; empty: it has none."""
+    valid = store.identities.valid(name, now)
+    return valid[-1].thumbprint if valid else b""
+
+
+def _state(
+    row: ThingRow, now: int, newest: dict[str, bytes], revoked: frozenset[bytes],
+    keys: dict[str, bytes],
+) -> str:  # fmt: skip
+    if row.id in revoked:
+        return REVOKED
+    if now >= row.expires:
+        return EXPIRED
+    if newest[row.name] != row.id:
+        return RENEWED
+    return IN_FORCE if row.read().border == keys[row.border] else OTHER_KEY
+
+
+def ended_with(store: Store, name: str, now: int) -> frozenset[bytes]:
+    """What must be revoked with the keys of the node `name`, besides these.
+
+    The statements about it, if it is a thing, and what ends with a border router of that name.
+    """
+    about = (row.id for row in _not_revoked(store) if row.name == name)
+    return ended_with_router(store, name, now) | frozenset(about)
+
+
+def ended_with_router(store: Store, border: str, now: int) -> frozenset[bytes]:
+    """What must be revoked with a key of the border router `border`.
+
+    The statements about its things, expired or not, and the keys of their nodes, which it has.
+    """
+    alive = [row for row in _not_revoked(store) if row.border == border]
+    entries = {row.id for row in alive}
+    for thing in {row.name for row in alive}:
+        if store.things.last(thing).border == border:
+            entries |= store.unrevoked_keys(thing, now)
+    return frozenset(entries)
+
+
+def end_with_router(store: Store, border: str, now: int) -> None:
+    """Record the end of what `ended_with_router` names: the router `border` has a new key."""
+    for entry in sorted(ended_with_router(store, border, now)):
+        store.revoke(entry, f"{border} has a new key", now)
+
+
+def _not_revoked(store: Store) -> list[ThingRow]:
+    revoked = store.revoked_entries()
+    return [row for row in store.things.all() if row.id not in revoked]
+
+
+def replaced_by(
+    store: Store, name: str, border: bytes, replaced: frozenset[str], now: int
+) -> frozenset[bytes]:
+    """What ends where a statement about `name` at the router with the key `border` is signed.
+
+    For each thing that it replaces: the statements in force, and the keys of its node where that
+    node has to be another one, under the new name or at another router.
+
+    Raises:
+        ThingUnknown: there is nothing about one of them to replace.
+    """
+    entries: set[bytes] = set()
+    for former in sorted(replaced):
+        ids = store.things.ids(former, now)
+        if not ids:
+            raise ThingUnknown(f"no statement about {former} is in force", "leave --replace out")
+        entries |= ids
+        if former != name or store.things.get(former, now).read().border != border:
+            entries |= store.unrevoked_keys(former, now)
+    return frozenset(entries)
+
+
+SKEW: Final = CLOCK_SKEW  # backdates grants, for hosts whose clock is behind
 DELEGATIONS: Final = "delegations"
 OWNED: Final = (files.Owned(rf"{DELEGATIONS}/[0-9a-f]{{1,128}}\.cose"),)
 OWN_NODE: Final = "/ca"  # the identity of the authority's tools
@@ -106,7 +397,7 @@ class SigningAuthority:
                 replace_key=row.name if row.replaces else None,
             )
             if row.replaces:
-                thing_records.end_with_router(self.store, row.name, now)
+                end_with_router(self.store, row.name, now)
             self.refresh_list(now)
         return self.bundle(der)
 
@@ -121,7 +412,7 @@ class SigningAuthority:
         """The bundle a node installs: leaf, intermediate if there is one, root (PEM)."""
         return to_pem(der, *self.authority.chain, self.authority.anchor.certificate)
 
-    def issued_bundle(self, row: CertificateRow, now: int, *, wildcard: bool) -> bytes:
+    def issued_bundle(self, row: record_CertificateRow, now: int, *, wildcard: bool) -> bytes:
         """The bundle issued for a request before, as the first answer may be lost."""
         is_valid = row in self.store.identities.valid(row.name, now)
         if not is_valid and row.wildcard is wildcard and now > row.not_after:
@@ -236,7 +527,7 @@ class SigningAuthority:
             found = self.store.unrevoked_keys(sought, now)
             if found:
                 self._check_root()
-                ended = found | thing_records.ended_with(self.store, sought, now)
+                ended = found | ended_with(self.store, sought, now)
                 return self._revoke(ended, reason, now), len(found)
             self.refresh_list(now)
         certified = self.store.identities.certified_name(name, now)
@@ -273,9 +564,9 @@ class SigningAuthority:
             held = self.store.newest_list()
             issued = 0 if held is None else open_statement(held, self.signer.public_key).issued
             late = now - issued > _LIST_REFRESH
-            if late or list_contents.missing_entries(self.store, self.signer.public_key, now):
+            if late or missing_entries(self.store, self.signer.public_key, now):
                 self.sign_list(now)
-            if domain_list.is_due(self.store, self.authority.anchor, now):
+            if is_domain_list_due(self.store, self.authority.anchor, now):
                 self.sign_domains(now)
 
     def sign_domains(self, now: int, *, new_epoch: bool = False, above: int = 0) -> DomainList:
@@ -287,7 +578,7 @@ class SigningAuthority:
         """
         self._check_root("say which domains are trusted")
         with self.store.transaction():
-            listed = domain_list.sign(
+            listed = sign_domain_list(
                 self.authority, self.store, now, new_epoch=new_epoch, above=above
             )
             self.sign_head(now)
@@ -308,7 +599,7 @@ class SigningAuthority:
             epoch, seq = self.store.next_number()
             if new_epoch:
                 epoch, seq = max(epoch + 1, above + 1, now), 1
-            entries = list_contents.required_entries(self.store, now)
+            entries = required_entries(self.store, now)
             listed = RevocationList(epoch, seq, now, now + _LIST_LIFETIME, entries)
             self.store.save_list(listed.number, self._sign_list_or_tree(listed), now)
             self.sign_head(now)
@@ -333,9 +624,9 @@ def delegations(authority: Path, key: ec.EllipticCurvePublicKey) -> list[OpenDel
     return [open_delegation(files.read_own(path, _SIZE_LIMIT, missing), key) for path in found]
 
 
-def certificate_row(identity: Identity) -> CertificateRow:
+def certificate_row(identity: Identity) -> record_CertificateRow:
     """The row that records an identity."""
-    return CertificateRow(
+    return record_CertificateRow(
         identity.serial, identity.name, identity.thumbprint, identity.certificate,
         identity.not_before, identity.not_after,
     )  # fmt: skip

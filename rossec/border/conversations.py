@@ -3,15 +3,110 @@
 A thing has one conversation. A new one ends the former, as a thing that was restarted has forgotten
 it. At most `CAPACITY` are held, and the one that was quiet for longest makes room; whoever is not
 authenticated has none.
+
+How much one thing, and whoever is not authenticated yet, may ask of a border router. Pure.
+
+Datagrams of strangers until it is their turn. Pure.
+
+What comes from where an authenticated thing was last is taken at once, in front of everything here,
+up to several times the rate of a thing; more is lost, as the address may be forged. The rest
+waits: hosts take turns (of IPv6 networks of 64 bits), and of one host its ports, so that who sends
+much delays itself. Bounded in all and for each; what does not fit is lost, as any datagram may be.
 """
 
 from collections import OrderedDict, deque
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
+from functools import lru_cache
+from ipaddress import IPv6Address, ip_address
 from typing import Final
 
-from rossec.border.contexts import OscoreContext
-from rossec.border.quotas import Quota
-from rossec.border.transmissions import Address
+from grants.limits import TokenBucket
+from rossec.border.messages import Address, OscoreContext
+
+MESSAGE_RATE: Final = 10.0  # a second, of one thing
+MESSAGE_BURST: Final = 20.0
+MAX_OBSERVATIONS: Final = 64  # of one thing
+MAX_RESOURCES: Final = 96  # of one thing, of all kinds
+MAX_BLOCK: Final = 1024  # octets in one message
+MAX_BODY: Final = 16 * 1024  # octets, block by block
+SOURCE_RATE: Final = 10.0  # handshakes a second, of one address and port
+SOURCE_BURST: Final = 10.0
+MAX_SOURCES: Final = 4096
+
+
+class Quota:
+    """Messages of one thing: `take` says whether one more is within its rate.
+
+    A thing that goes on is told so a few times; then what it sends is not even decrypted.
+    """
+
+    __slots__ = ("_beyond", "_bucket", "dropped")
+
+    def __init__(self, rate: float = MESSAGE_RATE, burst: float = MESSAGE_BURST) -> None:
+        self._bucket = TokenBucket(rate, burst)
+        self._beyond = TokenBucket(rate, burst)
+        self.dropped = 0
+
+    def take(self, now: float) -> bool:
+        """Whether it is within the rate; if not, it counts as dropped."""
+        if self._bucket.refill(now) < 1:
+            self.dropped += 1
+            self._beyond.tokens -= min(1.0, self._beyond.refill(now))
+            return False
+        self._bucket.tokens -= 1
+        return True
+
+    def is_spent(self, now: float) -> bool:
+        """Whether nothing of this thing is looked at now; then it counts as dropped."""
+        spent = self._bucket.refill(now) < 1 and self._beyond.refill(now) < 1
+        self.dropped += spent
+        return spent
+
+
+class Unauthenticated:
+    """What senders may cost before they are authenticated: each of them, and all together.
+
+    One port, one host (of IPv6 its network of 64 bits), all: who has many ports or addresses still
+    leaves half to others. The most recent ones are remembered. A sender that forges addresses uses
+    up what all have together; things that are authenticated already do not need it.
+
+    Args:
+        total: how many a second of all senders.
+    """
+
+    def __init__(self, total: float) -> None:
+        self._total = total
+        self._all = TokenBucket(total, total)
+        self._sources: OrderedDict[Hashable, TokenBucket] = OrderedDict()
+
+    def take(self, host: str, port: int, now: float) -> bool:
+        """Whether an attempt of this sender is looked at."""
+        half = self._total / 2
+        buckets = (
+            self._bucket((host, port), SOURCE_RATE, SOURCE_BURST),
+            self._bucket(network_of(host), half, half),
+            self._all,
+        )
+        while len(self._sources) > MAX_SOURCES:
+            self._sources.popitem(last=False)
+        if any(bucket.refill(now) < 1 for bucket in buckets):
+            return False
+        for bucket in buckets:
+            bucket.tokens -= 1
+        return True
+
+    def _bucket(self, source: Hashable, rate: float, burst: float) -> TokenBucket:
+        bucket = self._sources.pop(source, None) or TokenBucket(rate, burst)
+        self._sources[source] = bucket
+        return bucket
+
+
+def network_of(host: str) -> bytes:
+    """The octets that one host cannot change: an IPv4 address, or the first 64 bits of IPv6."""
+    address = ip_address(host.partition("%")[0])
+    mapped = address.ipv4_mapped if isinstance(address, IPv6Address) else address
+    return address.packed[:8] if mapped is None else mapped.packed
+
 
 CAPACITY: Final = 1024
 REMEMBERED: Final = 4  # answers to the last requests of a thing, in case they are repeated
@@ -128,3 +223,89 @@ class Conversations:
             del self._by_kid[found.kid]
             self._leave(found)
             self._ended(found)
+
+
+RATE: Final = 50.0  # datagrams a second of one thing that are taken at once
+BURST: Final = 100.0
+OF_PORT: Final = 4  # datagrams of one port that wait
+OF_HOST: Final = 64
+OF_ALL: Final = 1024
+
+_network_of = lru_cache(4096)(network_of)
+
+
+class _Host:
+    """What waits of one host, by its ports."""
+
+    def __init__(self) -> None:
+        self._ports: OrderedDict[Address, deque[bytes]] = OrderedDict()
+        self._count = 0
+
+    def put(self, data: bytes, address: Address) -> bool:
+        """Whether there is room for it."""
+        queue = self._ports.get(address)
+        if self._count >= OF_HOST or (queue is not None and len(queue) >= OF_PORT):
+            return False
+        if queue is None:
+            queue = self._ports[address] = deque()
+        queue.append(data)
+        self._count += 1
+        return True
+
+    def take(self) -> tuple[bytes, Address]:
+        """The oldest of the port whose turn it is."""
+        address, queue = self._ports.popitem(last=False)
+        data = queue.popleft()
+        self._count -= 1
+        if queue:
+            self._ports[address] = queue
+        return data, address
+
+    def __bool__(self) -> bool:
+        return self._count > 0
+
+
+class Intake:
+    """Waiting datagrams."""
+
+    def __init__(self) -> None:
+        self._waiting: OrderedDict[bytes, _Host] = OrderedDict()
+        self._things: OrderedDict[Address, TokenBucket] = OrderedDict()
+        self._count = 0
+        self.lost = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def is_first(self, address: Address, now: float) -> bool:
+        """Whether the next datagram from where a thing was last is taken at all: at once."""
+        bucket = self._things.pop(address, None) or TokenBucket(RATE, BURST)
+        self._things[address] = bucket
+        if len(self._things) > CAPACITY:
+            self._things.popitem(last=False)
+        if bucket.refill(now) < 1:
+            self.lost += 1
+            return False
+        bucket.tokens -= 1
+        return True
+
+    def put(self, data: bytes, address: Address) -> None:
+        """Let a datagram wait, or lose it."""
+        network = _network_of(str(address[0]))
+        host = self._waiting.get(network) or _Host()
+        if self._count >= OF_ALL or not host.put(data, address):
+            self.lost += 1
+            return
+        self._waiting[network] = host
+        self._count += 1
+
+    def take(self) -> tuple[bytes, Address] | None:
+        """The next datagram, of the host whose turn it is."""
+        if not self._waiting:
+            return None
+        network, host = self._waiting.popitem(last=False)
+        taken = host.take()
+        if host:
+            self._waiting[network] = host
+        self._count -= 1
+        return taken

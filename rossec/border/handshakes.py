@@ -18,9 +18,9 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.encoding import decode
 from ca.errors import EncodingError
-from ca.keys.publickey import thumbprint
-from ca.things.credentials import ThingKey
-from rossec.border.contexts import KEY_SIZE, SALT_SIZE, OscoreContext
+from ca.keys.signing import thumbprint
+from ca.things.constrained_nodes import ThingKey
+from rossec.border.messages import KEY_SIZE, SALT_SIZE, OscoreContext
 from rossec.errors import DatagramRefused, ThingUnauthenticated
 
 MAX_PENDING: Final = 256

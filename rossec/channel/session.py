@@ -37,7 +37,7 @@ from rossec.channel.records import (
     unpadded,
 )
 from rossec.errors import ConnectionTruncated, LimitExceeded
-from rossec.progress import Progress
+from rossec.peer_limits import Progress
 
 FIRST: Final = 256
 """For the opening of a caller and its message_1: what one that says nothing more costs."""

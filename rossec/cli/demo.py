@@ -1,18 +1,31 @@
-"""`rossec demo`: the main job, end to end, with real processes."""
+"""`rossec demo`: the main job, end to end, with real processes.
+
+`rossec console --demo`: the demo's home, running, with a console that shows it.
+
+`rossec border --demo`: a border router and a lamp in a home of their own, and it ends.
+"""
 
 import asyncio
 import sys
 import tempfile
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 
 import click
+from click.core import ParameterSource
 
-from rossec.cli.shared import invocation
+from ca.enrollment import qr
+from rossec.cli.shared import context
+from rossec.cli.console.serve import check_libraries
+from rossec.console.listening import listen
+from rossec.console.options import PORT, Options, read_options
 from rossec.demo import steps
 from rossec.demo.environment import DemoEnvironment, Run, StepPrinter
+from rossec.demo.steps import FRIDGE, begin_story, run_border_steps, show_code
 from rossec.errors import ConfigurationError
-from rossec.terminal import say_block
+from rossec.host.runner import stop_on_signals, until_first_ends
+from rossec.terminal import say, say_block, say_picture
 
 
 @click.command()
@@ -20,9 +33,9 @@ from rossec.terminal import say_block
     "--keep", type=click.Path(path_type=Path), help="new directory to leave everything in"
 )
 @click.pass_context
-def demo(context: click.Context, keep: Path | None) -> None:
+def demo(called: click.Context, keep: Path | None) -> None:
     """Show the main job: enroll, grant, filter, refuse, revoke. Needs no ROS, ends by itself."""
-    run = partial(invocation.run, context.find_root().command)
+    run = partial(context.run, called.find_root().command)
     if keep is None:
         with tempfile.TemporaryDirectory(prefix="rossec-demo-") as directory:
             asyncio.run(_run(Path(directory), run))
@@ -65,3 +78,87 @@ To look at it in a browser, in two more terminals (pip install 'rossec[console]'
     rossec ca serve --unlock-for 0 --passphrase-file {directory}/passphrase
     rossec console
 """
+
+
+def show_console_demo(called: click.Context, options: Options) -> None:
+    """Run the demo's home with a console until it is interrupted; nothing is left.
+
+    Raises:
+        ConfigurationError: a library is missing, or an option is not for it.
+        DemoFailed: a step did not do what it says.
+    """
+    check_libraries()
+    if options != Options(port=options.port):
+        raise ConfigurationError("--demo is for localhost", "leave the other options, but --port")
+    _check_port(options)
+    run = partial(context.run, called.find_root().command)
+    with tempfile.TemporaryDirectory(prefix="rossec-demo-") as directory:
+        asyncio.run(_play(Path(directory), run, options.port or PORT))
+
+
+def _check_port(options: Options) -> None:
+    """Return if nobody listens there: before the story, which takes a while.
+
+    Raises:
+        ConfigurationError: another program does.
+    """
+    for sock in listen(read_options(options, "localhost")):
+        sock.close()
+
+
+async def _play(directory: Path, run: Run, port: int) -> None:
+    stop = stop_on_signals()
+    demo = DemoEnvironment(directory, StepPrinter(sys.stdout.write), {"ROS_IP": "127.0.0.1"}, run)
+    others: list[DemoEnvironment] = []
+    try:
+        await until_first_ends(_show(demo, port, others), stop.wait())
+    finally:
+        for each in (*others, demo):
+            await each.stop_all()
+
+
+async def _show(demo: DemoEnvironment, port: int, others: list[DemoEnvironment]) -> None:
+    link = await begin_story(demo, port)
+    waiting = await show_code(demo)
+    others.append(waiting.environment)
+    say_block(f"\nopen this in a browser of this computer, within 2 minutes:\n\n    {link}\n")
+    say(f"a new code: ROSSEC_HOME={demo.root} rossec console phone")
+    say(f"a question waits there; and {FRIDGE} to be added, by this code, within 5 minutes:")
+    say_picture(qr.terminal(waiting.code))
+    say(waiting.code)
+    home = f"ROSSEC_HOME={waiting.environment.root}"
+    say(f"when both show the same digits: {home} rossec node confirm {FRIDGE}")
+    say(f"a new code of it: {home} rossec node enroll {FRIDGE} --address 127.0.0.1")
+    say("Ctrl-C ends everything and leaves nothing")
+    await demo.until_one_ends()
+
+
+_LIBRARIES = ("aiocoap", "lakers")
+
+
+def show_border_demo(called: click.Context) -> None:
+    """Show a lamp behind a border router; nothing is left.
+
+    Raises:
+        ConfigurationError: a library is missing, or another option was given.
+        DemoFailed: a step did not do what it says.
+    """
+    if any(find_spec(name) is None for name in _LIBRARIES):
+        raise ConfigurationError(
+            "CoAP for things is not installed", "pip install 'rossec[constrained]'"
+        )
+    others = (name for name in called.params if name != "is_demo")
+    if any(called.get_parameter_source(name) != ParameterSource.DEFAULT for name in others):
+        raise ConfigurationError("--demo has a home of its own", "leave the other options out")
+    run = partial(context.run, called.find_root().command)
+    with tempfile.TemporaryDirectory(prefix="rossec-demo-") as directory:
+        asyncio.run(_show_demo_play(Path(directory), run))
+
+
+async def _show_demo_play(directory: Path, run: Run) -> None:
+    printer = StepPrinter(sys.stdout.write)
+    demo = DemoEnvironment(directory, printer, {"ROS_IP": "127.0.0.1"}, run)
+    try:
+        await run_border_steps(demo)
+    finally:
+        await demo.stop_all()

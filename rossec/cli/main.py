@@ -8,9 +8,8 @@ from typing import Any, Final, NoReturn
 
 import click
 
-from rossec.cli.shared import invocation
-from rossec.cli.shared.context import Environment
-from rossec.cli.shared.lazy import LazyGroup
+from rossec.cli.shared import context
+from rossec.cli.shared.context import Environment, LazyGroup
 from rossec.terminal import printable
 
 _TABLE: Final = {
@@ -122,7 +121,7 @@ def main() -> NoReturn:
 
 def run(arguments: Sequence[str], environ: Mapping[str, str]) -> int:
     """Run one command line and return its exit code (see `rossec.terminal`)."""
-    return invocation.run(rossec, arguments, environ)
+    return context.run(rossec, arguments, environ)
 
 
 def complete(environ: Mapping[str, str]) -> str:

@@ -3,19 +3,79 @@
 A cell never shows less than a node could see. Grants of one node are alternatives, because it
 presents only those it chooses (`grants.decision`): one of them without filters means `ALL`. A grant
 that the master may renew counts as in force until its cap.
+
+Whether what was ended has ended: nobody may still see it. Pure.
+
+A revocation is over when every node with a session has its list, which the master says: the third
+tick of its page. Until then somebody may still see, so no page says *ended*. That is remembered,
+since a master that does not answer now told it before. A node without a session takes no messages
+for long: its view of the list is stale within two minutes and it cuts what does not outlive that
+(`on_stale: keep`, grant.md section 4). That helps only where the master has the list: one that has
+not goes on confirming the old one.
+
+The report: every field of every topic, who receives it, how, why and until when. Pure.
+
+The same accesses as `rossec privacy` prints (`grants.policy.privacy`), in words, with receivers
+that are treated alike together. The page of the console and the file of the command line are made
+of it.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from enum import StrEnum
 from typing import Final, NamedTuple
 
-from ca.patterns import TAIL, covers
+from ca.names import TAIL, pattern_covers
 from grants.document import peek
-from grants.model import Grant, Permission, Restriction, Right, merge
-from rossec.authority.console.views import FactView, GrantView, NodeView
+from grants.errors import GrantError
+from grants.filters.layout import Layout
+from grants.model import FilterRule, Grant, Permission, Restriction, Right, merge
+from grants.policy.model import Vocabulary
+from grants.policy.privacy import WHOLE, ReceiverAccess, filters_of, leaf_paths, sees
+from rossec.authority.console.messages import FactView, GrantView, ListStanding, NodeView
 from rossec.console import words
-from rossec.console.endings import Heard
-from rossec.ros.text import printable
+from rossec.errors import MessageError
+from rossec.peer_limits import printable
+
+STALE: Final = 300  # seconds after which no node without a session goes on, with some to spare
+
+
+class Heard(NamedTuple):
+    """Every node has what was ended before these times.
+
+    `cut`: no connection that ends with a stale list is left of what was ended before this one.
+    """
+
+    all: int = 0
+    cut: int = 0
+
+    def has(self, ended_at: int, *, keeps: bool) -> bool:
+        """Whether what was ended then is over; `keeps`: it outlives a stale list."""
+        return ended_at < (self.all if keeps else max(self.all, self.cut))
+
+
+class Endings:
+    """What this console was told of it."""
+
+    def __init__(self) -> None:
+        self._heard = Heard()
+
+    @property
+    def heard(self) -> Heard:
+        """As far as it is known."""
+        return self._heard
+
+    def note(self, standing: ListStanding, asked_at: int) -> None:
+        """Take note of how far the list of all that was ended before `asked_at` has come."""
+        if not (standing.is_signed and standing.is_at_master):
+            return
+        every, cut = self._heard
+        if 0 < standing.nodes == standing.nodes_with_list:
+            every = max(every, asked_at)
+        elif not standing.nodes:
+            cut = max(cut, asked_at - STALE)
+        self._heard = Heard(every, cut)
+
 
 _ANY: Final = "anything_else"  # stands for a wildcard's segment; no node has such a name
 
@@ -201,7 +261,9 @@ def permissions_on(grant: Grant, right: Right, topic: str) -> list[Permission]:
     """The permissions that give `right` on a topic, or on all that the pattern `topic` covers."""
     named = topic.replace("**", _ANY).replace("*", _ANY).replace(TAIL, f"_{_ANY}")
     return [
-        each for each in grant.permissions if right in each.rights and covers(each.pattern, named)
+        each
+        for each in grant.permissions
+        if right in each.rights and pattern_covers(each.pattern, named)
     ]
 
 
@@ -287,3 +349,178 @@ def _term(held: HeldGrant, now: int) -> str:
     if now < held.grant.not_before:
         return f"begins in {words.duration(held.grant.not_before - now)}"
     return words.term(held.grant.expires, held.view.cap, now)
+
+
+AS_IT_IS: Final = "as it is"
+REMOVED: Final = "removed"
+
+Wanted = Callable[[str, str], bool]
+"""Whether a receiver's field is in the report."""
+
+
+class ReportReceiver(NamedTuple):
+    """Who receives it: why, until when, and by what (a rule, a grant)."""
+
+    name: str
+    why: str
+    until: str
+    by: str
+
+
+class ReportFields(NamedTuple):
+    """Fields that are treated alike."""
+
+    treatment: str
+    is_open: bool
+    fields: tuple[str, ...]
+
+
+class ReportGroup(NamedTuple):
+    """Receivers that get the same; `sees` is what that tells, in words."""
+
+    receivers: tuple[ReportReceiver, ...]
+    when: str
+    fields: tuple[ReportFields, ...]
+    sees: str = ""
+
+
+class ReportTopic(NamedTuple):
+    """A topic (or pattern) and all who receive it."""
+
+    topic: str
+    type: str
+    groups: tuple[ReportGroup, ...]
+
+
+def everything(_receiver: str, _field: str) -> bool:
+    """The whole report."""
+    return True
+
+
+def topics(
+    accesses: Iterable[ReceiverAccess],
+    layout_of: Callable[[str], Layout],
+    wanted: Wanted = everything,
+    vocabulary: Vocabulary | None = None,
+) -> list[ReportTopic]:
+    """The report of these accesses, by topic; `vocabulary` is that of the policy."""
+    by_topic: dict[tuple[str, str], dict[tuple[object, ...], list[ReportReceiver]]] = {}
+    for access in sorted(_typed(accesses), key=lambda each: (each.topic, each.receiver, each.by)):
+        fields = _fields(access, layout_of, wanted)
+        if fields:
+            groups = by_topic.setdefault((access.topic, access.type or ""), {})
+            receiver = ReportReceiver(access.receiver, access.why, access.until, access.by)
+            said = _report_sees(access, layout_of, vocabulary)
+            groups.setdefault((_when(access), fields, said), []).append(receiver)
+    return [
+        ReportTopic(
+            topic, kind, tuple(ReportGroup(tuple(who), *key) for key, who in groups.items())  # type: ignore[arg-type]
+        )
+        for (topic, kind), groups in by_topic.items()
+    ]  # fmt: skip
+
+
+def _typed(accesses: Iterable[ReceiverAccess]) -> list[ReceiverAccess]:
+    """A topic is one, also where only some of its grants say the type of its messages."""
+    found = list(accesses)
+    kinds: dict[str, set[str]] = {}
+    for each in found:
+        kinds.setdefault(each.topic, set()).update({each.type} if each.type else ())
+    return [
+        replace(each, type=next(iter(kinds[each.topic])))
+        if each.type is None and len(kinds[each.topic]) == 1
+        else each
+        for each in found
+    ]
+
+
+def held_accesses(
+    held: Iterable[HeldGrant],
+    types: Mapping[str, str],
+    type_of: Callable[[str], str] = lambda _: "",
+) -> list[ReceiverAccess]:
+    """What is granted now, of every grant in force or ending.
+
+    `types` by topic, from the graph; `type_of` is that of the policy, empty: it does not say.
+    """
+    found = []
+    for each in held:
+        for permission in each.grant.permissions:
+            if each.is_over or Right.SUBSCRIBE not in permission.rights:
+                continue
+            restriction, topic = permission.restriction, permission.pattern
+            kind = types.get(topic) or (restriction.type if restriction is not None else None)
+            access = ReceiverAccess(
+                topic, kind or type_of(topic) or None, each.grant.subject, _why(each),
+                _until(each), f"grant {each.grant.short_id}",
+                () if restriction is None else (restriction,),
+                None if restriction is None else restriction.rate,
+            )  # fmt: skip
+            found.append(access)
+    return found
+
+
+def _why(held: HeldGrant) -> str:
+    if held.is_ending:
+        return "it was ended, and may still see it"
+    return f"rule {held.view.rules} of the policy" if held.view.rules else "decided by hand"
+
+
+def _until(held: HeldGrant) -> str:
+    if held.is_ending:
+        return "every node has heard"
+    return words.day(max(held.grant.expires, held.view.cap))
+
+
+def _fields(
+    access: ReceiverAccess, layout_of: Callable[[str], Layout], wanted: Wanted
+) -> tuple[ReportFields, ...]:
+    rules = [rule for each in access.restrictions for rule in each.filters]
+    by_treatment: dict[str, list[str]] = {}
+    rest = f"everything {'else ' if rules else ''}in it"
+    for path in _paths(access.type, layout_of, rules):
+        if wanted(access.receiver, path):
+            said = _treatment(filters_of(rules, path), access.type)
+            by_treatment.setdefault(said, []).append(rest if path == WHOLE else path)
+    found = [
+        ReportFields(said, said == AS_IT_IS, tuple(paths)) for said, paths in by_treatment.items()
+    ]
+    return tuple(sorted(found, key=lambda each: not each.is_open))
+
+
+def _report_sees(
+    access: ReceiverAccess, layout_of: Callable[[str], Layout], vocabulary: Vocabulary | None
+) -> str:
+    """Nothing of a type that is not known here."""
+    try:
+        return "" if access.type is None else sees(access, layout_of(access.type), vocabulary)
+    except (GrantError, MessageError):
+        return ""
+
+
+def _paths(
+    kind: str | None, layout_of: Callable[[str], Layout], rules: list[FilterRule]
+) -> list[str]:
+    """The fields of the type; of one that is not known here those with a rule, and the rest."""
+    try:
+        if kind is not None:
+            return leaf_paths(layout_of(kind)) or [WHOLE]
+    except (GrantError, MessageError):
+        pass
+    return [*(rule.path for rule in rules), WHOLE]
+
+
+def _treatment(rules: list[FilterRule], kind: str | None) -> str:
+    said = [
+        REMOVED if rule.operator in ("clear", "drop") else words.filter_rule(rule, kind)
+        for rule in rules
+    ]
+    return ", then ".join(dict.fromkeys(said)) or AS_IT_IS
+
+
+def _when(access: ReceiverAccess) -> str:
+    parts = [text for each in access.restrictions for text in each.conditions]
+    if access.rate is not None:
+        parts.append(words.rate(access.rate))
+    parts += [words.slot(each.slot) for each in access.restrictions if each.slot is not None]
+    return " and ".join(dict.fromkeys(parts)) or "always"

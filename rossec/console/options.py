@@ -3,6 +3,8 @@
 A passkey belongs to a name (the RP id, WebAuthn section 5.1.2) and is recorded with the origin it
 was made at: so there is one origin, it is known before anything listens, and another one means new
 passkeys. A name is a DNS name: browsers refuse addresses as RP ids ("invalid domain").
+
+Names of phones: what a person calls the device that approves. Pure.
 """
 
 import ipaddress
@@ -261,3 +263,7 @@ def _default_name(hostname: str) -> str:
         raise ConfigurationError(
             f"the name of this host, {hostname!a}, is not a DNS name", "give one: --name NAME.local"
         ) from error
+
+
+MAX_PHONE_NAME: Final = 40
+"""Characters: it is shown in one line."""

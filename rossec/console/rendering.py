@@ -2,26 +2,257 @@
 
 Texts of nodes go through `printable` before they are escaped, so that none turns the direction of
 the line or hides a character; `name` in `macros.html` puts them in `<bdi>` as well.
+
+What a page is, and how one is found by its path. Pure.
+
+A page module has a table `PAGES`; `routes` puts them together. The guard answers what is not in
+the table, so a page without an entry does not exist and one without a session is never public by
+mistake: `SESSION` is what a page has unless it says otherwise.
+
+What a request's body says: a form's fields, or the JSON object a script sends.
+
+Read strictly: the guard has bounded the body; here one type, UTF-8, each field once. There are no
+files in forms, so no multipart.
+
+The static files: read once, served under the digest of their content, so none is ever stale.
+
+`/static/DIGEST/NAME` with another digest does not exist: an address names one content for ever.
 """
 
+import base64
+import binascii
+import json
+import mimetypes
+import re
+from collections.abc import Awaitable, Callable, Iterable
 from contextvars import ContextVar
+from enum import Enum
 from functools import cache
+from hashlib import sha256
 from pathlib import Path
-from typing import Any, Final, NamedTuple
-from urllib.parse import quote
+from typing import Any, Final, NamedTuple, TypeAlias
+from urllib.parse import parse_qsl, quote
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
+from starlette.routing import compile_path
 
-from rossec.console.assets import asset_path
 from rossec.console.context import ConsoleContext
-from rossec.console.forms import to_base64url
-from rossec.console.names import NONE, Names
-from rossec.console.words import ago, day, topic
-from rossec.ros.text import printable
+from rossec.console.words import NONE, Names, ago, day, topic
+from rossec.errors import HttpRefused
+from rossec.peer_limits import printable
 
-FOLDER: Final = Path(__file__).parent / "templates"
+Handler: TypeAlias = Callable[[Request, "ConsoleContext"], Awaitable[Response]]
+MAX_BODY: Final = 16 * 1024
+MAX_FRAME: Final = 256 * 1024  # a picture from a camera
+
+
+class Access(Enum):
+    """Who may ask for a page: anyone who reaches the console, or who has logged in."""
+
+    PUBLIC = "public"
+    SESSION = "session"
+
+
+PUBLIC: Final = Access.PUBLIC
+SESSION: Final = Access.SESSION
+
+
+class Page(NamedTuple):
+    """A path (as starlette writes it), the methods it has, and what answers them.
+
+    `looks` marks what a console that only shows has beside pages to read: logging in and out.
+    """
+
+    path: str
+    methods: tuple[str, ...]
+    handler: Handler
+    access: Access = SESSION
+    max_body: int = MAX_BODY
+    looks: bool = False
+
+
+def for_looking(pages: Iterable[Page]) -> tuple[Page, ...]:
+    """The pages of a console that only shows: no form that does something, and no page of one."""
+    found = tuple(pages)
+    acting = {page.path for page in found if "POST" in page.methods and not page.looks}
+    return tuple(page for page in found if page.path not in acting)
+
+
+class Match(NamedTuple):
+    """The page of a path and method (None: the method is wrong), and the methods of the path."""
+
+    page: Page | None
+    methods: frozenset[str]
+
+
+class PageTable:
+    """Finds pages by path and method, the first that fits."""
+
+    def __init__(self, pages: Iterable[Page]) -> None:
+        self._pages = [(compile_path(page.path)[0], page) for page in pages]
+
+    def find(self, path: str, method: str) -> Match | None:
+        """The pages at `path`; None: there are none. Where there is a GET there is a HEAD."""
+        found = [page for pattern, page in self._pages if pattern.match(path)]
+        if not found:
+            return None
+        wanted = "GET" if method == "HEAD" else method
+        page = next((page for page in found if wanted in page.methods), None)
+        methods = {method for page in found for method in page.methods}
+        return Match(page, frozenset(methods | ({"HEAD"} if "GET" in methods else set())))
+
+
+MAX_FIELDS: Final = 64
+_FORM: Final = "application/x-www-form-urlencoded"
+_JSON: Final = "application/json"
+_HALVES: Final = re.compile("[\ud800-\udfff]")
+_HINT: Final = "go back, load the page again, and try once more"
+
+
+async def read_form(request: Request) -> dict[str, str]:
+    """The fields of a form.
+
+    Raises:
+        HttpRefused: another type, malformed, not UTF-8, or a field that comes twice.
+    """
+    body = await request.body()
+    if not body:
+        return {}  # a form of a button alone
+    _require_type(request, _FORM)
+    try:
+        pairs = parse_qsl(
+            body.decode("ascii"), keep_blank_values=True, strict_parsing=True,
+            encoding="utf-8", errors="strict", max_num_fields=MAX_FIELDS,
+        )  # fmt: skip
+    except ValueError as error:  # UnicodeDecodeError is one
+        raise HttpRefused("a form that is malformed", _HINT) from error
+    return _once(pairs)
+
+
+async def read_json(request: Request) -> dict[str, Any]:
+    """The JSON object of a script.
+
+    Raises:
+        HttpRefused: another type, malformed, or not an object with each name once.
+    """
+    _require_type(request, _JSON)
+    try:
+        value = json.loads((await request.body()).decode(), object_pairs_hook=_once)
+    except (ValueError, RecursionError) as error:
+        raise HttpRefused("JSON that is malformed", _HINT) from error
+    if not isinstance(value, dict):
+        raise HttpRefused("JSON that is no object", _HINT)
+    return value
+
+
+def text_field(fields: dict[str, Any], name: str, limit: int = 200) -> str:
+    """A field that is text of at most `limit` characters; absent: empty.
+
+    JSON can escape half of a surrogate pair, which is no text (RFC 8259 section 8.2).
+
+    Raises:
+        HttpRefused: of another type, or longer.
+    """
+    value = fields.get(name, "")
+    if not isinstance(value, str) or len(value) > limit or _HALVES.search(value):
+        raise HttpRefused(f"{name}: not a text of at most {limit} characters", _HINT)
+    return value
+
+
+def bytes_field(fields: dict[str, Any], name: str) -> bytes:
+    """A field that is bytes, as base64url without padding, as WebAuthn's JSON has them.
+
+    Raises:
+        HttpRefused: absent, of another type, or malformed.
+    """
+    return from_base64url(text_field(fields, name, limit=16 * 1024))
+
+
+def from_base64url(text: str) -> bytes:
+    """The bytes of a base64url text without padding.
+
+    Raises:
+        HttpRefused: empty or malformed.
+    """
+    try:
+        data = base64.b64decode(text + "=" * (-len(text) % 4), altchars=b"-_", validate=True)
+    except (binascii.Error, ValueError) as error:
+        raise HttpRefused("bytes that are not base64url", _HINT) from error
+    if not data or to_base64url(data) != text:
+        raise HttpRefused("bytes that are not base64url", _HINT)
+    return data
+
+
+def to_base64url(data: bytes) -> str:
+    """Bytes as base64url without padding."""
+    return base64.urlsafe_b64encode(data).rstrip(b"=").decode()
+
+
+def _require_type(request: Request, wanted: str) -> None:
+    if request.headers.get("content-type", "").partition(";")[0].strip().lower() != wanted:
+        raise HttpRefused(f"a body that is not {wanted}", _HINT, status=415)
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    fields = dict(pairs)
+    if len(fields) != len(pairs):
+        raise HttpRefused("a field that comes twice", _HINT)
+    return fields
+
+
+PREFIX: Final = "/static/"
+STATIC_FOLDER: Final = Path(__file__).parent / "static"
+_TYPES: Final = {
+    ".css": "text/css; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".webmanifest": "application/manifest+json",
+}
+_DIGEST: Final = 16  # hex digits: an address, not a proof
+
+
+class Asset(NamedTuple):
+    """A static file."""
+
+    path: str
+    content: bytes
+    type: str
+
+
+@cache
+def assets() -> dict[str, Asset]:
+    """Every static file by its name."""
+    return {path.name: _read(path) for path in sorted(STATIC_FOLDER.iterdir()) if path.is_file()}
+
+
+def asset_path(name: str) -> str:
+    """The address of a static file."""
+    return assets()[name].path
+
+
+async def show_asset(request: Request, _context: ConsoleContext) -> Response:
+    """Answer with the file.
+
+    Raises:
+        HttpRefused: there is none of this name and digest.
+    """
+    found = assets().get(request.path_params["name"])
+    if found is None or found.path != request.url.path:
+        raise HttpRefused("there is no such file", "load the page again", status=404)
+    return Response(found.content, media_type=found.type)
+
+
+def _read(path: Path) -> Asset:
+    content = path.read_bytes()
+    kind = _TYPES.get(path.suffix) or mimetypes.guess_type(path.name)[0]
+    digest = sha256(content).hexdigest()[:_DIGEST]
+    return Asset(f"{PREFIX}{digest}/{path.name}", content, kind or "application/octet-stream")
+
+
+ASSET_PAGES: Final = (Page("/static/{digest}/{name}", ("GET",), show_asset, PUBLIC),)
+
+TEMPLATE_FOLDER: Final = Path(__file__).parent / "templates"
 # Filters belong to the environment, which is made once; titles are those of one page.
 _NAMES: ContextVar[Names] = ContextVar("names", default=NONE)
 
@@ -89,7 +320,7 @@ def render_text(template: str, names: Names = NONE, **values: Any) -> str:
 def environment() -> Environment:
     """The templates, with what they can use; made once."""
     made = Environment(
-        loader=FileSystemLoader(FOLDER), autoescape=True, undefined=StrictUndefined,
+        loader=FileSystemLoader(TEMPLATE_FOLDER), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     made.globals["asset"] = asset_path

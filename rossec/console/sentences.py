@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final, NamedTuple, TypeAlias
 
 from grants.model import Grant, Permission, Right
-from rossec.authority.console.views import DenialView, EventView, GrantQuestion, NodeView
+from rossec.authority.console.messages import DenialView, EventView, GrantQuestion, NodeView
 from rossec.console import words
 from rossec.console.matrix import HeldGrant
-from rossec.ros.text import printable
+from rossec.peer_limits import printable
 
 
 class Part(NamedTuple):

@@ -4,16 +4,40 @@ A cookie is 256 random bits. Only its SHA-256 is kept, so nothing that reads thi
 late, or its core file, has a cookie to send. A session ends 8 hours after it began, 30 minutes
 after its last use, and with the process. Time is that of a clock that cannot be set: one that is
 ahead for a look would end all of them. It shows, denies and revokes; it never approves.
+
+Whether the phone that began a session still counts: it may be removed at the terminal.
+
+A session outlives what began it by at most `KEPT`. A phone that is registered again under the name
+of one that was removed does not bring its sessions back. Where the service does not answer nobody
+is let in.
+
+How often somebody may be wrong: five times a minute, then a minute's pause. Pure.
+
+Codes have 128 bits and passkeys cannot be guessed: this keeps noise from the authority, and makes
+whoever mistypes look again. Counted by address, so that one device does not lock out another; of
+IPv6 by the network, since a device has as many addresses as it likes. Time is that of a clock that
+cannot be set.
+
+How many questions of one source wait for the authority's service before a login. Pure.
+
+Anybody on the network may ask for a challenge, and all such questions take turns at the service. A
+source that has several waiting is told to come back, so a phone waits for few of each.
 """
 
 import base64
+from collections import Counter, OrderedDict, deque
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from hashlib import sha256
 from typing import Final
 
-from rossec.authority.console import owners
+from rossec import clock
+from rossec.authority.console import messages
+from rossec.authority.console.messages import PhoneView
 from rossec.errors import HttpRefused
-from rossec.shares import SharedTable
+from rossec.net.limits import source_of
+from rossec.peer_limits import SharedTable
 
 COOKIE: Final = "__Host-rossec"  # the prefix: only this host, over a secure connection, sets it
 COOKIE_SIZE: Final = 32  # bytes
@@ -58,9 +82,11 @@ class Sessions:
             HttpRefused: phones have all places, and this is a session to look.
         """
         digest = sha256(secret).digest()
-        owner = owners.of_phone(phone) if phone else owners.LOOKER
+        owner = messages.of_phone(phone) if phone else messages.LOOKER
         if (
-            self._sessions.add(digest, Session(digest, phone, now, now), owner, owners.rank(owner))
+            self._sessions.add(
+                digest, Session(digest, phone, now, now), owner, messages.rank(owner)
+            )
             is None
         ):
             raise HttpRefused(
@@ -106,4 +132,105 @@ class Sessions:
 
 def owner_of(session: Session) -> str:
     """Who has what a session begins: the phone, with all its sessions, or one session to look."""
-    return owners.of_phone(session.phone) if session.phone else owners.of_looker(session.id)
+    return messages.of_phone(session.phone) if session.phone else messages.of_looker(session.id)
+
+
+KEPT: Final = 2.0  # seconds for which an answer is taken
+
+Phones = Callable[[], Awaitable[tuple[PhoneView, ...]]]
+
+
+class KnownPhones:
+    """The phones of the record, as they were asked for last.
+
+    Args:
+        phones: asks the service.
+        elapsed: seconds of a clock that cannot be set.
+    """
+
+    def __init__(self, phones: Phones, elapsed: clock.Seconds | None = None) -> None:
+        self._phones = phones
+        self._elapsed = clock.counter() if elapsed is None else elapsed
+        self._asked = float("-inf")
+        self._known: tuple[PhoneView, ...] = ()
+
+    async def counts(self, session: Session) -> bool:
+        """Whether the phone of a session is still registered; a session by a code has none.
+
+        Raises:
+            HintedError: the service does not answer.
+        """
+        is_fresh = self._elapsed() - self._asked < KEPT
+        if not session.phone or (is_fresh and self._is_known(session)):
+            return True
+        asked = self._elapsed()
+        self._known = await self._phones()  # also for a phone that was set up just now
+        self._asked = asked
+        return self._is_known(session)
+
+    def _is_known(self, session: Session) -> bool:
+        for each in self._known:
+            if each.name == session.phone and not each.ended:  # one at most
+                session.passkey = session.passkey or each.id
+                return session.passkey == each.id
+        return False
+
+
+MAX_FAILURES: Final = 5
+WINDOW: Final = 60  # seconds
+MAX_ADDRESSES: Final = 256
+
+
+class FailureLimit:
+    """The failures of the last minute, by address."""
+
+    def __init__(self) -> None:
+        self._failures: OrderedDict[str, deque[float]] = OrderedDict()
+
+    def is_blocked(self, address: str, now: float) -> bool:
+        """Whether this address has to wait."""
+        if not address:  # behind a proxy all have none: one would keep out everybody
+            return False
+        times = self._failures.get(source_of(address))
+        return times is not None and len(_recent(times, now)) >= MAX_FAILURES
+
+    def note(self, address: str, now: float) -> None:
+        """Note that this address was wrong."""
+        key = source_of(address)
+        times = self._failures.setdefault(key, deque(maxlen=MAX_FAILURES))
+        self._failures.move_to_end(key)
+        times.append(now)
+        while len(self._failures) > MAX_ADDRESSES:
+            self._failures.popitem(last=False)
+
+
+def _recent(times: deque[float], now: float) -> list[float]:
+    return [time for time in times if now - time < WINDOW]
+
+
+MAX_WAITING: Final = 4
+
+
+class Turns:
+    """The questions that wait, by their source: of IPv6 by the network."""
+
+    def __init__(self) -> None:
+        self._waiting: Counter[str] = Counter()
+
+    @contextmanager
+    def wait(self, address: str) -> Iterator[None]:
+        """Count one more while the body runs; empty: a proxy's, where all have no address.
+
+        Raises:
+            HttpRefused: so many of this source wait.
+        """
+        source = source_of(address)
+        if address and self._waiting[source] >= MAX_WAITING:
+            raise HttpRefused("too many attempts", "wait a minute", status=429)
+        self._waiting[source] += 1
+        try:
+            yield
+        finally:
+            self._waiting[source] -= 1
+            if not self._waiting[source]:
+                del self._waiting[source]

@@ -4,25 +4,30 @@ For people who live with robots and do not program them: short, and the most imp
 `sentences` says what happened, `matrix` who sees what. Every operator of a filter has its words
 here, which a test compares with `grants.filters.operators`; a text of a node or a policy that is
 shown passes `printable`.
+
+What the policy calls things, for pages: titles of nodes and topics, and types of topics. Pure.
+
+A title is never shown without the name of ROS beside it: it is a help to people, who decide by the
+name. Both come from the authority's policy, and no node can choose its own.
 """
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cache
 from typing import Final
 
-from ca.domains.aliases import shown
-from ca.patterns import TAIL
+from ca.names import TAIL, shown
 from grants.errors import GrantError
 from grants.model import FilterRule, Restriction, Right, Scalar
-from grants.vocabulary.assess import assess
-from grants.vocabulary.describe import Description, describe
-from grants.vocabulary.sentences import sentence
-from grants.vocabulary.words import EXACT
+from grants.policy.model import type_of
+from grants.vocabulary.assess import assess, sentence
+from grants.vocabulary.contents import EXACT, Description, describe
+from rossec.authority.console.messages import PolicyName
 from rossec.errors import MessageError
 from rossec.participant.host_types import layout_of
-from rossec.ros.text import printable
+from rossec.peer_limits import printable
 
 MAX_NAME: Final = 120
 MINUTE, HOUR, DAY, YEAR = 60, 3600, 86400, 365 * 86400
@@ -293,3 +298,38 @@ def description(type_name: str) -> Description | None:
         return describe(layout_of(type_name))
     except (GrantError, MessageError):
         return None
+
+
+MAX_TITLE: Final = 60
+
+
+@dataclass(frozen=True)
+class Names:
+    """Titles by name, as the name is and as it is shown; types by topic or pattern."""
+
+    titles: dict[str, str] = field(default_factory=dict)
+    types: dict[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, found: Iterable[PolicyName]) -> "Names":
+        """Those of a policy."""
+        titles: dict[str, str] = {}
+        types: dict[str, str] = {}
+        for each in found:
+            if each.type:
+                types[each.name] = each.type
+            if each.title:
+                title = printable(each.title, MAX_TITLE)
+                titles |= dict.fromkeys((each.name, topic(each.name)), title)
+        return cls(titles, types)
+
+    def title(self, name: str) -> str:
+        """The title of a node or a topic, by its name as it is or as it is shown; maybe empty."""
+        return self.titles.get(name, "")
+
+    def type_of(self, topic: str) -> str:
+        """The type of a topic's messages, by the policy; empty: it does not say."""
+        return type_of(self.types, topic) or ""
+
+
+NONE: Final = Names()

@@ -2,17 +2,34 @@
 
 Each step does the real thing through the command line and real processes, and checks what it
 claims; a claim that does not hold ends the demo with an error.
+
+The demo of a border router, step by step: `rossec border --demo`.
+
+A lamp with a thermometer speaks CoAP with EDHOC and OSCORE, a doctor and a heating see what their
+grants say, and at the end the lamp is revoked. Each step does the real thing and checks it.
+
+What a person can try at the console of the demo: a question to answer, a node to add.
+
+A lamp asks to see where the robot is, and a fridge on another computer (a directory of its own)
+waits with its code. Both are real: the answer is signed, and the fridge is enrolled.
+
+The story of the demo, running: a robot and its receivers, the authority, and its console.
+
+`rossec console --demo`: what `rossec demo` sets up, left running until somebody ends it. Like the
+demo it does everything by commands and processes; the console is one of them.
 """
 
 import asyncio
 import math
 import secrets
+import socket
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
+from rossec import clock
 from rossec.demo.environment import DemoEnvironment, DemoFailed, DemoProcess, Report
 from rossec.demo.robot import CAMERA, FRAME, POSE, SCAN
 from rossec.files import create
@@ -207,3 +224,248 @@ def _check_coarse(exact: Report, coarse: Report) -> None:
 def _describe(report: Report) -> str:
     x, y = report["position"]
     return f"position ({x:8.4f}, {y:8.4f})  frame {report['frame']!r}"
+
+
+LAMP: Final = "/things/lamp"
+TEMPERATURE: Final = (f"{LAMP}/temperature", "sensor_msgs/Temperature")
+LIGHT: Final = (f"{LAMP}/light", "std_msgs/Bool")
+STEP: Final = 5.0  # degrees that the heating sees
+BORDER_NODES: Final = ("/master", "/border", "/doctor", "/heating")
+_THING: Final = "rossec.demo.thing"
+_EVERY: Final = 2  # seconds between two registrations of the lamp
+_BORDER_STEPS_SILENCE: Final = 3.5  # seconds after the revocation; the lamp measures once a second
+
+
+async def run_border_steps(demo: DemoEnvironment) -> None:
+    """Run every step in `demo`, whose directory is empty.
+
+    Raises:
+        DemoFailed: a step did not do what it says.
+    """
+    with demo.printer.step("a home with an authority, a border router and two receivers"):
+        await found_authority(demo)
+        await enroll(demo, BORDER_NODES, "/border")
+    with demo.printer.step("a lamp makes its key; the authority says which node it is, and where"):
+        things = await add_lamp(demo)
+    with demo.printer.step("the person who lives there decides who may see what"):
+        await sign_border_grants(demo)
+    with demo.printer.step("master, border router, lamp and receivers start"):
+        lamp, doctor, heating = await start_border(demo, things)
+    with demo.printer.step("both receive the same temperature, and do not see the same"):
+        await compare_lamp(demo, doctor, heating)
+    with demo.printer.step("the doctor switches the light"):
+        await switch(demo, lamp)
+    with demo.printer.step("the lamp is revoked"):
+        await revoke_lamp(demo, doctor)
+
+
+async def add_lamp(demo: DemoEnvironment) -> Path:
+    """Returns the directory of the lamp, where its key is."""
+    things = demo.root / "lamp"
+    things.mkdir(mode=0o700)
+    await demo.command("border", "credential", str(things / "border.ccs"))
+    made = await demo.start(_THING, str(things), "lamp", name="key")
+    await made.wait()
+    ccs = str(things / "lamp.ccs")
+    await demo.command("border", "add", LAMP, "--key", ccs)
+    await demo.command(
+        "ca", "thing", LAMP, "--border", "/border", "--key", ccs, "--yes",
+        "--request", str(directory(demo, LAMP) / "node.csr"),
+        "--out", str(things / "lamp.thing"), *passphrase(demo),
+    )  # fmt: skip
+    return things
+
+
+async def sign_border_grants(demo: DemoEnvironment) -> None:
+    """The heating sees steps of five degrees."""
+    sign, always = ("grant", "sign"), (*passphrase(demo), "--for", "1d")
+    lamp = ("--publish", TEMPERATURE[0], "--subscribe", LIGHT[0])
+    doctor = ("--subscribe", TEMPERATURE[0], "--publish", LIGHT[0])
+    await demo.command(*sign, LAMP, *lamp, *always)
+    await demo.command(*sign, "/doctor", *doctor, *always)
+    await demo.command(
+        *sign, "/heating", "--subscribe", TEMPERATURE[0], "--type", TEMPERATURE[1],
+        "--round", f"temperature={STEP:g}", *always,
+    )  # fmt: skip
+
+
+async def start_border(
+    demo: DemoEnvironment, things: Path
+) -> tuple[DemoProcess, DemoProcess, DemoProcess]:
+    """Start all processes; returns lamp, doctor and heating."""
+    master = await demo.start("rossec", "master", "--port", "0", "--json", name="master")
+    ready = await master.expect("starting", lambda report: "ready" in report)
+    demo.set("ROS_MASTER_URI", ready["ready"])
+    border = await demo.start(
+        "rossec", "border", "--listen", "::1", "--port", "0", "--json", name="border"
+    )
+    listening = await border.expect("starting", lambda report: "ready" in report)
+    topic = "=".join(TEMPERATURE)
+    subscriber = "rossec.demo.subscriber"
+    doctor = await demo.start(subscriber, "/doctor", topic, name="doctor")
+    heating = await demo.start(subscriber, "/heating", topic, name="heating")
+    host = f"[::1]:{listening['ready'][1]}"
+    lamp = await demo.start(
+        _THING, str(things), "lamp", host, "border.ccs", str(_EVERY), name="lamp"
+    )
+    await lamp.expect("registering", _said("registered"))
+    demo.printer.print(f"master at {ready['ready']}, border router at coap://{host}")
+    for receiver in (doctor, heating):
+        await receiver.expect("a temperature", on_topic(TEMPERATURE[0]))
+    return lamp, doctor, heating
+
+
+async def compare_lamp(demo: DemoEnvironment, doctor: DemoProcess, heating: DemoProcess) -> None:
+    """The same measurement, side by side, as each of the two received it."""
+    for _ in range(2):
+        coarse = await heating.expect(
+            "a temperature", on_topic(TEMPERATURE[0]), after=len(heating.reports)
+        )
+        exact = await doctor.expect("the same temperature", partial(same_message, coarse))
+        check_coarse_lamp(exact, coarse)
+        demo.printer.print(
+            f"doctor {exact['temperature']:.4f} degrees, heating {coarse['temperature']:.1f}"
+        )
+
+
+def check_coarse_lamp(exact: Report, coarse: Report) -> None:
+    """Raise `DemoFailed` unless `coarse` is `exact` in steps of five degrees."""
+    wanted = math.floor(exact["temperature"] / STEP + 0.5) * STEP
+    if coarse["temperature"] != wanted or exact["temperature"] == wanted:
+        raise DemoFailed(f"the heating saw {coarse['temperature']}, expected {wanted}")
+
+
+async def switch(demo: DemoEnvironment, lamp: DemoProcess) -> None:
+    """One message of the doctor; the lamp says what it does."""
+    await demo.command(
+        "topic", "pub", *LIGHT, "{data: true}", "--as", "/doctor", "--count", "3", quiet=True
+    )
+    await lamp.expect("light", _said("the light is on"))
+    demo.printer.print("the lamp says: the light is on")
+
+
+async def revoke_lamp(demo: DemoEnvironment, doctor: DemoProcess) -> None:
+    """Revoke while temperatures arrive, and measure when the last one came."""
+    await doctor.expect("a temperature", on_topic(TEMPERATURE[0]), after=len(doctor.reports))
+    given = clock.time()
+    await demo.command("ca", "revoke", "--thing", LAMP, "--reason", "lost", *passphrase(demo))
+    finished = clock.time()
+    await asyncio.sleep(_BORDER_STEPS_SILENCE)
+    last = doctor.about(TEMPERATURE[0])[-1]["at"]
+    if last > finished + 1:
+        raise DemoFailed(f"a temperature arrived {last - finished:.2f} s after the revocation")
+    demo.printer.print(
+        f"the last temperature came {1000 * (given - last):.0f} ms before the command was given"
+        if last < given
+        else f"last temperature {1000 * (last - given):.0f} ms after the command was given"
+    )
+
+
+def _said(line: str) -> Callable[[Report], bool]:
+    return lambda report: report.get("said") == line
+
+
+TRIED_LAMP: Final = "/lamp"
+FRIDGE: Final = "/fridge"
+WHY: Final = "to light the room that the robot is in"
+POLICY: Final = f"""\
+# Whatever a node asks for waits for a person. What was granted before is by hand, and stays.
+rossec: 1
+robot: the robot at home
+defaults: {{decision: prompt, prompt_timeout: 8h, lifetime: 7d}}
+types: {{{", ".join(f"{topic}: {kind}" for topic, kind in (POSE, SCAN, CAMERA))}}}
+title:
+  /robot: the robot
+  /doctor: Dr. Meier
+  /heating: the heating
+  {TRIED_LAMP}: the lamp in the hall
+  {FRIDGE}: the fridge
+  {POSE[0]}: where the robot is
+  {SCAN[0]}: what the laser meets
+  {CAMERA[0]}: what the camera sees
+rules: []
+"""
+
+
+class WaitingNode(NamedTuple):
+    """A node that waits to be added: the text of its code, and where it lives."""
+
+    code: str
+    environment: DemoEnvironment
+
+
+async def ask(demo: DemoEnvironment) -> None:
+    """A lamp is enrolled, and asks."""
+    create(demo.root / "ca" / "policy.yaml", POLICY.encode())
+    await demo.command("node", "request", TRIED_LAMP, "--domain", "home", quiet=True)
+    request, answer = (str(directory(demo, TRIED_LAMP) / f"node.{end}") for end in ("csr", "pem"))
+    await demo.command("ca", "sign", request, "--yes", *passphrase(demo), quiet=True)
+    await demo.command("node", "install", answer, "--yes", quiet=True)
+    await demo.command(
+        "grant", "request", TRIED_LAMP, "--subscribe", POSE[0], "--why", WHY, quiet=True
+    )
+
+
+async def show_code(demo: DemoEnvironment) -> WaitingNode:
+    """Start a node that shows its code; the caller stops its environment.
+
+    Raises:
+        DemoFailed: it does not.
+    """
+    other = DemoEnvironment(demo.root / "fridge", demo.printer, {"ROS_IP": "127.0.0.1"}, demo.run)
+    other.root.mkdir(mode=0o700)
+    node = await other.start(
+        "rossec", "node", "enroll", FRIDGE, "--address", "127.0.0.1", "--json", name="fridge"
+    )
+    try:
+        return WaitingNode(await node.logged(r"^ROSSEC:.*\S"), other)
+    except DemoFailed:
+        await other.stop_all()
+        raise
+
+
+START = 60.0  # seconds for the console on a busy machine
+
+
+async def begin_story(demo: DemoEnvironment, port: int) -> str:
+    """Set everything up in `demo`, whose directory is empty; returns the link to log in by.
+
+    Args:
+        demo: runs the commands and holds the processes, which the caller stops.
+        port: of the console.
+
+    Raises:
+        DemoFailed: a step did not do what it says.
+    """
+    with demo.printer.step("the home gets its own authority"):
+        await found_authority(demo)
+    with demo.printer.step("master, robot and two receivers are enrolled by their QR codes"):
+        await enroll(demo)
+    with demo.printer.step("the person who lives there decides who may see what"):
+        camera = await sign_grants(demo)
+    with demo.printer.step("they start, each its own process"):
+        _, doctor, _, _ = await start(demo)
+    with demo.printer.step("the doctor's view of the camera is revoked"):
+        await revoke(demo, doctor, camera)
+    with demo.printer.step("a lamp asks to see where the robot is, and waits for an answer"):
+        await ask(demo)
+    with demo.printer.step("the authority's service starts, then the console"):
+        return await _start_console(demo, port)
+
+
+async def _start_console(demo: DemoEnvironment, port: int) -> str:
+    service = await demo.start(
+        "rossec", "ca", "serve", "--json", "--unlock-for", "0",
+        "--join-address", f"127.0.0.1:{_free_port()}",
+        "--passphrase-file", str(demo.root / "passphrase"), name="authority",
+    )  # fmt: skip
+    await service.expect("starting", lambda report: "ready" in report, within=START)
+    console = await demo.start("rossec", "console", "--json", "--port", str(port), name="console")
+    ready = await console.expect("starting", lambda report: "ready" in report, within=START)
+    return str(ready["login"])
+
+
+def _free_port() -> int:
+    """A port that nobody listens at now; the join port must be named."""
+    with socket.create_server(("127.0.0.1", 0)) as sock:
+        return int(sock.getsockname()[1])

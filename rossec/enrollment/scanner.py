@@ -3,7 +3,7 @@
 Bytes in, one line out.
 
 Pictures are untrusted, and the cost of decoding one is not bounded by its size: a few kilobytes
-full of finder patterns take a minute. So it runs in a process of its own (`rossec.enrollment.scan`
+full of finder patterns take a minute. So it runs in a process of its own (`rossec.enrollment.enroll`
 starts it and waits a limited time), with limits of the kernel on memory and processor time.
 """
 

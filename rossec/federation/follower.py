@@ -4,19 +4,27 @@ What happens is decided by `states`, what an answer means by `answers`; the fact
 layer of the own master. The site is asked, and never calls: no address of this master is needed
 there. Lists of revocations and domains are compared with every answer, and settled before more
 facts are asked for.
+
+A site that is reached by a relay of this site: the doors of its master, nodes and services.
+
+A shell: what doors there are is `rossec.master.state.forwarded_ports`'s, how facts become doors is
+`door_facts`'s. The relay is another process, so every door is waited for, and not long.
+
+A connection with the master of a site: dialled, and checked who answers. A shell.
 """
 
 import asyncio
 import contextlib
 import logging
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import AsyncIterator, Callable, Collection, Iterable
 from functools import partial
 from secrets import SystemRandom
 from typing import Any, Final
 
 from ca.certificates import Identity
-from ca.errors import HintedError
+from ca.errors import CAError, HintedError, RevocationsStale
+from ca.names import shown, split_alias
 from rossec.errors import (
     AnswerRefused,
     ChannelClosed,
@@ -26,25 +34,201 @@ from rossec.errors import (
     ImportRefused,
     PeerRefused,
     PeerUnreachable,
+    RelayRefused,
     SiteRefused,
 )
 from rossec.federation import exchange
-from rossec.federation.answers import METHOD, SiteChange, SiteCursor
-from rossec.federation.foreign import LONGEST_FOREIGN, ForeignLists
-from rossec.federation.mirroring import Mirroring
-from rossec.federation.own import OwnMaster
+from rossec.federation.exchange import LONGEST_FOREIGN, ForeignLists, Mirroring, OwnMaster
 from rossec.federation.settings import SiteSettings
-from rossec.federation.site_connection import SiteConnections
-from rossec.federation.site_status import site_status
-from rossec.federation.states import LONGEST_PAUSE, SILENCE, Effect, Event, Phase, SiteState
-from rossec.federation.via import SiteDoors
-from rossec.net.rpc.client import RpcClient
-from rossec.ros.text import printable
+from rossec.federation.site_state import (
+    LONGEST_PAUSE,
+    METHOD,
+    SILENCE,
+    DoorFacts,
+    Effect,
+    Event,
+    Phase,
+    SiteChange,
+    SiteCursor,
+    SiteState,
+    site_status,
+)
+from rossec.master.state.forwarded_ports import MASTER, MAX_DOORS, Doors, Target
+from rossec.net.aio import SecureStream, WireProtocol, connect
+from rossec.net.rpc.calls import RpcClient
+from rossec.peer_limits import printable
 from rossec.ros.xmlrpc import Fault
 
-_DIAL: Final = 5.0
-PACE: Final = 0.05  # seconds between two questions: a site may answer at once, without end
+DOOR_WAIT: Final = 5.0  # seconds for the master's door: a relay that polls opens it at once
+NODES_WAIT: Final = 1.0  # seconds for those of new nodes; they are shown without others after it
+NO_CHANGE: Final = SiteChange(frozenset(), frozenset(), False, b"", b"")
 _log = logging.getLogger("rossec.federation")
+
+
+class SiteDoors:
+    """The doors of one site.
+
+    Args:
+        on_door: called when the master's door was opened.
+    """
+
+    def __init__(self, doors: Doors, settings: SiteSettings, on_door: Callable[[], None]) -> None:
+        self._doors = doors
+        self._settings = settings
+        self._on_door = on_door
+        self._master = Target(settings.via, MASTER, settings.master)
+        self._facts = DoorFacts(settings.via, doors.door)
+        self._had_door = False
+        self._missing = 0
+        self.changed: Final = asyncio.Event()
+        doors.listen(settings.label, self._note)
+
+    async def address(self) -> tuple[str, int]:
+        """The door of the site's master.
+
+        Raises:
+            RelayRefused: there is none.
+        """
+        self._want(self._facts.targets)
+        await self._wait([self._master], DOOR_WAIT)
+        door = self._doors.door(self._master)
+        if door is not None:
+            return door
+        if self._doors.way(self._settings.via) is None:
+            raise RelayRefused(
+                f"no relay of this site knows a peer {self._settings.via}",
+                f"is `rossec relay` running, and was this done: rossec relay add"
+                f" {self._settings.via} FILE",
+            )
+        raise RelayRefused(
+            f"the relay opens no door for {self._settings.master} of {self._settings.via}",
+            "rossec relay status",
+        )
+
+    async def take(self, change: SiteChange) -> SiteChange:
+        """A complete answer of the site, with doors for its addresses.
+
+        Raises:
+            ImportRefused: a malformed fact, or too many.
+        """
+        before = self._facts.targets
+        for _ in self._facts.take(change):
+            await asyncio.sleep(0)
+        targets = self._facts.targets
+        self._want(targets)
+        await self._wait(targets - before, NODES_WAIT)
+        return self.refreshed(change)
+
+    def refreshed(self, change: SiteChange = NO_CHANGE) -> SiteChange:
+        """`change`, and what is other with the doors of now."""
+        self.changed.clear()
+        return self._facts.shown(change)
+
+    def drop(self) -> None:
+        """The facts of the site are dropped; it is still followed."""
+        self._facts.forget()
+        self._want(())
+
+    def close(self) -> None:
+        """The site is followed no longer."""
+        self._doors.forget(self._settings.label)
+
+    def status(self) -> dict[str, Any]:
+        """The way there, for people and programs; empty: no relay knows the peer."""
+        found = self._doors.way(self._settings.via)
+        if found is None:
+            return {}
+        return {"relay": found[0], **found[1]._asdict()}
+
+    def _want(self, targets: Collection[Target]) -> None:
+        missing = self._doors.want(self._settings.label, {self._master, *targets})
+        if missing and not self._missing:
+            _log.warning(
+                "site %s: %d nodes and services have no address here: a site has half of %d doors",
+                self._settings.label, missing, MAX_DOORS,
+            )  # fmt: skip
+        self._missing = missing
+
+    async def _wait(self, targets: Collection[Target], longest: float) -> None:
+        """Return when all have a door, or after `longest` seconds."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(longest):
+                while any(self._doors.door(target) is None for target in targets):
+                    self.changed.clear()
+                    await self.changed.wait()
+        self.changed.set()  # it was not looked at what else has changed
+
+    def _note(self) -> None:
+        self.changed.set()
+        has_door = self._doors.door(self._master) is not None
+        if has_door and not self._had_door:
+            self._on_door()
+        self._had_door = has_door
+
+
+_DIAL: Final = 5.0
+_DIAL_VIA: Final = 15.0  # the relay may have to dial its peer first
+
+
+class SiteConnections:
+    """Connects with one site.
+
+    Args:
+        doors: of the site, if it is reached by a relay.
+    """
+
+    def __init__(self, settings: SiteSettings, own: OwnMaster, doors: SiteDoors | None) -> None:
+        self._settings = settings
+        self._own = own
+        self._doors = doors
+
+    @contextlib.asynccontextmanager
+    async def open(self) -> AsyncIterator[tuple[RpcClient, Identity]]:
+        """A connection with the site, whose identity is checked.
+
+        Raises:
+            SiteRefused: another identity, or one that is revoked.
+            RossecError, OSError, TimeoutError: no connection.
+        """
+        async with asyncio.timeout(_DIAL if self._doors is None else _DIAL_VIA):
+            doors, settings = self._doors, self._settings
+            address = settings.address if doors is None else await doors.address()
+            stream = await connect(*address, self._own.context, WireProtocol.HTTP)
+        try:
+            self._check(stream)
+            yield RpcClient(stream, deadline=SILENCE), stream.peer
+        finally:
+            await stream.close()
+
+    def check_trust(self, peer: Identity) -> None:
+        """Return if the lists of now let this master follow `peer`.
+
+        Raises:
+            SiteRefused: it is revoked, or the trust in its domain has ended.
+        """
+        try:
+            self._own.state.trust.caller(peer, self._own.state.now())
+        except RevocationsStale:  # of its domain: it is asked for them
+            return
+        except CAError as error:
+            raise SiteRefused(f"{shown(peer.name)}: {error}", error.hint) from error
+
+    def _check(self, stream: SecureStream[Identity]) -> None:
+        """The peer is the master that is followed, and not revoked."""
+        peer, expected = stream.peer, self._settings
+        alias = split_alias(peer.name) if peer.is_foreign else None
+        label, name = ("", peer.name) if alias is None else alias
+        if (label, name) != (expected.domain, expected.master):
+            stream.abort("not the master that is followed")
+            raise SiteRefused(
+                f"{shown(peer.name)} answers {expected.place}, not {expected.master}"
+                + (f" of {expected.domain}" if expected.domain else ""),
+                "check the address: rossec federation list",
+            )
+        self.check_trust(peer)
+
+
+PACE: Final = 0.05  # seconds between two questions: a site may answer at once, without end
 _audit = logging.getLogger("rossec.audit")
 
 _RANDOM: Final = SystemRandom().random

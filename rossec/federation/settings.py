@@ -2,20 +2,34 @@
 
 A label is given once, and never is that of a foreign domain but where the master is one of it: the
 labels of masters of the own domain and of foreign domains name the same thing in `/remote/<label>`.
+
+The part `federation:` of the master's configuration file: a closed schema, errors with lines.
+
+federation:
+  follow_announced: true
+  sites:
+    kitchen: {uri: http://kitchen:11311, master: /master/kitchen, parameters: [/robot/**]}
+    hospital: {uri: http://hospital.example:11311, domain: hospital}
+    office: {via: office, master: /master/office}
+
+`federation.json` in a master's home: the sites that `rossec federation add` has given. A shell.
+
+Written under the directory's lock and replaced whole; a running master reads it when it has
+changed. Only the master's own user can write there.
 """
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
-from ca.domains.aliases import check_label
 from ca.errors import NameRefused
-from ca.names import MASTER, is_master_name
-from ca.patterns import check_pattern
+from ca.names import MASTER, check_label, check_pattern, is_master_name
+from rossec import files
 from rossec.errors import ConfigurationError
-from rossec.master.state.sites import Site
-from rossec.ros.settings import is_loopback, parse_uri
+from rossec.master.state.imported_facts import Site
+from rossec.ros.names import is_loopback, parse_uri
 
 MAX_SITES: Final = 64
 MAX_PARAMETERS: Final = 64  # patterns of one site
@@ -158,3 +172,139 @@ def _site(row: object, name: str) -> SiteSettings:
 
 _WAYS: Final = "uri: http://kitchen:11311, or via: office, a peer of: rossec relay list"
 _HINT: Final = "it is written by `rossec federation add`, `remove` and `param`: use these"
+
+_KEYS: Final = ("follow_announced", "sites")
+_SITE_KEYS: Final = ("uri", "master", "domain", "parameters", "via")
+_EXAMPLE: Final = "for example  kitchen: {uri: http://kitchen:11311, master: /master/kitchen}"
+
+
+@dataclass(frozen=True)
+class FederationConfig:
+    """Which masters to follow.
+
+    Args:
+        follow_announced: every master of the own domain that is heard on the local links.
+        sites: these.
+    """
+
+    follow_announced: bool = False
+    sites: tuple[SiteSettings, ...] = ()
+
+
+def read_config(part: Any, name: str) -> FederationConfig:
+    """Read the part, of a file called `name`; None is an empty one.
+
+    Raises:
+        ConfigurationError: something in it is not allowed.
+    """
+    announced, sites = False, tuple[SiteSettings, ...]()
+    for key, where, value in _entries(part, name, "federation", _KEYS):
+        if key == "sites":
+            sites = tuple(
+                _config_site(label, entry, line, name)
+                for label, line, entry in _entries(value, name, key)
+            )
+        else:
+            announced = getattr(value, "value", None) is True
+            if not isinstance(getattr(value, "value", None), bool):
+                raise ConfigurationError(f"{where}: {key} is true or false", "without quotes")
+    try:
+        checked_sites(sites)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{name}: {error}", error.hint) from error
+    return FederationConfig(announced, sites)
+
+
+def _config_site(label: str, part: Any, where: str, name: str) -> SiteSettings:
+    values: dict[str, Any] = {}
+    for key, line, value in _entries(part, name, f"site {label[:40]}", _SITE_KEYS):
+        values[key] = _patterns(value, line) if key == "parameters" else _text(key, value, line)
+    if not {"uri", "via"} & values.keys():
+        raise ConfigurationError(f"{where}: site {label[:40]!a} has no uri and no via", _EXAMPLE)
+    try:
+        return SiteSettings(label, **{"uri": "", **values})
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{where}: {error}", error.hint) from error
+
+
+def _patterns(part: Any, where: str) -> tuple[str, ...]:
+    items = getattr(part, "items", None)
+    if not isinstance(items, tuple):
+        raise ConfigurationError(f"{where}: parameters is a list of patterns", "[/robot/**]")
+    return tuple(_text("a pattern", item, where) for item in items)
+
+
+def _text(key: str, part: Any, where: str) -> str:
+    value = getattr(part, "value", None)
+    if not isinstance(value, str):
+        raise ConfigurationError(f"{where}: {key} is a text", _EXAMPLE)
+    return value
+
+
+def _entries(
+    part: Any, name: str, what: str, keys: tuple[str, ...] = ()
+) -> Iterator[tuple[str, str, Any]]:
+    """Keys, where they are, and values; with `keys` no others."""
+    if part is None:
+        return
+    entries = getattr(part, "entries", None)
+    if entries is None:
+        line = f"{name}:{getattr(part, 'line', 0)}"
+        raise ConfigurationError(f"{line}: {what} is a map", _EXAMPLE)
+    for key, (word, value) in entries.items():
+        where = f"{name}:{word.line}"
+        if keys and key not in keys:
+            raise ConfigurationError(f"{where}: {what} has no {key[:40]!a}", ", ".join(keys))
+        yield key, where, value
+
+
+FILE: Final = "federation.json"
+
+
+class SiteFile:
+    """The file in `directory`, the home of a master."""
+
+    def __init__(self, directory: Path) -> None:
+        self._directory = directory
+        self._path = directory / FILE
+        self._read: tuple[tuple[int, ...], dict[str, SiteSettings]] = (), {}
+
+    def sites(self) -> Iterable[SiteSettings]:
+        """The sites as of now; the file is read only when it has changed.
+
+        Raises:
+            ConfigurationError: it is not of this form.
+        """
+        version = self._version()
+        if version != self._read[0]:
+            self._read = version, self._load()
+        return tuple(self._read[1].values())
+
+    def change(self, edit: Callable[[dict[str, SiteSettings]], None]) -> None:
+        """Let `edit` change the sites, and write them.
+
+        Raises:
+            ConfigurationError: the file is not of this form, or there is no such directory.
+        """
+        if not self._directory.is_dir():
+            raise ConfigurationError(
+                f"there is no master in {self._directory}",
+                "enroll it first, by the name in ROSSEC_MASTER, or run this where the master runs",
+            )
+        with files.locked_directory(self._directory):
+            sites = self._load()
+            edit(sites)
+            files.replace(self._path, write_sites(sites))
+
+    def _load(self) -> dict[str, SiteSettings]:
+        if not self._path.exists():
+            return {}
+        missing = ConfigurationError(f"there is no {self._path}")
+        return read_sites(files.read_own(self._path, MAX_FILE, missing), str(self._path))
+
+    def _version(self) -> tuple[int, ...]:
+        try:
+            found = self._path.stat()
+        except FileNotFoundError:
+            return ()
+        return found.st_ino, found.st_mtime_ns, found.st_size

@@ -3,18 +3,57 @@
 A rule is a pattern of the origin's own names. Of several that cover a topic the first one counts.
 What gateways of the origin serve is covered by patterns below `/gateway` alone: two domains whose
 gateways serve each other's `/**` would hand the same topics to and fro, under ever longer names.
+
+Which topics a gateway serves, from the graph of its master. Pure.
+
+A topic counts that has a publisher of its origin. There is room for a limited number, which is
+shared between the origins: one with many topics takes no room from the others. Within an origin
+what is served already comes first, so that a new topic replaces none. An origin may show tens of
+thousands of topics, and change them: what is done for each is done in steps, and messages pass
+between them.
+
+The publishers of one topic at its origin, and what their messages are. Pure.
+
+A topic has one type, and the definition of the first publisher counts. While a publisher of that
+type is connected, one of another type is refused, as every subscriber in ROS refuses it. When none
+is, the type has changed: what was said of it here is wrong, and the topic has to begin again.
+
+When a topic is subscribed at its origin, as a table. Pure.
+
+Only while somebody here is subscribed, and a little longer: a program that is started again, or
+one after the other, makes no new connection over the slow line each time.
+
+Messages of a latching publisher, thinned out so that the last one is delivered nevertheless.
+
+A sender that thins out by a wish of a rate (docs/decisions/0036) drops what is too much. Of a topic
+whose last message is its value it may drop the very last. So a gateway asks for no rate there, and
+holds back by itself: the newest that is too early is due as soon as the rate admits it. Pure.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from enum import Enum
+from typing import Final, NamedTuple
 
-from ca.domains.aliases import alias_of, check_label, is_alias, split_alias
-from ca.domains.served import is_in_gateway
-from ca.errors import HintedError
-from ca.patterns import check_pattern, covers
-from rossec.errors import ConfigurationError
-from rossec.participant.wishes import Wishes
+from ca.errors import HintedError, NameRefused
+from ca.names import (
+    alias_of,
+    check_label,
+    check_pattern,
+    is_alias,
+    is_gateway,
+    is_in_gateway,
+    pattern_covers,
+    served_name,
+    split_alias,
+)
+from grants.errors import DefinitionRefused
+from rossec.errors import ConfigurationError, ConnectionHeaderRefused, GatewayError
+from rossec.node.subscriber import RawSource
+from rossec.participant.definitions import Definition
+from rossec.participant.delivery import Wishes
+from rossec.participant.registrations import Fact
+from rossec.ros.names import ANY_TYPE
 
 MAX_RULES: Final = 256
 
@@ -73,4 +112,266 @@ def covering(rules: Sequence[TopicRule], alias: str) -> TopicRule | None:
     of_label = (each for each in rules if each.label == label)
     if is_in_gateway(name):
         of_label = (each for each in of_label if is_in_gateway(each.pattern))
-    return next((each for each in of_label if covers(each.pattern, name)), None)
+    return next((each for each in of_label if pattern_covers(each.pattern, name)), None)
+
+
+MAX_TOPICS: Final = 1024
+BATCH: Final = 512  # facts or topics in one step
+
+
+class Candidate(NamedTuple):
+    """A topic that a rule covers and that has a publisher at its origin."""
+
+    alias: str
+    served: str
+    rule: TopicRule
+    type: str
+
+
+class Observed(NamedTuple):
+    """What the graph says of topics to serve.
+
+    Args:
+        candidates: by alias.
+        servers: the gateways that are registered, by served name.
+    """
+
+    candidates: Mapping[str, Candidate]
+    servers: Mapping[str, frozenset[str]]
+
+
+def observing(facts: Iterable[Fact], rules: Sequence[TopicRule]) -> Generator[None, None, Observed]:
+    """What `facts`, which may not change meanwhile, say; yields between the steps."""
+    types, published = dict[str, str](), set[str]()
+    servers: dict[str, frozenset[str]] = {}
+    for count, (kind, name, value) in enumerate(facts, 1):
+        if kind == "type":
+            types[name] = value
+        elif kind == "publisher" and is_gateway(value):
+            servers[name] = servers.get(name, frozenset()) | {value}
+        elif kind == "publisher" and _is_of_its_origin(name, value):
+            published.add(name)
+        if not count % BATCH:
+            yield
+    candidates = dict[str, Candidate]()
+    for count, alias in enumerate(sorted(published), 1):
+        found = _candidate(alias, rules, types.get(alias, ANY_TYPE))
+        if found is not None:
+            candidates[alias] = found
+        if not count % BATCH:
+            yield
+    return Observed(candidates, servers)
+
+
+def _is_of_its_origin(topic: str, node: str) -> bool:
+    """Whether a topic is an alias, and the node one of the same domain."""
+    try:
+        one, other = split_alias(topic), split_alias(node)
+    except NameRefused:
+        return False
+    return one is not None and other is not None and one[0] == other[0]
+
+
+def _candidate(alias: str, rules: Sequence[TopicRule], type_name: str) -> Candidate | None:
+    rule = covering(rules, alias)
+    if rule is None:
+        return None
+    try:
+        return Candidate(alias, served_name(alias), rule, type_name)
+    except NameRefused:  # it would be longer than a name
+        return None
+
+
+def chosen(
+    candidates: Iterable[Candidate], serving: Collection[str], most: int = MAX_TOPICS
+) -> list[Candidate]:
+    """Those of the candidates that there is room for.
+
+    Args:
+        serving: the aliases that are served already.
+        most: how many may be served.
+    """
+    by_label: dict[str, list[Candidate]] = {}
+    for each in candidates:
+        by_label.setdefault(each.rule.label, []).append(each)
+    taken, left = list[Candidate](), most
+    queues = sorted(by_label.values(), key=len)
+    for number, queue in enumerate(queues):
+        share = left // (len(queues) - number)
+        queue.sort(key=lambda each: (each.alias not in serving, each.alias))
+        taken += queue[:share]
+        left -= min(share, len(queue))
+    return taken
+
+
+class TypeChanged(ConnectionHeaderRefused):
+    """The topic has another type at its origin than was said here."""
+
+
+class Sources:
+    """Those that are connected."""
+
+    def __init__(self) -> None:
+        self.type: Definition | None = None
+        self._connected: set[RawSource] = set()
+
+    def __len__(self) -> int:
+        return len(self._connected)
+
+    @property
+    def latching(self) -> bool:
+        """Whether there is one source, and it latches: of several none has the last word."""
+        return len(self._connected) == 1 and next(iter(self._connected)).latching
+
+    def connect(self, source: RawSource) -> bool:
+        """Add a source; returns whether it is the first to say the type.
+
+        Raises:
+            TypeChanged: no source of the known type is connected, and this is of another.
+            ConnectionHeaderRefused: a source of another type is connected.
+        """
+        is_first = self.type is None
+        if self.type is not None and not same_type(self.type, source.type):
+            told = f"{source.peer} publishes {source.type.name} ({source.type.md5sum})"
+            kind = ConnectionHeaderRefused if self._connected else TypeChanged
+            raise kind(f"{told}, and not {self.type.name} ({self.type.md5sum})")
+        self.type = self.type or source.type
+        self._connected.add(source)
+        return is_first
+
+    def disconnect(self, source: RawSource) -> None:
+        """Remove a source."""
+        self._connected.discard(source)
+
+
+def same_type(one: Definition, other: Definition) -> bool:
+    """Whether messages of both have the same bytes: the md5sum alone does not say it."""
+    if (one.name, one.md5sum) != (other.name, other.md5sum):
+        return False
+    return one.definition == other.definition or _digest(one) == _digest(other)
+
+
+def _digest(kind: Definition) -> bytes | str:
+    """What identifies a layout; the text, if it is no definition."""
+    try:
+        return kind.layout.digest
+    except (DefinitionRefused, ConnectionHeaderRefused):
+        return kind.definition
+
+
+LINGER: Final = 5.0  # seconds without a subscriber here until the origin is left
+FIRST_PAUSE: Final = 1.0  # seconds after a failure, doubled with each further one
+LONGEST_PAUSE: Final = 15.0
+
+
+class Phase(Enum):
+    """How far a topic is."""
+
+    IDLE = "idle"  # nobody is subscribed here
+    SUBSCRIBED = "subscribed"
+    LINGERING = "lingering"  # subscribed at the origin, and nobody here
+    PAUSED = "paused"  # the master refused the subscription: tried again later
+
+
+class Event(Enum):
+    """What happens to a topic."""
+
+    WANTED = "somebody here is subscribed"
+    UNWANTED = "nobody here is subscribed any more"
+    DUE = "the time is over"
+    FAILED = "the subscription failed"
+
+
+class Action(Enum):
+    """What is to be done."""
+
+    NOTHING = "nothing"
+    SUBSCRIBE = "subscribe at the origin"
+    LEAVE = "end the subscription"
+
+
+TABLE: Final = {
+    (Phase.IDLE, Event.WANTED): (Phase.SUBSCRIBED, Action.SUBSCRIBE),
+    (Phase.SUBSCRIBED, Event.UNWANTED): (Phase.LINGERING, Action.NOTHING),
+    (Phase.SUBSCRIBED, Event.FAILED): (Phase.PAUSED, Action.LEAVE),
+    (Phase.LINGERING, Event.WANTED): (Phase.SUBSCRIBED, Action.NOTHING),
+    (Phase.LINGERING, Event.DUE): (Phase.IDLE, Action.LEAVE),
+    (Phase.LINGERING, Event.FAILED): (Phase.IDLE, Action.LEAVE),
+    (Phase.PAUSED, Event.DUE): (Phase.SUBSCRIBED, Action.SUBSCRIBE),
+    (Phase.PAUSED, Event.UNWANTED): (Phase.IDLE, Action.NOTHING),
+}
+_WANTED_IN: Final = frozenset({Phase.SUBSCRIBED, Phase.PAUSED})
+
+
+class TopicState:
+    """Where one topic is in the table; times are of a monotonic clock.
+
+    Attributes:
+        phase: where it is.
+        due: when `step` has to be called at the latest; None: when something changes.
+    """
+
+    def __init__(self) -> None:
+        self.phase = Phase.IDLE
+        self.due: float | None = None
+        self._pause = FIRST_PAUSE
+
+    def step(self, now: float, *, wanted: bool) -> Action:
+        """What is to be done now; called until it is nothing.
+
+        Args:
+            wanted: whether somebody here is subscribed, or waits to be.
+        """
+        event = self._event(now, wanted=wanted)
+        return Action.NOTHING if event is None else self._enter(event, now)
+
+    def _event(self, now: float, *, wanted: bool) -> Event | None:
+        if wanted and self.phase not in _WANTED_IN:
+            return Event.WANTED
+        if not wanted and self.phase in _WANTED_IN:
+            return Event.UNWANTED
+        return Event.DUE if self.due is not None and now >= self.due else None
+
+    def failed(self, now: float) -> Action:
+        """The subscription was refused, or ended by an error."""
+        action = self._enter(Event.FAILED, now)
+        self._pause = min(2 * self._pause, LONGEST_PAUSE)
+        return action
+
+    def connected(self) -> None:
+        """A publisher of the origin is connected: the next failure is a new one."""
+        self._pause = FIRST_PAUSE
+
+    def _enter(self, event: Event, now: float) -> Action:
+        if (self.phase, event) not in TABLE:
+            raise GatewayError(f"a topic that is {self.phase.value}, and then: {event.value}")
+        self.phase, action = TABLE[self.phase, event]
+        waits = {Phase.LINGERING: LINGER, Phase.PAUSED: self._pause}.get(self.phase)
+        self.due = None if waits is None else now + waits
+        return action
+
+
+class Thinning:
+    """Messages of one publisher, at most `rate` a second; times are of a monotonic clock."""
+
+    def __init__(self, rate: float) -> None:
+        self._interval = 1 / rate
+        self._next = float("-inf")
+        self._held: bytes | None = None
+
+    @property
+    def due(self) -> float | None:
+        """When a message that is held back may go; None: there is none."""
+        return None if self._held is None else self._next
+
+    def take(self, message: bytes, now: float) -> bytes | None:
+        """The message, if it may go now; else it is held back in place of an older one."""
+        self._held = message
+        return self.release(now)
+
+    def release(self, now: float) -> bytes | None:
+        """What was held back, if it may go now."""
+        if self._held is None or now < self._next:
+            return None
+        message, self._held, self._next = self._held, None, now + self._interval
+        return message

@@ -2,11 +2,31 @@
 
 The header hooks serve services as well: rospy's protocol class determines which right
 each side has to prove.
+
+The message types this process reads with, as its genpy classes define them.
+
+Connection headers over a blocking secure socket: read whole, within a deadline and a limit.
+
+The field that holds grants is binary; rospy, which expects text, does not get it.
+
+`wait_for_service` in rospy: its probe needs the right of a client, and waits for the answer.
+
+Clients and providers go through the header hooks in `connections`; the probe has its own socket and
+writes its header itself. `rosservice` probes in the same way, and reads the answer.
+
+The subscriber's side of a topic: connected to a publisher for as long as the master names it.
 """
 
+import socket
+import struct
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from functools import partial
 from typing import Any, Final
 
+import genpy
+import genpy.message
 import rospy
 from rospy.exceptions import TransportInitError
 from rospy.impl.registration import get_topic_manager
@@ -14,59 +34,125 @@ from rospy.impl.tcpros_pubsub import TCPROSPub, TCPROSSub
 from rospy.impl.tcpros_service import TCPROSServiceClient, TCPService
 
 from ca.certificates import Identity
-from ca.domains.aliases import origin_of, shown
 from ca.errors import HintedError
+from ca.names import origin_of, shown
 from grants.decision import Decision
-from grants.errors import DefinitionRefused
+from grants.errors import DefinitionRefused, GrantError
 from grants.guard import Guard
 from grants.model import Right
 from rossec import clock
-from rossec.errors import ConnectionHeaderRefused, PlainPeer
-from rossec.inprocess import headers
-from rossec.inprocess.allow_plain import PlainConnection
-from rossec.inprocess.genpy_types import (
-    definition_of,
-    installed_definition,
-    max_message_size,
-    max_unit_size,
-)
-from rossec.inprocess.identity import LocalIdentity, now
-from rossec.inprocess.plain_stream import plain_fields
+from rossec.channel.records import Bytes
+from rossec.errors import ChannelClosed, ConnectionHeaderRefused, HeaderRefused, PlainPeer
+from rossec.inprocess.identity import LocalIdentity, now, plain_fields
+from rossec.inprocess.options import PlainConnection
 from rossec.inprocess.process import RosConnection, SecuredProcess
-from rossec.inprocess.service_filter import ClientFilter, ServerFilter
-from rossec.inprocess.socket_errors import tried_again
-from rossec.inprocess.sockets import RosSocket
-from rossec.participant.access import FIELD
-from rossec.participant.authorized import AuthorizedConnection
+from rossec.inprocess.sockets import ClientFilter, RosSocket, ServerFilter, tried_again
+from rossec.net.limits import message_limit, unit_limit
+from rossec.participant.access import FIELD, granted_name
+from rossec.participant.authorized import AuthorizedConnection, memory_scope
 from rossec.participant.definitions import (
     Definition,
     definition_fields,
     from_header,
+    guard_for,
     receiver_definition,
+    size_of,
 )
-from rossec.participant.limit_memory import memory_scope
-from rossec.participant.message_types import MessageType
-from rossec.participant.remote_names import fields_here
-from rossec.participant.service_guard import ServiceGuard
-from rossec.participant.service_handshake import admit_caller, admit_provider, requested_service
-from rossec.participant.service_types import ServiceType
-from rossec.participant.topic_guard import guard_for
-from rossec.participant.topic_handshake import (
-    ExpectedTopic,
-    admit_publisher,
-    admit_subscriber,
-    requested_topic,
-)
-from rossec.participant.wire_names import granted_name
-from rossec.participant.wishes import (
+from rossec.participant.delivery import (
     NO_WISHES,
     carried_out,
     check_carried_out,
     requested_wishes,
     taken_wishes,
 )
-from rossec.ros import header
-from rossec.ros.settings import is_door
+from rossec.participant.handshakes import (
+    ExpectedTopic,
+    admit_caller,
+    admit_provider,
+    admit_publisher,
+    admit_subscriber,
+    caller_proof,
+    fields_here,
+    fields_on_wire,
+    requested_service,
+    requested_topic,
+    text,
+)
+from rossec.participant.message_types import MessageType
+from rossec.participant.service_types import ServiceGuard, ServiceType
+from rossec.peer_limits import printable
+from rossec.ros import tcpros
+from rossec.ros.names import is_door, parse_uri
+from rossec.ros.tcpros import MESSAGE_LIMIT, FrameReader, Framing
+
+
+def definition_of(kind: Any) -> Definition:
+    """Name, checksum and definition of the message class `kind`."""
+    return Definition(kind._type, kind._md5sum, kind._full_text)  # noqa: SLF001 - genpy's
+
+
+def installed_definition(name: str) -> Definition | None:
+    """The definition of the installed class for the type `name`; None: there is none."""
+    try:
+        kind = genpy.message.get_message_class(name)
+    except Exception:  # noqa: BLE001 - an import may fail in any way; then it is not installed
+        return None
+    return None if kind is None else definition_of(kind)
+
+
+def max_message_size(kind: Any) -> int:
+    """The most bytes a message of the class `kind` may have."""
+    return message_limit(size_of(definition_of(kind)), MESSAGE_LIMIT)
+
+
+def max_unit_size(kind: Any) -> int:
+    """The most bytes a unit with such messages may have."""
+    return unit_limit(size_of(definition_of(kind)), MESSAGE_LIMIT)
+
+
+DEADLINE: Final = 5.0
+_LENGTH: Final = struct.Struct("<I")
+
+
+def receive(sock: RosSocket) -> dict[str, bytes]:
+    """The fields of the header the peer sends.
+
+    Raises:
+        ChannelError, TimeoutError: the connection ended, or nothing came in time.
+        HeaderRefused: malformed, or too long.
+    """
+    end = time.monotonic() + DEADLINE
+    (length,) = _LENGTH.unpack(_exactly(sock, _LENGTH.size, end))
+    if length > tcpros.HEADER_LIMIT:
+        raise HeaderRefused(f"a connection header of {length} bytes")
+    return tcpros.decode(_exactly(sock, length, end))
+
+
+def _exactly(sock: RosSocket, size: int, end: float) -> bytes:
+    data = b""
+    try:
+        while len(data) < size:
+            sock.settimeout(max(0.001, end - time.monotonic()))
+            part = sock.stream.recv(size - len(data))
+            if not part:
+                raise ChannelClosed("the peer closed the connection before its header")
+            data += part
+    finally:
+        sock.settimeout(None)
+    return data
+
+
+def for_rospy(fields: Mapping[str, bytes]) -> dict[str, str]:
+    """The fields as text, without the one that holds grants."""
+    return {key: value.decode(errors="replace") for key, value in fields.items() if key != FIELD}
+
+
+def refuse(sock: RosSocket, error: HintedError) -> None:
+    """Send an authenticated peer the reason; it may be gone."""
+    sock.settimeout(DEADLINE)
+    with suppress(HintedError, OSError):
+        sock.send_unit(tcpros.error_header(f"rossec: {printable(error)}"))
+
 
 _RIGHTS: Final[dict[type, Right]] = {
     TCPROSSub: Right.SUBSCRIBE,
@@ -97,7 +183,7 @@ class Connections:
         try:
             if sock.is_plain and is_door(str(transport.endpoint_id)):
                 raise PlainPeer("the peer behind a relay is a plain ROS node", _HINT_PLAIN)
-            data = header.encode(self._fields(protocol, sock))
+            data = tcpros.encode(self._fields(protocol, sock))
             with tried_again():
                 sock.send_unit(data)
         except HintedError as error:
@@ -132,12 +218,12 @@ class Connections:
             return
         try:
             with tried_again():
-                fields = headers.receive(sock)
+                fields = receive(sock)
             connection = None
             if not sock.is_plain:
                 connection = self._admit_server(protocol, fields, sock)
                 fields = fields_here(fields, sock.peer, protocol.resolved_name)
-            transport._validate_header(headers.for_rospy(fields))  # noqa: SLF001 - rospy's own
+            transport._validate_header(for_rospy(fields))  # noqa: SLF001 - rospy's own
             if connection is not None:
                 self._process.add_connection(sock, connection)
                 if isinstance(protocol, TCPROSSub):
@@ -199,12 +285,12 @@ class Connections:
             caller = shown(peer.name)
             self._process.connections.accept(sock, peer, sock.abort)
             self._local_identity.access.check_peer(peer, now())
-            fields = headers.receive(sock)
+            fields = receive(sock)
             self._admit_caller(server, sock, where, fields)
         except HintedError as error:
             self._process.reporter.warn(f"refused {caller}", error)
             if sock.is_plain or sock.stream.peer is not None:
-                headers.refuse(sock, error)
+                refuse(sock, error)
             sock.close()
         except (OSError, TransportInitError) as error:
             self._process.reporter.warn(f"lost {caller}", error)
@@ -222,10 +308,10 @@ class Connections:
             return False
         sock.switch_to_plain()
         self._process.connections.accept(sock, where[0], sock.abort)
-        headers.receive(sock)
+        receive(sock)
         sock.connection = PlainConnection()
         handler = getattr(server, f"{kind}_connection_handler")
-        refusal = handler(sock, where, headers.for_rospy(fields))
+        refusal = handler(sock, where, for_rospy(fields))
         if refusal:
             raise ConnectionHeaderRefused(f"no such {kind}, or of another type")
         return True
@@ -253,7 +339,7 @@ class Connections:
             connection = AuthorizedConnection(sock, decision, guard_under(decision), guard_under)
             handler = server.topic_connection_handler
         self._process.add_connection(sock, connection)
-        refusal = handler(sock, where, headers.for_rospy(fields_here(fields, sock.peer)))
+        refusal = handler(sock, where, for_rospy(fields_here(fields, sock.peer)))
         if refusal:
             raise ConnectionHeaderRefused(
                 str(refusal), "both sides need the same version of the package"
@@ -329,3 +415,159 @@ def _granted_name(protocol: Any, peer: Identity, name: str) -> str:
 
 def _description(protocol: Any) -> str:
     return f"cannot {_RIGHTS[type(protocol)].label} {shown(protocol.resolved_name)}"
+
+
+class ServiceProbe(RosSocket):
+    """A socket whose one message is the header of a probe."""
+
+    def __init__(self, process: SecuredProcess, sock: socket.socket) -> None:
+        super().__init__(process, sock)
+        self._process = process
+        self._answer = b""
+
+    def recv(self, size: int) -> bytes:
+        """The answer, which was checked in `sendall`."""
+        if self.is_plain:
+            return super().recv(size)
+        part, self._answer = self._answer[:size], self._answer[size:]
+        return part
+
+    def sendall(self, data: Bytes) -> None:
+        """Add the proof to the header, send it, and check the answer.
+
+        Raises:
+            HintedError, OSError: the service is not available to this node.
+        """
+        local_identity = self._process.local_identity
+        fields = tcpros.decode(bytes(data)[4:])
+        service = text(fields, "service")
+        if self.is_plain and self._process.allows_plain(service, self.getpeername()[0]):
+            super().sendall(data)
+            return
+        try:
+            local_identity.access.check_peer(self.peer, now())
+            proof = caller_proof(service, local_identity.access, now())
+            named = fields_on_wire(fields)
+            self.send_unit(
+                tcpros.encode({**named, "callerid": local_identity.name_for(self.peer), **proof})
+            )
+            answer = receive(self)
+            admit_provider(answer, self.peer, service, local_identity.access, now())
+            self._answer = tcpros.encode(for_rospy(fields_here(answer, self.peer)))
+        except HintedError as error:
+            self._process.reporter.warn(f"cannot call {shown(service)}", error)
+            raise
+
+
+_FIRST_PAUSE: Final = 0.5
+_LONGEST_PAUSE: Final = 30.0
+_SLICE: Final = 0.5  # seconds between checks whether the subscriber is still in use
+
+
+class SubscriptionLoop:
+    """The subscriptions of one process."""
+
+    def __init__(self, process: SecuredProcess) -> None:
+        self._process = process
+
+    def run(
+        self, conn: Any, host: str, port: int, uri: str, callback: Callable[..., None], topic: str
+    ) -> None:
+        """`robust_connect_subscriber`: connected for as long as the master names the publisher.
+
+        `host`, `port`: the publisher's answer, of no use at a relay's door, where its topics are.
+        """
+        if is_door(uri):
+            host, port = parse_uri(uri)
+        pause = _FIRST_PAUSE
+        while not conn.done and not rospy.is_shutdown():
+            before = conn.stat_num_msg
+            self._receive_from(conn, host, port, uri, callback)
+            if conn.protocol is None:  # closed, by the program or because the port is closed
+                break
+            self._close_socket(conn)
+            if conn.stat_num_msg > before:
+                pause = _FIRST_PAUSE
+            if not self._wait_for_change(conn, pause, topic, uri):
+                break
+            pause = min(2 * pause, _LONGEST_PAUSE)
+        if not conn.done:
+            conn.close()
+
+    def _receive_from(
+        self, conn: Any, host: str, port: int, uri: str, callback: Callable[..., None]
+    ) -> None:
+        try:
+            self._process.own_addresses.check_redirect(parse_uri(uri), (host, port))
+            conn.connect(host, port, uri, timeout=60.0)
+            self._receive(conn, callback)
+        except TransportInitError:
+            pass  # logged where it happened
+        except Exception as error:  # noqa: BLE001 - as rospy: no message may end a subscription
+            if not conn.done and not rospy.is_shutdown():
+                self._process.reporter.warn(f"lost {conn.name} from {uri}", error)
+
+    def _receive(self, conn: Any, callback: Callable[..., None]) -> None:
+        """Messages until the connection ends; as `TCPROSTransport.receive_loop`."""
+        sock, protocol = conn.socket, conn.protocol
+        if sock is None or protocol is None:
+            return
+        framing = Framing(FrameReader(max_message_size(protocol.recv_data_class)))
+        make, limit = protocol.recv_data_class, protocol.queue_size or 0
+        while not conn.done and not rospy.is_shutdown():
+            unit = sock.receive_before_deadline(framing, sock.stream.receive_unit)
+            if not unit:
+                return
+            conn.stat_bytes += len(unit)
+            received = self._filter(sock.connection, framing.feed(unit, now()))
+            messages = [make().deserialize(data) for data in received[-limit:]]
+            del unit, received  # their memory is used for the next one
+            if not messages:
+                continue
+            conn.stat_num_msg += len(messages)
+            for message in messages:
+                message._connection_header = conn.header  # noqa: SLF001 - part of rospy's messages
+            if conn.is_latched:
+                conn.latch = messages[-1]
+            callback(_until_aborted(messages, sock), conn)
+
+    def _filter(
+        self, connection: RosConnection | PlainConnection | None, messages: list[bytes]
+    ) -> list[bytes]:
+        """The messages as the publisher's right allows them."""
+        guard = None if connection is None else connection.guard  # may be replaced meanwhile
+        if connection is None or guard is None or isinstance(connection, PlainConnection):
+            return messages
+        filtered = []
+        for message in messages:
+            try:
+                content = guard(message, clock.time())
+            except GrantError as error:
+                self._process.reporter.warn(
+                    f"withheld a message on {shown(connection.decision.name)}", error
+                )
+            else:
+                filtered += [] if content is None else [b"".join(content)]
+        return filtered
+
+    @staticmethod
+    def _close_socket(conn: Any) -> None:
+        sock, conn.socket = conn.socket, None
+        if sock is not None:
+            sock.close()
+
+    def _wait_for_change(self, conn: Any, pause: float, topic: str, uri: str) -> bool:
+        """Wait, at most `pause`, for a reason to try again; returns whether to."""
+        end = time.monotonic() + pause
+        membership = self._process.membership
+        seen = membership.rights_version
+        while seen == membership.rights_version and time.monotonic() < end:
+            if conn.done or rospy.is_shutdown():
+                return False
+            time.sleep(min(_SLICE, max(0.0, end - time.monotonic())))
+        return self._process.registrations.is_publisher(topic, uri)
+
+
+def _until_aborted(messages: list[Any], sock: RosSocket) -> Iterator[Any]:
+    """The messages of a batch, while the right to them lasts: callbacks may be slow."""
+    return (message for message in messages if not sock.aborted)

@@ -3,17 +3,22 @@
 A hook names a module, an attribute path and the parameters its stock function must have: a rospy
 in which one of them differs is refused before anything is replaced. `check` repeats the check when
 the node starts, in case something was put back (attack F12).
+
+A module in which some names are replaced, for rospy.
 """
 
 import inspect
 import socket
 import sys
 import threading
+import xmlrpc
 import xmlrpc.client
 from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
+from types import ModuleType
 from typing import Any, Final, NamedTuple
 
+import rosgraph
 import rosgraph.impl.graph
 import rosgraph.masterapi
 import rosgraph.network
@@ -29,19 +34,24 @@ import rospy.topics
 from rospy.impl.validators import ParameterInvalid
 
 from rossec.errors import ConfigurationError
-from rossec.inprocess.addresses import bracketed, parse_rosrpc
-from rossec.inprocess.connections import Connections
-from rossec.inprocess.module_proxy import ModuleProxy
+from rossec.inprocess.connections import Connections, ServiceProbe, SubscriptionLoop
 from rossec.inprocess.process import SecuredProcess
-from rossec.inprocess.publishing import forked_node, publish
-from rossec.inprocess.send_queue import write_data
-from rossec.inprocess.service_probe import ServiceProbe
-from rossec.inprocess.sockets import RosSocket
-from rossec.inprocess.subscription import SubscriptionLoop
-from rossec.inprocess.wish_queue import queue_for
-from rossec.inprocess.xmlrpc_client import REQUEST, XmlRpcClient
-from rossec.inprocess.xmlrpc_server import XmlRpcServer
-from rossec.ros.settings import parse_uri
+from rossec.inprocess.publishing import forked_node, publish, queue_for, write_data
+from rossec.inprocess.sockets import RosSocket, bracketed, parse_rosrpc
+from rossec.inprocess.xmlrpc_calls import REQUEST, XmlRpcClient, XmlRpcServer
+from rossec.ros.names import parse_uri
+
+
+class ModuleProxy:
+    """Behaves as a module; some of its names are replaced."""
+
+    def __init__(self, module: ModuleType, **replaced: object) -> None:
+        self._module = module
+        self.__dict__.update(replaced)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._module, name)
+
 
 VERSIONS: Final = ("1.14", "1.15", "1.16", "1.17")
 _LATE: Final = "call rossec.secure() right after importing rospy, before anything else of it"

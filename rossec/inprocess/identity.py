@@ -2,23 +2,43 @@
 
 One lock makes a list and its confirmation one step: between the two no revocation data would be
 fresh, and every peer that is checked would be refused.
+
+A plain connection that `allow_plain` names, with the interface of a secure one.
+
+Also here: reading what a caller sends first without consuming it, so that a caller that is not
+named continues with the handshake, which refuses it.
+
+Makes the secure connections of one process, both ways; `sockets` adapts them to rospy.
+
+What is renewed on a connection of rospy's; on a plain one there is nothing to renew.
 """
 
+import socket
+import struct
+import time
 from collections.abc import Callable
 from dataclasses import replace
-from functools import wraps
+from functools import partial, wraps
 from threading import RLock
-from typing import Concatenate, ParamSpec, TypeVar
+from typing import Any, Concatenate, Final, ParamSpec, TypeVar
+from weakref import WeakKeyDictionary
 
 from ca.certificates import Identity
 from rossec import clock
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.channel.edhoc.suites import PRODUCTION
+from rossec.channel.negotiation import Renewal
+from rossec.channel.opening import MAX_DRAIN, PlainCaller, WireProtocol, classify_caller
+from rossec.errors import HeaderRefused, ProtocolViolation
 from rossec.home import NodeHome
 from rossec.net.context import SecureContext
+from rossec.net.limits import HalfOpenSlot
+from rossec.net.threads.secure_socket import SecureSocket
 from rossec.participant.access import Access
+from rossec.participant.connections import Address, OwnAddresses
+from rossec.participant.handshakes import caller_for
 from rossec.participant.membership import LoadedIdentity
-from rossec.participant.remote_names import caller_for
+from rossec.ros import tcpros
 from rossec.ros.names import MASTER
 
 P = ParamSpec("P")
@@ -133,3 +153,182 @@ class LocalIdentity(LoadedIdentity):
 def now() -> int:
     """The host's clock, in seconds; never ROS time (attack M7)."""
     return clock.now()
+
+
+_READ: Final = 256 * 1024
+_PREFIX: Final = 4
+DEADLINE: Final = 5.0
+
+
+class PlainStream:
+    """What is used of a `SecureSocket`; the peer is not authenticated."""
+
+    peer = None
+    awaits_peer = False
+
+    def __init__(self, sock: socket.socket) -> None:
+        sock.settimeout(None)
+        self._socket = sock
+
+    def recv(self, size: int) -> bytes:
+        """As `socket.socket`."""
+        return self._socket.recv(size)
+
+    def recv_into(self, buffer: bytearray | memoryview, size: int = 0) -> int:
+        """As `socket.socket`."""
+        return self._socket.recv_into(buffer, size)
+
+    def receive_unit(self) -> bytes:
+        """What has arrived."""
+        return self._socket.recv(_READ)
+
+    def pump(self) -> None:
+        """Nothing to receive."""
+
+    def sendall(self, *pieces: bytes | bytearray | memoryview) -> None:
+        """Send the pieces."""
+        for piece in pieces:
+            self._socket.sendall(piece)
+
+    def settimeout(self, value: float | None) -> None:
+        """As `socket.socket`."""
+        self._socket.settimeout(value)
+
+    def gettimeout(self) -> float | None:
+        """As `socket.socket`."""
+        return self._socket.gettimeout()
+
+    def shutdown(self, how: int = socket.SHUT_RDWR) -> None:
+        """As `socket.socket`."""
+        self._socket.shutdown(how)
+
+    def close(self) -> None:
+        """As `socket.socket`."""
+        self._socket.close()
+
+
+def peek(sock: socket.socket) -> bytes:
+    """The first bytes of a plain caller, not consumed: a whole connection header, or the beginning
+    of an HTTP request; empty for any other caller, and for one that sends nothing in time.
+    """
+    try:
+        return _first(sock)
+    except OSError:
+        return b""
+    finally:
+        sock.settimeout(None)
+
+
+def _first(sock: socket.socket) -> bytes:
+    end = time.monotonic() + DEADLINE
+    first = _peek_bytes(sock, _PREFIX, end)
+    try:
+        verdict = classify_caller(first + b"\0" * 60)
+    except ProtocolViolation:
+        return b""
+    if first in (b"POST", b"GET "):
+        return first
+    if not isinstance(verdict, PlainCaller) or verdict.drain > MAX_DRAIN:
+        return b""
+    return _peek_bytes(sock, min(verdict.drain, _PREFIX + tcpros.HEADER_LIMIT), end)
+
+
+def plain_fields(data: bytes) -> dict[str, bytes]:
+    """The fields of a plain caller's connection header; empty if it is invalid."""
+    if len(data) < _PREFIX or struct.unpack_from("<I", data)[0] != len(data) - _PREFIX:
+        return {}
+    try:
+        return tcpros.decode(data[_PREFIX:])
+    except HeaderRefused:
+        return {}
+
+
+def _peek_bytes(sock: socket.socket, size: int, end: float) -> bytes:
+    """`size` bytes, or those that came in time."""
+    data: Any = b""
+    while len(data) < size and (left := end - time.monotonic()) > 0:
+        sock.settimeout(left)
+        peeked = sock.recv(size, socket.MSG_PEEK)
+        if len(peeked) == len(data):
+            if not peeked:
+                break
+            time.sleep(0.005)  # the kernel cannot wait for more than has arrived
+        data = peeked
+    return bytes(data)
+
+
+CONNECT_TIMEOUT: Final = 10.0
+
+Stream = SecureSocket[Identity]
+
+
+class Connector:
+    """Makes the secure connections of one process, both ways."""
+
+    def __init__(
+        self, local_identity: LocalIdentity, own_addresses: OwnAddresses | None = None
+    ) -> None:
+        self._local_identity = local_identity
+        self._own_addresses = OwnAddresses() if own_addresses is None else own_addresses
+        self._slots: WeakKeyDictionary[socket.socket, HalfOpenSlot] = WeakKeyDictionary()
+
+    def initiate(self, sock: socket.socket, protocol: WireProtocol, address: Address) -> Stream:
+        """Handshake as the initiator over a socket that is connected to `address`.
+
+        Raises:
+            ChannelError: the handshake failed; the socket is closed.
+        """
+        return SecureSocket.initiate(
+            sock,
+            self._local_identity.context,
+            protocol,
+            to_itself=self._own_addresses.is_own(address),
+            timeout=CONNECT_TIMEOUT,
+        )
+
+    def admit(self, sock: socket.socket, address: str) -> bool:
+        """Whether one more half-open connection is within the limits.
+
+        It counts until the peer is authenticated, or `sock` is closed.
+        """
+        slot = self._local_identity.context.half_open.admit(address)
+        if slot is not None:
+            slot.bind(sock)
+            self._slots[sock] = slot
+        return slot is not None
+
+    def release(self, sock: socket.socket) -> None:
+        """Stop counting an admitted caller: it needs no handshake, or is gone."""
+        slot = self._slots.pop(sock, None)
+        if slot is not None:
+            slot.release()
+
+    def respond(self, sock: socket.socket, protocol: WireProtocol) -> Stream:
+        """The responder's side for a caller that was admitted; the handshake is still to come.
+
+        Raises:
+            OSError: it is gone already.
+        """
+        try:
+            core = self._local_identity.context.responder(protocol)
+            sock.settimeout(None)  # rospy sets a default for all sockets of the process
+            return SecureSocket(sock, core, partial(self.release, sock))
+        except BaseException:
+            sock.close()
+            self.release(sock)
+            raise
+
+
+class Renewing:
+    """A socket over a connection, if it is connected."""
+
+    _stream: Stream | PlainStream | None = None
+
+    def on_renewal(self, callback: Callable[[Renewal[Identity]], None]) -> None:
+        """As `SecureSocket`."""
+        if isinstance(self._stream, SecureSocket):
+            self._stream.on_renewal(callback)
+
+    def present_grants(self, data: bytes) -> bool:
+        """As `SecureSocket`."""
+        return isinstance(self._stream, SecureSocket) and self._stream.present_grants(data)

@@ -2,27 +2,382 @@
 
 Until the node has a name there is no identity, and no connection can be made: every hook that needs
 one raises. A call before `rospy.init_node` uses the name the node will have, if that is known.
+
+What the master answered rospy: what it has registered, the publishers and nodes it named last.
+
+Pure, thread-safe. A registration that the master refused is repeated when there is a new grant.
+
+Warnings for the developer: one for each cause, not for each retry.
+
+Lines are limited per ten seconds, and per subject: no peer can suppress the lines about others.
+Written by a thread of its own: `rospy.logwarn` publishes on /rosout and asks the master for a
+parameter, so it must never be called by the thread that speaks to the master, nor with a lock held.
+
+The background loop of a secured process: a thread with an asyncio loop.
+
+It runs the membership of the process, whose session with the master also carries rospy's calls. If
+it fails, no connection would be cut any more: then all are.
 """
 
+import asyncio
+import contextlib
 import errno
-from collections.abc import Callable
-from threading import RLock
+import logging
+import queue
+import time
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from threading import Event, Lock, RLock, Thread
 from typing import Final, TypeAlias
 
+from ca.certificates import Identity
+from ca.errors import HintedError
 from grants.guard import Guard
 from rossec import clock
-from rossec.errors import ChannelError, ConfigurationError, PlainPeer
-from rossec.inprocess.allow_plain import PlainPeers
-from rossec.inprocess.background import BackgroundLoop
-from rossec.inprocess.connector import Connector
-from rossec.inprocess.identity import LocalIdentity
-from rossec.inprocess.registrations import Registrations
-from rossec.inprocess.reporting import Reporter
+from rossec.errors import ChannelError, ConfigurationError, PlainPeer, RossecError, XmlRpcRefused
+from rossec.inprocess.identity import Connector, LocalIdentity
+from rossec.inprocess.options import PlainPeers
 from rossec.inprocess.sockets import RosSocket
+from rossec.net.aio import SecureStream
+from rossec.net.context import forget_in_children
 from rossec.participant.authorized import AuthorizedConnection
-from rossec.participant.connections import ConnectionTable
+from rossec.participant.connections import (
+    FOLLOW_PERIOD,
+    ConnectionTable,
+    Dialer,
+    FollowedPublishers,
+    OwnAddresses,
+)
 from rossec.participant.membership import Membership
-from rossec.participant.own_addresses import OwnAddresses
+from rossec.participant.registrations import UNREGISTERS, PublisherGrace, RegistrationTable
+from rossec.peer_limits import printable
+from rossec.ros.names import parse_uri
+from rossec.ros.xmlrpc import FAULT_CODE, Fault
+
+REGISTRATIONS: Final[Mapping[str, object]] = {
+    "registerPublisher": [], "registerSubscriber": [], "registerService": 1,
+}  # fmt: skip
+"""Registrations, each with the value a master without other nodes answers."""
+REFUSED: Final = "rossec: "
+_NODES: Final = 1024  # that were looked up
+
+
+class Registrations:
+    """The registrations of one node.
+
+    Attributes:
+        table: what is registered, or was refused.
+        publishers: those that the master names, by topic.
+    """
+
+    def __init__(self, now: Callable[[], float]) -> None:
+        self.table = RegistrationTable()
+        self.publishers = PublisherGrace(now)
+        self._nodes: dict[tuple[str, int], None] = {}
+
+    def record(self, method: str, params: Sequence[object], answer: object) -> None:
+        """Record a call of the program and the master's answer."""
+        if method in UNREGISTERS:  # whatever the answer: the program is done with it
+            self.table.record(method, params)
+        match answer:
+            case [1, _, value]:
+                self.table.record(method, params)
+                if method == "registerSubscriber":
+                    self.set_publishers(str(params[1]), value)
+                elif method == "lookupNode" and isinstance(value, str):
+                    self._add_node(value)
+            case [_, str(status), _] if status.startswith(REFUSED):
+                self.table.record(method, params, refused=True)
+            case _:
+                pass
+
+    def set_publishers(self, topic: str, uris: object) -> None:
+        """Store the publishers of a topic that the master names."""
+        if isinstance(uris, Iterable):
+            self.publishers.update(topic, [uri for uri in uris if isinstance(uri, str)])
+
+    def is_publisher(self, topic: str, uri: str) -> bool:
+        """Whether the master still names `uri`, or may name it again."""
+        return uri in self.publishers.to_follow(topic)
+
+    def _add_node(self, uri: str) -> None:
+        with suppress(ConfigurationError):
+            self._nodes[parse_uri(uri)] = None
+        if len(self._nodes) > _NODES:
+            del self._nodes[next(iter(self._nodes))]
+
+    def is_node(self, address: tuple[str, int]) -> bool:
+        """Whether the master has named a node at this host and port."""
+        return address in self._nodes
+
+
+REMEMBERED: Final = 512
+_BURST: Final = 30  # lines within PERIOD; unauthenticated peers must not fill a disk
+_SHARE: Final = 10  # of them about one peer, topic or address
+_FIRST: Final = 60  # beyond the burst: only the first line about each subject
+_PERIOD: Final = 10.0
+
+
+class Reporter:
+    """Hands each new text to `write`, in a thread of its own."""
+
+    def __init__(self, write: Callable[[str], None]) -> None:
+        self._write = write
+        self._reported: OrderedDict[str, None] = OrderedDict()
+        self._since, self._counts, self._suppressed = 0.0, Counter[str](), False
+        self.abandon()
+        forget_in_children(self)
+
+    def abandon(self) -> None:
+        """In a forked child: the thread is the parent's; a new one is started when needed."""
+        self._lock = Lock()
+        self._queue: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        self._thread: Thread | None = None
+
+    def warn(self, what: str, why: Exception | None = None) -> None:
+        """Log `what`, the error `why` and its hint, unless that line was logged before.
+
+        The subject of the line is the text before the first colon of `what`.
+        """
+        text = what if why is None else f"{what}: {why}"
+        hint = why.hint if isinstance(why, HintedError) else ""
+        line = f"rossec: {printable(text)}" + (f" (hint: {printable(hint)})" if hint else "")
+        with self._lock:
+            if line in self._reported:
+                return
+            self._reported[line] = None
+            if len(self._reported) > REMEMBERED:
+                self._reported.popitem(last=False)
+            if self._within_limits(what.partition(":")[0]):
+                self._put(line)
+
+    def _put(self, line: str) -> None:
+        if self._thread is None:
+            self._thread = Thread(target=self._run, name="rossec report", daemon=True)
+            self._thread.start()
+        self._queue.put(line)
+
+    def _within_limits(self, subject: str) -> bool:
+        """Whether a line is within the limits; logs once that lines are suppressed."""
+        moment = time.monotonic()
+        if moment - self._since > _PERIOD:
+            self._since, self._counts, self._suppressed = moment, Counter(), False
+        most = _BURST if self._counts[subject] else _FIRST
+        if self._counts[subject] < _SHARE and self._counts.total() < most:
+            self._counts[subject] += 1
+            return True
+        if not self._suppressed:
+            self._put("rossec: too many different warnings; some are suppressed")
+        self._suppressed = True
+        return False
+
+    def forget(self, what: str) -> None:
+        """`what` has succeeded since: if it fails again, it is logged again."""
+        with self._lock:
+            for line in [line for line in self._reported if line.startswith(f"rossec: {what}")]:
+                del self._reported[line]
+
+    def close(self) -> None:
+        """Write what is queued, then stop."""
+        with self._lock:
+            thread, self._thread = self._thread, None
+        if thread is not None:
+            self._queue.put(None)
+            thread.join(timeout=1.0)
+
+    def _run(self) -> None:
+        lines = self._queue
+        while (line := lines.get()) is not None:
+            with suppress(Exception):  # a handler of the program may raise
+                self._write(line)
+
+
+class LogBridge(logging.Handler):
+    """Warnings of our own loggers, for which rospy's configuration has only a file."""
+
+    def __init__(self, reporter: Reporter) -> None:
+        super().__init__(logging.WARNING)
+        self._reporter = reporter
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Log it once."""
+        self._reporter.warn(record.getMessage())
+
+
+PEER_CONNECTIONS: Final = 64  # of one identity: one for each topic and service it uses here
+_TIMERS_PERIOD: Final = 1.0
+_FIRST_WAIT: Final = 5.0  # for the first connection to the master
+_RECONNECT_WAIT: Final = 2.0  # how long a call waits for a reconnection
+_CALL_DEADLINE: Final = 30.0
+
+_ENDED: Final = (
+    "the background loop of this process has ended, or is its parent's: a forked process has no"
+    " connections, so start it with subprocess, or multiprocessing's spawn"
+)
+
+_log = logging.getLogger("rossec.rospy")
+
+
+class BackgroundLoop:
+    """The background loop of one process, and the hooks of its membership."""
+
+    def __init__(
+        self,
+        local_identity: LocalIdentity,
+        registrations: Registrations,
+        master: tuple[str, int],
+    ) -> None:
+        self._local_identity = local_identity
+        self._registrations = registrations
+        self.address = master
+        self._loop = asyncio.new_event_loop()
+        self._ready = asyncio.Event()
+        self._stop = asyncio.Event()
+        self._first_attempt = Event()
+        self._dialer = Dialer(
+            local_identity.name, local_identity.live_context, local_identity.access.check_peer
+        )
+        access = local_identity.access
+        self.connections: ConnectionTable[RosSocket] = ConnectionTable(
+            local_identity.standing, access.lock, PEER_CONNECTIONS, local_identity.master
+        )
+        self.membership = Membership(
+            local_identity, access, self.connections, registrations.publishers, self, access.lock
+        )
+        self.followed: FollowedPublishers[str] = FollowedPublishers(registrations.is_publisher)
+        self._thread = Thread(target=self._run, name="rossec background", daemon=True)
+        self.on_publishers: Callable[[str, list[str]], None] = lambda _topic, _uris: None
+        self.on_crash: Callable[[], None] = lambda: None
+
+    # -- from other threads
+
+    def start(self) -> None:
+        """Start, and wait a few seconds for the first connection to the master."""
+        self._thread.start()
+        self._first_attempt.wait(_FIRST_WAIT)
+
+    def stop(self) -> None:
+        """End the session."""
+        if self._thread.is_alive():
+            with contextlib.suppress(RuntimeError):
+                self._loop.call_soon_threadsafe(self._stop.set)
+            self._thread.join(timeout=_RECONNECT_WAIT)
+
+    def call(self, method: str, params: tuple[object, ...]) -> object:
+        """The master's answer.
+
+        Raises:
+            Fault: it answered with a fault.
+            ConnectionRefusedError: it cannot be reached; stock clients raise the same.
+        """
+        if not self._thread.is_alive():
+            raise ConnectionRefusedError(errno.ECONNREFUSED, f"rossec: {_ENDED}")
+        call = self._answer(method, params)
+        try:
+            waiting = asyncio.run_coroutine_threadsafe(call, self._loop)
+        except RuntimeError as error:
+            call.close()
+            raise ConnectionRefusedError(errno.ECONNREFUSED, "rossec: shut down") from error
+        try:
+            return waiting.result(_CALL_DEADLINE)
+        except (RossecError, TimeoutError, asyncio.CancelledError) as error:
+            if isinstance(error.__cause__, (OverflowError, TypeError)):
+                raise error.__cause__ from None  # not an XML-RPC value: as stock clients
+            if isinstance(error, XmlRpcRefused):  # one that stock clients send, and servers refuse
+                raise Fault(FAULT_CODE, str(error)) from None
+            text = str(error) or "no answer from the master"
+            raise ConnectionRefusedError(errno.ECONNREFUSED, f"rossec: {text}") from error
+
+    # -- in the loop
+
+    def _run(self) -> None:
+        try:
+            with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
+                runner.run(self._main())  # its end cancels the calls that wait
+        finally:
+            self._first_attempt.set()
+
+    async def _main(self) -> None:
+        self.membership.start(self._open_session)
+        self.membership.tasks.spawn(self._run_timers(), "timers of idle connections")
+        self.membership.tasks.spawn(self._leave_publishers(), "publishers to leave")
+        await self._stop.wait()
+        await self.membership.close()
+
+    async def _open_session(self) -> None:
+        try:
+            await self.membership.session.open()
+        except (HintedError, OSError, Fault) as error:
+            _log.warning("%s: no answer from the master: %s", self._local_identity.name, error)
+        self._first_attempt.set()
+
+    async def _run_timers(self) -> None:
+        """Renew the keys of idle connections, which rospy neither reads nor writes."""
+        while True:
+            await asyncio.sleep(_TIMERS_PERIOD)
+            for connection in self.connections:
+                connection.stream.run_timers()
+
+    async def _leave_publishers(self) -> None:
+        while True:
+            await asyncio.sleep(FOLLOW_PERIOD)
+            self.followed.leave_unlisted()
+
+    async def _answer(self, method: str, params: tuple[object, ...]) -> object:
+        if not self._ready.is_set():
+            async with asyncio.timeout(_RECONNECT_WAIT):
+                await self._ready.wait()
+        return await self.membership.session.forward(method, *params)
+
+    async def _register(self, method: str, params: tuple[object, ...]) -> None:
+        answer = await self.membership.session.forward(method, *params)
+        self._registrations.record(method, params, answer)
+        match answer:
+            case [1, _, list() as uris] if method == "registerSubscriber":
+                self.on_publishers(str(params[1]), [uri for uri in uris if isinstance(uri, str)])
+            case _:
+                pass
+
+    # -- in the loop: hooks of the membership (MembershipHooks)
+
+    async def dial_master(self) -> SecureStream[Identity]:
+        """Connect to the master; calls wait until everything is registered again."""
+        self._ready.clear()
+        return await self._dialer.rpc(*self.address)
+
+    async def dial_watch(self) -> SecureStream[Identity]:
+        """Connect to the master once more, for a call that waits."""
+        return await self._dialer.rpc(*self.address)
+
+    async def restore(self) -> None:
+        """Make every registration again."""
+        for method, params in self._registrations.table:
+            await self._register(method, params)
+        self._ready.set()
+
+    async def rights_changed(self) -> None:
+        """Make the registrations again that the master refused."""
+        for method, params in self._registrations.table.refused():
+            await self._register(method, params)
+
+    def maintain(self) -> None:
+        """Use the certificate in the directory for every connection from now on."""
+        name = self._local_identity.name
+        try:
+            if self._local_identity.refresh_identity():
+                _log.info("%s: uses a new certificate", name)
+        except (HintedError, OSError) as error:
+            _log.warning("%s: the identity in its directory is invalid: %s", name, error)
+
+    def crashed(self, error: BaseException) -> None:
+        """Close every connection, and end the node."""
+        _log.error("the background loop failed, all connections are closed: %s", error)
+        self.connections.close("the background loop failed")
+        # It unregisters this node at the master, which must not happen in the thread of this loop.
+        Thread(target=self.on_crash, name="rossec end", daemon=True).start()
+        self._stop.set()
+
 
 RosConnection: TypeAlias = AuthorizedConnection[RosSocket, Guard | None]
 _NAMELESS: Final = (

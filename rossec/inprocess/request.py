@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 from typing import Final
 
-from ca.domains.aliases import is_alias, origin_of, shown
+from ca.names import is_alias, origin_of, shown
 from grants.model import Right
 from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec import files
@@ -18,7 +18,7 @@ from rossec.authority import requests
 from rossec.errors import ConfigurationError
 from rossec.inprocess.identity import LocalIdentity, now
 from rossec.inprocess.secure import secured
-from rossec.participant.wire_names import possible_names
+from rossec.participant.access import possible_names
 
 _POLL_INTERVAL: Final = 0.1  # seconds
 

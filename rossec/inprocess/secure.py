@@ -15,19 +15,17 @@ from typing import Any, Final, NoReturn
 
 from ca.errors import HintedError
 from ca.keys import ownership
-from rossec import files, home_hints
+from rossec import environment, files
 from rossec.channel.opening import post_quantum
 from rossec.environment import own_master
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.inprocess.allow_plain import PlainPeers
+from rossec.host.addresses import warn_of_own_address
 from rossec.inprocess.identity import LocalIdentity
-from rossec.inprocess.options import Options, file_of, read
-from rossec.inprocess.process import SecuredProcess
-from rossec.inprocess.reporting import LogBridge, Reporter
-from rossec.net.host.own_address import warn_of_own_address
-from rossec.ros.settings import own_address, parse_uri
-from rossec.ros.text import printable
+from rossec.inprocess.options import Options, PlainPeers, file_of, read
+from rossec.inprocess.process import LogBridge, Reporter, SecuredProcess
+from rossec.peer_limits import printable
+from rossec.ros.names import own_address, parse_uri
 
 _MAX_FILE = 64 * 1024
 
@@ -244,5 +242,5 @@ def _hooks_module() -> Any:
 def _require_some_identity(options: Options) -> None:
     if not any((options.home / "nodes").glob("*/node.pem")):
         raise ConfigurationError(
-            f"no node is enrolled in {options.home}", home_hints.missing_nodes(options.home)
+            f"no node is enrolled in {options.home}", environment.missing_nodes(options.home)
         )

@@ -2,33 +2,242 @@
 
 `fileno` is the kernel's: rospy only polls it for a hang-up. Nothing can be read or written around
 the channel, which sends no plain bytes. The handshake is in the first read, never in `accept` (N8).
+
+Addresses as stock rospy has them: IPv6 without brackets, sockets of one family. Pure.
+
+Errors of sockets as rospy takes them. No state.
+
+rospy tries a publisher again after ECONNABORTED, a timeout or a network that is gone, and gives it
+up after any other error of a socket: after a reset, too. But one that accepts and resets is not
+gone, as at the door of a relay while the other site is out of reach.
+
+Filters the calls of a service on a connection of rospy's: whole frames, each authorized.
+
+Pure. rospy reads and writes bytes; here a request is one frame, bounded before it is buffered, and
+forwarded only while the caller's right lasts. Where a grant restricts the right, requests and
+responses are filtered as in the built-in node (`rossec.participant.service_types`): what is not
+allowed never reaches the program, and the other side gets the reason.
 """
 
 import errno
+import ipaddress
 import socket
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any, Final, Protocol, TypeAlias, TypeVar
 
 from ca.certificates import Identity
+from ca.errors import HintedError
 from grants.guard import Guard
 from rossec import clock
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import Bytes
-from rossec.errors import ChannelClosed, ChannelError, PlainPeer
-from rossec.inprocess.addresses import for_family
-from rossec.inprocess.allow_plain import PlainConnection, PlainPeers
-from rossec.inprocess.connector import CONNECT_TIMEOUT, Connector, Stream
-from rossec.inprocess.plain_stream import PlainStream, peek
-from rossec.inprocess.renewing import Renewing
-from rossec.inprocess.service_filter import ServiceFilter
-from rossec.inprocess.socket_errors import resets, tried_again
+from rossec.errors import ChannelClosed, ChannelError, ConfigurationError, PlainPeer
+from rossec.inprocess.identity import (
+    CONNECT_TIMEOUT,
+    Connector,
+    PlainStream,
+    Renewing,
+    Stream,
+    peek,
+)
+from rossec.inprocess.options import PlainConnection, PlainPeers
 from rossec.net.threads.secure_socket import SecureSocket
 from rossec.participant.authorized import AuthorizedConnection
-from rossec.participant.wishes import NO_WISHES
-from rossec.ros.framing import PATIENCE, Framing
+from rossec.participant.delivery import NO_WISHES
+from rossec.participant.service_types import ServiceGuard
+from rossec.ros import tcpros as wire
+from rossec.ros.tcpros import MESSAGE_LIMIT, PATIENCE, FrameReader, Framing
+
+ROSRPC: Final = "rosrpc://"
+
+
+def bracketed(uri: str) -> str:
+    """`uri` with brackets around an IPv6 literal that lacks them; any other as it is."""
+    scheme, mark, rest = uri.partition("://")
+    authority, slash, path = rest.partition("/")
+    host, colon, port = authority.rpartition(":")
+    if ":" not in host or host.startswith("["):
+        return uri
+    return f"{scheme}{mark}[{host}]{colon}{port}{slash}{path}"
+
+
+def parse_rosrpc(uri: str) -> tuple[str, int]:
+    """Host and port of a service's URI.
+
+    Raises:
+        ConfigurationError: invalid.
+    """
+    authority = uri.removeprefix(ROSRPC).partition("/")[0]
+    host, _, port = authority.rpartition(":")
+    if not uri.startswith(ROSRPC) or not host or not port.isdecimal():
+        raise ConfigurationError(
+            f"{uri!r} is not the URI of a service", "it has the form rosrpc://host:port"
+        )
+    return host.removeprefix("[").removesuffix("]"), int(port)
+
+
+def for_family(family: int, address: tuple[str, int]) -> tuple[str, int]:
+    """`address` as a socket of this family takes it: an IPv4 literal for IPv6 is mapped.
+
+    With ROS_IPV6=on all sockets of rospy are of IPv6; a relay's doors are at 127.0.0.1.
+    """
+    host, port = address
+    try:
+        mapped = family == socket.AF_INET6 and ipaddress.ip_address(host).version == 4
+    except ValueError:  # a name
+        return address
+    return (f"::ffff:{host}", port) if mapped else address
+
+
+_ENDED: Final = (errno.ECONNRESET, errno.EPIPE, errno.ENOTCONN)
+
+
+@contextmanager
+def resets() -> Iterator[None]:
+    """Raise our errors as `ConnectionResetError`, which rospy handles in an open connection."""
+    try:
+        yield
+    except HintedError as error:
+        raise ConnectionResetError(errno.ECONNRESET, f"rossec: {error}") from error
+
+
+@contextmanager
+def tried_again() -> Iterator[None]:
+    """Raise a reset while a connection is made as `ConnectionAbortedError`."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in _ENDED:
+            raise
+        raise ConnectionAbortedError(errno.ECONNABORTED, str(error)) from error
+
+
+_OK: Final = b"\1"
+_LENGTH: Final = 4
+
+Pieces = tuple[Bytes, ...]
+
+
+class ServiceFilter(Protocol):
+    """One side of a service's connection; `framing` knows whether a call has begun."""
+
+    framing: Framing
+
+    def incoming(self, data: bytes) -> tuple[bytes, Pieces]:
+        """For received data: what the program may read, and what to answer the peer.
+
+        Raises:
+            HintedError: the connection must end.
+        """
+
+    def replace_guard(self, guard: ServiceGuard | None) -> None:
+        """Apply another guard from the next message on."""
+
+    def outgoing(self, data: bytes) -> Pieces:
+        """What the program sends, as it may be sent.
+
+        Raises:
+            HintedError: it may not be sent.
+        """
+
+
+class ServerFilter:
+    """The provider's side.
+
+    Args:
+        check: raises when the connection must be closed now.
+        guard: applies the restrictions of its grant; None: there are none.
+        on_refusal: called with the error for each refusal.
+        limit: the most bytes a request may have.
+    """
+
+    def __init__(
+        self,
+        check: Callable[[], None],
+        guard: ServiceGuard | None,
+        on_refusal: Callable[[HintedError], None],
+        now: Callable[[], float],
+        limit: int = MESSAGE_LIMIT,
+    ) -> None:
+        self.framing = Framing(FrameReader(limit))
+        self._check = check
+        self._guard = guard
+        self._on_refusal = on_refusal
+        self._now = now
+
+    def replace_guard(self, guard: ServiceGuard | None) -> None:
+        """See `ServiceFilter`."""
+        self._guard = guard
+
+    def incoming(self, data: bytes) -> tuple[bytes, Pieces]:
+        """See `ServiceFilter`: a request."""
+        request = self.framing.feed_one(data, int(self._now()))
+        if request is None:
+            return b"", ()
+        self._check()
+        guard = self._guard
+        if guard is None:
+            return b"".join(wire.framed([request])), ()
+        try:
+            return b"".join(wire.framed(guard.request(request, self._now()))), ()
+        except HintedError as error:
+            return b"", self._refusal(error)
+
+    def outgoing(self, data: bytes) -> Pieces:
+        """See `ServiceFilter`: a response. A response the guard refuses fails the call."""
+        guard = self._guard
+        if guard is None or data[:1] != _OK:
+            return (data,)
+        response = memoryview(data)[len(_OK) + _LENGTH :]
+        try:
+            return tuple(wire.success(guard.response(response, self._now())))
+        except HintedError as error:
+            return self._refusal(error)
+
+    def _refusal(self, error: HintedError) -> Pieces:
+        self._on_refusal(error)
+        return tuple(wire.failure(f"rossec: {error}"))
+
+
+class ClientFilter:
+    """The caller's side, where the provider's grant restricts requests and responses."""
+
+    def __init__(
+        self, guard: ServiceGuard | None, now: Callable[[], float], limit: int = MESSAGE_LIMIT
+    ) -> None:
+        self.framing = Framing(FrameReader(limit, lead=len(_OK)))
+        self._guard = guard
+        self._now = now
+
+    def replace_guard(self, guard: ServiceGuard | None) -> None:
+        """See `ServiceFilter`."""
+        self._guard = guard
+
+    def incoming(self, data: bytes) -> tuple[bytes, Pieces]:
+        """See `ServiceFilter`: a response. A refused one fails the call."""
+        content = self.framing.feed_one(data, int(self._now()))
+        if content is None:
+            return b"", ()
+        mark, response = content[: len(_OK)], content[len(_OK) :]
+        guard = self._guard
+        if mark != _OK or guard is None:
+            return b"".join((mark, *wire.framed([response]))), ()
+        try:
+            return b"".join(wire.success(guard.response(response, self._now()))), ()
+        except HintedError as error:
+            return b"".join(wire.failure(f"rossec: {error}")), ()
+
+    def outgoing(self, data: bytes) -> Pieces:
+        """See `ServiceFilter`: a request."""
+        guard = self._guard
+        if guard is None:
+            return (data,)
+        request = memoryview(data)[_LENGTH:]
+        return tuple(wire.framed(guard.request(request, self._now())))
+
 
 _OUT_OF_RESOURCES: Final = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS)
 _READ_SIZE: Final = 256 * 1024

@@ -3,19 +3,133 @@
 Metadata are claims of the caller, and a name is worth nothing without a grant. What a caller sends
 is bounded in size before it is read, in time by the rules' process, and in number by its turns:
 others get their answers meanwhile.
+
+Turns of callers: what one of them asks for delays none of the others by more than its turn.
+
+A caller has one turn at a time, and a bounded number of requests that wait for it. Free places go
+to those who wait, one caller after the other, however many requests each of them has.
+
+The ROS package that describes the type of `/get_topic_name`: for catkin, or for genpy alone.
+
+The fields are the thesis's (appendix A): programs that were written for its `GetTopicName` call
+this service, since ROS compares md5sums.
 """
 
-from collections.abc import Awaitable, Callable
+import asyncio
+from collections import deque
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from importlib.resources import files as resources
+from pathlib import Path
 from typing import Any, Final
 
 from ca.certificates import Identity
 from ca.errors import HintedError
-from rossec.errors import NameUndefined, RossecError, ServiceFailed
-from rossec.namespace.turns import CallerTurns
-from rossec.naming.frames import Result
-from rossec.naming.metadata import Kind
-from rossec.naming.runner import RuleRunner
-from rossec.ros.text import printable
+from rossec import files
+from rossec.errors import ConfigurationError, NameUndefined, RossecError, ServiceFailed
+from rossec.naming.requests import Kind, Result
+from rossec.naming.rule_runner import RuleRunner
+from rossec.participant.service_types import ServiceType, register_service_type
+from rossec.peer_limits import printable
+
+
+class CallerTurns:
+    """Places that callers take in turns.
+
+    Args:
+        places: how many callers have a turn at the same time.
+        waiting: how many requests of one caller wait; more are refused.
+    """
+
+    def __init__(self, places: int, waiting: int) -> None:
+        self._free = places
+        self._waiting = waiting
+        self._having: set[bytes] = set()
+        self._queues: dict[bytes, deque[asyncio.Future[None]]] = {}  # in the order of their turns
+
+    @asynccontextmanager
+    async def turn(self, caller: bytes) -> AsyncIterator[None]:
+        """Wait for a turn of `caller`, and have it.
+
+        Raises:
+            ServiceFailed: too many requests of this caller wait already.
+        """
+        queue = self._queues.setdefault(caller, deque())
+        if len(queue) >= self._waiting:
+            raise ServiceFailed(f"{self._waiting} requests of yours wait already")
+        mine = asyncio.get_running_loop().create_future()
+        queue.append(mine)
+        self._give()
+        try:
+            await mine
+            yield
+        finally:
+            self._end(caller, mine)
+
+    def _end(self, caller: bytes, mine: "asyncio.Future[None]") -> None:
+        """A turn is over, or nobody waits for it any more."""
+        if mine.done() and not mine.cancelled():
+            self._free += 1
+            self._having.discard(caller)
+            if caller in self._queues:
+                self._queues[caller] = self._queues.pop(caller)  # behind all others
+        else:
+            queue = self._queues.get(caller, deque())
+            if mine in queue:
+                queue.remove(mine)
+            if not queue:
+                self._queues.pop(caller, None)
+        self._give()
+
+    def _give(self) -> None:
+        """Give free places to those who wait longest for a turn, one of each caller."""
+        for caller in list(self._queues):
+            if not self._free:
+                return
+            if caller in self._having:
+                continue
+            queue = self._queues.pop(caller)
+            while queue and queue[0].cancelled():
+                queue.popleft()
+            if queue:
+                queue.popleft().set_result(None)
+                self._free -= 1
+                self._having.add(caller)
+            if queue:
+                self._queues[caller] = queue  # behind all others
+
+
+PACKAGE: Final = "rossec_namespace"
+TYPE: Final = f"{PACKAGE}/GetTopicName"
+_SRV: Final = "srv/GetTopicName.srv"
+_FILES: Final = ("package.xml", "CMakeLists.txt", _SRV)
+_MODE: Final = 0o644
+
+
+def service_type() -> ServiceType:
+    """The type, registered in this process."""
+    return register_service_type(TYPE, _text(_SRV))
+
+
+def write(directory: Path) -> Path:
+    """Write the package into `directory`, as a folder of its name; returns that.
+
+    Raises:
+        ConfigurationError: there is one already.
+        NotWritten: the disk refused it.
+    """
+    package = directory / PACKAGE
+    if package.exists():
+        raise ConfigurationError(f"{package} exists and is not overwritten", "remove it first")
+    (package / "srv").mkdir(parents=True)
+    for name in _FILES:
+        files.create(package / name, _text(name).encode(), _MODE)
+    return package
+
+
+def _text(name: str) -> str:
+    return resources("rossec.namespace").joinpath(PACKAGE, *name.split("/")).read_text()
+
 
 SERVICE: Final = "/get_topic_name"
 CHILDREN: Final = 4

@@ -19,11 +19,10 @@ from typing import Final, NoReturn
 
 from ca.errors import EncodingError
 from rossec.errors import RossecError, RulesExceeded, RulesNotConfined
-from rossec.naming import frames
-from rossec.naming.frames import NameRequest
-from rossec.naming.metadata import Kind
+from rossec.host import sandbox
+from rossec.naming import requests
+from rossec.naming.requests import Kind, NameRequest
 from rossec.naming.xslt import answer
-from rossec.operation import landlock, seccomp
 
 CPU: Final = 2  # seconds for a request
 MEMORY: Final = 256 * 1024 * 1024
@@ -37,7 +36,7 @@ _COMPUTE: Final = (
     "write",
 )  # fmt: skip
 _FORKS: Final = (
-    *_COMPUTE, seccomp.FORK, "getppid", "kill", "pipe2", "prctl", "prlimit64", "readv",
+    *_COMPUTE, sandbox.FORK, "getppid", "kill", "pipe2", "prctl", "prlimit64", "readv",
     "set_robust_list",
     "wait4",
 )  # fmt: skip
@@ -64,9 +63,9 @@ def main() -> None:
             f"the process for rules cannot be confined: {error}",
             "it needs Linux with seccomp, on x86_64 or aarch64",
         )
-        _write(1, frames.frame(frames.write_error(refusal)))
+        _write(1, requests.frame(requests.write_error(refusal)))
         return
-    _write(1, frames.frame(frames.READY))
+    _write(1, requests.frame(requests.READY))
     serve(0, 1)
 
 
@@ -83,11 +82,11 @@ def confine() -> None:
     ):  # fmt: skip
         limit(what, most)
     with suppress(OSError):  # no Landlock: the filter forbids to open anything in any case
-        landlock.read_only(())
+        sandbox.read_only(())
     os.closerange(3, FILES)
     gc.collect()
     gc.freeze()  # forks share these pages
-    seccomp.allow_only(_FORKS)
+    sandbox.allow_only(_FORKS)
 
 
 def limit(what: int, most: int) -> None:
@@ -103,11 +102,11 @@ def serve(source: int, sink: int) -> None:
     Raises:
         RulesExceeded: a frame that is too long.
     """
-    while head := _read(source, frames.HEAD):
-        body = _read(source, frames.size(bytes(head), frames.MAX_REQUEST))
+    while head := _read(source, requests.HEAD):
+        body = _read(source, requests.size(bytes(head), requests.MAX_REQUEST))
         given = ask(body)
         _clear(body)
-        _write(sink, len(given).to_bytes(frames.HEAD))
+        _write(sink, len(given).to_bytes(requests.HEAD))
         _write(sink, given)
         _clear(given)
 
@@ -126,8 +125,8 @@ def ask(body: bytearray) -> bytearray:
         os.close(source)
         os.kill(child, signal.SIGKILL)  # one that has answered has no more to do
         os.waitpid(child, 0)
-    if not 0 < len(given) <= frames.MAX_ANSWER:
-        return bytearray(frames.write_error(RulesExceeded(_ENDED, _ENDED_HINT)))
+    if not 0 < len(given) <= requests.MAX_ANSWER:
+        return bytearray(requests.write_error(RulesExceeded(_ENDED, _ENDED_HINT)))
     return given
 
 
@@ -148,7 +147,7 @@ def restrict(sink: int, parent: int) -> None:
     Raises:
         OSError, ValueError: the system refuses, or `parent` has ended.
     """
-    if landlock.LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
+    if sandbox.LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
         raise OSError(ctypes.get_errno(), "prctl")
     if os.getppid() != parent:  # it ended before it was asked to take this process along
         raise OSError("nobody waits for the answer")
@@ -157,14 +156,14 @@ def restrict(sink: int, parent: int) -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (CPU, CPU))
     limit(resource.RLIMIT_NPROC, 0)
     limit(resource.RLIMIT_NOFILE, 0)
-    seccomp.allow_only(_COMPUTE)
+    sandbox.allow_only(_COMPUTE)
 
 
 def _answered(body: bytes) -> bytes:
     try:
-        return answer(frames.read_request(body))
+        return answer(requests.read_request(body))
     except (EncodingError, RossecError) as error:
-        return frames.write_error(RulesExceeded(f"a request of another form: {error}"))
+        return requests.write_error(RulesExceeded(f"a request of another form: {error}"))
     except MemoryError:
         return b""
 
@@ -184,7 +183,7 @@ def _read(source: int, size: int) -> bytearray:
 def _collect(source: int) -> bytearray:
     """All that comes, up to a byte more than allowed."""
     found = bytearray()
-    while len(found) <= frames.MAX_ANSWER and (piece := os.read(source, 64 * 1024)):
+    while len(found) <= requests.MAX_ANSWER and (piece := os.read(source, 64 * 1024)):
         found += piece
     return found
 

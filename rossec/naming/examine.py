@@ -2,12 +2,20 @@
 
 Found are metadata that cannot be read, names that are none, reserved or covered by no right, one
 name for two things, and names that change with the order of the metadata.
+
+The same metadata in other orders: rules must give the same names for all of them. Pure.
+
+The elements of a node say what they are by their tags, not by their place. With few of them all
+orders are tried, with more every rotation up to a number, forwards and backwards: each element then
+was the first, the last, before and after each of its neighbours.
 """
 
+import itertools
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import TYPE_CHECKING, Final
+from xml.etree import ElementTree
 
 from rossec.errors import (
     MetadataRefused,
@@ -16,11 +24,65 @@ from rossec.errors import (
     RossecError,
     RulesNotConfined,
 )
-from rossec.naming import metadata
-from rossec.naming.frames import Result
-from rossec.naming.metadata import Kind, Metadata
-from rossec.naming.orders import orders
-from rossec.naming.runner import RuleRunner
+from rossec.naming import requests
+from rossec.naming.requests import Kind, Metadata, Result, parse
+from rossec.naming.rule_runner import RuleRunner
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
+
+_ALL: Final = 4  # up to so many elements all orders are tried
+_ROTATIONS: Final = 8
+
+
+def orders(document: bytes) -> Iterator[bytes]:
+    """The document in other orders, at the node and inside of its topics and services.
+
+    Raises:
+        MetadataRefused: it cannot be read.
+    """
+    root = parse(document)
+    children = list(root)
+    inner = [list(child) for child in children]
+    seen = {_indices(range(len(children)))}
+    longest = max((len(each) for each in inner), default=0)
+    for at, order in enumerate(_orders(max(len(children), longest))):
+        outer = _indices(index for index in order if index < len(children))
+        if outer in seen and longest < 2:
+            continue
+        seen.add(outer)
+        for child, elements in zip(children, inner, strict=True):
+            child[:] = _arranged(elements, at)
+        root[:] = [children[index] for index in outer]
+        yield ElementTree.tostring(root, encoding="utf-8")
+
+
+def _indices(indices: Iterator[int] | range) -> tuple[int, ...]:
+    return tuple(indices)
+
+
+def _orders(count: int) -> Iterator[Sequence[int]]:
+    """Orders of so many elements, the given one left out."""
+    given = tuple(range(count))
+    if count <= _ALL:
+        yield from itertools.islice(itertools.permutations(given), 1, None)
+        return
+    for by in range(min(count, _ROTATIONS)):
+        rotated = given[by:] + given[:by]
+        if by:
+            yield rotated
+        yield rotated[::-1]
+
+
+def _arranged(elements: "list[Element]", at: int) -> "list[Element]":
+    """Those of a topic or service: turned backwards, then rotated further each time."""
+    if not elements:
+        return elements
+    by = (at + 1) // 2 % len(elements)
+    rotated = elements[by:] + elements[:by]
+    return rotated if at % 2 else rotated[::-1]
+
 
 Covered = Callable[[str, Kind, str], bool]
 """Whether the node with the first name may use what has the second one in any way."""
@@ -102,7 +164,7 @@ async def _examine_one(
     names: dict[tuple[Kind, str], list[Place]],
     findings: list[Finding],
 ) -> None:
-    read = metadata.read(document)
+    read = requests.read(document)
     places = _places(file, read)
     queries = list(read.queries())
     results = await rules.names(document, queries)

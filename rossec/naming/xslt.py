@@ -2,18 +2,195 @@
 
 Nothing is opened on a rule's behalf: no document type, no entity, no network, no file. Time and
 memory are not bounded by libxslt, so the process is (`child`).
+
+The short form `<parameter name path? default>` of rules, expanded into XSLT. Pure.
+
+It is the thesis's: a variable with the text of the node at `path` (by default the child `name`),
+or `default` where there is none. Nothing but space is none. A default with characters that ROS has
+not in names gets `_` for each of them, unless the thesis's own defaults are asked for.
+
+Which functions an XPath expression of rules calls, and where expressions stand. Pure.
+
+Only functions of the list may be called: those of XPath 1.0 and XSLT 1.0 that compute from what is
+there, and EXSLT's for strings. `document()` reads other documents; `generate-id()` gives an address
+in memory, another one each time; the others ask what the processor is.
+
+What rules may consist of: elements of XSLT 1.0 from a list, and what has no namespace.
+
+A scan of the parsed rules before they are compiled. Extension elements and functions need a
+namespace, so other namespaces are refused altogether; what reads or writes documents has none of
+its own, and is not on the list. It is the first of two lines: the transformation itself may open
+nothing, in a process that cannot.
 """
 
+import re
+from collections.abc import Iterator
 from typing import Any, Final
 
 from lxml import etree
 
 from rossec.errors import MetadataRefused, NameUndefined, RossecError, RulesExceeded, RulesRefused
-from rossec.naming import documents, frames
-from rossec.naming.frames import NameRequest, Result
-from rossec.naming.metadata import Kind
-from rossec.naming.scan import scan
-from rossec.naming.sugar import XSLT, expand
+from rossec.naming import requests
+from rossec.naming.requests import Kind, NameRequest, Result
+
+XSLT: Final = "http://www.w3.org/1999/XSL/Transform"
+PARAMETER: Final = "parameter"
+_ILLEGAL: Final = re.compile(r"[^A-Za-z0-9_/]")
+_NAME: Final = re.compile(r"[A-Za-z_][\w.-]*", re.ASCII)
+_KNOWN: Final = frozenset({"name", "path", "default"})
+_HINT: Final = 'write <parameter name="group" path="//node/group" default="unknown_group"/>'
+
+
+def expand(root: Any, *, thesis_defaults: bool = False) -> None:
+    """Replace every `<parameter>` in the tree of lxml below `root`, which is changed.
+
+    Raises:
+        RulesRefused: one without a name, or with anything that is not of the short form.
+    """
+    for element in list(root.iter(PARAMETER)):
+        _check(element)
+        _replace(element, _default(element.get("default", ""), keep=thesis_defaults))
+
+
+def _check(element: Any) -> None:
+    unknown = sorted(set(element.attrib) - _KNOWN)
+    if unknown or len(element) or (element.text or "").strip():
+        raise RulesRefused(f"line {element.sourceline}: <parameter> has more than it may", _HINT)
+    if _NAME.fullmatch(element.get("name", "")) is None:
+        raise RulesRefused(f"line {element.sourceline}: <parameter> without a name", _HINT)
+    if not element.get("path", "x").strip():
+        raise RulesRefused(f"line {element.sourceline}: <parameter> with an empty path", _HINT)
+
+
+def _default(text: str, *, keep: bool) -> str:
+    return text if keep else _ILLEGAL.sub("_", text)
+
+
+def _replace(element: Any, default: str) -> None:
+    """Make the variable in the place of `element`; errors in it name the line of the short form."""
+    name = element.get("name")
+    path = element.get("path", name)
+    variable = element.makeelement(f"{{{XSLT}}}variable", {"name": name})
+    choose = _child(variable, "choose")
+    given = _child(choose, "when", {"test": f"normalize-space({path}) != ''"})
+    _child(given, "value-of", {"select": f"normalize-space({path})"})
+    _child(_child(choose, "otherwise"), "text").text = default
+    for made in variable.iter():
+        made.sourceline = element.sourceline
+    variable.tail = element.tail
+    element.getparent().replace(element, variable)
+
+
+def _child(parent: Any, name: str, attributes: dict[str, str] | None = None) -> Any:
+    made = parent.makeelement(f"{{{XSLT}}}{name}", attributes or {})
+    parent.append(made)
+    return made
+
+
+ALLOWED: Final = frozenset({
+    "last", "position", "count", "id", "local-name", "namespace-uri", "name", "string", "concat",
+    "starts-with", "contains", "substring-before", "substring-after", "substring", "string-length",
+    "normalize-space", "translate", "boolean", "not", "true", "false", "lang", "number", "sum",
+    "floor", "ceiling", "round", "current", "key", "format-number",
+    "node", "text", "comment", "processing-instruction",  # tests of nodes, which look the same
+    "and", "or", "div", "mod",  # operators before a parenthesis
+})  # fmt: skip
+STRING_FUNCTIONS: Final = frozenset({
+    "align", "concat", "decode-uri", "encode-uri", "padding", "replace", "split", "tokenize",
+})  # fmt: skip
+EXPRESSIONS: Final = frozenset({"select", "test", "match", "use", "count", "from", "value"})
+_LITERAL: Final = re.compile(r""""[^"]*"|'[^']*'""")
+_CALL: Final = re.compile(r"(?:([\w.-]+)\s*:\s*)?(?<![\w.-])([^\W\d][\w.-]*)\s*\(")
+
+
+def calls(expression: str) -> Iterator[tuple[str | None, str]]:
+    """Prefix, if any, and name of every function that `expression` calls."""
+    return _calls(_LITERAL.sub(" '' ", expression))
+
+
+def calls_in_template(text: str) -> Iterator[tuple[str | None, str]]:
+    """As `calls`, for an attribute value template (XSLT 1.0 section 7.6.2).
+
+    Where braces and literals end is the processor's to say: what looks like a call anywhere in such
+    a text counts as one.
+    """
+    return _calls(text if "{" in text else "")
+
+
+def _calls(text: str) -> Iterator[tuple[str | None, str]]:
+    for found in _CALL.finditer(text):
+        yield found[1], found[2]
+
+
+STRINGS: Final = "http://exslt.org/strings"
+XML: Final = "http://www.w3.org/XML/1998/namespace"
+_NAMESPACES: Final = frozenset({XSLT, STRINGS, XML})
+_ELEMENTS: Final = frozenset({
+    "stylesheet", "transform", "template", "apply-templates", "call-template", "with-param",
+    "param", "variable", "if", "choose", "when", "otherwise", "for-each", "sort", "value-of",
+    "copy", "copy-of", "text", "element", "attribute", "comment", "processing-instruction",
+    "number", "key", "decimal-format", "output", "strip-space", "preserve-space", "message",
+    "attribute-set",
+})  # fmt: skip
+_ATTRIBUTES: Final = frozenset({"extension-element-prefixes", "use-when"})
+_SCAN_HINT: Final = "rules are XSLT 1.0 without imports, documents and extensions; see namespace.md"
+
+
+def scan(root: Any) -> None:
+    """Check the tree of lxml below `root`.
+
+    Raises:
+        RulesRefused: something that rules may not use, with its line.
+    """
+    for element in root.iter():
+        if not isinstance(element.tag, str):
+            _check_other(element)
+            continue
+        for namespace in element.nsmap.values():
+            if namespace not in _NAMESPACES:
+                raise _refusal(element, f"the namespace {str(namespace)[:80]!a}")
+        namespace, name = _split(element.tag)
+        if namespace == XSLT and name not in _ELEMENTS:
+            raise _refusal(element, f"<xsl:{name[:40]}>")
+        if namespace == STRINGS:
+            raise _refusal(element, "an extension element")
+        for key, value in element.items():
+            _check_attribute(element, key, value)
+
+
+def _check_other(element: Any) -> None:
+    """Comments remain; a processing instruction could name a stylesheet (`xml-stylesheet`)."""
+    if element.tag.__name__ != "Comment":
+        raise _refusal(element, "a processing instruction or entity")
+
+
+def _check_attribute(element: Any, key: str, value: str) -> None:
+    _, name = _split(key)
+    if name in _ATTRIBUTES:
+        raise _refusal(element, f"the attribute {name}")
+    is_expression = _split(element.tag)[0] == XSLT and name in EXPRESSIONS
+    called = calls if is_expression else calls_in_template
+    for prefix, function in called(value):
+        allowed = ALLOWED
+        if prefix is not None:
+            known = element.nsmap.get(prefix) == STRINGS
+            allowed = STRING_FUNCTIONS if known else frozenset()
+        if function not in allowed:
+            shown = function if prefix is None else f"{prefix}:{function}"
+            raise _refusal(element, f"the function {shown[:60]}()")
+
+
+def _split(tag: str) -> tuple[str, str]:
+    """`{namespace}name` of lxml."""
+    if not tag.startswith("{"):
+        return "", tag
+    namespace, _, name = tag[1:].partition("}")
+    return namespace, name
+
+
+def _refusal(element: Any, what: str) -> RulesRefused:
+    return RulesRefused(f"line {element.sourceline}: rules may not use {what}", _SCAN_HINT)
+
 
 NAME: Final = "name"
 _SHOWN: Final = 200
@@ -29,13 +206,13 @@ def answer(request: NameRequest) -> bytes:
     try:
         sheet = compile_rules(request.rules, thesis_defaults=request.thesis_defaults)
         if not request.metadata:
-            return frames.write_names([])  # the rules alone were asked about
-        document = _parse(documents.check_document(request.metadata), MetadataRefused, "metadata")
-        return frames.write_names([_result(sheet, document, *query) for query in request.queries])
+            return requests.write_names([])  # the rules alone were asked about
+        document = _parse(requests.check_document(request.metadata), MetadataRefused, "metadata")
+        return requests.write_names([_result(sheet, document, *query) for query in request.queries])
     except RossecError as error:
-        return frames.write_error(error)
+        return requests.write_error(error)
     except MemoryError:
-        return frames.write_error(RulesExceeded("the rules took more memory than allowed"))
+        return requests.write_error(RulesExceeded("the rules took more memory than allowed"))
 
 
 def compile_rules(rules: bytes, *, thesis_defaults: bool = False) -> Any:
@@ -44,7 +221,7 @@ def compile_rules(rules: bytes, *, thesis_defaults: bool = False) -> Any:
     Raises:
         RulesRefused: malformed, or with something that rules may not use; it names the line.
     """
-    tree = _parse(documents.check_rules(rules), RulesRefused, "rules")
+    tree = _parse(requests.check_rules(rules), RulesRefused, "rules")
     root = tree.getroot()
     if root.tag not in _ROOTS:
         raise RulesRefused(f"rules are an <xsl:stylesheet>, not <{root.tag[:60]}>", _XSLT_HINT)
@@ -100,7 +277,7 @@ def _name(sheet: Any, document: Any, kind: Kind, which: str) -> str:
     ):
         raise NameUndefined(f"the rules give more than one name for {asked}")
     text = (root.text or "").strip()
-    if len(text) > frames.MAX_TEXT:
+    if len(text) > requests.MAX_TEXT:
         raise RulesExceeded(f"the rules give a name of {len(text)} characters for {asked}")
     return text
 

@@ -2,15 +2,29 @@
 
 `connect` and `serve` of `rossec.net.aio` and `SecureSocket` of `rossec.net.threads` take one. It
 waits for nothing and imports neither: programs with threads need no asyncio.
+
+The open connections of one identity, on which its certificate is presented when it is renewed.
+
+Thread-safe. They are held weakly: a connection that has ended needs no entry.
+
+A connection does not survive a fork.
+
+Parent and child would both hold its keys and counters, and seal two different records under one
+nonce: with AES-GCM that gives both plaintexts and the authentication key away (RFC 5116, 5.1.1). So
+the child forgets what it inherited; the parent's connections go on. `subprocess` and
+multiprocessing's `spawn` run no Python between fork and `exec`: programs started so are safe.
 """
 
+import os
 import secrets
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
-from typing import Generic
+from threading import Lock
+from typing import Final, Generic, Protocol
+from weakref import WeakSet
 
 from rossec import clock
-from rossec.channel.connection import Connection
+from rossec.channel.connection import Connection, PresentsIdentity
 from rossec.channel.edhoc.credentials import (
     KnownCertificates,
     LiveCredentials,
@@ -23,9 +37,32 @@ from rossec.channel.edhoc.credentials import (
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import ChannelLimits
-from rossec.net.bounds import ACCEPTED, DIALLED
-from rossec.net.halfopen import HalfOpen, HalfOpenCount
-from rossec.net.open_streams import OpenStreams
+from rossec.net.limits import ACCEPTED, DIALLED, HalfOpen, HalfOpenCount
+
+
+class OpenStreams:
+    """The open connections of one identity."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._streams: WeakSet[PresentsIdentity] = WeakSet()
+        self._newest: Sequence[bytes] = ()
+
+    def add(self, stream: PresentsIdentity) -> None:
+        """A connection has begun; its handshake may have read the certificate before."""
+        with self._lock:
+            self._streams.add(stream)
+            newest = self._newest
+        if newest:
+            stream.present_identity(newest)
+
+    def present(self, chain: Sequence[bytes]) -> None:
+        """The certificates of this identity are `chain` now: present them where they are new."""
+        with self._lock:
+            self._newest = chain
+            streams = list(self._streams)
+        for stream in streams:
+            stream.present_identity(chain)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,3 +125,29 @@ class SecureContext(Generic[PeerT]):
         if self.renews is not None:
             connection.streams = self.open_streams
         return connection
+
+
+class Inherited(Protocol):
+    """What a forked process must not use."""
+
+    def abandon(self) -> None:
+        """Forget keys and counters; send nothing: the connection is the parent's."""
+
+
+_watched: Final[WeakSet[Inherited]] = WeakSet()
+
+
+def forget_in_children(inherited: Inherited) -> None:
+    """Have every forked child abandon it, before other code of the child runs."""
+    _watched.add(inherited)
+
+
+def _in_child() -> None:
+    try:
+        for inherited in list(_watched):
+            inherited.abandon()
+    except BaseException:  # noqa: BLE001 - better no child than one that holds its parent's keys
+        os._exit(os.EX_SOFTWARE)
+
+
+os.register_at_fork(after_in_child=_in_child)

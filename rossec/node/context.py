@@ -7,16 +7,15 @@ from dataclasses import dataclass
 from typing import TypeAlias, TypeVar
 
 from ca.certificates import Identity
-from ca.domains.aliases import shown
-from grants.memory import MemoryScope
+from ca.names import shown
+from grants.guard import MemoryScope
 from rossec.errors import AnswerRefused
 from rossec.net.aio import SecureStream
 from rossec.participant.access import Access
 from rossec.participant.authorized import AuthorizedConnection
-from rossec.participant.connections import ConnectionTable
-from rossec.participant.dialer import Dialer
-from rossec.participant.grant_renewal import MasterCall
-from rossec.participant.remote_names import caller_for
+from rossec.participant.connections import ConnectionTable, Dialer
+from rossec.participant.handshakes import caller_for
+from rossec.participant.renewals import MasterCall
 
 _log = logging.getLogger("rossec.node")
 

@@ -4,51 +4,219 @@ Connects the parts: the master session, the slave API, the TCPROS server, topics
 Decisions are made elsewhere: `access` authorizes peers, the handshake modules check headers,
 `connections` says when a connection must end, `membership` keeps grants, identity and revocation
 data current.
+
+The two ports of a node: its slave API, and TCPROS for its topics and services.
+
+Every connection is authenticated before it is handled here. A refused peer receives the error about
+its own grants, which reveals nothing of what this node publishes or provides.
+
+A program that ends by a refusal of its node shows error and hint, as the command line does.
+
+Only refusals: any other exception keeps its traceback. So does everything in Python's development
+mode (`python -X dev`), and in a program that has set `sys.excepthook` itself.
 """
 
 import asyncio
 import logging
 import os
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from functools import partial
 from types import TracebackType
-from typing import Self
+from typing import Final, Self
 
 from ca.certificates import Identity
-from ca.errors import HintedError
+from ca.errors import HintedError, RevocationsStale
+from ca.names import shown
 from rossec import clock
 from rossec.channel.edhoc.credentials import KnownCertificates
 from rossec.channel.opening import post_quantum
 from rossec.environment import own_home, own_master
-from rossec.errors import AnswerMalformed, NodeShutdown
+from rossec.errors import AnswerMalformed, ConnectionHeaderRefused, NodeShutdown
 from rossec.home import NodeHome
-from rossec.net.aio import SecureContext, SecureStream
-from rossec.net.host.own_address import warn_of_own_address
-from rossec.node import uncaught
+from rossec.host.addresses import warn_of_own_address
+from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, serve
 from rossec.node.context import NodeContext
-from rossec.node.listener import Listener
 from rossec.node.params import NodeParameters
 from rossec.node.publisher import Publisher
-from rossec.node.service import CONCURRENCY, HANDLER_DEADLINE, Handler, Service
+from rossec.node.service import CONCURRENCY, HANDLER_DEADLINE, Handler, Service, Services
 from rossec.node.service_client import CALL_DEADLINE, ServiceClient
-from rossec.node.services import Services
 from rossec.node.subscriber import Subscriber
 from rossec.node.topics import Topics
 from rossec.participant.access import Access
-from rossec.participant.connections import ConnectionTable
-from rossec.participant.dialer import Dialer
-from rossec.participant.limit_memory import memory_scope
+from rossec.participant.authorized import memory_scope
+from rossec.participant.connections import ConnectionTable, Dialer, OwnAddresses, serve_peer
+from rossec.participant.delivery import Wishes, carried_out, requested_wishes
+from rossec.participant.handshakes import (
+    TopicEndpoint,
+    admit_subscriber,
+    caller_for,
+    check_type,
+    publisher_header,
+    requested_topic,
+)
 from rossec.participant.membership import LoadedIdentity, Membership
 from rossec.participant.message_types import message_type
-from rossec.participant.own_addresses import OwnAddresses
-from rossec.participant.publisher_grace import PublisherGrace
+from rossec.participant.registrations import PublisherGrace
 from rossec.participant.service_types import service_type
-from rossec.participant.slave_api import SlaveApi
-from rossec.participant.topic_handshake import TopicEndpoint
-from rossec.participant.wishes import Wishes
-from rossec.ros import settings
-from rossec.ros.names import ANY_TYPE
+from rossec.participant.slave_api import SLAVE_CALLS, SlaveApi, check_slave_call
+from rossec.ros import names, tcpros
+from rossec.ros.names import ANY_TYPE, SIGNED_UPDATES, is_loopback
+from rossec.terminal import fail
+
+HEADER_DEADLINE: Final = 5.0
 
 _log = logging.getLogger("rossec.node")
+
+
+class Listener:
+    """Accepts the connections of other nodes."""
+
+    def __init__(
+        self,
+        name: str,
+        context: SecureContext[Identity],
+        access: Access,
+        publishers: Mapping[str, Publisher],
+        services: Services,
+        slave: SlaveApi,
+        connections: ConnectionTable[SecureStream[Identity]],
+        own_addresses: OwnAddresses,
+        certified: str,
+    ) -> None:
+        self._name = name
+        self._certified = certified
+        self._context = context
+        self._access = access
+        self._publishers = publishers
+        self._services = services
+        self._slave = slave
+        self._connections = connections
+        self._own_addresses = own_addresses
+        self._servers: list[SecureServer[Identity]] = []
+
+    @property
+    def slave_port(self) -> int:
+        """Port of the slave API."""
+        return self._servers[0].port
+
+    @property
+    def topic_port(self) -> int:
+        """Port of TCPROS."""
+        return self._servers[1].port
+
+    async def start(self, address: str) -> None:
+        """Listen; on loopback only when `address`, which the node registers, is loopback."""
+        bind = address if is_loopback(address) else None
+        for handler, protocol in (
+            (self._serve_slave, WireProtocol.HTTP),
+            (self._serve_tcpros, WireProtocol.TCPROS),
+        ):
+            server = serve(self._connections.bounded(handler), bind, 0, self._context, protocol)
+            self._servers.append(server)
+            self._own_addresses.add_ports(address, server.port)
+
+    async def close(self) -> None:
+        """Stop listening and close the accepted connections."""
+        for server in self._servers:
+            await server.close()
+
+    async def _serve_slave(self, stream: SecureStream[Identity]) -> None:
+        """Serve calls: without a time limit for the master, within `DEADLINE` for other peers."""
+        presented: list[bytes] = []
+        await serve_peer(stream, partial(self._call, presented), self._access)
+
+    async def _call(
+        self, presented: list[bytes], method: str, params: tuple[object, ...], peer: Identity
+    ) -> object:
+        """Check the peer at every call: it may be revoked while connected, the master too.
+
+        `presented` holds the grants the peer has presented on this connection.
+        """
+        now = clock.now()
+        authorized = False
+        try:
+            self._access.check_peer(peer, now)
+            match method, params:
+                case names.PRESENT_GRANTS, (_, bytes() as grants):
+                    presented[:] = [grants]
+                    return [1, "", 0]
+                case _:
+                    pass
+            if presented and method in SLAVE_CALLS and not self._access.is_master(peer):
+                check_slave_call(method, peer, self._name, presented[0], self._access, now)
+                authorized = True
+        except RevocationsStale as error:
+            if method not in SIGNED_UPDATES:  # one of them ends the staleness
+                return _refused(peer, error)
+        except HintedError as error:
+            return _refused(peer, error)
+        return await self._slave(method, params, peer, authorized=authorized)
+
+    async def _serve_tcpros(self, stream: SecureStream[Identity]) -> None:
+        try:
+            async with asyncio.timeout(HEADER_DEADLINE):
+                fields = tcpros.decode(await first_frame(stream))
+            serve = await self._admit(fields, stream)  # a raw publisher has a limit of its own
+        except TimeoutError:
+            _log.info("%s sent no connection header", shown(stream.peer.name))
+            return
+        except HintedError as error:
+            _log.warning("refused %s: %s (%s)", shown(stream.peer.name), error, error.hint)
+            await stream.send(tcpros.error_header(f"rossec: {error}"))
+            return
+        await serve()
+
+    async def _admit(
+        self, fields: Mapping[str, bytes], stream: SecureStream[Identity]
+    ) -> Callable[[], Awaitable[None]]:
+        if "service" not in fields:
+            return await self._admit_subscriber(fields, stream)
+        if "topic" in fields:
+            raise ConnectionHeaderRefused(
+                "the connection header asks for a topic and for a service"
+            )
+        return self._services.admit(fields, stream)
+
+    async def _admit_subscriber(
+        self, fields: Mapping[str, bytes], stream: SecureStream[Identity]
+    ) -> Callable[[], Awaitable[None]]:
+        now = clock.now()
+        decision = admit_subscriber(fields, stream.peer, self._access, now)
+        publisher = self._publishers.get(requested_topic(fields))
+        if publisher is None:
+            raise ConnectionHeaderRefused(
+                f"{self._name} does not publish {requested_topic(fields)}"
+            )
+        wishes = carried_out(requested_wishes(fields), decision)
+        await publisher.ready()
+        check_type(fields, publisher.endpoint.expected)
+        guard = publisher.guard(decision)
+        name = caller_for(stream.peer, self._name, self._certified)
+        answer = publisher_header(
+            name, publisher.endpoint, self._access, now, latching=publisher.latch
+        )
+        head = tcpros.encode(answer | wishes.fields)
+        return partial(publisher.serve, stream, decision, guard, head, wishes)
+
+
+def _refused(peer: Identity, error: HintedError) -> list[object]:
+    _log.warning("refused %s: %s (%s)", shown(peer.name), error, error.hint)
+    return [-1, f"rossec: {error}", 0]
+
+
+async def first_frame(stream: SecureStream[Identity]) -> bytes:
+    """The connection header, which must arrive before anything else.
+
+    Raises:
+        ConnectionHeaderRefused: more data arrives before the answer.
+    """
+    reader = tcpros.FrameReader(tcpros.HEADER_LIMIT)
+    while not (frames := reader.feed(await stream.receive())):
+        pass
+    if len(frames) != 1 or reader.pending:
+        raise ConnectionHeaderRefused("bytes after the connection header, before its answer")
+    return frames[0]
 
 
 class Node:
@@ -69,9 +237,9 @@ class Node:
         argv: Sequence[str] = (),
         environ: Mapping[str, str] = os.environ,
     ) -> None:
-        uncaught.install()
+        install()
         self._environ = environ
-        self.settings = settings.read(argv, environ, default_name=name)
+        self.settings = names.read(argv, environ, default_name=name)
         self.name = self.settings.name
         loaded = LoadedIdentity(
             NodeHome.find(own_home(environ), self.name), self.name, own_master(environ)
@@ -340,9 +508,34 @@ class Node:
         stream = await self._membership.session.open()
         self._host = self.settings.address or stream.local_address
         await self._listener.start(self._host)
-        self._context.uri = settings.build_uri(self._host, self._listener.slave_port)
-        self._context.rosrpc = settings.build_uri(*self.topic_endpoint(), scheme="rosrpc")
+        self._context.uri = names.build_uri(self._host, self._listener.slave_port)
+        self._context.rosrpc = names.build_uri(*self.topic_endpoint(), scheme="rosrpc")
         self._membership.start()
 
     def _warn_of_address(self, error: HintedError) -> None:
         _log.warning("%s: %s (%s)", self.name, error, error.hint)
+
+
+def install() -> None:
+    """Show refusals that nobody caught in this way, unless the program has a way of its own."""
+    if sys.excepthook is sys.__excepthook__ and not sys.flags.dev_mode:
+        sys.excepthook = show
+
+
+def show(kind: type[BaseException], error: BaseException, traceback: TracebackType | None) -> None:
+    """Print what nobody caught, as `sys.excepthook` is called."""
+    refusals = _refusals(error)
+    if not refusals:
+        sys.__excepthook__(kind, error, traceback)
+    for refusal in refusals:
+        fail(str(refusal), refusal.hint)
+
+
+def _refusals(error: BaseException) -> list[HintedError]:
+    """The refusals that `error` is made of; none if there is anything else in it."""
+    if isinstance(error, HintedError):
+        return [error]
+    if not isinstance(error, BaseExceptionGroup):
+        return []
+    parts = [_refusals(part) for part in error.exceptions]
+    return [refusal for part in parts for refusal in part] if all(parts) else []

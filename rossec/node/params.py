@@ -11,11 +11,11 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from copy import deepcopy
 from typing import Any, Final
 
-from ca.domains.aliases import shown
 from ca.errors import HintedError
+from ca.names import shown
 from rossec.errors import AnswerMalformed, AnswerRefused, ParameterUnset
 from rossec.node.context import NodeContext
-from rossec.participant.remote_names import refuse_offer
+from rossec.participant.handshakes import refuse_offer
 from rossec.ros.names import SEPARATOR
 from rossec.ros.xmlrpc import Fault
 

@@ -13,30 +13,29 @@ from types import TracebackType
 from typing import Final, Self, TypeAlias
 
 from ca.certificates import Identity
-from ca.domains.aliases import shown
+from ca.names import shown
 from grants.decision import Decision
 from rossec import clock
 from rossec.errors import ChannelClosed, ConfigurationError, ServiceFailed
+from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureStream
-from rossec.net.aio.tasks import TaskSet
-from rossec.net.bounds import unit_limit
+from rossec.net.limits import unit_limit
 from rossec.node.context import NodeConnection, NodeContext
 from rossec.participant.access import Access
 from rossec.participant.authorized import AuthorizedConnection
-from rossec.participant.header_fields import Fields
-from rossec.participant.message_types import Message
-from rossec.participant.service_guard import Pieces, ServiceGuard
-from rossec.participant.service_handshake import (
+from rossec.participant.handshakes import (
     ANY,
     ExpectedService,
+    Fields,
     admit_provider,
     check_md5,
     client_header,
 )
-from rossec.participant.service_types import ServiceType
-from rossec.ros import header
-from rossec.ros import service as wire
-from rossec.ros.header import MESSAGE_LIMIT
+from rossec.participant.message_types import Message
+from rossec.participant.service_types import Pieces, ServiceGuard, ServiceType
+from rossec.ros import tcpros
+from rossec.ros import tcpros as wire
+from rossec.ros.tcpros import MESSAGE_LIMIT
 
 CALL_DEADLINE: Final = 60.0
 HANDSHAKE_DEADLINE: Final = 5.0
@@ -78,11 +77,11 @@ async def exchange_headers(
     fields = client_header(
         caller, service, kind, access, clock.now(), persistent=persistent, probe=probe
     )
-    await stream.send(header.encode(fields))
-    frames = header.FrameReader(header.HEADER_LIMIT)
+    await stream.send(tcpros.encode(fields))
+    frames = tcpros.FrameReader(tcpros.HEADER_LIMIT)
     while (arrived := frames.feed_one(await stream.receive())) is None:
         pass
-    answer = header.decode(arrived)
+    answer = tcpros.decode(arrived)
     return answer, admit_provider(answer, stream.peer, service, access, clock.now())
 
 

@@ -3,45 +3,122 @@
 The master provides the addresses of publishers only. Their identity comes from the channel, their
 right to publish from the grant they present. A publisher that refuses, or is refused, is tried
 again with growing pauses for as long as the master lists it: a grant may arrive later.
+
+What a subscriber's wishes mean for the messages it receives from one publisher.
+
+Inflates what the publisher deflates, never much in one turn of the loop. An older publisher takes
+no wish: then messages are thinned out here, which spares the program and not the line.
+
+A topic of any type, whose messages are taken as they come: bytes, by publisher.
+
+Type and md5sum of the subscription are `*`, as in ROS; what a publisher answers with says what its
+messages are, and is handed on with them. Nothing of it is trusted: where a right of the publisher
+is restricted, the restriction is applied by the definition that is installed here, as for every
+receiver of any type (`participant/definitions.py`). There is no queue: a receiver takes each
+message at once, or leaves it.
 """
 
 import asyncio
 import logging
+import re
 from collections import deque
-from collections.abc import AsyncIterator, Awaitable, Callable
-from dataclasses import replace
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final, TypeAlias
+from time import monotonic
+from typing import Any, Final, Protocol, TypeAlias
 
 from ca.certificates import Identity
-from ca.domains.aliases import shown
 from ca.errors import HintedError
+from ca.names import shown
 from grants.decision import Decision
 from grants.errors import GrantError
-from grants.guard import Guard
-from grants.memory import MemoryScope
+from grants.filters.layout import MAX_TEXT, TYPE_NAME
+from grants.guard import Guard, MemoryScope
 from rossec import clock
-from rossec.errors import ConfigurationError, MessageError
-from rossec.net import withheld_log
+from rossec.errors import ConfigurationError, ConnectionHeaderRefused, MessageError
+from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureStream
-from rossec.net.aio.arrivals import next_messages
-from rossec.net.aio.tasks import TaskSet
-from rossec.net.bounds import message_limit, unit_limit
+from rossec.net.aio.stream import next_messages
+from rossec.net.limits import message_limit, unit_limit
 from rossec.node.context import NodeConnection, NodeContext
-from rossec.node.wished_messages import WishedMessages, wished_messages
-from rossec.participant.access import FIELD
+from rossec.participant import delivery
+from rossec.participant.access import FIELD, granted_name
 from rossec.participant.authorized import AuthorizedConnection
-from rossec.participant.definitions import Definition, size_of
-from rossec.participant.deflating import OVERHEAD
-from rossec.participant.header_fields import Fields
-from rossec.participant.message_types import Message
-from rossec.participant.topic_guard import guard_for
-from rossec.participant.topic_handshake import TopicEndpoint, admit_publisher, subscriber_header
-from rossec.participant.wire_names import granted_name
-from rossec.participant.wishes import NO_WISHES, Wishes
-from rossec.ros import header
-from rossec.ros.framing import Framing
-from rossec.ros.header import MESSAGE_LIMIT, FrameReader
+from rossec.participant.definitions import (
+    Definition,
+    from_header,
+    guard_for,
+    receiver_definition,
+    size_of,
+)
+from rossec.participant.delivery import (
+    LARGE,
+    NO_WISHES,
+    OVERHEAD,
+    WishedRate,
+    Wishes,
+    claimed_size,
+    inflated,
+    taken_wishes,
+)
+from rossec.participant.handshakes import Fields, TopicEndpoint, admit_publisher, subscriber_header
+from rossec.participant.host_types import known_type
+from rossec.participant.message_types import Message, MessageType
+from rossec.ros import tcpros
+from rossec.ros.names import ANY_TYPE
+from rossec.ros.tcpros import MESSAGE_LIMIT, FrameReader, Framing
+
+
+class WishedMessages:
+    """The messages of one connection that was asked for with wishes.
+
+    Args:
+        limit: how long a message may be, in bytes.
+    """
+
+    def __init__(self, asked: Wishes, taken: Wishes, limit: int) -> None:
+        thins = asked.rate is not None and taken.rate is None
+        self._rate = WishedRate(asked.rate) if asked.rate is not None and thins else None
+        self._deflated = taken.deflate
+        self._limit = limit
+        self._this_turn = 0  # bytes inflated since the loop had its turn
+
+    async def inflated(self, content: bytes) -> bytes:
+        """The message of a frame; a large one is inflated in another thread.
+
+        Raises:
+            FrameRefused: as `rossec.participant.delivery.inflated`.
+        """
+        if not self._deflated:
+            return content
+        size = claimed_size(content, self._limit)
+        if size >= LARGE:
+            return await asyncio.to_thread(inflated, content, self._limit)
+        self._this_turn += size
+        if self._this_turn >= LARGE:  # thousands of small bombs fit into one unit
+            self._this_turn = 0
+            await asyncio.sleep(0)
+        return inflated(content, self._limit)
+
+    def admits(self) -> bool:
+        """Whether the program gets a message now: the publisher sends more than it should."""
+        return self._rate is None or self._rate.admits(monotonic())
+
+
+def wished_messages(
+    asked: Wishes, answer: Mapping[str, bytes], limit: int
+) -> WishedMessages | None:
+    """For a publisher with this answer; None: its messages come as they do without wishes.
+
+    Raises:
+        ConnectionHeaderRefused: it answers what was not asked.
+    """
+    taken = taken_wishes(answer, asked)
+    if taken.deflate or taken.rate != asked.rate:
+        return WishedMessages(asked, taken, limit)
+    return None
+
 
 QUEUE_SIZE: Final = 10
 HANDSHAKE_DEADLINE: Final = 5.0
@@ -111,7 +188,7 @@ class Subscriber:
             try:
                 message = self.endpoint.type.deserialize(data)
             except MessageError as error:
-                withheld_log.warn(
+                delivery.warn(
                     _log, "%(where)s: dropped a message: %(cause)s", shown(self.topic), "", error
                 )
             else:
@@ -155,7 +232,7 @@ class Subscriber:
             stream = await self._context.dialer.topic(uri, self.topic)
             try:
                 limit = self._longest + (OVERHEAD if self._wishes.deflate else 0)
-                frames = FrameReader(limit, first=header.HEADER_LIMIT)
+                frames = FrameReader(limit, first=tcpros.HEADER_LIMIT)
                 connection, answer, early = await self._handshake(stream, frames)
                 wished = wished_messages(self._wishes, answer, self._longest)
             except BaseException:
@@ -185,11 +262,11 @@ class Subscriber:
         own = context.certified or context.name
         endpoint = replace(self.endpoint, topic=granted_name(stream.peer, self.topic, own))
         fields = subscriber_header(name, endpoint, context.access, clock.now())
-        await stream.send(header.encode(fields | self._wishes.fields))
+        await stream.send(tcpros.encode(fields | self._wishes.fields))
         units: list[bytes] = []
         while not units:
             units = frames.feed(await stream.receive())
-        answer = header.decode(units[0])
+        answer = tcpros.decode(units[0])
         decision = admit_publisher(
             answer, stream.peer, endpoint.expected, context.access, clock.now()
         )
@@ -254,7 +331,7 @@ class Subscriber:
             try:
                 pieces = guard(message, now)
             except GrantError as error:
-                withheld_log.warn(_log, withheld_log.RECEIVED, shown(self.topic), peer, error)
+                delivery.warn(_log, delivery.RECEIVED, shown(self.topic), peer, error)
             else:
                 filtered += [] if pieces is None else [b"".join(pieces)]
         return filtered
@@ -274,3 +351,86 @@ def check_queue_size(size: int) -> None:
     """Refuse a size below 1 (in rospy 0 means unbounded, but memory is not)."""
     if size < 1:
         raise ConfigurationError(f"a queue of {size} messages", "queue_size must be 1 or more")
+
+
+ANY: Final = MessageType(ANY_TYPE, ANY_TYPE, "")
+_MD5: Final = re.compile(r"[0-9a-f]{32}")
+
+
+@dataclass(frozen=True, eq=False)
+class RawSource:
+    """A publisher that is connected.
+
+    Attributes:
+        peer: its certified name, of a foreign one its alias.
+        type: of its messages, as it claims.
+        latching: whether it sends new subscribers the last message, as it claims.
+    """
+
+    peer: str
+    type: Definition
+    latching: bool
+
+
+class RawReceiver(Protocol):
+    """What takes messages; each publisher is connected once, then gone once."""
+
+    def connected(self, source: RawSource) -> None:
+        """A publisher is connected.
+
+        Raises:
+            HintedError: it is not wanted; it is tried again later.
+        """
+
+    def received(self, source: RawSource, messages: Sequence[bytes]) -> None:
+        """Serialized messages, without their length prefixes."""
+
+    def disconnected(self, source: RawSource) -> None:
+        """A publisher is connected no longer."""
+
+    def refused(self, error: Exception) -> None:
+        """A publisher could not be connected, or the connection ended."""
+
+
+class RawSubscriber(Subscriber):
+    """Hands what arrives to a receiver. Made by `Topics.subscribe_raw`."""
+
+    def __init__(self, topic: str, receiver: RawReceiver, *given: Any, **options: Any) -> None:
+        """`given`, `options`: those of a subscriber, after its endpoint."""
+        super().__init__(TopicEndpoint(topic, ANY), *given, **options)
+        self._receiver = receiver
+        self._sources: dict[PublisherConnection, RawSource] = {}
+
+    def _read_as(self, answer: Fields, decision: Decision) -> Definition:
+        return receiver_definition(ANY, claimed(answer), decision, known_type)
+
+    def _opened(self, connection: PublisherConnection, answer: Fields) -> None:
+        latching = answer.get("latching") == b"1"
+        source = RawSource(connection.stream.peer.name, claimed(answer), latching)
+        self._receiver.connected(source)
+        self._sources[connection] = source
+
+    def _keep(self, connection: PublisherConnection, messages: list[bytes]) -> None:
+        self._receiver.received(self._sources[connection], messages)
+
+    def _ended(self, connection: PublisherConnection) -> None:
+        if (source := self._sources.pop(connection, None)) is not None:
+            self._receiver.disconnected(source)
+
+    def _record_failure(self, uri: str, error: Exception) -> None:
+        super()._record_failure(uri, error)
+        self._receiver.refused(error)
+
+
+def claimed(answer: Fields) -> Definition:
+    """The type a publisher says its messages have, in form.
+
+    Raises:
+        ConnectionHeaderRefused: it is not one type of ROS, or its definition is too long.
+    """
+    found = from_header(answer)
+    if TYPE_NAME.fullmatch(found.name) is None or _MD5.fullmatch(found.md5sum) is None:
+        raise ConnectionHeaderRefused(f"a publisher of {found.name[:80]!a}, which is no type")
+    if len(found.definition) > MAX_TEXT:
+        raise ConnectionHeaderRefused(f"a definition of {len(found.definition)} characters")
+    return found

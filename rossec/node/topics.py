@@ -5,19 +5,16 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from itertools import count
 
-from ca.domains.aliases import split_alias
 from ca.errors import HintedError
-from grants.memory import MemoryScope
+from ca.names import split_alias
+from grants.guard import MemoryScope
 from rossec.errors import ConfigurationError
 from rossec.node.context import NodeContext
-from rossec.node.publisher import Publisher
-from rossec.node.raw_publisher import RawPublisher
-from rossec.node.raw_subscriber import RawReceiver, RawSubscriber
-from rossec.node.subscriber import OnClose, Subscriber
-from rossec.participant.publisher_grace import PublisherGrace
-from rossec.participant.remote_names import refuse_offer
-from rossec.participant.topic_handshake import TopicEndpoint
-from rossec.participant.wishes import NO_WISHES, Wishes
+from rossec.node.publisher import Publisher, RawPublisher
+from rossec.node.subscriber import OnClose, RawReceiver, RawSubscriber, Subscriber
+from rossec.participant.delivery import NO_WISHES, Wishes
+from rossec.participant.handshakes import TopicEndpoint, refuse_offer
+from rossec.participant.registrations import PublisherGrace
 
 _log = logging.getLogger("rossec.node")
 

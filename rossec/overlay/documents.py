@@ -3,13 +3,42 @@
 A file of another kind is told from a damaged one, so that the message says what was mistaken. A key
 that occurs twice, `NaN` and anything nested without end are refused (RFC 8259 section 4 leaves the
 first to each reader).
+
+The relays of other sites that a relay exchanges cards with, and its file of them. Pure.
+
+A label is what a peer is called here. For each peer there is a mailbox of its own, told to nobody
+else, so that each peer is cut alone. A link that arrives in it must come from that peer's domain
+and relay, and a link to that peer must be answered by it (docs/spec/overlay.md).
+
+A relay's card: what one relay's operator hands to another's, to link their sites. Pure.
+
+JSON with the trust domain, the relay's name, and the key of the mailbox that the other one shall
+send to. It is not signed: the peer proves by its certificate who it is, and a forged card only
+leads to a mailbox where that proof fails. Whoever reads a card can send to that mailbox, and no
+more, so it is handed to its receiver alone. Routers are not in it: each site has its own.
+
+Which routers carry a site's links, and its seat there: the seat file. Pure.
+
+`rossec router seats add` writes it, the operator of the routers hands it to the site, and `rossec
+relay seat` keeps it. It is JSON, with a password in it: whoever has the file has the seat. A
+locator is `protocol/host:port` and nothing more: what Zenoh takes behind a `?` or `#` would change
+the settings of the session. Routers behind TLS are verified by `root_certificate` alone, never by
+the authorities of the web.
 """
 
 import json
-from collections.abc import Mapping
-from typing import Any, Final, NoReturn
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, Final, NoReturn, Self
 
-from rossec.errors import ConfigurationError
+from cryptography import x509
+
+from ca.certificates import Identity
+from ca.errors import NameRefused
+from ca.names import alias_of, check_domain, check_label, display_name, is_relay_name, split_alias
+from rossec.errors import ConfigurationError, RelayRefused
+from rossec.overlay.link_frames import BOX, is_mailbox, is_seat
 
 VERSION: Final = 1
 
@@ -64,3 +93,314 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _refuse_constant(name: str) -> NoReturn:
     raise ValueError(f"{name} is not JSON")
+
+
+MAX_PEERS: Final = 64
+MAX_PEERS_FILE: Final = 64 * 1024
+_FORM: Final = "rossec-overlay"
+_BOX: Final = re.compile(r"[0-9a-f]{32}", re.ASCII)
+_HINT: Final = "it is written by `rossec relay card`, `add` and `remove`: use these"
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A relay of another site.
+
+    Args:
+        label: what it is called here.
+        box: of the own mailbox that is told to it alone, hexadecimal.
+        domain: the label of its foreign domain; empty: the own one; None: its card is not here,
+            and nobody has said it.
+        relay: the name it is certified for; empty: its card is not here.
+        mailbox: the key of its mailbox for this relay; empty likewise.
+
+    Raises:
+        ConfigurationError: one of them is not in form.
+    """
+
+    label: str
+    box: str = field(repr=False)
+    domain: str | None = None
+    relay: str = ""
+    mailbox: str = field(default="", repr=False)
+
+    def __post_init__(self) -> None:
+        try:
+            check_label(self.label)
+            if self.domain:
+                check_label(self.domain)
+        except NameRefused as error:
+            raise ConfigurationError(str(error), error.hint) from error
+        if _BOX.fullmatch(self.box) is None:
+            raise ConfigurationError(f"the mailbox for {self.label} has {2 * BOX} digits", _HINT)
+        if not self.relay and not self.mailbox:
+            return
+        if not is_relay_name(self.relay):
+            raise ConfigurationError(
+                f"{self.relay[:255]!a} is not the name of a relay", "/relay, or /relay/attic"
+            )
+        if not is_mailbox(self.mailbox) or self.domain is None:
+            raise ConfigurationError(f"the card of {self.label} is not complete", _HINT)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether its card is here, so that links with it can be made."""
+        return bool(self.relay)
+
+    @property
+    def name(self) -> str:
+        """The relay's name here: `/relay`, of a foreign domain `/remote/hospital/relay`."""
+        return alias_of(self.domain, self.relay) if self.domain else self.relay
+
+    @property
+    def shown(self) -> str:
+        """The same for people: `hospital:/relay`; empty until its card is here."""
+        return display_name(self.domain or "", self.relay) if self.relay else ""
+
+    def check(self, found: Identity) -> None:
+        """Return if an authenticated relay is this peer.
+
+        Raises:
+            RelayRefused: it is another node, or its card is not here.
+        """
+        alias = split_alias(found.name) if found.is_foreign else None
+        label, name = ("", found.name) if alias is None else alias
+        if not self.is_complete or (label, name) != (self.domain, self.relay):
+            raise RelayRefused(
+                f"{display_name(label, name)} is at the mailbox of {self.label},"
+                f" not {self.shown or 'a relay whose card is here'}",
+                f"exchange cards anew: rossec relay remove {self.label}",
+            )
+
+
+Peers = Mapping[str, Peer]
+"""Peers by label."""
+
+
+def checked_peers(peers: Iterable[Peer]) -> dict[str, Peer]:
+    """The peers by label.
+
+    Raises:
+        ConfigurationError: a label, a relay or a mailbox is there twice, or there are too many.
+    """
+    found: dict[str, Peer] = {}
+    for each in peers:
+        for other in found.values():
+            _check_apart(each, other)
+        found[each.label] = each
+    if len(found) > MAX_PEERS:
+        raise ConfigurationError(f"at most {MAX_PEERS} peers of a relay", "run another relay")
+    return found
+
+
+def _check_apart(one: Peer, other: Peer) -> None:
+    if one.label == other.label:
+        raise ConfigurationError(f"two peers are called {one.label}", "give each its own label")
+    same_relay = one.is_complete and (one.domain, one.relay) == (other.domain, other.relay)
+    if same_relay or one.box == other.box or (one.is_complete and one.mailbox == other.mailbox):
+        raise ConfigurationError(
+            f"{other.label} and {one.label} are one relay", f"rossec relay remove {other.label}"
+        )
+
+
+def read_peers(data: bytes, name: str) -> dict[str, Peer]:
+    """Read the file of peers, called `name`; a closed schema.
+
+    Raises:
+        ConfigurationError: anything else.
+    """
+    try:
+        found = read_document(data, _FORM, frozenset({"peers"}), limit=MAX_PEERS_FILE, hint=_HINT)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{name}: {error}", error.hint) from error
+    rows = found["peers"]
+    if not isinstance(rows, list):
+        raise ConfigurationError(f"{name} is not a list of peers of this form", _HINT)
+    return checked_peers(_peer(row, name) for row in rows)
+
+
+def write_peers(peers: Peers) -> bytes:
+    """The content of the file."""
+    rows = [asdict(each) for _, each in sorted(peers.items())]
+    return write_document(_FORM, {"peers": rows})
+
+
+def _peer(row: object, name: str) -> Peer:
+    match row:
+        case {
+            "label": str() as label, "box": str() as box, "domain": (str() | None) as domain,
+            "relay": str() as relay, "mailbox": str() as mailbox, **rest,
+        } if not rest:  # fmt: skip
+            return Peer(label, box, domain, relay, mailbox)
+    raise ConfigurationError(f"{name} has a peer that is not in form", _HINT)
+
+
+MAX_CARD: Final = 4 * 1024
+_RELAY_CARDS_FORM: Final = "rossec-relay-card"
+_RELAY_CARDS_HINT: Final = "ask for the file that `rossec relay card` wrote at the other site"
+
+
+@dataclass(frozen=True)
+class RelayCard:
+    """What a card says.
+
+    Args:
+        domain: the trust domain of the relay, as its authority has named it.
+        relay: the name it is certified for.
+        mailbox: the key of its mailbox for the receiver of the card.
+    """
+
+    domain: str
+    relay: str
+    mailbox: str = field(repr=False)
+
+    def __post_init__(self) -> None:
+        try:
+            check_domain(self.domain)
+        except NameRefused as error:
+            raise RelayRefused(f"in the relay's card: {error}", _RELAY_CARDS_HINT) from error
+        if not is_relay_name(self.relay) or not is_mailbox(self.mailbox):
+            raise RelayRefused("the card names no relay, or no mailbox", _RELAY_CARDS_HINT)
+
+    @classmethod
+    def read(cls, data: bytes) -> Self:
+        """Read a card; a closed schema.
+
+        Raises:
+            RelayRefused: anything else.
+        """
+        keys = frozenset(each.name for each in fields(cls))
+        refused = RelayRefused("this is not the card of a relay", _RELAY_CARDS_HINT)
+        try:
+            found = read_document(
+                data, _RELAY_CARDS_FORM, keys, limit=MAX_CARD, hint=_RELAY_CARDS_HINT
+            )
+        except ConfigurationError as error:
+            raise refused from error
+        if not is_texts(list(found.values())):
+            raise refused
+        return cls(**found)
+
+    def write(self) -> str:
+        """The text of the card."""
+        return write_document(_RELAY_CARDS_FORM, asdict(self)).decode()
+
+
+MAX_SEAT_FILE: Final = 16 * 1024
+MAX_LOCATORS: Final = 16
+OPEN_SEAT: Final = "open"  # of everybody, at a router without seats
+_PASSWORD: Final = re.compile(r"[A-Za-z0-9_-]{22,128}", re.ASCII)
+_LOCATOR: Final = re.compile(
+    r"(?P<protocol>quic|tls|tcp)/"
+    r"(?P<host>\[[0-9A-Fa-f:.]{2,45}\]|[A-Za-z0-9]([A-Za-z0-9._-]{0,252}))"
+    r":(?P<port>[0-9]{1,5})",
+    re.ASCII,
+)
+_ROUTERS_FORM: Final = "rossec-seat"
+_AGAIN: Final = "ask the operator of the router for it again: rossec router seats show NAME"
+
+
+@dataclass(frozen=True)
+class Routers:
+    """The routers of a site.
+
+    Attributes:
+        locators: where they listen: `tls/router.example.org:7447`; any of them will do.
+        seat: name of the customer, a part of its keys (`rossec.overlay.link_frames`).
+        password: of the seat; empty at a router that is open to all.
+        root_certificate: PEM, of the authority that certified the routers; empty without TLS.
+    """
+
+    locators: tuple[str, ...]
+    seat: str
+    password: str = field(default="", repr=False)
+    root_certificate: str = field(default="", repr=False)
+
+    def __post_init__(self) -> None:
+        """Raise `ConfigurationError` unless all of it is in form."""
+        if not 0 < len(self.locators) <= MAX_LOCATORS:
+            raise ConfigurationError(f"a seat names 1 to {MAX_LOCATORS} routers", _AGAIN)
+        for each in self.locators:
+            check_locator(each)
+        check_seat(self.seat)
+        if self.seat != OPEN_SEAT or self.password:
+            check_password(self.password)
+        _check_root(self.root_certificate, needed=any(map(is_encrypted, self.locators)))
+
+    @classmethod
+    def read(cls, data: bytes) -> Self:
+        """The content of a seat file.
+
+        Raises:
+            ConfigurationError: it is not one.
+        """
+        found = read_document(
+            data,
+            _ROUTERS_FORM,
+            frozenset(each.name for each in fields(cls)),
+            limit=MAX_SEAT_FILE,
+            hint=_AGAIN,
+        )
+        locators = found.pop("locators")
+        if not is_texts(locators) or not is_texts(list(found.values())):
+            raise ConfigurationError("the seat file has a value of another type", _AGAIN)
+        return cls(tuple(locators), **found)
+
+    def write(self) -> bytes:
+        """The seat file: it holds the password."""
+        return write_document(_ROUTERS_FORM, asdict(self))
+
+
+def check_seat(seat: str) -> str:
+    """`seat`, if it is the name of one.
+
+    Raises:
+        ConfigurationError: it is not.
+    """
+    if not is_seat(seat):
+        raise ConfigurationError(
+            f"{seat[:40]!a} is not the name of a seat", "at most 32 of the characters a-z and 0-9"
+        )
+    return seat
+
+
+def check_password(password: str) -> str:
+    """`password`, if it is one that a router made; it is in no message.
+
+    Raises:
+        ConfigurationError: it is not.
+    """
+    if not _PASSWORD.fullmatch(password):
+        raise ConfigurationError("the password of a seat is not in form", _AGAIN)
+    return password
+
+
+def check_locator(locator: str) -> tuple[str, str, int]:
+    """Protocol, host (without brackets) and port of a locator.
+
+    Raises:
+        ConfigurationError: it is not one.
+    """
+    match = _LOCATOR.fullmatch(locator)
+    if match is None or not 0 < int(match["port"]) < 1 << 16:
+        raise ConfigurationError(
+            f"{locator[:80]!a} is not the address of a router",
+            "it looks like tls/router.example.org:7447, with quic/, tls/ or tcp/",
+        )
+    return match["protocol"], match["host"].strip("[]"), int(match["port"])
+
+
+def is_encrypted(locator: str) -> bool:
+    """Whether a locator's router is verified, and what is sent to it encrypted."""
+    return not locator.startswith("tcp/")
+
+
+def _check_root(pem: str, *, needed: bool) -> None:
+    if not pem and not needed:
+        return
+    try:
+        (_certificate,) = x509.load_pem_x509_certificates(pem.encode())
+    except ValueError:
+        raise ConfigurationError(
+            "a seat at a router with TLS needs the certificate of its authority", _AGAIN
+        ) from None

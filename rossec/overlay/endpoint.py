@@ -3,28 +3,318 @@
 Anybody who learned the key of a mailbox may put to it, and may name any mailbox for the answer. So
 of OPENs only so many a second are looked at, the handshakes of a mailbox are limited as those of an
 address are, and a peer that is not authenticated is sent three times what it sent, at most.
+
+What a link needs of whatever carries its frames; `zenoh_carrier.Carrier` is the real one.
+
+A link as the transport of a secure stream: `net.aio.transport.Transport`, without a socket.
+
+What the owner does not read is not told to the link as consumed, so its window closes and the peer
+waits, as a kernel's would. An end is the link's END, an abort its RESET. When nothing at all came
+from the routers for a while, though an answer is due, the session with them is at fault: it is
+replaced before the link gives up.
+
+The routers as a relay uses them: links to mailboxes, and mailboxes that are read. A shell.
 """
 
 import asyncio
 import logging
 import secrets
+from collections import deque
+from collections.abc import Awaitable, Callable
 from functools import partial
-from typing import Final
+from typing import Final, Protocol
 
-from grants.token_bucket import TokenBucket
+from ca.certificates import Identity
+from grants.limits import TokenBucket
 from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.opening import WireProtocol
+from rossec.channel.records import Bytes
 from rossec.errors import LinkEnded
-from rossec.net.aio.accepted import AcceptedStreams, Handler
+from rossec.net.aio import SecureContext as aio_SecureContext
+from rossec.net.aio import SecureStream as aio_SecureStream
 from rossec.net.aio.client import authenticate
+from rossec.net.aio.server import AcceptedStreams, Handler
 from rossec.net.aio.stream import SecureStream
-from rossec.net.aio.transport import TransportOwner
+from rossec.net.aio.transport import BaseStream, TransportOwner
 from rossec.net.context import SecureContext
-from rossec.overlay.carriers import FrameCarrier
-from rossec.overlay.link import Link
-from rossec.overlay.link_frames import LINK_ID, Kind, kind_of, link_of, refusal
-from rossec.overlay.link_transport import LinkTransport
-from rossec.overlay.mailboxes import BOX, mailbox
+from rossec.overlay.documents import Routers
+from rossec.overlay.link import ENDED, Link, LinkStats
+from rossec.overlay.link_frames import BOX, LINK_ID, Kind, kind_of, link_of, mailbox, refusal
+from rossec.overlay.zenoh_carrier import Carrier
+
+
+class MailboxReader(Protocol):
+    """A mailbox that is read."""
+
+    def close(self) -> None:
+        """Read it no more."""
+        ...
+
+
+class FrameCarrier(Protocol):
+    """Carries frames to mailboxes: any of them may be lost, come twice, or late."""
+
+    @property
+    def heard_at(self) -> float:
+        """When the last message arrived, whichever it was, on the loop's clock."""
+        ...
+
+    def put(self, key: str, data: bytes) -> None:
+        """Send a frame to a mailbox; never raises for one that is lost."""
+        ...
+
+    def subscribe(self, key: str, callback: Callable[[bytes], None]) -> MailboxReader:
+        """Call back on the loop with each frame that arrives in a mailbox."""
+        ...
+
+    def reopen(self) -> None:
+        """Begin anew with the routers: nothing arrives any more."""
+        ...
+
+
+STALLED: Final = 15.0  # seconds: half of what a link endures
+
+
+class LinkTransport:
+    """The link of one connection; it starts when its owner first writes.
+
+    Args:
+        link: opened or accepted.
+        key: the mailbox of the peer.
+        carrier: takes the frames.
+        on_closed: called once, when no frame is wanted any more.
+        owner: of the bytes.
+    """
+
+    __slots__ = (
+        "_arrived", "_carrier", "_ending", "_flush_due", "_key", "_lagging", "_loop", "_on_closed",
+        "_owner", "_reading", "_timer", "closed", "link", "local_address", "reason",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        link: Link,
+        key: str,
+        carrier: FrameCarrier,
+        on_closed: Callable[[], None],
+        owner: TransportOwner,
+    ) -> None:
+        self.link = link
+        self.local_address = ""  # nobody who comes by a link is near
+        self.reason: LinkEnded | None = None
+        """Why the link ended, if not in order."""
+        self.closed = False
+        self._key = key
+        self._carrier = carrier
+        self._on_closed = on_closed
+        self._owner = owner
+        self._loop = asyncio.get_running_loop()
+        self._arrived: deque[Bytes] = deque()
+        self._timer: asyncio.TimerHandle | None = None
+        self._reading = self._lagging = self._flush_due = self._ending = False
+
+    # -- frames
+
+    def frame_received(self, frame: bytes) -> None:
+        """Take a frame of this link."""
+        if self.closed:
+            return
+        try:
+            self._arrived.extend(self.link.receive(frame, self._loop.time()))
+        except LinkEnded as error:
+            self._break(error)
+            return
+        except BaseException:  # a bug: nothing more passes
+            self.abort()
+            raise
+        if self._arrived:
+            self._deliver()
+        self._flush_soon()
+
+    def validated(self) -> None:
+        """The peer is authenticated: the link may carry as much as it can."""
+        if not self.closed:
+            self.link.validated()
+            self._flush_soon()
+
+    def _flush_soon(self) -> None:
+        """Once for all frames of this turn: many are acknowledged together."""
+        if not self._flush_due:
+            self._flush_due = True
+            self._loop.call_soon(self._flush)
+
+    def _flush(self) -> None:
+        self._flush_due = False
+        if self.closed:
+            return
+        self._send()
+        if self._lagging and self.link.backlog == 0:
+            self._lagging = False
+            self._owner.resume_writing()
+        self._settle()
+
+    def _send(self) -> None:
+        link, put = self.link, self._carrier.put
+        for frame in link.frames_to_send(self._loop.time()):
+            put(self._key, frame)
+        deadline = link.deadline()
+        if deadline is not None and (self._timer is None or deadline < self._timer.when()):
+            self._arm(deadline)
+
+    def _settle(self) -> None:
+        """Has the peer ended its stream, or is the link over?"""
+        if self.closed:
+            return
+        link = self.link
+        if link.peer_ended and self._reading and not self._arrived and not self._ending:
+            self._ending = True
+            self._reading = False
+            self._owner.eof_received()
+            self.finish()
+        elif link.state in ENDED:
+            self._close()
+
+    # -- reading
+
+    @property
+    def reading(self) -> bool:
+        """Whether arriving bytes are read."""
+        return self._reading
+
+    def resume_reading(self) -> None:
+        """Read whenever bytes arrive, and those that wait."""
+        if not (self._reading or self._ending or self.closed):
+            self._reading = True
+            if self._arrived or self.link.peer_ended:
+                self._loop.call_soon(self._read_on)
+
+    def _read_on(self) -> None:
+        if not self.closed:
+            self._deliver()
+            self._flush_soon()
+
+    def pause_reading(self) -> None:
+        """Leave what arrives in the link, whose window slows the peer."""
+        self._reading = False
+
+    def _deliver(self) -> None:
+        arrived, link = self._arrived, self.link
+        while arrived and self._reading and not self.closed:
+            piece = arrived.popleft()
+            buffer = self._owner.get_buffer()
+            count = len(piece)
+            if count > len(buffer):
+                count = len(buffer)
+                arrived.appendleft(memoryview(piece)[count:])
+                piece = memoryview(piece)[:count]
+            buffer[:count] = piece
+            link.consumed(count, self._loop.time())
+            try:
+                self._owner.buffer_updated(count)
+            except BaseException:  # a bug, perhaps in a guard: nothing more passes
+                self.abort()
+                raise
+
+    # -- writing
+
+    def limit_unsent(self) -> None:
+        """Nothing to do: what the link's window does not take waits in `backlog`."""
+
+    @property
+    def backlog(self) -> int:
+        """Bytes that wait for the link's window."""
+        return self.link.backlog
+
+    @property
+    def writable(self) -> bool:
+        """Whether a writer need not wait."""
+        return self.link.writable
+
+    def write(self, data: Bytes) -> None:
+        """Send `data`, which may change afterwards."""
+        if self.closed:
+            return
+        self.link.write(data, self._loop.time())
+        self._send()
+        if self.link.backlog:
+            self._lagging = True
+
+    # -- ends
+
+    def write_eof(self) -> None:
+        """End this side's stream after what was written."""
+        if not self.closed:
+            self.link.finish(self._loop.time())
+            self._flush_soon()
+
+    def finish(self) -> None:
+        """Close once everything is written: both sides have closed."""
+        self._ending, self._reading = True, False
+        self.write_eof()
+
+    def abort(self) -> None:
+        """End the link now; what was not sent is dropped, and the peer is told."""
+        if self.closed:
+            return
+        if self.link.state not in ENDED:
+            self._carrier.put(self._key, self.link.reset())
+        self._close()
+
+    def _break(self, error: LinkEnded) -> None:
+        self.reason = error.bare()
+        for frame in self.link.frames_to_send(self._loop.time()):
+            self._carrier.put(self._key, frame)
+        self._close()
+
+    def _close(self) -> None:
+        self.closed = True
+        self._reading = False
+        self._arrived.clear()
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        self._on_closed()
+        self._loop.call_soon(self._owner.connection_lost)
+        del self._owner, self._on_closed  # no reference cycle with the owner
+
+    # -- time
+
+    def _arm(self, deadline: float) -> None:
+        """One timer for all deadlines: when it fires too early, it is set again."""
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = self._loop.call_at(deadline, self._on_timer)
+
+    def _on_timer(self) -> None:
+        self._timer = None
+        now = self._loop.time()
+        try:
+            self.link.tick(now)
+        except LinkEnded as error:
+            self._break(error)
+            return
+        since = self.link.silent_since
+        if since is not None and now - max(since, self._carrier.heard_at) > STALLED:
+            self._carrier.reopen()
+        self._flush()
+
+
+def idle_round_trip(stream: BaseStream) -> float:
+    """The shortest round trip of the link under a stream; 0: none yet, or it is not over a link."""
+    transport = stream.transport
+    return transport.link.stats.least_s if isinstance(transport, LinkTransport) else 0.0
+
+
+def stats_of(stream: BaseStream) -> LinkStats:
+    """What the link under a stream measured.
+
+    Raises:
+        TypeError: the stream is not over a link.
+    """
+    if not isinstance(stream.transport, LinkTransport):
+        raise TypeError("this connection is not over a link")
+    return stream.transport.link.stats
+
 
 _log = logging.getLogger("rossec.overlay.endpoint")
 ADDRESS: Final = "a link"  # of the peer, in messages: keys of mailboxes are told to nobody
@@ -166,3 +456,44 @@ class LinkListener(AcceptedStreams[PeerT]):
 
 def _now() -> float:
     return asyncio.get_running_loop().time()
+
+
+class RouterNetwork:
+    """A carrier and the identity whose links it carries."""
+
+    def __init__(
+        self, carrier: Carrier, routers: Routers, context: aio_SecureContext[Identity]
+    ) -> None:
+        self.seat: Final = routers.seat
+        self._carrier = carrier
+        self._context = context
+
+    @property
+    def router(self) -> str:
+        """The router in use; empty: none, one is looked for."""
+        return self._carrier.router
+
+    async def dial(self, mailbox: str) -> aio_SecureStream[Identity]:
+        """A link to whoever reads this mailbox.
+
+        Raises:
+            RossecError, TimeoutError: nobody answers, or the handshake fails.
+        """
+        return await dial_link(self._carrier, mailbox, self.seat, self._context)
+
+    def listen(
+        self,
+        mailbox: str,
+        serve: Callable[[aio_SecureStream[Identity]], Awaitable[None]],
+        label: str,
+    ) -> LinkListener[Identity]:
+        """Call `serve` with each authenticated link that arrives in this mailbox.
+
+        Unfinished handshakes are limited for each `label`, that of the peer it was told to.
+
+        Raises:
+            OverlayUnavailable: the session with the routers is closed.
+        """
+        return LinkListener(
+            self._carrier, mailbox, self._context, serve, address=f"a link from {label}"
+        )

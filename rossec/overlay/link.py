@@ -4,18 +4,54 @@
 call `tick` at `deadline`. Nothing here is authenticated: the bytes inside are. So the side that was
 called sends at most three times what it received until `validated` (a forged reply key must not
 amplify), and routers, who see the identifier of a link, can end it, as they could by dropping.
+
+The states of a link, what changes them, and what a link tells of itself. Pure.
 """
 
+from dataclasses import dataclass
+from enum import IntEnum, auto
 from typing import Final, Self
 
 from rossec.channel.records import Bytes
 from rossec.errors import LinkEnded
 from rossec.overlay import link_frames as frames
 from rossec.overlay.link_frames import HEAD, MAX_FRAME, OPEN_SIZE, Frame, Kind
-from rossec.overlay.link_receiver import Receiver
-from rossec.overlay.link_sender import Sender
-from rossec.overlay.link_states import ENDED, NEXT, OPEN, LinkState, LinkStats
-from rossec.overlay.link_timing import FIRST_WINDOW, KEEPALIVE, LINGER, SILENCE
+from rossec.overlay.link_halves import FIRST_WINDOW, KEEPALIVE, LINGER, SILENCE, Receiver, Sender
+
+
+class LinkState(IntEnum):
+    """Where a link is."""
+
+    IDLE = auto()  # called from here, and nothing written yet
+    OPENING = auto()  # OPEN was sent
+    RUNNING = auto()
+    DRAINING = auto()  # `finish` was called
+    DONE = auto()  # both sides ended
+    RESET = auto()
+
+
+ENDED: Final = frozenset({LinkState.DONE, LinkState.RESET})
+OPEN: Final = frozenset({LinkState.RUNNING, LinkState.DRAINING})
+NEXT: Final = {
+    (LinkState.IDLE, "write"): LinkState.OPENING,
+    (LinkState.IDLE, "finish"): LinkState.DONE,
+    (LinkState.OPENING, "answer"): LinkState.RUNNING,
+    (LinkState.RUNNING, "finish"): LinkState.DRAINING,
+    (LinkState.DRAINING, "drained"): LinkState.DONE,
+}
+"""What changes a state; a reset ends every one, and the rest changes none."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkStats:
+    """What a link measured: round trips (smoothed, least; 0: none yet), octets of its streams."""
+
+    srtt_s: float
+    retransmissions: int
+    sent: int
+    received: int
+    least_s: float = 0.0
+
 
 AMPLIFICATION: Final = 3
 _HIGH_WATER: Final = 64 * 1024  # bytes not sent yet, above which a writer should wait

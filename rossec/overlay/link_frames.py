@@ -6,8 +6,15 @@ kind(1) link(16) offset(8) received(8) limit(8) body
 
 Every frame says how far the sender of it has received, and how far it may be sent to. Nothing in it
 is authenticated: the bytes that it carries are, inside. What is not in form is `LinkEnded`.
+
+Keys of mailboxes, `rossec/1/<seat>/<box>`. Pure.
+
+A seat is the router operator's name for a customer, a box 16 random bytes: no name, label, domain
+or topic is in a key. Whoever puts to a key that came from outside checks it here first: a key with
+a wildcard would be put to many mailboxes.
 """
 
+import re
 from dataclasses import dataclass
 from enum import IntEnum
 from struct import Struct
@@ -15,7 +22,33 @@ from typing import Final
 
 from rossec.channel.records import HEADER, MAX_PLAINTEXT, TAG, Bytes
 from rossec.errors import LinkEnded
-from rossec.overlay.mailboxes import is_mailbox
+
+BOX: Final = 16  # bytes
+_KEY: Final = re.compile(r"rossec/1/[a-z0-9]{1,32}/[0-9a-f]{32}")
+_SEAT: Final = re.compile(r"[a-z0-9]{1,32}")
+
+
+def is_seat(name: str) -> bool:
+    """Whether `name` may be that of a seat."""
+    return _SEAT.fullmatch(name) is not None
+
+
+def is_mailbox(key: str) -> bool:
+    """Whether `key` is the key of exactly one mailbox."""
+    return _KEY.fullmatch(key) is not None
+
+
+def mailbox(seat: str, box: bytes) -> str:
+    """The key of the mailbox `box` (16 random bytes) of a seat.
+
+    Raises:
+        ValueError: not a seat's name, or a box of another length.
+    """
+    key = f"rossec/1/{seat}/{box.hex()}"
+    if not is_mailbox(key):
+        raise ValueError("not the key of a mailbox")
+    return key
+
 
 _HEAD: Final = Struct(">B16sQQQ")
 _RANGE: Final = Struct(">QQ")

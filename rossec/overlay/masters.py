@@ -2,21 +2,396 @@
 
 A shell. The own master names the others; each says which doors it wants, and where targets that are
 registered at it are.
+
+The relay as a node of its own domain: its identity, and whom it may have links with. A shell.
+
+As every form of a node it keeps a session with its master, so that lists of domains, revocations
+and a renewed certificate arrive. It registers nothing and has no slave API: the master's answer to
+a call that waits (`rossec.relayDoors`) is the sign that lists may have changed, and it asks for
+them then (`refresh`). Every link is in its table of connections, which cuts it.
+
+A relay and one master of its site: which doors to open, and where targets are. A shell.
+
+The master is polled, so it needs no address of the relay. Only this master decides where a target
+is: what a relay of another site asks for is answered from its registrations, or refused.
 """
 
 import asyncio
-from collections.abc import Mapping
+import contextlib
+import logging
+from collections.abc import Awaitable, Callable, Collection, Mapping
 from functools import partial
+from secrets import SystemRandom
+from typing import Final, Protocol
 
 from ca.certificates import Identity
-from ca.errors import HintedError
-from rossec.errors import RelayRefused
-from rossec.master.state.doors import MASTER
-from rossec.net.aio import SecureStream, WireProtocol, connect
-from rossec.net.aio.tasks import TaskSet
-from rossec.overlay.master_link import DoorTable, MasterLink
-from rossec.overlay.member import RelayMember
-from rossec.ros.settings import parse_uri
+from ca.errors import HintedError, RevocationsStale
+from ca.names import shown
+from ca.revocation.trust_status import Standing
+from rossec import clock
+from rossec.channel.edhoc.credentials import KnownCertificates
+from rossec.channel.opening import post_quantum
+from rossec.environment import own_home, own_master
+from rossec.errors import (
+    AnswerMalformed,
+    AnswerRefused,
+    ChannelClosed,
+    RelayRefused,
+    RossecError,
+    StreamRefused,
+)
+from rossec.home import NodeHome
+from rossec.host.runner import TaskSet
+from rossec.master.state.forwarded_ports import MASTER as TARGET_MASTER
+from rossec.master.state.forwarded_ports import Door, Target, Way
+from rossec.master.state.registry import is_connectable
+from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
+from rossec.net.rpc.calls import CallFailed, RpcClient
+from rossec.overlay.mux import MASTER
+from rossec.overlay.wanted_ports import Orders, WantedDoors
+from rossec.participant.access import Access
+from rossec.participant.connections import ConnectionTable, Dialer
+from rossec.participant.membership import LoadedIdentity, Membership
+from rossec.participant.registrations import PublisherGrace, Retry
+from rossec.peer_limits import printable
+from rossec.ros import names
+from rossec.ros.names import RELAY_DOORS, RELAY_TARGET, Settings, build_door, parse_uri
+from rossec.ros.xmlrpc import Fault
+
+_log = logging.getLogger("rossec.overlay")
+
+
+class RelayMember:
+    """The identity of a relay, kept current at its own master.
+
+    Args:
+        name: the relay's certified name.
+        environ: where ROS_MASTER_URI, ROSSEC_MASTER, ROSSEC_HOME and so on are read from.
+
+    Attributes:
+        context: for connections with masters and nodes.
+        link_context: for links: certificates are sent by value, as links are made rarely.
+
+    Raises:
+        ConfigurationError: no identity, or another node's.
+        CertificateRefused, KeyRefused: the identity or the key is invalid.
+    """
+
+    def __init__(self, name: str, environ: Mapping[str, str]) -> None:
+        self.settings: Final[Settings] = names.read((), environ, default_name=name)
+        home = NodeHome.of(own_home(environ), name)
+        loaded = LoadedIdentity(home, name, own_master(environ))
+        self.home: Final = home
+        self.name: Final = name
+        self.master: Final = loaded.master
+        self.identity: Final = loaded.identity
+        self.standing: Final[Standing] = loaded.standing
+        self.access: Final = Access(loaded.standing, master=loaded.master)
+        suites = post_quantum(environ)
+        verify = loaded.anchors.verify
+        self.context: Final = SecureContext(
+            loaded.live_credentials, verify, suites=suites, known=KnownCertificates(),
+            renews=Identity.renews,
+        )  # fmt: skip
+        self.link_context: Final = SecureContext(
+            loaded.live_credentials, verify, suites=suites, renews=Identity.renews
+        )
+        self._connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(
+            loaded.standing, master=loaded.master
+        )
+        self._links: set[SecureStream[Identity]] = set()
+        self._failed = False
+        self._dialer = Dialer(name, self.context, self.access.check_peer)
+        grace = PublisherGrace(clock.counter())
+        self._membership = Membership(loaded, self.access, self._connections, grace, self)
+        self._ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+    def start(self) -> None:
+        """Begin; a master that is out of reach is tried again."""
+        self._membership.start()
+
+    async def wait_ended(self) -> None:
+        """Wait until it ends by itself.
+
+        Raises:
+            BaseException: what a task crashed with; every link is cut.
+        """
+        await asyncio.shield(self._ended)
+
+    async def close(self) -> None:
+        """End the session and every link."""
+        self._abort_links("the relay ends")
+        await self._membership.close()
+        self._ended.cancel()
+
+    async def refresh(self) -> None:
+        """Ask the master now for lists that are new, and cut what they end.
+
+        A master that is out of reach, or refuses, is asked again with the next heartbeat.
+        """
+        try:
+            await self._membership.session.refresh()
+        except (HintedError, OSError, TimeoutError, Fault) as error:
+            _log.debug("%s: no lists from the master: %s", self.name, error)
+
+    def admit(self, link: SecureStream[Identity]) -> None:
+        """Count a link with an authenticated relay until it is closed; it is cut when it must end.
+
+        A foreign relay may come while its domain's revocations are stale, or the masters of two
+        domains could never tell each other: `check_target` says for what.
+
+        Raises:
+            CAError: the relay is revoked, not trusted any more, or this is not known.
+            LimitExceeded: there are too many links with it.
+        """
+        self._connections.accept(link, link.peer, link.abort)  # a list may arrive meanwhile
+        self._links.add(link)
+        link.when_closed(partial(self._forget, link))
+        if self._failed:
+            raise ChannelClosed("the relay has failed")
+        try:
+            self.check_peer(link.peer)
+        except RevocationsStale:
+            if not link.peer.is_foreign:
+                raise
+            for key in link.peer.keys:
+                self.standing.own.check(key, clock.now())
+
+    def check_target(self, peer: Identity, kind: str) -> None:
+        """Return if a link with `peer` may lead to a target of this kind now.
+
+        Raises:
+            CAError: the peer may not come, or nobody has said lately that it may, and the target
+                is not a master, which judges by itself.
+        """
+        try:
+            self.check_peer(peer)
+        except RevocationsStale:
+            if kind != MASTER or not peer.is_foreign:
+                raise
+
+    def _forget(self, link: SecureStream[Identity]) -> None:
+        self._connections.forget(link)
+        self._links.discard(link)
+
+    def check_peer(self, peer: Identity) -> None:
+        """Raise a `CAError` when `peer` is revoked, or this is not known."""
+        self.access.check_peer(peer, clock.now())
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether there is a session with the master."""
+        return self._membership.session.is_open
+
+    def _abort_links(self, reason: str) -> None:
+        for link in tuple(self._links):
+            link.abort(reason)
+
+    # -- hooks of the membership (MembershipHooks)
+
+    async def dial_master(self) -> SecureStream[Identity]:
+        """Connect to the master."""
+        return await self._dialer.rpc(self.settings.master_host, self.settings.master_port)
+
+    async def dial_watch(self) -> SecureStream[Identity]:
+        """Connect to the master once more, for a call that waits."""
+        return await self.dial_master()
+
+    async def restore(self) -> None:
+        """Nothing is registered."""
+
+    async def rights_changed(self) -> None:
+        """No registration waits for a right."""
+
+    def maintain(self) -> None:
+        """Nothing is due each second: a link ends by itself with the certificate of its peer."""
+
+    def crashed(self, error: BaseException) -> None:
+        """Cut every link, and admit none: nothing would cut it."""
+        self._failed = True
+        self._abort_links("the relay has failed")
+        if not self._ended.done():
+            self._ended.set_exception(error)
+
+
+OLD_MASTER: Final = 30.0  # seconds until a master that knows no relays is asked again
+_Failures: Final = (HintedError, OSError, TimeoutError)
+
+Dial = Callable[[], Awaitable[SecureStream[Identity]]]
+"""Connects with the master as the relay, for HTTP; who answers is checked here."""
+
+
+class DoorTable(Protocol):
+    """The doors of this relay. Several masters may want one target: it has one door."""
+
+    async def open(self, target: Target, master: str) -> Door:
+        """The door of `target`, opened if there is none, and held for `master`.
+
+        Raises:
+            RossecError, OSError: the peer is not known, or no door can be opened.
+        """
+
+    def release(self, target: Target, master: str) -> None:
+        """`master` wants it no longer: nobody new is let in when no master does."""
+
+    def take_dropped(self, master: str) -> Collection[Target]:
+        """What `master` wants and was closed since the last call, as its peer was removed."""
+
+    def ways(self) -> Mapping[str, Way]:
+        """How each peer of this relay is reached, by label."""
+
+
+class MasterLink:
+    """One master of the own domain.
+
+    Args:
+        name: the name it is certified for.
+        relay: the relay's own name.
+        instance: random, of this run of the relay.
+        dial: connects with the master.
+        doors: those of the relay.
+        on_masters: called with the masters that this one says shall be polled too.
+
+    Attributes:
+        error: why the master is not polled now; empty: it is.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        relay: str,
+        instance: str,
+        dial: Dial,
+        doors: DoorTable,
+        on_masters: Callable[[Mapping[str, str]], None],
+    ) -> None:
+        self.name: Final = name
+        self.error = ""
+        self._relay = relay
+        self._instance = instance
+        self._dial = dial
+        self._doors = doors
+        self._on_masters = on_masters
+        self._wanted = WantedDoors()
+        self._asking: RpcClient | None = None
+        self._turn = asyncio.Lock()
+        self._retry = Retry(SystemRandom().random)
+
+    async def run(self) -> None:
+        """Poll until cancelled; doors stay open while the master is away."""
+        try:
+            while True:
+                pause = await self._poll_until_failure()
+                await asyncio.sleep(pause)
+        finally:
+            for target in self._wanted.held:
+                self._doors.release(target, self.name)
+
+    async def close(self) -> None:
+        """End the connection on which targets are asked for; `run` has been cancelled."""
+        async with self._turn:
+            if self._asking is not None:
+                await self._asking.close()
+
+    async def target(self, domain: str, kind: str, name: str) -> tuple[str, int]:
+        """Host and port of what another relay wants to reach.
+
+        Args:
+            domain: the label of that relay's domain; empty: the own one.
+            kind, name: a target, by its name here.
+
+        Raises:
+            StreamRefused: it is not registered at this master, or not shown to that domain.
+            RossecError, OSError, TimeoutError: no answer.
+        """
+        try:
+            answer = await self._ask(domain, kind, name)
+        except (AnswerRefused, Fault) as error:
+            text = error.faultString if isinstance(error, Fault) else error
+            raise StreamRefused(printable(f"{self.name}: {text}")) from error
+        match answer:
+            case [str() as host, int() as port] if is_connectable(build_door(host, port), "http"):
+                return host, port
+            case _:
+                raise AnswerMalformed(f"{self.name} says that a target is nowhere")
+
+    async def _ask(self, domain: str, kind: str, name: str) -> object:
+        for _ in range(2):  # the master ends a connection that was silent for long
+            kept = self._asking
+            client = await self._client()
+            try:
+                return await client.ask(RELAY_TARGET, self._relay, domain, kind, name)
+            except RossecError:
+                if client is not kept or not client.closed:
+                    raise
+        raise CallFailed(f"{self.name} ends every connection")
+
+    async def _client(self) -> RpcClient:
+        """The connection on which targets are asked for: a poll occupies its own."""
+        async with self._turn:
+            if self._asking is None or self._asking.closed:
+                self._asking = RpcClient(await self._connected())
+            return self._asking
+
+    async def _connected(self) -> SecureStream[Identity]:
+        stream = await self._dial()
+        peer = stream.peer
+        if peer.is_foreign or peer.wildcard or peer.name != self.name:
+            stream.abort("not the master of this relay")
+            raise RelayRefused(
+                f"{shown(peer.name)} answers at the address of {self.name}",
+                "check ROS_MASTER_URI, and the URIs in: rossec federation list",
+            )
+        return stream
+
+    async def _poll_until_failure(self) -> float:
+        """Poll; returns how many seconds to wait before the next attempt."""
+        try:
+            await self._poll()
+        except Fault as fault:
+            self._report(f"it is older than this relay, update it: {fault.faultString}")
+            return OLD_MASTER
+        except _Failures as error:
+            hint = error.hint if isinstance(error, HintedError) else ""
+            self._report(f"{error} ({hint})" if hint else str(error) or type(error).__name__)
+        return self._retry.pause(asyncio.get_running_loop().time())
+
+    async def _poll(self) -> None:
+        client = RpcClient(await self._connected())
+        try:
+            self._wanted.connected()
+            while True:
+                report = self._wanted.report()
+                ways = {peer: way._asdict() for peer, way in self._doors.ways().items()}
+                answer = await client.ask(
+                    RELAY_DOORS, self._relay, self._instance, self._wanted.seen, report, ways
+                )
+                orders = self._wanted.take(answer, len(report))
+                self._retry.succeeded()
+                self.error = ""
+                await self._carry_out(orders)
+        finally:
+            with contextlib.suppress(*_Failures):
+                await client.close()
+
+    async def _carry_out(self, orders: Orders) -> None:
+        for target in orders.close:
+            self._doors.release(target, self.name)
+        again = self._wanted.lost(self._doors.take_dropped(self.name))
+        for target in (*orders.open, *again):
+            try:
+                self._wanted.opened(target, await self._doors.open(target, self.name))
+            except _Failures as error:
+                if self._wanted.failed(target):
+                    where = f"{target.name} of {target.peer}"
+                    _log.warning("no door for %s: %s", where, printable(error))
+        self._on_masters(orders.masters)
+
+    def _report(self, text: str) -> None:
+        text = printable(text)
+        if text != self.error:
+            _log.warning("%s: %s", self.name, text)
+        self.error = text
 
 
 class OwnMasters:
@@ -65,7 +440,7 @@ class OwnMasters:
         Raises:
             HintedError: no master has it, or shows it to that domain.
         """
-        if kind == MASTER:
+        if kind == TARGET_MASTER:
             links = [self._links[name]] if name in self._links else []
         else:
             links = list(self._links.values())

@@ -4,31 +4,303 @@ Only the relay that made the link opens streams; it numbers them 0, 1, 2, ... an
 again. Each direction of a stream has its own credit, so that no stream fills the link's memory and
 a slow one stops itself alone. What a relay may not do ends the link; what it may do too often is
 refused for that stream. Specification: docs/spec/overlay.md.
+
+Units of the stream multiplexer between two relays, as bytes. Pure.
+
+A unit is a deterministic CBOR array `[stream, verb, ...]` (docs/spec/overlay.md); what arrives at
+once is a sequence of them (RFC 8742). They are read by hand, not by `cbor2`: a payload is a view of
+what arrived and is never copied. Whatever has another form is refused, and the link with it.
+
+How much a peer may send in one direction of a stream before it is taken. Pure.
+
+A window begins small and grows while the program takes half of it within a round trip and lets
+nothing wait (as TCP's receive buffer, "dynamic right-sizing"): then the window is what limits it.
+It is measured by the round trip of an idle way, so that a window does not grow by the queue that it
+makes. A program that lags gets no credit until its window has shrunk again. What windows have
+beyond the first one comes out of a fund that the link's streams share.
 """
 
 from collections import Counter
 from dataclasses import dataclass
-from enum import Enum, auto
-from typing import Final, TypeAlias
+from enum import Enum, IntEnum, auto
+from typing import Final, NamedTuple, TypeAlias
 
+from ca.encoding import head
+from ca.errors import NameRefused
+from ca.names import MAX_NAME, check_name
 from rossec.channel.records import Bytes
 from rossec.errors import StreamRefused
-from rossec.overlay.mux_units import (
-    Credit,
-    Data,
-    End,
-    Open,
-    Reset,
-    Target,
-    Unit,
-    credit_unit,
-    data_head,
-    end_unit,
-    open_unit,
-    read_units,
-    reset_unit,
-)
-from rossec.overlay.stream_window import FIRST, MOST, Fund, ReceiveWindow
+
+MASTER: Final = "master"
+NODE: Final = "node"
+SERVICE: Final = "service"
+KINDS: Final = (MASTER, NODE, SERVICE)  # a kind's number is its place here
+
+HEADROOM: Final = 16  # bytes: no head of a data unit is longer
+MAX_DATA: Final = 64 * 1024 - HEADROOM  # payload of a unit; with its head it is one small record
+MAX_SEQUENCE: Final = 128 * 1024  # what arrives at once: a burst of small units, or one of data
+_MAX_STREAM: Final = (1 << 32) - 1
+
+_UINT, _BYTES, _TEXT, _ARRAY = 0, 0x40, 0x60, 0x80
+_WIDTHS: Final = {24: (1, 24), 25: (2, 1 << 8), 26: (4, 1 << 16)}  # bytes, and least value
+
+
+class StreamTarget(NamedTuple):
+    """What a stream leads to, at the site of the called relay, by the names used there."""
+
+    kind: str
+    name: str
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.name}"
+
+
+class Verb(IntEnum):
+    """What a unit is about."""
+
+    OPEN = 0
+    DATA = 1
+    CREDIT = 2
+    END = 3
+    RESET = 4
+
+
+_DATA: Final = int(Verb.DATA)
+_LENGTHS: Final = (4, 3, 3, 2, 2)  # items of a unit, by its verb
+
+
+@dataclass(frozen=True, slots=True)
+class Open:
+    """The caller opens a stream."""
+
+    stream: int
+    target: StreamTarget
+
+
+@dataclass(slots=True)  # one for each unit: frozen ones take three times as long to make
+class Data:
+    """Bytes of a stream; a view of what arrived."""
+
+    stream: int
+    payload: memoryview
+
+
+@dataclass(frozen=True, slots=True)
+class Credit:
+    """So many bytes more may be sent."""
+
+    stream: int
+    amount: int
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """The sender sends nothing more in this stream."""
+
+    stream: int
+
+
+@dataclass(frozen=True, slots=True)
+class Reset:
+    """The stream is refused, or broken off."""
+
+    stream: int
+
+
+Unit: TypeAlias = Open | Data | Credit | End | Reset
+
+
+def open_unit(stream: int, target: StreamTarget) -> bytes:
+    """`[stream, 0, kind, name]`."""
+    name = target.name.encode()
+    kind = KINDS.index(target.kind)
+    return _begin(Verb.OPEN, stream) + head(_UINT, kind) + head(_TEXT, len(name)) + name
+
+
+def data_head(stream: int, length: int) -> bytes:
+    """What precedes `length` bytes of payload in `[stream, 1, payload]`."""
+    return _begin(Verb.DATA, stream) + head(_BYTES, length)
+
+
+def credit_unit(stream: int, amount: int) -> bytes:
+    """`[stream, 2, amount]`."""
+    return _begin(Verb.CREDIT, stream) + head(_UINT, amount)
+
+
+def end_unit(stream: int) -> bytes:
+    """`[stream, 3]`."""
+    return _begin(Verb.END, stream)
+
+
+def reset_unit(stream: int) -> bytes:
+    """`[stream, 4]`."""
+    return _begin(Verb.RESET, stream)
+
+
+def _begin(verb: Verb, stream: int) -> bytes:
+    return head(_ARRAY, _LENGTHS[verb]) + head(_UINT, stream) + head(_UINT, verb)
+
+
+def read_units(data: Bytes) -> list[Unit]:
+    """The units in `data`, which is a whole sequence of them.
+
+    Raises:
+        StreamRefused: it is not, or one is out of its bounds.
+    """
+    if len(data) > MAX_SEQUENCE:
+        raise StreamRefused(f"{len(data)} bytes of units where at most {MAX_SEQUENCE} are allowed")
+    reader = _Reader(memoryview(data))
+    units: list[Unit] = []
+    while not reader.at_end:
+        units.append(_read_unit(reader))
+    return units
+
+
+def _read_unit(reader: "_Reader") -> Unit:
+    length = reader.head(_ARRAY, 4)
+    stream = reader.head(_UINT, _MAX_STREAM)
+    verb = reader.head(_UINT, 4)
+    if length != _LENGTHS[verb]:
+        raise StreamRefused(f"a unit of {length} items with the verb {verb}")
+    if verb == _DATA:  # the usual one first
+        return Data(stream, reader.take(reader.head(_BYTES, MAX_DATA, 1)))
+    match Verb(verb):
+        case Verb.CREDIT:
+            return Credit(stream, reader.head(_UINT, _MAX_STREAM, 1))
+        case Verb.OPEN:
+            return Open(stream, _read_target(reader))
+        case Verb.END:
+            return End(stream)
+        case _:
+            return Reset(stream)
+
+
+def _read_target(reader: "_Reader") -> StreamTarget:
+    kind = KINDS[reader.head(_UINT, len(KINDS) - 1)]
+    raw = bytes(reader.take(reader.head(_TEXT, MAX_NAME)))
+    try:
+        return StreamTarget(kind, check_name(raw.decode("ascii")))
+    except (UnicodeDecodeError, NameRefused) as error:
+        raise StreamRefused(f"a stream to {raw!r}, which is not a name") from error
+
+
+class _Reader:
+    """Heads of deterministic CBOR, one after the other."""
+
+    __slots__ = ("_at", "_data", "_size")
+
+    def __init__(self, data: memoryview) -> None:
+        self._data = data
+        self._size = len(data)
+        self._at = 0
+
+    @property
+    def at_end(self) -> bool:
+        return self._at == self._size
+
+    def take(self, length: int) -> memoryview:
+        begin = self._at
+        end = begin + length
+        if end > self._size:
+            raise StreamRefused("a unit that ends too early")
+        self._at = end
+        return self._data[begin:end]
+
+    def head(self, major: int, most: int, least: int = 0) -> int:
+        """The number of a head of this type, from `least` to `most`, in its shortest form."""
+        if self._at >= self._size:
+            raise StreamRefused("a unit that ends too early")
+        value = self._data[self._at] ^ major
+        self._at += 1
+        if value >= 24:
+            value = self._long(value)
+        if not least <= value <= most:
+            raise StreamRefused(f"a unit with {value} where {least} to {most} are allowed")
+        return value
+
+    def _long(self, info: int) -> int:
+        width, least = _WIDTHS.get(info, (0, 0))
+        if not width:
+            raise StreamRefused("a unit with an item of another type or size")
+        value = int.from_bytes(self.take(width))
+        if value < least:
+            raise StreamRefused("a unit whose numbers are not in their shortest form")
+        return value
+
+
+FIRST: Final = 256 * 1024  # bytes
+MOST: Final = 4 * 1024 * 1024  # the window of a link
+FUND: Final = 32 * 1024 * 1024
+SHORTEST_ROUND: Final = 0.005  # seconds: two relays and two programs take turns
+
+
+class Fund:
+    """Bytes that the windows of one link may have beyond their first ones."""
+
+    __slots__ = ("left",)
+
+    def __init__(self, left: int = FUND) -> None:
+        self.left = left
+
+
+class ReceiveWindow:
+    """One direction of a stream at its receiver; `allowed`: what the peer may still send.
+
+    `allowed` and `held` (bytes that arrived and were not taken) are never more than `size`.
+    """
+
+    __slots__ = ("_began", "_fund", "_taken", "allowed", "held", "size")
+
+    def __init__(self, fund: Fund) -> None:
+        self.size = self.allowed = FIRST
+        self.held = 0
+        self._fund = fund
+        self._began = 0.0  # when the round began in which `_taken` bytes were taken
+        self._taken = 0
+
+    def arrived(self, length: int) -> None:
+        """The peer sent so many of the bytes it may send."""
+        self.allowed -= length
+        self.held += length
+
+    def took(self, count: int, now: float, round_trip_s: float) -> int:
+        """The program took `count` bytes; the credit to give, if it is time.
+
+        Args:
+            round_trip_s: of the link when it is idle; 0 if that is not known.
+        """
+        if count > self.held:
+            raise ValueError("more was taken than arrived")
+        self.held -= count
+        self._taken += count
+        if round_trip_s > 0:
+            self._adapt(now, max(round_trip_s, SHORTEST_ROUND))
+        credit = self.size - self.allowed - self.held
+        if credit < self.size // 4:
+            return 0
+        self.allowed += credit
+        return credit
+
+    def _adapt(self, now: float, round_s: float) -> None:
+        """Once in a round."""
+        elapsed = now - self._began
+        if elapsed < round_s:
+            return
+        wanted = int(2 * self._taken * round_s / elapsed)
+        self._began, self._taken = now, 0
+        if self.held > self.size // 2:
+            self._resize(max(FIRST, self.size // 2, self.allowed + self.held))
+        elif wanted > self.size and self.held == 0:
+            self._resize(min(wanted, 2 * self.size, MOST, self.size + self._fund.left))
+
+    def _resize(self, size: int) -> None:
+        self._fund.left -= size - self.size
+        self.size = size
+
+    def close(self) -> None:
+        """The stream is over."""
+        self._resize(FIRST)
+
 
 STREAMS: Final = 256
 FOR_ONE_NAME: Final = STREAMS // 2
@@ -75,7 +347,7 @@ class Opened:
     """The caller opened a stream: connect it to its target."""
 
     stream: int
-    target: Target
+    target: StreamTarget
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +355,7 @@ class Refused:
     """A stream of the caller was refused, as it has too many: send `reply`."""
 
     stream: int
-    target: Target
+    target: StreamTarget
     reply: bytes
 
 
@@ -93,7 +365,7 @@ Event: TypeAlias = Opened | Refused | Data | Credit | End | Reset
 
 @dataclass(slots=True)
 class _Stream:
-    target: Target
+    target: StreamTarget
     opened: float
     window: ReceiveWindow
     phase: Phase = Phase.OPEN
@@ -114,7 +386,7 @@ class Mux:
 
     def __init__(self, role: Role, first: int = 0) -> None:
         self._streams: dict[int, _Stream] = {}
-        self._for_name: Counter[Target] = Counter()
+        self._for_name: Counter[StreamTarget] = Counter()
         self._fund = Fund()
         self._abandoned: set[int] = set()  # over, and still being connected at the called side
         self._next = first
@@ -134,7 +406,7 @@ class Mux:
 
     # -- opening
 
-    def crowded(self, target: Target, now: float) -> str:
+    def crowded(self, target: StreamTarget, now: float) -> str:
         """Why no stream to `target` may be opened now (seconds, monotonic); empty: one may."""
         if len(self._streams) >= STREAMS:
             return f"{STREAMS} streams are open"
@@ -162,7 +434,7 @@ class Mux:
         if stream in self._streams:
             self._streams[stream].connecting = False
 
-    def open(self, target: Target, now: float) -> tuple[int, bytes]:
+    def open(self, target: StreamTarget, now: float) -> tuple[int, bytes]:
         """The number of a new stream, and the unit that opens it.
 
         Raises:
@@ -173,7 +445,7 @@ class Mux:
             raise StreamRefused(f"no stream to {target}: {reason or 'the link is used up'}")
         return self._add(target, now), open_unit(self._next - 1, target)
 
-    def _add(self, target: Target, now: float) -> int:
+    def _add(self, target: StreamTarget, now: float) -> int:
         number = self._next
         self._next += 1
         self._streams[number] = _Stream(

@@ -12,9 +12,8 @@ import threading
 from typing import Any, Final, Protocol
 
 from rossec.errors import ConfigurationError, OverlayUnavailable, RossecError
-from rossec.overlay.router_home import RouterHome
-from rossec.overlay.router_settings import RouterSettings, zenoh_settings
-from rossec.overlay.seats import Seats
+from rossec.overlay.homes import RouterHome
+from rossec.overlay.router_settings import RouterSettings, Seats, zenoh_settings
 from rossec.overlay.zenoh_carrier import open_session
 
 _log = logging.getLogger("rossec.overlay.router")

@@ -4,23 +4,294 @@ What was told is kept in the router's directory, for the seat files that name it
 answer in Zenoh's administration, is found by no scouting, and keeps what is malformed or too large
 for a mailbox from everybody. Routers with seats join each other over TLS or QUIC alone: the side
 that connects knows by the certificate whom it joined, and would otherwise forward nothing.
+
+Seats at the routers of one operator: who may connect, and what each may do there. Pure.
+
+A seat may read the mailboxes below its own name and send to any mailbox; everything else is denied:
+reading others', asking which mailboxes exist, queries, presence, Zenoh's own administration. The
+routers know each other by a user that no seat can be called, and by their TLS authority: the side
+that connects is not told a user (`rossec.overlay.router_settings`).
+
+Settings of Zenoh sessions, as paths of its configuration and JSON values. Pure.
+
+The defaults of Zenoh are for one network of friends: it scouts by multicast, lists and reports
+itself, and passes large payloads through /dev/shm, around the network and its limits. What is here
+was measured; what for is in section 3.6 of docs/spec/overlay.md. A router that freezes is given up
+after the lease; a message that finds no room waits 50 ms, then it is dropped.
 """
 
+import base64
+import hashlib
 import ipaddress
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final, Self
 
 from rossec.errors import ConfigurationError
-from rossec.overlay.documents import is_texts, read_document, write_document
+from rossec.overlay.documents import (
+    MAX_LOCATORS,
+    OPEN_SEAT,
+    Routers,
+    check_locator,
+    check_password,
+    check_seat,
+    is_encrypted,
+    is_texts,
+    read_document,
+    write_document,
+)
 from rossec.overlay.link_frames import MAX_FRAME
-from rossec.overlay.routers import MAX_LOCATORS, check_locator, is_encrypted
-from rossec.overlay.seats import ROUTER_USER, Seats, open_access_control
-from rossec.overlay.zenoh_settings import COMMON
+
+MAX_SEATS_FILE: Final = 256 * 1024
+MAX_SEATS: Final = 512  # each costs two rules, which a router looks through for every new session
+ROUTER_USER: Final = "_router"  # no seat's name has this character
+ROUTER_NAME: Final = "rossec router"  # common name of every router's certificate
+EVERY_MAILBOX: Final = "rossec/1/*/*"  # two segments: a put to rossec/** fits no rule
+_FORM: Final = "rossec-seats"
+_HINT: Final = "it is written by `rossec router seats`: put back a copy"
+_SEND: Final = "send"
+_ACCEPTED: Final = "router-accepted"
+_JOINED: Final = "router-joined"
+_FORWARD: Final = ("forward", "forward-declared")
+
+Entry = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Seats:
+    """The seats with their passwords.
+
+    Attributes:
+        router: the password by which the operator's routers join each other.
+        passwords: of each seat, by its name.
+    """
+
+    router: str = field(repr=False)
+    passwords: Mapping[str, str] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        """Raise `ConfigurationError` unless all of it is in form."""
+        check_password(self.router)
+        if len(self.passwords) > MAX_SEATS:
+            raise ConfigurationError(f"at most {MAX_SEATS} seats", "remove what nobody uses")
+        for seat, password in self.passwords.items():
+            _check_own(seat)
+            check_password(password)
+
+    @property
+    def region(self) -> str:
+        """The name of the region of the operator's routers, which all of them derive alike."""
+        return hashlib.sha256(b"rossec region " + self.router.encode()).hexdigest()[:32]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the seats, sorted."""
+        return tuple(sorted(self.passwords))
+
+    @classmethod
+    def read(cls, data: bytes) -> Self:
+        """The content of the file.
+
+        Raises:
+            ConfigurationError: it is not one.
+        """
+        found = read_document(
+            data, _FORM, frozenset({"router", "seats"}), limit=MAX_SEATS_FILE, hint=_HINT
+        )
+        match found:
+            case {"router": str() as router, "seats": dict() as seats} if all(
+                isinstance(each, str) for each in seats.values()
+            ):
+                return cls(router, seats)
+        raise ConfigurationError(f"the {_FORM} file has a value of another type", _HINT)
+
+    def write(self) -> bytes:
+        """The file: it holds all passwords."""
+        return write_document(_FORM, {"router": self.router, "seats": dict(self.passwords)})
+
+    def add(self, seat: str, password: str) -> Self:
+        """These and a new one.
+
+        Raises:
+            ConfigurationError: no name for a seat, one that is there, or one too many.
+        """
+        if seat in self.passwords:
+            raise ConfigurationError(
+                f"there is a seat {seat} already",
+                f"its file again: rossec router seats show {seat}; a new password: remove it first",
+            )
+        return replace(self, passwords={**self.passwords, seat: password})
+
+    def remove(self, seat: str) -> Self:
+        """These without one.
+
+        Raises:
+            ConfigurationError: there is none of this name.
+        """
+        self.password(seat)
+        return replace(
+            self, passwords={name: each for name, each in self.passwords.items() if name != seat}
+        )
+
+    def password(self, seat: str) -> str:
+        """Of one seat.
+
+        Raises:
+            ConfigurationError: there is none of this name.
+        """
+        if seat not in self.passwords:
+            raise ConfigurationError(
+                f"there is no seat {seat[:40]!a}", f"there are: {', '.join(self.names) or 'none'}"
+            )
+        return self.passwords[seat]
+
+    def dictionary(self) -> bytes:
+        """Zenoh's file of users and passwords."""
+        users = {**self.passwords, ROUTER_USER: self.router}
+        return "".join(f"{name}:{each}\n" for name, each in sorted(users.items())).encode()
+
+    def access_control(self) -> Entry:
+        """Zenoh's `access_control`, for a router that these seats use."""
+        routers = [
+            {"id": _ACCEPTED, "usernames": [ROUTER_USER]},
+            {"id": _JOINED, "cert_common_names": [ROUTER_NAME]},
+        ]
+        own = [rule for seat in self.names for rule in _own_rules(seat)]
+        return _access_control(
+            [_rule(_SEND, "ingress", "put", EVERY_MAILBOX), *own, *_forwarding(EVERY_MAILBOX)],
+            [*({"id": _subject(seat), "usernames": [seat]} for seat in self.names), *routers],
+            [
+                *map(_seat_policy, self.names),
+                _policy(_ACCEPTED, *_FORWARD),
+                _policy(_JOINED, *_FORWARD),
+            ],
+        )
+
+
+def open_access_control() -> Entry:
+    """Zenoh's `access_control` of a router without seats: all have one, and nothing but that."""
+    return _access_control(
+        _forwarding(_mailboxes(OPEN_SEAT)),
+        [{"id": "everybody"}],
+        [_policy("everybody", *_FORWARD)],
+    )
+
+
+def _check_own(seat: str) -> None:
+    if check_seat(seat) == OPEN_SEAT:
+        raise ConfigurationError(
+            f"{OPEN_SEAT} is the seat at a router without seats", "give it another name"
+        )
+
+
+def _access_control(rules: list[Entry], subjects: list[Entry], policies: list[Entry]) -> Entry:
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies,
+    }
+
+
+def _own_rules(seat: str) -> list[Entry]:
+    """What only this seat may: declare that it reads a mailbox of its own, and get what is there.
+
+    Nothing allows that a declaration goes out to it: it would name a mailbox of another seat, or
+    tell by a pattern whether there is one that begins so, and with that all digits of it in turn.
+    """
+    return [
+        _rule(f"read-{seat}", "ingress", "declare_subscriber", _mailboxes(seat)),
+        _rule(f"get-{seat}", "egress", "put", _mailboxes(seat)),
+    ]
+
+
+def _seat_policy(seat: str) -> Entry:
+    return _policy(_subject(seat), _SEND, f"read-{seat}", f"get-{seat}")
+
+
+def _forwarding(keys: str) -> list[Entry]:
+    """What routers may do for each other."""
+    put, declare = _FORWARD
+    return [
+        _rule(put, "both", "put", keys),
+        _rule(declare, "both", "declare_subscriber", keys),
+    ]
+
+
+def _mailboxes(seat: str) -> str:
+    return f"rossec/1/{seat}/*"
+
+
+def _subject(seat: str) -> str:
+    return f"seat-{seat}"
+
+
+def _rule(name: str, flow: str, message: str, keys: str) -> Entry:
+    flows = ["ingress", "egress"] if flow == "both" else [flow]
+    return {
+        "id": name,
+        "permission": "allow",
+        "flows": flows,
+        "messages": [message],
+        "key_exprs": [keys],
+    }
+
+
+def _policy(subject: str, *rules: str) -> Entry:
+    return {"rules": list(rules), "subjects": [subject]}
+
+
+LEASE_MS: Final = 2000
+_WAIT_US: Final = 50_000
+_DROP: Final = "transport/link/tx/queue/congestion_control/drop/"
+
+COMMON: Final[dict[str, object]] = {
+    "listen/endpoints": [],
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "adminspace/enabled": False,
+    "timestamping/enabled": False,
+    "transport/shared_memory/enabled": False,
+    "transport/link/tx/lease": LEASE_MS,
+    "transport/unicast/open_timeout": 1000,
+    "transport/unicast/accept_timeout": 1000,
+    f"{_DROP}wait_before_drop": _WAIT_US,
+    f"{_DROP}max_wait_before_drop_fragments": _WAIT_US,
+    "connect/retry": {
+        "period_init_ms": 200,
+        "period_max_ms": 1000,
+        "period_increase_factor": 2,
+    },
+}
+"""Of routers and of relays."""
+
+
+def client_settings(routers: Routers) -> dict[str, object]:
+    """Of a relay's session: with one of the routers, another one when that fails.
+
+    It listens nowhere: no port of a site is open for it.
+    """
+    settings = {
+        **COMMON,
+        "mode": "client",
+        "connect/endpoints": list(routers.locators),
+        "connect/timeout_ms": 0,  # each is tried once; who opens the session tries again
+        "connect/exit_on_failure": True,
+    }
+    if routers.password:
+        settings["transport/auth/usrpwd/user"] = routers.seat
+        settings["transport/auth/usrpwd/password"] = routers.password
+    if routers.root_certificate:
+        root = base64.b64encode(routers.root_certificate.encode()).decode()
+        settings["transport/link/tls/root_ca_certificate_base64"] = root
+        settings["transport/link/tls/verify_name_on_connect"] = True
+    return settings
+
 
 LISTEN: Final = ("tls/[::]:7447",)
-MAX_FILE: Final = 16 * 1024
+MAX_SETTINGS_FILE: Final = 16 * 1024
 MAX_HOSTS: Final = 16
 _MESSAGE: Final = MAX_FRAME + 4096  # bytes, with Zenoh's own around a frame
 _SIZE_LIMIT: Final = {
@@ -29,8 +300,10 @@ _SIZE_LIMIT: Final = {
     "key_exprs": ["**"],
     "size_limit": MAX_FRAME,
 }
-_FORM: Final = "rossec-router"
-_HINT: Final = "remove the file, and start the router with --listen, --join and --host again"
+_ROUTER_SETTINGS_FORM: Final = "rossec-router"
+_ROUTER_SETTINGS_HINT: Final = (
+    "remove the file, and start the router with --listen, --join and --host again"
+)
 _LOCAL: Final = ("localhost", "127.0.0.1", "::1")
 
 
@@ -74,14 +347,19 @@ class RouterSettings:
             ConfigurationError: it is not one.
         """
         keys = frozenset(each.name for each in fields(cls))
-        found = read_document(data, _FORM, keys, limit=MAX_FILE, hint=_HINT)
+        found = read_document(
+            data, _ROUTER_SETTINGS_FORM, keys, limit=MAX_SETTINGS_FILE, hint=_ROUTER_SETTINGS_HINT
+        )
         if not all(map(is_texts, found.values())):
-            raise ConfigurationError(f"the {_FORM} file has a value of another type", _HINT)
+            raise ConfigurationError(
+                f"the {_ROUTER_SETTINGS_FORM} file has a value of another type",
+                _ROUTER_SETTINGS_HINT,
+            )
         return cls(**{name: tuple(value) for name, value in found.items()})
 
     def write(self) -> bytes:
         """The file."""
-        return write_document(_FORM, asdict(self))
+        return write_document(_ROUTER_SETTINGS_FORM, asdict(self))
 
     @property
     def certified(self) -> tuple[str, ...]:

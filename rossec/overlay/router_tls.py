@@ -3,9 +3,14 @@
 It is trusted by sites for routers alone, and by nothing else (no browser, no system store): so it
 has no name constraints, and may certify whatever host the operator moves a router to. It issues to
 no other authority (pathlen 0), for TLS servers alone. P-256: what every TLS library knows.
+
+What the routers of one operator share: the TLS authority with its key, the seats. Pure.
+
+It is a file that one router writes and another takes over. All of it is secret; with it one is the
+operator.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from ipaddress import ip_address
 from typing import Final, Self
@@ -22,7 +27,15 @@ from cryptography.hazmat.primitives.serialization import (
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from rossec.errors import ConfigurationError
-from rossec.overlay.seats import ROUTER_NAME
+from rossec.overlay import router_settings
+from rossec.overlay.documents import (
+    MAX_LOCATORS,
+    check_locator,
+    is_texts,
+    read_document,
+    write_document,
+)
+from rossec.overlay.router_settings import ROUTER_NAME, Seats
 
 DAY: Final = 86400
 LIFETIME: Final = 20 * 365 * DAY  # every seat file has it: a new authority means new files for all
@@ -179,3 +192,55 @@ def _usage(*, authority: bool) -> x509.KeyUsage:
         encipher_only=False,
         decipher_only=False,
     )
+
+
+MAX_SHARE_FILE: Final = 2 * router_settings.MAX_SEATS_FILE
+_FORM: Final = "rossec-routers"
+_KEYS: Final = frozenset({"authority_key", "authority", "seats", "join"})
+_HINT: Final = "write it again, at the other router: rossec router share"
+
+
+@dataclass(frozen=True)
+class Share:
+    """What a further router needs.
+
+    Attributes:
+        authority: certifies the routers.
+        seats: with their passwords.
+        join: where the router listens that wrote it, and those that it joins itself.
+    """
+
+    authority: RouterAuthority = field(repr=False)
+    seats: Seats
+    join: tuple[str, ...]
+
+    def write(self) -> bytes:
+        """The file."""
+        return write_document(
+            _FORM,
+            {
+                "authority_key": key_pem(self.authority.key).decode(),
+                "authority": self.authority.pem.decode(),
+                "seats": self.seats.write().decode(),
+                "join": list(self.join),
+            },
+        )
+
+    @classmethod
+    def read(cls, data: bytes) -> Self:
+        """The content of the file.
+
+        Raises:
+            ConfigurationError: it is not one.
+        """
+        found = read_document(data, _FORM, _KEYS, limit=MAX_SHARE_FILE, hint=_HINT)
+        match found:
+            case {
+                "authority_key": str() as key, "authority": str() as pem, "seats": str() as listed,
+                "join": list() as join,
+            } if is_texts(join) and 0 < len(join) <= MAX_LOCATORS:  # fmt: skip
+                authority = RouterAuthority.load(key.encode(), pem.encode())
+                for each in join:
+                    check_locator(each)
+                return cls(authority, Seats.read(listed.encode()), tuple(join))
+        raise ConfigurationError(f"the {_FORM} file has a value of another type", _HINT)

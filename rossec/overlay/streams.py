@@ -4,6 +4,12 @@ What arrives for a stream is written to its connection at once, and never waited
 that lags gets no credit, and the others go on. While the link itself lags, connections are not
 read; afterwards each is read once, in the order in which they had to wait. What is malformed ends
 the link, and with it every connection it carried.
+
+One TCP connection of this site and its stream of a link: bytes both ways, ends as ends.
+
+No queue: the socket is read when the stream has credit and the link has room, straight into the
+buffer from which the unit is sealed. Bytes for a program that lags wait here, no more of them than
+the credit given. An end is passed on as an end, a broken connection as a broken one.
 """
 
 import asyncio
@@ -11,16 +17,181 @@ import logging
 import socket
 import time
 from collections.abc import Awaitable, Callable
-from typing import Final, Protocol, TypeAlias
+from typing import Final, Protocol, TypeAlias, TypeVar
 
 from ca.errors import HintedError
 from rossec.channel.records import Bytes
 from rossec.errors import ChannelError, LinkCrowded, StreamRefused
-from rossec.net import withheld_log
-from rossec.net.aio.tasks import TaskSet
-from rossec.overlay.mux import FOR_ONE_NAME, STREAMS, YOUNG, Mux, Opened, Refused, Role
-from rossec.overlay.mux_units import HEADROOM, MAX_DATA, Credit, Data, End, Reset, Target
-from rossec.overlay.pump import Pump
+from rossec.host.runner import TaskSet
+from rossec.net.aio.transport import Transport
+from rossec.overlay.mux import (
+    FOR_ONE_NAME,
+    HEADROOM,
+    MAX_DATA,
+    STREAMS,
+    YOUNG,
+    Credit,
+    Data,
+    End,
+    Mux,
+    Opened,
+    Refused,
+    Reset,
+    Role,
+    StreamTarget,
+)
+from rossec.participant import delivery
+
+_KEEPALIVE: Final = (
+    (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),
+    (socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 60),  # a host that vanished must not hold a stream
+    (socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 15),
+)
+Found = TypeVar("Found")
+
+
+class StreamEnd(Protocol):
+    """What a pump needs of its stream, by the stream's number."""
+
+    def buffer_for(self, stream: int) -> memoryview | None:
+        """Where to read bytes for the stream; None: not now, `Pump.resume` says when."""
+
+    def send(self, stream: int, count: int) -> None:
+        """Send what is in that buffer."""
+
+    def took(self, stream: int, count: int) -> None:
+        """The program took so many received bytes."""
+
+    def end(self, stream: int) -> bool:
+        """The program sends nothing more; whether it still receives."""
+
+    def reset(self, stream: int) -> None:
+        """The connection is broken, or closed."""
+
+
+class Pump:
+    """The connection; without a socket until `connect`. `over` is set when it is closed."""
+
+    def __init__(self, stream: int, end: StreamEnd) -> None:
+        self._stream = stream
+        self._end = end
+        self._transport: Transport | None = None
+        self._early = bytearray()  # what arrived before there was a socket
+        self._early_end = False
+        self._read_all = False  # the program sends nothing more
+        self._changed = asyncio.Event()
+        self._held = 0  # received bytes the program has not taken
+        self.over: Final = asyncio.Event()
+
+    @property
+    def connected(self) -> bool:
+        """Whether there was a socket."""
+        return self._transport is not None
+
+    def connect(self, sock: socket.socket) -> None:
+        """Use this socket from now on; owns it."""
+        if self.over.is_set():
+            sock.close()
+            return
+        for option in _KEEPALIVE:
+            sock.setsockopt(*option)
+        self._transport = Transport(sock, self)
+        early, self._early = self._early, bytearray()
+        if early:
+            self._write(early)
+        if self._early_end:
+            self._transport.write_eof()
+        self._transport.resume_reading()
+
+    async def first_bytes(self, decide: Callable[[bytes], Found | None]) -> Found:
+        """What `decide` says of the first bytes of the stream; None: it needs more of them.
+
+        Raises:
+            StreamRefused: the stream ended before; or what `decide` raises.
+        """
+        while (found := decide(bytes(self._early))) is None:
+            if self._early_end or self.over.is_set():
+                raise StreamRefused("a stream that ended before it said anything")
+            self._changed.clear()
+            await self._changed.wait()
+        return found
+
+    # -- called for the stream
+
+    def arrived(self, payload: Bytes) -> None:
+        """Bytes of the stream."""
+        self._held += len(payload)
+        if self._transport is None:
+            self._early += payload
+            self._changed.set()
+        else:
+            self._write(payload)
+
+    def _write(self, payload: Bytes) -> None:
+        transport = self._transport
+        if transport is not None:
+            transport.write(payload)
+            self._account(transport)
+
+    def _account(self, transport: Transport) -> None:
+        taken = self._held - transport.backlog
+        if taken > 0:
+            self._held -= taken
+            self._end.took(self._stream, taken)
+
+    def ended(self, *, over: bool) -> None:
+        """The other side sends nothing more; `over`: this side neither."""
+        self._early_end = True
+        self._changed.set()
+        if self._transport is not None:
+            self._transport.write_eof()
+            if over:
+                self._transport.finish()
+
+    def resume(self) -> None:
+        """There is credit, or room in the link: read on, at once and then as bytes arrive."""
+        if self._transport is not None and not self._read_all:
+            self._transport.resume_reading()
+            self._transport.read_now()
+
+    def break_off(self) -> None:
+        """The stream is broken off: so is the connection."""
+        if self._transport is None:
+            self.connection_lost()
+        else:
+            self._transport.reset()
+
+    # -- called by the transport
+
+    def get_buffer(self) -> memoryview:
+        """The link's buffer, as far as the credit goes."""
+        buffer = self._end.buffer_for(self._stream)
+        if buffer is None:
+            if self._transport is not None:
+                self._transport.pause_reading()
+            raise BlockingIOError
+        return buffer
+
+    def buffer_updated(self, count: int) -> None:
+        """Send what was read."""
+        self._end.send(self._stream, count)
+
+    def eof_received(self) -> bool:
+        """Pass the end on; the socket stays open while the other direction is."""
+        self._read_all = True
+        return self._end.end(self._stream)
+
+    def resume_writing(self) -> None:
+        """The program took everything."""
+        if self._transport is not None:
+            self._account(self._transport)
+
+    def connection_lost(self) -> None:
+        """The socket is closed."""
+        self._end.reset(self._stream)
+        self.over.set()
+        self._changed.set()
+
 
 CONNECT_SECONDS: Final = (
     10.0  # to find and reach a target; also how long a connection waits for room
@@ -34,7 +205,7 @@ _FEWER: Final = (
 )
 _log = logging.getLogger("rossec.overlay")
 
-Dial: TypeAlias = Callable[[Target, Pump], Awaitable[socket.socket]]
+Dial: TypeAlias = Callable[[StreamTarget, Pump], Awaitable[socket.socket]]
 """Connects to a target. Raises a `HintedError` or an `OSError`."""
 
 
@@ -63,7 +234,7 @@ class LinkStream(Protocol):
         """End the link."""
 
 
-async def refuse_streams(target: Target, _pump: Pump) -> socket.socket:
+async def refuse_streams(target: StreamTarget, _pump: Pump) -> socket.socket:
     """The `Dial` of the caller's side, where nothing is opened."""
     raise StreamRefused(f"a stream to {target} where none is opened")
 
@@ -134,7 +305,7 @@ class Streams:
 
     # -- the caller's side
 
-    async def carry(self, target: Target, sock: socket.socket) -> None:
+    async def carry(self, target: StreamTarget, sock: socket.socket) -> None:
         """Open a stream to `target` for this connection; returns when it is over. Owns `sock`.
 
         Raises:
@@ -160,7 +331,7 @@ class Streams:
         finally:
             pump.break_off()
 
-    async def _room_for(self, target: Target) -> None:
+    async def _room_for(self, target: StreamTarget) -> None:
         if len(self._openers) >= MOST_WAITING:
             raise LinkCrowded(f"too many connections wait for {self._peer}", _FEWER)
         while not self._over.done() and self._mux.crowded(target, self._clock()):
@@ -180,13 +351,13 @@ class Streams:
 
     # -- the called side
 
-    async def _connect(self, number: int, pump: Pump, target: Target) -> None:
+    async def _connect(self, number: int, pump: Pump, target: StreamTarget) -> None:
         try:
             async with asyncio.timeout(CONNECT_SECONDS):
                 sock = await self._dial(target, pump)
             pump.connect(sock)
         except (HintedError, OSError, TimeoutError) as error:
-            withheld_log.warn(_log, withheld_log.REFUSED, str(target), self._peer, error)
+            delivery.warn(_log, delivery.REFUSED, str(target), self._peer, error)
         finally:
             self._mux.connected(number)
             if not pump.connected:
@@ -221,7 +392,7 @@ class Streams:
             case Opened(number, target):
                 self._tasks.spawn(self._connect(number, self._add(number), target), str(target))
             case Refused(_, target, reply):
-                withheld_log.warn(_log, withheld_log.REFUSED, str(target), self._peer, _CROWDED)
+                delivery.warn(_log, delivery.REFUSED, str(target), self._peer, _CROWDED)
                 self._write(reply)
             case _:
                 pump = self._pumps.get(event.stream)

@@ -3,24 +3,81 @@
 Whoever puts is not told whether anybody received: a link acknowledges by itself. Zenoh calls back
 in its own threads; here everything that arrived meanwhile wakes the loop once. What waits is
 bounded for each subscription, since anybody with a seat may put to a mailbox that it knows.
+
+Messages on their way to the session: at once, unless that would stop the loop.
+
+A put takes microseconds, until the uplink is full: then Zenoh waits 50 ms for room before it drops
+the message, and everything else in the process would wait too. From the first put that was slow, a
+thread puts, until it has nothing left and was quick for a second. What finds no room in its queue
+is dropped, as Zenoh would.
 """
 
 import asyncio
 import logging
 from collections import deque
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from json import dumps
 from threading import Lock
+from time import monotonic
 from typing import TYPE_CHECKING, Final, Self
 
 from rossec.errors import OverlayUnavailable
-from rossec.overlay.routers import Routers
-from rossec.overlay.send_queue import SendQueue
-from rossec.overlay.zenoh_settings import client_settings
+from rossec.overlay.documents import Routers
+from rossec.overlay.router_settings import client_settings
 
-if TYPE_CHECKING:  # 32 MB of library: loaded when a session is opened
+if TYPE_CHECKING:
     import zenoh
+
+
+SLOW: Final = 0.02  # seconds
+CALM: Final = 1.0
+MOST_WAITING: Final = 4 * 1024 * 1024  # bytes, as one link may have on the way
+
+
+class SendQueue:
+    """The way of messages to `send`, which may take long; no message overtakes another."""
+
+    def __init__(self, send: Callable[[str, bytes], None]) -> None:
+        self._send = send
+        self._thread: ThreadPoolExecutor | None = None
+        self._lock = Lock()
+        self._waiting = 0
+        self._slow_until = 0.0
+        self._closed = False
+
+    def put(self, key: str, data: bytes) -> None:
+        """Send, now or soon; or drop it."""
+        if self._waiting == 0 and monotonic() >= self._slow_until:
+            self._send_timed(key, data)
+        elif self._waiting + len(data) <= MOST_WAITING and not self._closed:
+            if self._thread is None:
+                self._thread = ThreadPoolExecutor(1, "rossec-overlay")
+            with self._lock:
+                self._waiting += len(data)
+            self._thread.submit(self._send_queued, key, data)
+
+    def _send_timed(self, key: str, data: bytes) -> None:
+        began = monotonic()
+        self._send(key, data)
+        ended = monotonic()
+        if ended - began > SLOW:
+            self._slow_until = ended + CALM
+
+    def _send_queued(self, key: str, data: bytes) -> None:
+        try:
+            self._send_timed(key, data)
+        finally:
+            with self._lock:
+                self._waiting -= len(data)
+
+    def close(self) -> None:
+        """Drop what waits."""
+        self._closed = True
+        if self._thread is not None:
+            self._thread.shutdown(wait=False, cancel_futures=True)
+
 
 _log = logging.getLogger("rossec.overlay.carrier")
 _MOST_WAITING: Final = 16 * 1024 * 1024  # bytes for one subscription; a link sends at most 4 MiB
@@ -31,7 +88,7 @@ _TURN_OVERHEAD: Final = 16 * 1024  # bytes that are opened in the time a message
 
 
 def open_session(settings: Mapping[str, object]) -> "zenoh.Session":
-    """A session with these settings (`rossec.overlay.zenoh_settings`); blocks until it is open.
+    """A session with these settings (`rossec.overlay.router_settings`); blocks until it is open.
 
     Raises:
         OverlayUnavailable: zenoh is not installed, or refuses.
@@ -126,13 +183,13 @@ class Carrier:
         """Send a message to this mailbox; nobody says whether it arrives.
 
         Args:
-            key: of one mailbox: `rossec.overlay.mailboxes.is_mailbox`.
+            key: of one mailbox: `rossec.overlay.link_frames.is_mailbox`.
             data: at most `rossec.overlay.link_frames.MAX_FRAME` octets.
         """
         self._queue.put(key, data)
 
     def _put(self, key: str, data: bytes) -> None:
-        """Wait up to 50 ms for room (`rossec.overlay.send_queue`), then drop: Zenoh's default."""
+        """Wait up to 50 ms for room (`rossec.overlay.zenoh_carrier`), then drop: Zenoh's default."""
         with suppress(self._failure):  # the session is being replaced: one more loss
             self._session.put(key, data)
 

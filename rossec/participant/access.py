@@ -5,29 +5,244 @@ grants this node holds, a peer receives only those that cover the request. A nam
 right on it is the right on the origin's name, and only grants of the origin's domain prove it,
 whoever holds them; what a foreign authority signs counts for nothing else. What a gateway serves
 has a name of its own (`wire_names`), of this domain: only a gateway publishes under it.
+
+By which name a topic is asked of a publisher, and which name its grants speak of. Pure.
+
+A subscriber of the alias `/remote/hospital/pose` is told addresses by its master; who is there, and
+so which of two names counts, only the authenticated peer decides. A gateway of the own domain
+serves the topic as `/gateway/hospital/pose`: a name of the own domain, on the wire and in its
+grants. To every other peer, a foreign domain's `/gateway` too, the alias is the origin's name, by
+the origin's grants. So neither authority's grants count for what the other one's are about.
+
+Opens the tokens that a peer presents: by the root, the list and the masters of one domain.
+
+Which domain is the caller's to say, from the name that is asked for; never the token's. Pure.
+
+How many tokens are shown at once: what a peer that has not judged them yet may be sent.
+
+Pure. A chain of narrowings may be as large as a few dozen grants, so the bytes count as well as
+the number; what has no room is left out, or comes with the next call.
+
+The parts of `Access` used here: a program with threads passes an object with a lock.
 """
 
-from collections.abc import Callable, Iterable
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Final
+from hashlib import sha256
+from typing import Final, Protocol
 
-from ca.certificates import Identity
-from ca.domains.aliases import shown, split_alias
-from ca.domains.served import alias_of_served, is_in_gateway
-from ca.domains.standing import Standing
-from ca.encoding import Value, encode
-from ca.errors import CAError, NotAdmitted, RevocationsStale
-from ca.revocation.state import open_timestamp
-from grants.decision import Decision, authorize
-from grants.errors import GrantMissing
-from grants.missing_rights import grant_command, remedy, rule_form
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from ca.certificates import Identity, TrustAnchor
+from ca.encoding import Value, decode, encode
+from ca.errors import CAError, EncodingError, NameRefused, NotAdmitted, RevocationsStale
+from ca.names import (
+    alias_of_served,
+    is_alias,
+    is_gateway,
+    is_in_gateway,
+    origin_of,
+    served_name,
+    shown,
+    split_alias,
+)
+from ca.revocation.lists import open_timestamp
+from ca.revocation.trust_status import Standing
+from grants.decision import Decision, RevocationCheck, authorize, check_tail
+from grants.errors import GrantError, GrantMalformed, GrantMissing
 from grants.model import MESSAGE_RIGHTS, Grant, Right
-from grants.token import peek
-from rossec.participant.presentation import fitting
-from rossec.participant.token_opening import TokenOpener
-from rossec.participant.wire_names import is_own_gateway, possible_names
+from grants.request import grant_command, remedy, rule_form
+from grants.token import Verifier, check_one_domain, peek
 from rossec.ros.names import MASTER
+
+
+def is_own_gateway(peer: Identity) -> bool:
+    """Whether `peer` is a gateway of the own domain; a name with a tail is none."""
+    return is_gateway(peer.name) and not peer.is_foreign and not peer.wildcard
+
+
+def granted_name(peer: Identity, topic: str, own: str = "") -> str:
+    """The local name whose grants decide on the subscribed `topic` with the publisher `peer`.
+
+    Args:
+        own: the certified name of this node, if it may be a gateway. To a gateway an alias is the
+            origin's alone: it could be led to forward what it serves itself.
+
+    Raises:
+        NameRefused: a gateway cannot serve it: no alias of a name, or one that is too long.
+    """
+    served = is_alias(topic) and is_own_gateway(peer) and not is_gateway(own)
+    return served_name(topic) if served else topic
+
+
+def wire_name(peer: Identity, topic: str, own: str = "") -> str:
+    """The name by which `peer` is asked for the subscribed `topic`; `own` as of `granted_name`.
+
+    Raises:
+        NameRefused: below `/remote`, but no alias; or as `granted_name`.
+    """
+    return origin_of(granted_name(peer, topic, own))
+
+
+def possible_names(topic: str) -> tuple[str, ...]:
+    """The names of which one must be granted to subscribe to `topic` at all."""
+    try:
+        return (topic, served_name(topic)) if is_alias(topic) else (topic,)
+    except NameRefused:
+        return (topic,)
+
+
+MAX_PRESENTED: Final = 40 * 1024  # a header field holds 48 KiB
+MAX_GRANTS: Final = 16
+CACHE_SIZE: Final = 1024
+
+
+class TokenOpener:
+    """Verifies tokens, each once.
+
+    Args:
+        standing: which authorities count, and what they have revoked.
+
+    Attributes:
+        own_master: the key of the node's own master, which may renew grants of the own domain.
+    """
+
+    def __init__(self, standing: Standing) -> None:
+        self._standing = standing
+        self._own: Final = standing.anchors.own
+        self._opened: OrderedDict[tuple[bytes, bytes], Grant] = OrderedDict()
+        self.own_master: ec.EllipticCurvePublicKey | None = None
+
+    def open_all(
+        self, presented: bytes, domain: str, peer: Identity, now: int
+    ) -> tuple[list[Grant], list[GrantError]]:
+        """The valid grants, and the errors of the others: one that is refused is left out.
+
+        Args:
+            presented: a CBOR array of tokens.
+            peer: who presents them; a chain must stay in one domain, a tail must be its own.
+
+        Raises:
+            GrantMalformed: not such an array.
+        """
+        grants: list[Grant] = []
+        refusals: list[GrantError] = []
+        label = self._label(domain)
+        for data in _unpack(presented):
+            try:
+                grant = self._open_once(data, domain, now)
+                check_one_domain(grant, label, peer.name)
+                check_tail(grant, peer.name, tail=peer.wildcard)
+                grants.append(grant)
+            except GrantError as error:
+                refusals.append(error)
+        return grants, refusals
+
+    def open(self, data: bytes, domain: str, now: int) -> Grant:
+        """Verify a token of `domain`.
+
+        Raises:
+            GrantError: as `Verifier.open`; `GrantMissing` for a domain that is not listed.
+        """
+        return self._verifier(domain).open(data, now)
+
+    def check_of(self, *domains: str) -> RevocationCheck:
+        """Checks an entry on the lists of these domains; the own one may refuse any."""
+        foreign = dict.fromkeys(domain for domain in domains if domain != self._own.domain)
+        if not foreign:
+            return self._standing.own.check
+
+        def check(entry: bytes, now: int) -> None:
+            self._standing.own.check(entry, now)
+            for domain in foreign:
+                self._standing.check(domain, entry, now)
+
+        return check
+
+    def _open_once(self, data: bytes, domain: str, now: int) -> Grant:
+        """As `open`; the signature of one seen before is not checked again."""
+        seen = self._root(domain).thumbprint, sha256(data).digest()
+        known = self._opened.get(seen)
+        if known is not None and known.not_before <= now < known.expires:
+            self._opened.move_to_end(seen)
+            return known
+        grant = self.open(data, domain, now)
+        self._opened[seen] = grant
+        if len(self._opened) > CACHE_SIZE:
+            self._opened.popitem(last=False)
+        return grant
+
+    def _verifier(self, domain: str) -> Verifier:
+        is_own = domain == self._own.domain
+        revocations = self._standing.own if is_own else self._standing.foreign(domain)
+        held = None if revocations is None else revocations.current
+        mine = (self.own_master,) if is_own and self.own_master is not None else ()
+        return Verifier(
+            self._root(domain).public_key,
+            domain,
+            (*mine, *self._standing.delegates(domain)),
+            0 if held is None else held.seq,
+            self.check_of(domain),
+        )
+
+    def _label(self, domain: str) -> str:
+        if domain == self._own.domain:
+            return ""
+        listed = self._standing.anchors.listed_domain(domain)
+        return "" if listed is None else listed.entry.label
+
+    def _root(self, domain: str) -> TrustAnchor:
+        if domain == self._own.domain:
+            return self._own
+        listed = self._standing.anchors.listed_domain(domain)
+        if listed is None:
+            raise GrantMissing(f"a grant of domain {domain!a}, which is not listed here")
+        return listed.anchor
+
+
+def _unpack(presented: bytes) -> list[bytes]:
+    try:
+        value = decode(presented, limit=MAX_PRESENTED)
+    except EncodingError as error:
+        raise GrantMalformed(f"unreadable list of grants: {error}") from error
+    if not isinstance(value, list) or len(value) > MAX_GRANTS:
+        raise GrantMalformed(f"expected a list of at most {MAX_GRANTS} grants")
+    grants = [item for item in value if isinstance(item, bytes)]
+    if len(grants) != len(value):
+        raise GrantMalformed("the list of grants has an item that is not bytes")
+    return grants
+
+
+MAX_CALL: Final = 64  # tokens; the master stores this many of one node
+MAX_CALL_BYTES: Final = 512 * 1024  # a body has 1 MiB, and base64 takes a third more
+_ARRAY_HEAD, _BYTES_HEAD = 3, 5  # at most, in CBOR
+
+
+def fitting(tokens: Iterable[bytes]) -> Iterator[bytes]:
+    """The first of the tokens that a field of a connection header has room for."""
+    room, left = MAX_PRESENTED - _ARRAY_HEAD, MAX_GRANTS
+    for token in tokens:
+        size = len(token) + _BYTES_HEAD
+        if left and size <= room:
+            room, left = room - size, left - 1
+            yield token
+
+
+def batches(tokens: Iterable[bytes]) -> Iterator[list[bytes]]:
+    """The tokens in calls to the master: each at most `MAX_CALL` of them and `MAX_CALL_BYTES`."""
+    batch: list[bytes] = []
+    size = 0
+    for token in tokens:
+        if batch and (len(batch) == MAX_CALL or size + len(token) > MAX_CALL_BYTES):
+            yield batch
+            batch, size = [], 0
+        batch.append(token)
+        size += len(token)
+    if batch:
+        yield batch
+
 
 FIELD: Final = "rossec_grants"
 _OFFERS: Final = Right.PUBLISH | Right.PROVIDE
@@ -302,3 +517,38 @@ def _remedy(peer: Identity, right: Right, name: str) -> str:
     if peer.is_foreign:  # it asks its own authority for nothing of ours
         return f"sign one: {grant_command(shown(peer.name), [(right, name)])}"
     return remedy(shown(peer.name), right, rule_form(peer.name, name, wildcard=peer.wildcard))
+
+
+class HandshakeAccess(Protocol):
+    """Proves this node's rights and authorizes peers."""
+
+    def present(self, right: Right, name: str, now: int) -> bytes:
+        """See `Access.present`."""
+
+    def is_master(self, peer: Identity) -> bool:
+        """See `Access.is_master`."""
+
+    def check_peer(self, peer: Identity, now: int) -> None:
+        """See `Access.check_peer`."""
+
+    def authorize(
+        self, peer: Identity, presented: bytes | None, right: Right, name: str, now: int
+    ) -> Decision:
+        """See `Access.authorize`."""
+
+
+class HeldGrants(Protocol):
+    """The grants this node holds."""
+
+    @property
+    def epoch(self) -> int:
+        """See `Access.epoch`."""
+
+    def hold(self, data: bytes) -> None:
+        """See `Access.hold`."""
+
+    def hold_renewed(self, token: bytes, now: int) -> None:
+        """See `Access.hold_renewed`."""
+
+    def held_grants(self) -> list[HeldGrant]:
+        """See `Access.held_grants`."""

@@ -3,25 +3,59 @@
 A connection is in the table before it is checked once more, and checked before data passes: a
 revocation that arrives while it is admitted finds it there, or is found by the check. Thread-safe;
 a connection is cut with no lock held. What a form of a node adds is the stream.
+
+Cuts connections that have expired, were revoked, or whose revocation data is stale.
+
+It waits for the clock only: a master that hangs must not keep an expired connection open.
+
+Connections to publishers of other origins, which end when the master lists those no longer.
+
+What a gateway serves replaces the origin's publishers, and the reverse. roscpp and the built-in
+node leave a publisher that is listed no longer; rospy never does, and would get every message
+twice, over one line more. So its connections are ended for it. Topics of the own domain are left as
+ROS has them. Thread-safe; a connection is ended with no lock held.
+
+The addresses a node registered as its own: only a connection to one of them may reach itself.
+
+An address that a peer sends is not enough: the answer to `requestTopic` could send a node back to
+itself. A redirect from another node to this one is therefore refused (`check_redirect`).
+
+Connections a node makes: to its master, and to the nodes that publish what it subscribes to.
+
+A peer is checked before anything is sent: its certificate by the channel, its revocation here.
+That a publisher lacks the right shows in its answer only; by then it has received the topic's name,
+which the master has sent it as well, and the subscriber's grant for that topic.
+
+Serving the slave API to one peer, on a loop: a node's own, or a program's behind a sidecar.
+
+The master's calls are parsed before those of others, as a revocation is one; its connection has no
+time limit. Another peer has little to say to a node, so it says it in small bodies, and in time.
 """
 
+import asyncio
+import contextlib
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from functools import partial
 from threading import Lock
-from typing import Any, Final, Generic, NamedTuple
+from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 from ca.certificates import Identity
-from ca.domains.aliases import shown
-from ca.domains.standing import Standing
 from ca.errors import NotAdmitted
+from ca.names import is_alias, shown
+from ca.revocation.trust_status import Standing
 from rossec import clock
-from rossec.errors import ChannelClosed, LimitExceeded
-from rossec.net.aio import SecureStream
-from rossec.net.aio.accepted import Handler
-from rossec.participant.authorized import AuthorizedConnection, StreamT
-from rossec.participant.renewed_grants import RenewedGrants
+from rossec.errors import ChannelClosed, ConnectionHeaderRefused, LimitExceeded
+from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
+from rossec.net.aio.server import Handler
+from rossec.net.limits import UNSHOWN_BODY
+from rossec.net.rpc.calls import Dispatch, RpcClient, serve_calls
+from rossec.participant import slave_api
+from rossec.participant.access import Access, wire_name
+from rossec.participant.authorized import AuthorizedConnection, PeerStream, RenewedGrants, StreamT
+from rossec.participant.handshakes import caller_for
+from rossec.ros import names
 from rossec.ros.names import MASTER
 
 PEER_CONNECTIONS: Final = 256  # of one identity, one for each topic or service: rosbag uses all
@@ -266,3 +300,210 @@ class ConnectionTable(Generic[StreamT]):
         for connection in self:
             self.discard(connection)
             connection.stream.abort(reason)
+
+
+WATCH_PERIOD: Final = 1.0  # seconds between checks; an expiry is exact to the second
+
+
+class ConnectionWatchdog:
+    """Checks the connections of one identity.
+
+    Args:
+        expire_confirmation: expires the confirmation of the revocation list at that time.
+    """
+
+    def __init__(
+        self, connections: ConnectionTable[Any], expire_confirmation: Callable[[int], None]
+    ) -> None:
+        self._connections = connections
+        self._expire_confirmation = expire_confirmation
+        self._setbacks = clock.Setbacks()
+
+    async def run(self) -> None:
+        """Check periodically until cancelled."""
+        while True:
+            expiry = self._connections.next_expiry
+            left = WATCH_PERIOD if expiry is None else expiry - clock.time()
+            await asyncio.sleep(max(0.0, min(WATCH_PERIOD, left)))
+            self.check(clock.now())
+
+    def check(self, now: int) -> None:
+        """Cut what must end; after the clock was set back, wait for fresh revocation data."""
+        if self._setbacks.any_new():
+            _log.warning(
+                "the host's clock went back: new connections are refused"
+                " until the master confirms its revocation list again"
+            )
+            self._expire_confirmation(now - 1)
+        self._connections.cut_ended(now)
+
+
+FOLLOW_PERIOD: Final = 1.0  # seconds, at most, from the master's list to the end of a connection
+_REASON: Final = "the master lists this publisher no longer"
+
+PublisherT = TypeVar("PublisherT")
+
+
+class FollowedPublishers(Generic[PublisherT]):
+    """The connections of one identity to publishers of aliases.
+
+    Args:
+        is_listed: whether the master lists a publisher of a topic, or may list it again.
+    """
+
+    def __init__(self, is_listed: Callable[[str, PublisherT], bool]) -> None:
+        self._is_listed = is_listed
+        self._lock = Lock()
+        self._followed: dict[PeerStream, tuple[str, PublisherT]] = {}
+
+    def add(self, stream: PeerStream, topic: str, publisher: PublisherT) -> None:
+        """A connection to a publisher of `topic`; `discard` when it has ended."""
+        if is_alias(topic):
+            with self._lock:
+                self._followed[stream] = topic, publisher
+
+    def discard(self, stream: PeerStream) -> None:
+        """Forget a connection, also one that was never added."""
+        with self._lock:
+            self._followed.pop(stream, None)
+
+    def leave_unlisted(self) -> None:
+        """End the connections to publishers that are not listed."""
+        with self._lock:
+            followed = tuple(self._followed.items())
+        for stream, (topic, publisher) in followed:
+            if not self._is_listed(topic, publisher):
+                self.discard(stream)
+                stream.abort(_REASON)
+
+
+Address = tuple[str, int]
+
+
+class OwnAddresses:
+    """The addresses of one node.
+
+    Attributes:
+        host: the host name it registers; empty while it does not listen.
+    """
+
+    def __init__(self) -> None:
+        self.host = ""
+        self._ports: set[int] = set()
+
+    def add_ports(self, host: str, *ports: int) -> None:
+        """Add ports this node listens on."""
+        self.host = host
+        self._ports.update(ports)
+
+    def is_own(self, address: Address) -> bool:
+        """Whether this node listens at this host and port."""
+        host, port = address
+        return self.host != "" and _plain(host) == _plain(self.host) and port in self._ports
+
+    def check_redirect(self, first: Address, then: Address) -> None:
+        """Refuse a redirect from another node back to this one.
+
+        Raises:
+            ConnectionHeaderRefused: `first` is not this node and sent `then`, which is.
+        """
+        if self.is_own(then) and not self.is_own(first):
+            host, port = first
+            raise ConnectionHeaderRefused(
+                f"the node at {host} port {port} sends this node to itself"
+            )
+
+
+def _plain(host: str) -> str:
+    return host.lower().removeprefix("[").removesuffix("]")
+
+
+CheckPeer = Callable[[Identity, int], None]
+
+
+class Dialer:
+    """Connects as one node; `certified`: its name without a tail, by default the same."""
+
+    def __init__(
+        self,
+        name: str,
+        context: SecureContext[Identity],
+        check_peer: CheckPeer,
+        own_addresses: OwnAddresses | None = None,
+        certified: str = "",
+    ) -> None:
+        self._name = name
+        self._certified = certified or name
+        self._context = context
+        self._check_peer = check_peer
+        self._own_addresses = OwnAddresses() if own_addresses is None else own_addresses
+
+    async def rpc(self, host: str, port: int) -> SecureStream[Identity]:
+        """Connect to a master or slave API; the caller checks the peer's identity."""
+        return await self._connect(host, port, WireProtocol.HTTP)
+
+    async def topic(self, uri: str, topic: str) -> SecureStream[Identity]:
+        """Connect to the TCPROS port that the node at `uri` names in its answer to `requestTopic`.
+
+        At a relay's door that is the door again: the node names an address of its own network.
+
+        Raises:
+            RossecError: out of reach, or no connection offered.
+            CAError: the peer is revoked, or this is not known.
+        """
+        api = names.parse_uri(uri, "a publisher's URI")
+        named = await self._request_topic(await self.rpc(*api), topic)
+        address = api if names.is_door(uri) else named
+        self._own_addresses.check_redirect(api, address)
+        stream = await self._connect(*address, WireProtocol.TCPROS)
+        self._check_identity(stream)
+        return stream
+
+    async def service(self, uri: str) -> SecureStream[Identity]:
+        """Connect to the provider of a service, at its rosrpc URI; raises as `topic`."""
+        host, port = names.parse_uri(uri, "a service's URI", scheme="rosrpc")
+        stream = await self._connect(host, port, WireProtocol.TCPROS)
+        self._check_identity(stream)
+        return stream
+
+    async def _connect(
+        self, host: str, port: int, protocol: WireProtocol
+    ) -> SecureStream[Identity]:
+        to_itself = self._own_addresses.is_own((host, port))
+        return await connect(host, port, self._context, protocol, to_itself=to_itself)
+
+    async def _request_topic(self, stream: SecureStream[Identity], topic: str) -> tuple[str, int]:
+        self._check_identity(stream)
+        try:
+            named = wire_name(stream.peer, topic, self._certified)
+            caller = caller_for(stream.peer, self._name, self._certified)
+            answer = await RpcClient(stream).ask("requestTopic", caller, named, [["TCPROS"]])
+        finally:
+            stream.close_soon()  # the peer could make this take longer than a caller has
+        match answer:
+            case ["TCPROS", str() as host, int() as port] if 0 < port < 1 << 16:
+                return host, port
+            case _:
+                raise ConnectionHeaderRefused(
+                    f"{shown(stream.peer.name)} offers no connection for {shown(topic)}"
+                )
+
+    def _check_identity(self, stream: SecureStream[Identity]) -> None:
+        try:
+            self._check_peer(stream.peer, clock.now())
+        except BaseException:
+            stream.abort("the peer's identity is revoked or cannot be checked")
+            raise
+
+
+async def serve_peer(
+    stream: SecureStream[Identity], dispatch: Dispatch[Identity], access: Access
+) -> None:
+    """Answer the calls of a peer until it closes, or its time is over."""
+    if access.is_master(stream.peer):
+        stream.raise_unit_limit()
+        await serve_calls(stream, dispatch, urgent=True)
+        return
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(slave_api.DEADLINE):
+            await serve_calls(stream, dispatch, bound=lambda: UNSHOWN_BODY)

@@ -5,23 +5,85 @@ of it (genmsg, `compute_md5_text`), so `Vector3[0] linear` has the md5 of `Vecto
 that chooses the text could make a guard check other bytes than the receiver reads. So a guard is
 built from the definition of the side that applies it: the receiver's own, or the one installed on
 its host. A restricted publisher's definition is used only where the receiver's md5 proves it.
+
+Which package has the definition of a message or service type: what to install. Pure.
+
+Debian has the definitions of a ROS package in one of its own, and ROS's packages for Ubuntu have
+everything of a ROS package in one. For hints alone.
+
+The guard that applies restrictions to the messages of one connection. Pure.
+
+Each side applies those of the other: a publisher the subscriber's, before a message is sent; a
+subscriber the publisher's, before a message is accepted. A restricted peer is not trusted to obey
+them, nor with the definition of its messages (`definitions`).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, TypeAlias
 
 from ca.errors import HintedError
+from ca.names import closest
 from grants.decision import Decision
 from grants.errors import DefinitionIncomplete, DefinitionRefused
 from grants.filters import layout
 from grants.filters.layout import Layout
-from grants.guard import check_type
+from grants.guard import Guard, MemoryScope, check_type, needed_keys
 from rossec.errors import ConnectionHeaderRefused
-from rossec.participant.header_fields import Fields, text
-from rossec.participant.type_packages import what_to_install
+from rossec.participant.handshakes import Fields, text
 from rossec.ros.names import ANY_TYPE
+
+_IN_ROS: Final = frozenset({
+    "actionlib_msgs", "diagnostic_msgs", "geometry_msgs", "map_msgs", "move_base_msgs", "nav_msgs",
+    "pcl_msgs", "rosgraph_msgs", "sensor_msgs", "shape_msgs", "std_msgs", "std_srvs", "stereo_msgs",
+    "tf2_msgs", "trajectory_msgs", "visualization_msgs",
+})  # fmt: skip
+"""Of these Debian has the definitions in `ros-...`."""
+_OTHERS: Final = {
+    "actionlib": "libactionlib-dev", "bond": "libbond-dev", "nodelet": "libnodelet-dev",
+    "roscpp": "ros-roscpp-msg", "topic_tools": "ros-topic-tools-srvs",
+}  # fmt: skip
+
+
+def what_to_install(type_name: str) -> str:
+    """What brings the definition of a type to a host."""
+    package = type_name.partition("/")[0]
+    ours = f"of ROS for Ubuntu: ros-noetic-{_dashed(package)}"
+    if (theirs := _debian(package)) is not None:
+        return f"it is in Debian's package {theirs} ({ours}): apt install {theirs}"
+    return (
+        f"Debian does not have it ({ours}); of a workspace: name the folder of {package} in"
+        " ROS_PACKAGE_PATH"
+    )
+
+
+def unknown_type(type_name: str, known: Iterable[str]) -> str:
+    """The hint where a message type is not known: one of that package, or what to install."""
+    package, _, leaf = type_name.partition("/")
+    pairs = (name.partition("/") for name in known)
+    same = [each for its, _, each in pairs if its == package]
+    if same:
+        near = closest(leaf, same)
+        meant = f"did you mean {package}/{near}? " if near is not None else ""
+        return f"{meant}it is none of {package} as it is known here; {_own(package)}"
+    near = None if _debian(package) is not None else closest(type_name, known)
+    if near is not None:
+        return f"did you mean {near}? else {what_to_install(type_name)}"
+    return what_to_install(type_name)
+
+
+def _own(package: str) -> str:
+    return f"one of your own: register_type(), or the folder of its {package} in ROS_PACKAGE_PATH"
+
+
+def _debian(package: str) -> str | None:
+    return f"ros-{_dashed(package)}" if package in _IN_ROS else _OTHERS.get(package)
+
+
+def _dashed(package: str) -> str:
+    return package.replace("_", "-").lower()
+
 
 _RESTRICTED: Final = "the publisher's right is restricted, so this host must know the type"
 _ROS_PATH: Final = "sidecars and gateways look for .msg files along ROS_PACKAGE_PATH"
@@ -225,3 +287,25 @@ def _is_proven(definition: Definition) -> bool:
 
 def _either(own: str, claimed: str) -> str:
     return claimed if own == ANY_TYPE else own
+
+
+FilterKey = Callable[[str], bytes]
+
+
+def guard_for(
+    kind: Definition, decision: Decision, filter_key: FilterKey, memory: MemoryScope
+) -> Guard | None:
+    """The guard for messages of `kind`; None: nothing to apply.
+
+    `memory` finds what earlier connections of the same key have used up. Without a guard, the
+    watchdog still closes the connection when the right expires.
+
+    Raises:
+        ConnectionHeaderRefused, DefinitionRefused: `kind` has no valid definition.
+        GrantError: the restrictions are for another type.
+    """
+    if not decision.restrictions:
+        return None
+    keys = {key: filter_key(key) for key in needed_keys(decision.restrictions)}
+    shape = kind.layout if needs_definition(decision) else None
+    return Guard(shape, decision, keys, memory)

@@ -4,6 +4,11 @@
 and sound are in `further_types`; other types are found in the packages of this host (`host_types`),
 or added from their `.msg` text. The ROS 2 names (`pkg/msg/Type`) that `rosbags` uses do not leave
 this module.
+
+Message types of ROS Noetic that `rosbags` leaves out: transforms and sound. Data, nothing else.
+
+They are those of the vocabulary (`grants.vocabulary.contents`), so a policy can name every type of
+which it is known what it tells, also on a host without ROS.
 """
 
 import re
@@ -19,10 +24,29 @@ from rosbags.typesys.base import TypesysError, normalize_fieldname
 from rosbags.typesys.store import Typestore
 
 from rossec.errors import MessageError
-from rossec.participant.definitions import Definition
-from rossec.participant.further_types import FURTHER_TYPES
+from rossec.participant.definitions import Definition, unknown_type
 from rossec.participant.host_types import known_type
-from rossec.participant.type_packages import unknown_type
+
+_TRANSFORMS: Final = "geometry_msgs/TransformStamped[] transforms\n"
+
+FURTHER_TYPES: Final[Mapping[str, str]] = {
+    "tf2_msgs/TFMessage": _TRANSFORMS,
+    "tf/tfMessage": _TRANSFORMS,
+    "tf2_msgs/TF2Error": (
+        "uint8 NO_ERROR = 0\nuint8 LOOKUP_ERROR = 1\nuint8 CONNECTIVITY_ERROR = 2\n"
+        "uint8 EXTRAPOLATION_ERROR = 3\nuint8 INVALID_ARGUMENT_ERROR = 4\n"
+        "uint8 TIMEOUT_ERROR = 5\nuint8 TRANSFORM_ERROR = 6\n\nuint8 error\nstring error_string\n"
+    ),
+    "audio_common_msgs/AudioData": "uint8[] data\n",
+    "audio_common_msgs/AudioDataStamped": (
+        "std_msgs/Header header\naudio_common_msgs/AudioData audio\n"
+    ),
+    "audio_common_msgs/AudioInfo": (
+        "uint8 channels\nuint32 sample_rate\nstring sample_format\nuint32 bitrate\n"
+        "string coding_format\n"
+    ),
+}
+"""The text of the .msg file, by name; a type comes after those it uses."""
 
 _SEGMENT: Final = re.compile("[A-Za-z][A-Za-z0-9_]*")  # rosbags makes Python code of it
 _NO_FIELDS: Final = "structure_needs_at_least_one_member"

@@ -3,12 +3,99 @@
 Programs register once and never again; a master that was restarted would not know them. Refused
 registrations are kept as well, for when there is a new grant. Thread-safe: iterations are over a
 copy, which is made in one step.
+
+A call to the master with another caller_id than the node's own name. Pure.
+
+Tools, and programs before `init_node`, use names that no certificate covers; the master receives
+the node's own. A relative name in such a call is resolved for the original caller, or it would
+silently mean another key.
+
+What a client library does not tell its program, so that somebody else has to say it. Pure.
+
+rospy and roscpp drop the answer to `setParam`, and a graph of which a node may see nothing looks
+like a graph in which there is nothing.
+
+When to reconnect after a connection is lost. Pure.
+
+Soon at first, as a restarted master is back within seconds; less often after `FAST_PERIOD`, when it
+was probably switched off. Each pause is shortened at random by up to a half, or all nodes of a
+graph would reconnect at the same moment.
+
+The publishers to stay connected to while a restarted master receives registrations. Pure.
+
+A restarted master knows the nodes that have registered since. Subscribers that reconnect first are
+sent incomplete publisher lists, and disconnecting from the rest would interrupt topics that are
+not affected. So after a session is opened, a publisher missing from the list is kept for `GRACE`
+seconds, or until it is listed again; if it is removed after that, it is dropped at once. The grace
+period begins with the loss of the session, and not again while a publisher is missing: a peer that
+resets sessions cannot extend it. Whether a connection may stay open is decided elsewhere.
+
+The graph of a master as a watcher knows it from the answers of `rossec.watchGraph`. Pure.
+
+The thesis (4.2) has a watcher compare versions to notice a restarted master; here each answer has
+an instance id of the master, and a master that does not know the watcher sends the whole graph.
 """
 
-from collections.abc import Iterator, Sequence
-from typing import Final
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Final, NamedTuple
 
-from rossec.participant.caller_names import RELATIVE_NAME
+from ca.errors import NameRefused
+from ca.names import MAX_NAME, check_name
+from rossec.errors import AnswerMalformed
+from rossec.ros import names
+from rossec.ros.names import canonical
+
+SEARCH: Final = "searchParam"
+RELATIVE_NAME: Final = {
+    "registerPublisher": 1, "registerSubscriber": 1, "registerService": 1,
+    "unregisterPublisher": 1, "unregisterSubscriber": 1, "unregisterService": 1,
+    "lookupNode": 1, "lookupService": 1, "getPublishedTopics": 1,
+    "subscribeParam": 2, "unsubscribeParam": 2,
+    "getParam": 1, "setParam": 1, "deleteParam": 1, "hasParam": 1,
+}  # fmt: skip
+"""Index of the parameter that is a name relative to the caller; the caller_id is 0."""
+
+Params = tuple[object, ...]
+
+
+def resolve_params(method: str, params: Params, caller: str) -> Params:
+    """`params` with the name in them resolved for `caller`; an empty name stays as it is."""
+    index = RELATIVE_NAME.get(method, len(params))
+    name = params[index] if index < len(params) else None
+    if not isinstance(name, str) or not name:
+        return params
+    return (*params[:index], names.resolve(name, caller), *params[index + 1 :])
+
+
+def searched_key(method: str, params: Params) -> str | None:
+    """The key that `searchParam` looks for from the caller's namespace; None for other calls."""
+    match method, params:
+        case "searchParam", (_, str() as key) if key and key[0] not in "/~":
+            return key
+        case _:
+            return None
+
+
+def search_places(caller: str, key: str) -> Iterator[tuple[str, str]]:
+    """Where stock looks for `key`, innermost first: names that must exist, with their results."""
+    return names.search_paths(caller[:MAX_NAME], key)
+
+
+def search_result(answer: list[object], found: str) -> list[object] | None:
+    """The result of the search, from the answer for one name; None: go on with the next."""
+    match answer:
+        case [1, *_]:
+            return [1, f"Found [{found}]", found]
+        case [-1, str(status), _] if not status.startswith("rossec: "):
+            return None
+        case _:
+            return answer
+
+
+def not_found(key: str) -> list[object]:
+    """The answer when no name exists."""
+    return [-1, f"Cannot find parameter [{key}] in an upwards search", ""]
+
 
 Call = tuple[str, tuple[object, ...]]  # a method of the master, its parameters
 MAX_REFUSED: Final = 256  # refused registrations of one program that are kept
@@ -66,3 +153,205 @@ class RegistrationTable:
         elif key in self._calls and self._calls[key][_ADDRESS[registers]] == params[index]:
             del self._calls[key]
             self._refused.discard(key)
+
+
+UNHEARD: Final = frozenset({"setParam", "deleteParam"})
+"""Calls to the master whose refusal does not reach the program."""
+GRAPH: Final = frozenset({"getSystemState", "getTopicTypes", "getPublishedTopics"})
+"""Calls that are answered with what the caller may see."""
+
+
+def unheard_refusal(method: str, params: Sequence[object], answer: object) -> str | None:
+    """Why a call was refused of which the program does not hear it; None: it is none of these.
+
+    What rossec itself refuses has a reason of its own in its status, and is not meant here.
+    """
+    match answer:
+        case [code, str(status), *_] if code != 1 and method in UNHEARD:
+            return _of_name(params[RELATIVE_NAME[method] :][:1]) or status
+        case _:
+            return None
+
+
+def _of_name(named: Sequence[object]) -> str:
+    """What is wrong with the name in a call, and what would not be; empty: nothing."""
+    for name in named:
+        try:
+            check_name(canonical(str(name)))
+        except NameRefused as error:
+            return f"{error} ({error.hint})"
+    return ""
+
+
+def shows_nothing(method: str, answer: object) -> bool:
+    """Whether a node asked for the graph and was shown nothing of it."""
+    match answer:
+        case [1, _, list(found)] if method in GRAPH:
+            return not any(found)
+        case _:
+            return False
+
+
+def nothing_shown(node: str) -> str:
+    """What is said then."""
+    return f"nothing that {node} may see; all of it needs: rossec grant sign {node} --graph"
+
+
+FIRST: Final = 0.25
+FAST_PERIOD: Final = 30.0  # seconds from the loss on
+_LONGEST_FAST: Final = 1.0
+_LONGEST: Final = 5.0
+
+
+class Retry:
+    """The pauses after one loss, until `succeeded`.
+
+    Args:
+        rand: returns a random number from 0 up to 1.
+    """
+
+    def __init__(self, rand: Callable[[], float]) -> None:
+        self._rand = rand
+        self.succeeded()
+
+    def succeeded(self) -> None:
+        """The next failure is a new loss."""
+        self._pause, self._lost_at = FIRST / 2, -1.0
+
+    def pause(self, now: float) -> float:
+        """Seconds to wait after a failure at `now`."""
+        if self._lost_at < 0:
+            self._lost_at = now
+        longest = _LONGEST_FAST if now - self._lost_at < FAST_PERIOD else _LONGEST
+        self._pause = min(2 * self._pause, longest)
+        return self._pause * (1 - self._rand() / 2)
+
+
+GRACE: Final = 15.0  # seconds; a hundred nodes register within six
+
+
+class PublisherGrace:
+    """The publishers of each topic of one node, by their URIs.
+
+    Args:
+        now: seconds of a monotonic clock (`rossec.clock.counter`).
+    """
+
+    def __init__(self, now: Callable[[], float]) -> None:
+        self._now = now
+        self._listed: dict[str, tuple[str, ...]] = {}
+        self._missing: dict[str, frozenset[str]] = {}  # by topic; no empty sets
+        self._until = 0.0
+
+    def session_opened(self) -> None:
+        """The session was lost and opened again: lists may be incomplete from now on."""
+        now = self._now()
+        if now >= self._until:
+            self._missing.clear()
+        if not self._missing:
+            self._until = now + GRACE
+        listed = self._listed.copy()  # atomic: in rospy threads share it
+        for topic, uris in listed.items():
+            if uris:
+                self._missing[topic] = self._missing.get(topic, frozenset()).union(uris)
+
+    def update(self, topic: str, uris: Iterable[str]) -> list[str]:
+        """Take the master's list; returns the publishers to connect to."""
+        self._listed[topic] = named = tuple(uris)
+        missing = self._missing.pop(topic, frozenset()).difference(named)
+        if missing:
+            self._missing[topic] = missing
+        return self.to_follow(topic)
+
+    def to_follow(self, topic: str) -> list[str]:
+        """The publishers the master lists, then missing ones still in their grace period."""
+        named = self._listed.get(topic, ())
+        missing = self._missing.get(topic, ()) if self._now() < self._until else ()
+        return [*named, *sorted(set(missing).difference(named))]
+
+    def expired_topics(self) -> list[str]:
+        """Topics with publishers missing at the end of the grace period, each returned once."""
+        if self._now() < self._until:
+            return []
+        topics, self._missing = list(self._missing), {}
+        return topics
+
+    def forget(self, topic: str) -> None:
+        """Drop a topic that has no subscriber any more."""
+        self._listed.pop(topic, None)
+        self._missing.pop(topic, None)
+
+
+WATCH_GRAPH: Final = "rossec.watchGraph"
+
+Fact = tuple[str, str, str]
+"""Kind, name and value, as `rossec.master.api.graph_calls` has them."""
+
+
+class ObservedChange(NamedTuple):
+    """The changes in one answer.
+
+    Args:
+        restarted: the master restarted, or no longer knows this watcher.
+        more: call again at once.
+    """
+
+    added: tuple[Fact, ...]
+    removed: tuple[Fact, ...]
+    restarted: bool
+    more: bool
+
+
+class GraphView:
+    """The graph as one watcher knows it."""
+
+    def __init__(self) -> None:
+        self.facts: frozenset[Fact] = frozenset()
+        self.version = -1
+        self.instance = ""
+        self._cursor = 0
+
+    @property
+    def next_params(self) -> tuple[str, int]:
+        """The parameters of the next call."""
+        return self.instance, self._cursor
+
+    def take(self, answer: object) -> ObservedChange:
+        """Take over an answer; facts that are sent again but have not changed are not reported.
+
+        Raises:
+            AnswerMalformed: it is invalid.
+        """
+        match answer:
+            case {
+                "instance": str() as instance, "version": int() as version,
+                "cursor": int() as cursor, "whole": bool() as whole, "more": bool() as more,
+                "added": list() as added, "removed": list() as removed,
+            }:  # fmt: skip
+                new, old = facts_of(added), facts_of(removed)
+            case _:
+                raise AnswerMalformed("a graph update that is malformed")
+        base = frozenset() if whole else self.facts
+        known = self.facts
+        self.facts = (base | new) - old
+        restarted = whole and self.instance != ""
+        self.instance, self.version, self._cursor = instance, version, cursor
+        return ObservedChange(
+            tuple(sorted(self.facts - known)), tuple(sorted(known - self.facts)), restarted, more
+        )
+
+
+def facts_of(rows: list[object]) -> frozenset[Fact]:
+    """The facts in a part of an answer.
+
+    Raises:
+        AnswerMalformed: something else.
+    """
+    found: set[Fact] = set()
+    for row in rows:
+        match row:
+            case [str() as kind, str() as name, str() as value]:
+                found.add((kind, name, value))
+            case _:
+                raise AnswerMalformed("a graph update that is malformed")
+    return frozenset(found)

@@ -3,17 +3,28 @@
 `rosbags` knows messages only; the definitions of Noetic's standard services are written here, and
 others are added from the text of their `.srv` files. The parts of `std_srvs/SetBool` are the
 message types `std_srvs/SetBoolRequest` and `std_srvs/SetBoolResponse`, as genpy names them.
+
+What a decision means for the two messages of a call: one guard for each.
+
+Pure. A restriction for the response type (`std_srvs/TriggerResponse`) applies to responses; every
+other one applies to requests, so that a rate or a time counts once per call. A restriction for any
+other type refuses the connection. Both ends use this: the server with the client's right to call,
+the client with the server's right to provide.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import Final
 
+from ca.names import shown
+from grants.decision import Decision
 from grants.filters import layout
-from grants.filters.layout import Layout
-from rossec.errors import MessageError
+from grants.filters.layout import Buffer, Layout
+from grants.guard import Guard, MemoryScope, needed_keys
+from rossec.errors import MessageError, ServiceRefused
+from rossec.participant.definitions import what_to_install
 from rossec.participant.message_types import MessageType, message_type, register_types
-from rossec.participant.type_packages import what_to_install
 
 _DIVIDER: Final = "---"
 
@@ -131,3 +142,62 @@ def _register(name: str, definition: str) -> None:
             f"{name}Response": "\n".join(lines[dividers[0] + 1 :]),
         }
     )
+
+
+Pieces = Sequence[Buffer]
+
+
+class ServiceGuard:
+    """Filters the requests and responses of one connection.
+
+    Args:
+        filter_key: finds a key for pseudonyms by its name.
+        memory: finds what earlier connections of the same key have used up.
+
+    Raises:
+        GrantError: a restriction is for another type.
+        ConfigurationError: a key for pseudonyms cannot be read.
+    """
+
+    def __init__(
+        self,
+        kind: ServiceType,
+        decision: Decision,
+        filter_key: Callable[[str], bytes],
+        memory: MemoryScope,
+    ) -> None:
+        keys = {name: filter_key(name) for name in needed_keys(decision.restrictions)}
+        restrictions = decision.restrictions
+        on_response = tuple(item for item in restrictions if item.type == kind.response.name)
+        on_request = tuple(item for item in restrictions if item.type != kind.response.name)
+        self._name = shown(decision.name)
+        request, response = (
+            replace(decision, restrictions=some) for some in (on_request, on_response)
+        )
+        self._request = Guard(kind.request_layout, request, keys, memory)
+        self._response = Guard(kind.response_layout, response, keys, memory.child("response"))
+
+    def request(self, data: Buffer, now: float) -> Pieces:
+        """The request as it may be forwarded.
+
+        Raises:
+            ServiceRefused, GrantError: it may not be.
+        """
+        return self._filter(self._request, "request", data, now)
+
+    def response(self, data: Buffer, now: float) -> Pieces:
+        """The response as it may be forwarded.
+
+        Raises:
+            ServiceRefused, GrantError: it may not be.
+        """
+        return self._filter(self._response, "response", data, now)
+
+    def _filter(self, guard: Guard, what: str, data: Buffer, now: float) -> Pieces:
+        pieces = guard(data, now)
+        if pieces is None:
+            raise ServiceRefused(
+                f"the grant for {self._name} does not allow this {what}, or not now",
+                "a condition or the rate in the grant forbids it: see `rossec grant show`",
+            )
+        return pieces

@@ -1,7 +1,7 @@
 """The sidecar process: `python -I -m rossec.sidecar`, executed by `rossec run`.
 
 Separate from the command line, whose imports would double its memory. Arguments come as one JSON
-object from `rossec.cli.node.run`; they hold no secret.
+object from `rossec.cli.node.sidecar`; they hold no secret.
 """
 
 import asyncio
@@ -14,15 +14,14 @@ from typing import Any
 
 from ca.errors import HintedError
 from rossec.channel.opening import post_quantum
-from rossec.discovery.choose import discover_master
+from rossec.discovery.local_links import discover_master
 from rossec.environment import own_home, own_master
-from rossec.log_limits import LogRateLimit
-from rossec.net.host.own_address import warn_of_own_address
-from rossec.ros import settings
-from rossec.ros.text import printable
+from rossec.host.addresses import warn_of_own_address
+from rossec.peer_limits import LogRateLimit, printable
+from rossec.ros import names
 from rossec.sidecar import child, loopback_port
 from rossec.sidecar.callers import Callers
-from rossec.sidecar.descriptors import raise_limit
+from rossec.sidecar.child import raise_limit
 from rossec.sidecar.server import Sidecar
 
 _REFUSED = 1
@@ -64,7 +63,7 @@ async def _run(options: dict[str, Any]) -> int:
     callers = _callers(options)
     sidecar = Sidecar(
         own_home(before),
-        settings.read((), before, default_name="/sidecar"),
+        names.read((), before, default_name="/sidecar"),
         callers,
         identity=options["identity"],
         each=options["each"],
@@ -73,7 +72,7 @@ async def _run(options: dict[str, Any]) -> int:
         master_name=own_master(before),
     )
     sidecar.start()
-    warn_of_own_address(settings.own_address(before), before, _warn_of_address)
+    warn_of_own_address(names.own_address(before), before, _warn_of_address)
     try:
         if options["command"]:
             child.adopt_orphans()

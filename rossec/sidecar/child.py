@@ -5,6 +5,11 @@ or on its command line. It inherits the descriptors passed to us, as with `<(...
 orphans become our children (subreaper), so that they remain its descendants. Signals of other
 processes are forwarded; signals of the kernel (Ctrl-C) the terminal has sent to the program as
 well. Only signalfd(2) tells the two apart.
+
+The limit of open descriptors: raised for this process, restored for its program.
+
+Every connection of a program needs two here. The usual soft limit of 1024 is for programs that use
+select(2), which this process does not. The program may, so it gets the original limit.
 """
 
 import asyncio
@@ -12,15 +17,39 @@ import contextlib
 import ctypes
 import json
 import os
+import resource
 import signal
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Final
+from contextlib import suppress
+from typing import Final, TypeAlias
 
 from ca.errors import HintedError
 from rossec.errors import ConfigurationError
-from rossec.sidecar.core.endpoints import LOOPBACK, Loopback
-from rossec.sidecar.descriptors import Limits, restore_limit
+from rossec.sidecar.core.layers import LOOPBACK, Loopback
+
+Limits: TypeAlias = tuple[int, int]
+"""The soft and the hard limit."""
+
+ENOUGH: Final = 1 << 16
+_WHICH: Final = resource.RLIMIT_NOFILE
+
+
+def raise_limit() -> Limits:
+    """Raise the soft limit as far as allowed, at most to `ENOUGH`; return the previous limits."""
+    before = resource.getrlimit(_WHICH)
+    soft, hard = before
+    wanted = ENOUGH if hard == resource.RLIM_INFINITY else min(hard, ENOUGH)
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        with suppress(OSError, ValueError):  # a container may forbid it
+            resource.setrlimit(_WHICH, (wanted, hard))
+    return before
+
+
+def restore_limit(before: Limits) -> None:
+    """In the child: restore what `raise_limit` returned."""
+    resource.setrlimit(_WHICH, before)
+
 
 OUTSIDE: Final = "ROSSEC_OUTSIDE"
 """The variable in which a nested `rossec run` finds what the outer one replaced."""

@@ -16,41 +16,40 @@ from grants.model import Right
 from rossec import clock
 from rossec.channel.opening import WireProtocol
 from rossec.errors import PeerUnreachable, RossecError, XmlRpcRefused
-from rossec.net.aio.dial import dial
+from rossec.host.local_sockets import Holder
+from rossec.net.aio.client import dial
 from rossec.net.aio.stream import SecureStream
-from rossec.net.host.peeruid import Holder
-from rossec.net.rpc.client import RpcClient
-from rossec.ros import header
+from rossec.net.rpc.calls import RpcClient
+from rossec.ros import tcpros
 from rossec.ros.names import PRESENT_GRANTS
 from rossec.ros.xmlrpc import FAULT_CODE, Fault
 from rossec.sidecar.callers import Callers
-from rossec.sidecar.core.commands import (
+from rossec.sidecar.core.layers import (
+    Answered,
     AuthenticatePeer,
     CallMaster,
     CallPeer,
     CallProgram,
     Command,
+    CommandDone,
     ConnectPeer,
     ConnectProgram,
+    Endpoint,
+    Event,
+    HeaderArrived,
+    Layer,
+    NoAnswer,
+    Opened,
     OpenEgress,
     OpenIngress,
+    Outcome,
+    PeerAuthenticated,
     Probe,
+    RawResponse,
     Request,
     Suspend,
 )
-from rossec.sidecar.core.endpoints import Endpoint
-from rossec.sidecar.core.events import (
-    Answered,
-    CommandDone,
-    Event,
-    HeaderArrived,
-    NoAnswer,
-    Opened,
-    PeerAuthenticated,
-    RawResponse,
-)
-from rossec.sidecar.core.layers import Layer, Outcome
-from rossec.sidecar.plain_stream import PlainStream
+from rossec.sidecar.loopback_port import PlainStream
 from rossec.sidecar.pump import split_header
 
 DEADLINE: Final = 10.0
@@ -243,7 +242,7 @@ class CommandExecutor:
         peer: Identity | None,
         fields: Mapping[str, bytes],
     ) -> Event:
-        await end.send(header.encode(fields))
+        await end.send(tcpros.encode(fields))
         answer, self.after_header = await split_header(end)
         return HeaderArrived(answer, peer, clock.now())
 

@@ -4,6 +4,10 @@ A shell. Each connection runs one layer after another; an error closes that conn
 sides. A refused peer is told why its own grants do not suffice, and no more. A network port leads
 to the socket that listened when it was opened, not to whoever has the number of its port later:
 the master would have another program shut down in the place of one that has ended.
+
+The secure channel of one identity: connects to peers and listens for them.
+
+A shell. A peer is checked before anything is sent to it.
 """
 
 import asyncio
@@ -13,36 +17,83 @@ from collections.abc import Callable
 from typing import Final
 
 from ca.certificates import Identity
-from ca.domains.aliases import shown
-from ca.errors import HintedError
+from ca.errors import HintedError, RevocationsStale
+from ca.names import shown
 from rossec import clock
 from rossec.channel.opening import WireProtocol
+from rossec.channel.records import ChannelLimits
 from rossec.errors import CallRefused, ChannelClosed, HangUp
-from rossec.net.aio import SecureStream
-from rossec.net.aio.server import SecureServer
-from rossec.net.aio.tasks import TaskSet
-from rossec.net.host.peeruid import Holder
-from rossec.participant.authorized import AuthorizedConnection
-from rossec.participant.connections import ConnectionTable
-from rossec.participant.limit_memory import memory_scope
-from rossec.participant.slave_serving import serve_peer
-from rossec.participant.topic_guard import FilterKey
-from rossec.ros import header, names
-from rossec.ros.names import SIGNED_UPDATES
-from rossec.sidecar import pump, wish_pump
-from rossec.sidecar.connector import PeerConnector
-from rossec.sidecar.core import slave_calls, tcpros
-from rossec.sidecar.core.copies import CopyTracker
-from rossec.sidecar.core.endpoints import Endpoint
-from rossec.sidecar.core.layers import AgentState
-from rossec.sidecar.core.program_memory import ProgramMemories
-from rossec.sidecar.core.replacing import Replacing
-from rossec.sidecar.core.tcpros import AdmittedConnection
+from rossec.host.local_sockets import Holder
+from rossec.host.runner import TaskSet
+from rossec.net.aio import SecureContext, SecureStream, connect
+from rossec.net.aio.server import Handler, SecureServer, serve
+from rossec.net.limits import ACCEPTED, PREAUTH_LIMIT
+from rossec.participant.access import Access
+from rossec.participant.authorized import AuthorizedConnection, memory_scope
+from rossec.participant.connections import ConnectionTable, serve_peer
+from rossec.participant.definitions import FilterKey
+from rossec.ros import names, tcpros
+from rossec.ros.names import SIGNED_UPDATES, is_loopback
+from rossec.ros.tcpros import MESSAGE_LIMIT
+from rossec.ros.xmlrpc import BODY_LIMIT
+from rossec.sidecar import pump
+from rossec.sidecar.core import node_connections
+from rossec.sidecar.core.guards import CopyTracker, ProgramMemories, Replacing
+from rossec.sidecar.core.layers import AgentState, Endpoint
+from rossec.sidecar.core.node_connections import AdmittedConnection
 from rossec.sidecar.executor import AgentServices, CommandExecutor
-from rossec.sidecar.plain_stream import PlainStream
-from rossec.sidecar.port_pool import PortPool
-from rossec.sidecar.pump import split_header
-from rossec.sidecar.wish_pump import WishSender
+from rossec.sidecar.loopback_port import PlainStream, PortPool, bind_free_port
+from rossec.sidecar.pump import WishSender, split_header
+
+# Peers send headers and requests; what programs send leaves in small units.
+ACCEPT_LIMITS: Final = {
+    **ACCEPTED,
+    WireProtocol.TCPROS: ChannelLimits(
+        unit=MESSAGE_LIMIT + BODY_LIMIT, preauth_limit=PREAUTH_LIMIT
+    ),
+}
+
+
+class PeerConnector:
+    """Authenticates with `context`; the identities of peers must be valid for `access`."""
+
+    def __init__(self, context: SecureContext[Identity], access: Access) -> None:
+        self._context = context
+        self._access = access
+
+    async def dial(
+        self, remote: Endpoint, *, allow_stale: bool = False, own_identity: bool = False
+    ) -> SecureStream[Identity]:
+        """Connect to a peer with a valid identity.
+
+        Args:
+            allow_stale: accept stale revocation data: the master provides fresh data.
+            own_identity: the peer must be a program of this identity.
+
+        Raises:
+            HangUp: the identity is invalid, or its revocation status unknown.
+        """
+        stream = await connect(
+            remote.host, remote.port, self._context, remote.protocol, to_itself=own_identity
+        )
+        try:
+            self._access.check_peer(stream.peer, clock.now())
+        except HintedError as error:
+            if not (allow_stale and isinstance(error, RevocationsStale)):
+                stream.abort("the peer's identity is invalid")
+                raise HangUp(str(error), error.hint) from error
+        return stream
+
+    def listen(
+        self, handler: Handler[Identity], host: str, protocol: WireProtocol
+    ) -> SecureServer[Identity]:
+        """Listen; on loopback alone if `host`, the advertised address, is loopback.
+
+        The port is bound explicitly, so that the kernel reserves it while the server is suspended.
+        """
+        bind = host if is_loopback(host) else None
+        return bind_free_port(lambda port: serve(handler, bind, port, self._context, protocol))
+
 
 HEADER_DEADLINE: Final = 15.0  # includes the handshake with the program
 _ENDED: Final = 64  # ports of ended programs that are kept bound: `rosnode cleanup` tries them
@@ -168,7 +219,9 @@ class Ingress:
                 now = clock.now()
                 proof = presented[0] if presented else None
                 agent = self._agent
-                layer = slave_calls.handle_peer_call(agent, local, peer, method, params, proof, now)
+                layer = node_connections.handle_peer_call(
+                    agent, local, peer, method, params, proof, now
+                )
                 return await executor.run(layer)
             except HangUp:
                 raise
@@ -196,7 +249,7 @@ class Ingress:
             try:
                 async with asyncio.timeout(HEADER_DEADLINE):
                     fields, after_request = await split_header(stream)
-                    layer = tcpros.admit_peer(
+                    layer = node_connections.admit_peer(
                         self._agent, local, fields, stream.peer, self._filter_key,
                         lambda name: self._memories.acquire(name, local), clock.now(),
                     )  # fmt: skip
@@ -205,7 +258,7 @@ class Ingress:
                 raise
             except HintedError as error:
                 _log.warning("refused %s: %s (%s)", shown(stream.peer.name), error, error.hint)
-                await stream.send(header.error_header(f"rossec: {error}"))
+                await stream.send(tcpros.error_header(f"rossec: {error}"))
                 return
             if executor.program is not None:
                 await self._forward(
@@ -234,7 +287,7 @@ class Ingress:
                 stream, decision, admitted.guard, replacing.rebuild, replacing.swap
             )
             with self._connections.track(connection):
-                await stream.send(header.encode(admitted.answer))
+                await stream.send(tcpros.encode(admitted.answer))
                 if admitted.service:
                     stream.raise_unit_limit()
                     await pump.exchange(program, stream, after_answer, after_request)
@@ -243,7 +296,7 @@ class Ingress:
                 elif admitted.wishes:
                     sender = WishSender(stream, admitted.wishes)
                     sender.put(initial)
-                    await wish_pump.publish(program, stream, guard, after_answer, sender)
+                    await pump.publish_as_wished(program, stream, guard, after_answer, sender)
                 else:
                     if initial:
                         await stream.send(*pump.framed(initial))

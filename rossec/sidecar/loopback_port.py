@@ -4,20 +4,122 @@ A suspended port is bound but does not listen: the kernel refuses callers as for
 other process gets the port (`rosnode ping` and `cleanup` rely on both). The address is 127.0.0.1 if
 there is one. Stock ROS cannot parse [::1] in a URI, so ::1 is used by a host name that resolves to
 it alone.
+
+A plain TCP connection with a program of this host: bytes as they come, with back-pressure.
+
+It has the methods of `SecureStream`, so that both kinds can be served and forwarded alike. Its
+buffer is small until a program fills it: fifty idle nodes must not cost fifty large buffers.
+
+A bounded pool with one port for each endpoint, or what else names where a port leads.
+
+An endpoint requested again gets the same port. When the pool is full, the least recently requested
+port without connections that may be evicted is closed. On the network that is only the port of a
+dead program: peers keep the address of a live one for any time. On loopback it is any port:
+programs look the port up before they connect.
 """
 
 import asyncio
 import contextlib
 import logging
 import socket
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Hashable, Iterator
+from contextlib import suppress
 from functools import partial
-from typing import Final, Protocol, TypeVar
+from typing import Final, Generic, Protocol, TypeVar
 
-from rossec.errors import ConfigurationError, PeerUserRefused
-from rossec.net.aio.tasks import TaskSet
-from rossec.sidecar.core.endpoints import LOOPBACK, Loopback
-from rossec.sidecar.plain_stream import PlainStream
+from rossec.channel.records import Bytes
+from rossec.errors import ChannelClosed, ConfigurationError, PeerUserRefused
+from rossec.host.runner import TaskSet
+from rossec.net.aio.transport import BaseStream, Transport
+from rossec.sidecar.core.layers import LOOPBACK, Loopback
+
+_SMALL: Final = 8 * 1024
+_LARGE: Final = 512 * 1024  # two records of the channel: what a peer reads at a time
+_LINGER: Final = 2.0
+_CLOSED: Final = "the program closed the connection"
+
+
+class PlainStream(BaseStream):
+    """One connection; `peer` is a constant: a program has no identity of its own.
+
+    Attributes:
+        socket: by which the kernel says whose the other end is.
+    """
+
+    peer = "a program of this host"
+
+    def __init__(self, sock: socket.socket) -> None:
+        super().__init__()
+        self.socket: Final = sock
+        self._buffer = memoryview(bytearray(_SMALL))
+        self.transport = Transport(sock, self)
+        self.transport.resume_reading()
+
+    # -- called by the transport
+
+    def get_buffer(self) -> memoryview:
+        """The buffer; what it had was forwarded or copied."""
+        return self._buffer
+
+    def buffer_updated(self, count: int) -> None:
+        """Forward the bytes without a copy, or queue them."""
+        self._deliver(self._buffer[:count])
+        if count == len(self._buffer) < _LARGE:
+            self._buffer = memoryview(bytearray(_LARGE))
+        if self._units:
+            self._notify()
+
+    def eof_received(self) -> None:
+        """The program has closed its side."""
+        self.error = ChannelClosed(_CLOSED)
+        self._notify()
+
+    def resume_writing(self) -> None:
+        """Everything written was sent."""
+        self._wake_waiters()
+
+    def connection_lost(self) -> None:
+        """The connection is closed."""
+        self.eof_received()
+
+    # -- for users
+
+    def write_nowait(self, data: Bytes) -> bool:
+        """Send `data` now, whether the program lags or not; false: it does, wait for `drain`.
+
+        Raises:
+            ChannelClosed: the connection is closed.
+        """
+        if self.transport.closed:
+            raise ChannelClosed(_CLOSED)
+        self.transport.write(data)
+        return self.transport.writable
+
+    async def send(self, *pieces: Bytes) -> None:
+        """Send the pieces; waits while the program lags.
+
+        Raises:
+            ChannelClosed: the connection is closed.
+        """
+        for piece in pieces:
+            self.write_nowait(piece)
+        await self.drain()
+
+    async def close(self) -> None:
+        """Close this side after what was sent; wait briefly for the other."""
+        self.transport.write_eof()
+        try:
+            with suppress(ChannelClosed, TimeoutError):
+                async with asyncio.timeout(_LINGER):
+                    while True:
+                        await self.receive()
+        finally:
+            self.transport.abort()
+
+    def abort(self, _reason: str = "") -> None:
+        """Drop the connection at once."""
+        self.transport.abort()
+
 
 _BACKLOG: Final = 64
 _ATTEMPTS: Final = 16
@@ -234,3 +336,81 @@ def free_port() -> int:
         sock.bind(("0.0.0.0", 0))  # noqa: S104 - it never listens
         found: int = sock.getsockname()[1]
         return found
+
+
+LIMIT: Final = 512  # each way; a process has 1024 descriptors by default
+
+
+class PooledPort(Protocol):
+    """What the pool needs of a port."""
+
+    @property
+    def connections(self) -> int:
+        """The number of open connections."""
+
+
+KeyT = TypeVar("KeyT", bound=Hashable)
+PortT = TypeVar("PortT", bound=PooledPort)
+_HINT: Final = "give some of the nodes an identity of their own"
+
+
+class PortPool(Generic[KeyT, PortT]):
+    """Ports of one kind.
+
+    Args:
+        on_evict: called with the endpoint and its evicted port.
+        may_evict: whether the idle port for this endpoint may be evicted.
+        hint: what to do when the pool is full of ports in use.
+    """
+
+    def __init__(
+        self,
+        on_evict: Callable[[KeyT, PortT], None],
+        may_evict: Callable[[KeyT], bool] = lambda _: True,
+        limit: int = LIMIT,
+        hint: str = _HINT,
+    ) -> None:
+        self._on_evict = on_evict
+        self._may_evict = may_evict
+        self._limit = limit
+        self._hint = hint
+        self._ports: dict[KeyT, PortT] = {}  # the most recently requested last
+
+    def get(self, endpoint: KeyT) -> PortT | None:
+        """The port for `endpoint`, if there is one; does not count as a request."""
+        return self._ports.get(endpoint)
+
+    def get_or_open(self, endpoint: KeyT, open_port: Callable[[], PortT]) -> PortT:
+        """The port for `endpoint`, opened if there is none.
+
+        Raises:
+            ConfigurationError: the pool is full, and no port may be evicted.
+        """
+        port = self._ports.pop(endpoint, None)
+        if port is None:
+            if len(self._ports) >= self._limit:
+                self._evict()
+            port = open_port()
+        self._ports[endpoint] = port
+        return port
+
+    def keys(self) -> tuple[KeyT, ...]:
+        """Where the ports lead; the most recently requested last."""
+        return tuple(self._ports)
+
+    def remove(self, endpoint: KeyT) -> PortT | None:
+        """Take the port for `endpoint` out of the pool, if there is one; it stays open."""
+        return self._ports.pop(endpoint, None)
+
+    def _evict(self) -> None:
+        for endpoint, port in self._ports.items():
+            if port.connections == 0 and self._may_evict(endpoint):
+                del self._ports[endpoint]
+                self._on_evict(endpoint, port)
+                return
+        raise ConfigurationError(
+            f"more than {self._limit} addresses in use in one process", self._hint
+        )
+
+    def __iter__(self) -> Iterator[PortT]:
+        return iter(tuple(self._ports.values()))

@@ -3,37 +3,323 @@
 A shell. The identity of a call follows from the caller_id, never from data of a peer: with
 `identity` it is always that one; otherwise each program uses the one enrolled for its name. The
 caller_id of roscpp's `NodeHandle::searchParam` is a namespace of its node: there it is the program.
+
+Connections to peers' slave APIs, cached briefly for the program that looked them up.
+
+A shell. A port is opened only if the peer answers; the program that then connects to the port
+reuses that connection.
+
+Publisher updates for the programs of one identity where no master sends one.
+
+A shell around `core.registrations`. Programs need not handle a topic whose connection ended and
+that they may subscribe to again, or publishers that a restarted master did not list again.
+
+One identity of the sidecar: assembles its parts and provides the agent services.
+
+A shell around `layers.AgentState`. `participant.membership` holds the master session, `ingress` and
+`egress` the ports; connections that expire or are revoked are cut. If a task fails, all are closed.
 """
 
 import asyncio
 import logging
+import time
 from functools import partial
 from pathlib import Path
 from typing import Final
 
+from ca.certificates import Identity
 from ca.errors import HintedError, NameRefused
-from ca.names import check_name
-from rossec import home_hints
+from ca.names import check_name, shown
+from grants.model import Right
+from rossec import clock, environment
+from rossec.channel.edhoc.credentials import KnownCertificates
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.channel.opening import WireProtocol
-from rossec.errors import ConfigurationError, HangUp
+from rossec.errors import ConfigurationError, HangUp, PeerUnreachable
 from rossec.home import NodeHome
-from rossec.net.halfopen import HalfOpen, HalfOpenCount
-from rossec.net.rpc.client import serve_calls
-from rossec.participant.caller_names import SEARCH
+from rossec.host.local_sockets import Holder
+from rossec.host.runner import TaskSet
+from rossec.net.aio import SecureContext, SecureStream
+from rossec.net.limits import HalfOpen, HalfOpenCount
+from rossec.net.rpc.calls import serve_calls
+from rossec.participant.access import Access
+from rossec.participant.connections import ConnectionTable
+from rossec.participant.host_types import known_type
+from rossec.participant.membership import LoadedIdentity, Membership
+from rossec.participant.registrations import GRAPH, SEARCH, PublisherGrace
 from rossec.participant.slave_api import without_caller
-from rossec.ros.names import MASTER
-from rossec.ros.settings import Settings, is_loopback
+from rossec.ros.names import MASTER, Settings, is_loopback
 from rossec.ros.xmlrpc import Fault
-from rossec.sidecar.agent import Agent
 from rossec.sidecar.callers import Callers
-from rossec.sidecar.core.endpoints import Endpoint
-from rossec.sidecar.core.master_calls import MULTICALL, rule_of
-from rossec.sidecar.loopback_port import LoopbackPort
-from rossec.sidecar.plain_stream import PlainStream
+from rossec.sidecar.core import master_calls
+from rossec.sidecar.core.layers import AgentState, Endpoint, EndpointMap, Layer
+from rossec.sidecar.core.master_calls import MULTICALL, ResubscribeQueue, rule_of
+from rossec.sidecar.egress import Egress, RefusalLog
+from rossec.sidecar.executor import AgentServices, SlaveApiClient, run_layer
+from rossec.sidecar.ingress import ACCEPT_LIMITS, Ingress, PeerConnector
+from rossec.sidecar.loopback_port import LoopbackPort, PlainStream
+
+LIFETIME: Final = 5.0
+
+
+class ConnectionCache:
+    """Caches at most one connection for each peer."""
+
+    def __init__(self) -> None:
+        self._clients: dict[Endpoint, SlaveApiClient] = {}
+        self._tasks = TaskSet()
+
+    def put(self, remote: Endpoint, client: SlaveApiClient) -> None:
+        """Cache a connection for the next caller of `remote`, for a few seconds."""
+        old = self._clients.pop(remote, None)
+        self._clients[remote] = client
+        self._tasks.spawn(self._close_later(remote, client, old), "a cached connection")
+
+    def take(self, remote: Endpoint) -> SlaveApiClient | None:
+        """Take a cached connection to `remote`."""
+        return self._clients.pop(remote, None)
+
+    async def close(self) -> None:
+        """Drop all connections."""
+        await self._tasks.close()
+
+    async def _close_later(
+        self, remote: Endpoint, client: SlaveApiClient, old: SlaveApiClient | None
+    ) -> None:
+        if old is not None:
+            await old.rpc.close()
+        await asyncio.sleep(LIFETIME)
+        if self._clients.get(remote) is client:
+            del self._clients[remote]
+            await client.rpc.close()
+
+
+_PERIOD: Final = 1.0
+
+_log = logging.getLogger("rossec.sidecar")
+
+
+class Resubscriber:
+    """Resubscribes the programs of one identity."""
+
+    def __init__(self, services: AgentServices, agent: AgentState) -> None:
+        self._services = services
+        self._agent = agent
+        self._to_resubscribe = ResubscribeQueue()
+
+    def on_topic_ended(self, topic: str, began: float) -> None:
+        """A connection for `topic`, made at `began` of the monotonic clock, has ended."""
+        self._to_resubscribe.add(topic, began, time.monotonic())
+        name = shown(topic)
+        if not self._may_subscribe(topic):
+            _log.warning("%s: no grant for subscribe on %s any more", self._services.name, name)
+
+    async def run(self) -> None:
+        """Resubscribe periodically until cancelled."""
+        while True:
+            await asyncio.sleep(_PERIOD)
+            await self._run_logged(
+                "expired publishers", master_calls.drop_expired_publishers(self._agent)
+            )
+            for topic in self._to_resubscribe.take_due(time.monotonic(), self._may_subscribe):
+                await self._run_logged(topic, master_calls.resubscribe(self._agent, topic))
+
+    def _may_subscribe(self, topic: str) -> bool:
+        return self._agent.access.holds(Right.SUBSCRIBE, topic, clock.now())
+
+    async def _run_logged(self, subject: str, layer: Layer[None]) -> None:
+        try:
+            await run_layer(self._services, layer)
+        except (HintedError, OSError, Fault) as error:
+            what = shown(subject)
+            _log.info("%s: cannot subscribe again: %s: %s", self._services.name, what, error)
+
+
+class Agent:
+    """Acts for the identity in `home`.
+
+    Args:
+        settings: where the master is and how peers reach this host.
+        callers: the programs that may use it.
+        master_uri: the URI of the loopback master.
+        half_open: the unauthenticated connections at all ports of this process.
+        suites: cipher suites, offered and accepted, in order of preference.
+        master_name: the certified name of the secured master.
+    """
+
+    def __init__(
+        self,
+        home: NodeHome,
+        settings: Settings,
+        callers: Callers,
+        master_uri: str,
+        half_open: HalfOpenCount,
+        suites: tuple[int, ...] = PRODUCTION,
+        master_name: str = MASTER,
+    ) -> None:
+        self.home = home
+        self.callers = callers
+        self._settings = settings
+        loaded = LoadedIdentity(home, home.name, master_name)
+        access = Access(loaded.standing, master=master_name)
+        endpoints = EndpointMap(settings.address or "", callers.loopback.host)
+        publisher_grace = PublisherGrace(clock.counter())
+        self.state = AgentState(
+            loaded.identity, access, endpoints, master_uri, known_type, publisher_grace
+        )
+        context = SecureContext(
+            loaded.live_credentials, loaded.anchors.verify, suites=suites,
+            known=KnownCertificates(), accept_limits=ACCEPT_LIMITS, half_open=half_open,
+            renews=Identity.renews,
+        )  # fmt: skip
+        self._connector = PeerConnector(context, access)
+        self._connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(
+            loaded.standing, master=master_name
+        )
+        self._membership = Membership(loaded, access, self._connections, publisher_grace, self)
+        self._resubscriber = Resubscriber(self, self.state)
+        self._ingress = Ingress(
+            self, self.state, self._connector, self._connections, home.filter_key,
+            self._membership.take_push,
+        )  # fmt: skip
+        self._egress = Egress(
+            self, self.state, self._connections, home.filter_key, self._resubscriber.on_topic_ended
+        )
+        self._cache = ConnectionCache()
+        self._refusals = RefusalLog()
+        self._has_failed = False
+        self._start_lock = asyncio.Lock()
+        self._started = False
+
+    @property
+    def name(self) -> str:
+        """The certified name."""
+        return self.home.name
+
+    async def handle_call(self, method: str, params: tuple[object, ...]) -> object:
+        """Answer a program's call to its master."""
+        await self._ensure_started()
+        answer = await run_layer(self, master_calls.handle_call(self.state, method, params))
+        if method not in GRAPH or not self._holds(Right.GRAPH, self.name):
+            self._refusals.log_own(self.name, method, answer)
+        return answer
+
+    async def close(self) -> None:
+        """Close every port and every connection."""
+        self._refusals.flush()
+        await self._ingress.close()
+        await self._egress.close()
+        await self._cache.close()
+        await self._membership.close()
+
+    # --- agent services
+
+    def open_ingress(self, local: Endpoint) -> int:
+        """The network port for `local`; it listens."""
+        return self._ingress.open(local)
+
+    def suspend_ingress(self, local: Endpoint) -> None:
+        """Refuse callers for `local`: the program has ended."""
+        self._ingress.suspend(local)
+
+    def leads_to(self, local: Endpoint, listeners: list[Holder]) -> bool:
+        """Whether `listeners` are the program that the port of `local` was opened for."""
+        return self._ingress.leads_to(local, listeners)
+
+    def open_egress(self, remote: Endpoint) -> int:
+        """The loopback port for `remote`; it listens."""
+        return self._egress.open(remote)
+
+    def refuse_egress(self, remote: Endpoint) -> int:
+        """The loopback port for `remote`; it refuses callers."""
+        return self._egress.refuse(remote)
+
+    def cache_client(self, remote: Endpoint, client: SlaveApiClient) -> None:
+        """Cache a connection for the next caller of `remote`, for a few seconds."""
+        self._cache.put(remote, client)
+
+    def cached_client(self, remote: Endpoint) -> SlaveApiClient | None:
+        """Take a cached connection to `remote`."""
+        return self._cache.take(remote)
+
+    async def dial(self, remote: Endpoint) -> SecureStream[Identity]:
+        """Connect to a peer with a valid identity, or to a program of the same identity."""
+        own_identity = self.state.endpoints.program_at(remote) is not None
+        return await self._connector.dial(remote, own_identity=own_identity)
+
+    def note_unreachable(self, remote: Endpoint, error: PeerUnreachable) -> None:
+        """Say that no connection to a peer could be made; once an hour."""
+        self._refusals.unreachable(remote.uri, error)
+
+    def check_peer(self, peer: Identity) -> None:
+        """Return if the identity of `peer` is still valid."""
+        self.state.access.check_peer(peer, clock.now())
+
+    async def call_master(self, method: str, params: tuple[object, ...]) -> object:
+        """The master's answer; refusals are logged, since a program may not print them."""
+        answer = await self._membership.session.forward(method, *params)
+        self._refusals.log("the master", method, answer, params)
+        return answer
+
+    def proof(self, right: Right, name: str) -> bytes:
+        """The grants for `right` on `name`."""
+        return self.state.access.present(right, name, clock.now())
+
+    # --- master and watchdog
+
+    async def _ensure_started(self) -> None:
+        """Connect to the master once; until it is up programs retry, as in ROS."""
+        async with self._start_lock:
+            if self._has_failed:
+                raise HangUp("a task of this identity has failed")
+            if self._started:
+                return
+            try:
+                stream = await self._membership.session.open()
+            except (HintedError, OSError, TimeoutError) as error:
+                _log.warning("%s: the master does not answer: %s", self.name, error)
+                raise HangUp(str(error)) from error
+            self.state.endpoints.host = self._settings.address or stream.local_address
+            self._started = True
+            self._membership.start()
+            self._membership.tasks.spawn(self._resubscriber.run(), f"{self.name}: resubscribe")
+            self._membership.tasks.spawn(
+                self._egress.leave_publishers(), f"{self.name}: publishers to leave"
+            )
+
+    # --- hooks of the membership (MembershipHooks)
+
+    async def dial_master(self) -> SecureStream[Identity]:
+        """Connect to the master; it provides fresh revocation data."""
+        host, port = self._settings.master_host, self._settings.master_port
+        return await self._connector.dial(Endpoint(WireProtocol.HTTP, host, port), allow_stale=True)
+
+    async def dial_watch(self) -> SecureStream[Identity]:
+        """Connect to the master once more, for a call that waits."""
+        return await self.dial_master()
+
+    async def restore(self) -> None:
+        """Make every registration of the programs again."""
+        await run_layer(self, master_calls.restore(self.state, self._holds))
+
+    async def rights_changed(self) -> None:
+        """Make registrations again that were refused: roscpp and rospy never do so themselves."""
+        await run_layer(self, master_calls.rights_changed(self.state, self._holds))
+
+    def _holds(self, right: Right, name: str) -> bool:
+        return self.state.access.holds(right, name, clock.now())
+
+    def maintain(self) -> None:
+        """Nothing: `Resubscriber` drops expired publishers."""
+
+    def crashed(self, _: BaseException) -> None:
+        """Close what would not be checked any more."""
+        self._has_failed = True
+        self._connections.close("a task of this identity has failed")
+        self._membership.tasks.spawn(self.close(), f"{self.name}: closing after a failure")
+
 
 _TAKEN: Final = "is roscore or another sidecar running? choose another port with --port"
-_log = logging.getLogger("rossec.sidecar")
 LIMIT: Final = 256  # identities in use
 
 
@@ -170,7 +456,7 @@ class Sidecar:
         if not (home.path / "node.key").exists():
             if self._default is not None:
                 return self._default
-            hint = f"{home_hints.missing_node(self._home, name)}; or use --as"
+            hint = f"{environment.missing_node(self._home, name)}; or use --as"
             raise ConfigurationError(f"{name} has no identity here", hint)
         if len(self._agents) >= LIMIT:
             raise ConfigurationError("too many identities in one sidecar")

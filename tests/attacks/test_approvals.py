@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.approvals.approval import Approval
+from ca.approvals.passkeys import Approval
 from ca.approvals.statement import Grant
 from ca.errors import (
     ApprovalOutdated,

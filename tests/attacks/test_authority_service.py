@@ -10,16 +10,16 @@ from pathlib import Path
 
 import pytest
 
+from ca.certificates import PROFILE as RENEWAL
 from ca.encoding import Value
 from ca.errors import PassphraseRefused
-from ca.renewal import PROFILE as RENEWAL
 from rossec.authority.home import AuthorityHome
-from rossec.authority.keyservice import inner_messages, messages
+from rossec.authority.keyservice import messages
+from rossec.authority.keyservice import messages as inner_messages
 from rossec.authority.keyservice.client import KeyServiceClient
-from rossec.authority.keyservice.face_process import FaceOptions, FaceProcess
 from rossec.authority.keyservice.inner_channel import InnerChannel
-from rossec.authority.keyservice.inner_messages import InnerRequest
-from rossec.authority.keyservice.messages import Request
+from rossec.authority.keyservice.messages import InnerRequest, Request
+from rossec.authority.keyservice.process import FaceOptions, FaceProcess
 from rossec.errors import (
     AuthorityLocked,
     KeyMessageRefused,
@@ -28,7 +28,7 @@ from rossec.errors import (
     PeerUserRefused,
     SigningRefused,
 )
-from rossec.net.host.peeruid import UnixPeer
+from rossec.host.local_sockets import UnixPeer
 from tests.support.commands import PASSPHRASE
 from tests.support.keyservice import RunningService, running_service
 from tests.support.pki import new_signer
@@ -128,8 +128,8 @@ def test_passphrases_cannot_be_tried_at_will(home: AuthorityHome, service: Runni
 @pytest.mark.attack("key-impostor")
 def test_a_program_that_plays_the_service_signs_nothing(home: AuthorityHome) -> None:
     """It has the socket's place while no service runs, and another key."""
-    from ca.keys.key_files import generate
-    from ca.keys.signer import KeySigner
+    from ca.keys.private_keys import generate
+    from ca.keys.signing import KeySigner
     from rossec.authority.keyservice.client import RemoteSigner
     from tests.rossec.authority.keyservice.test_client import Impostor
 
@@ -198,7 +198,7 @@ async def _refuse_join(_: Value) -> Value:
 
 @pytest.mark.attack("sleeping-host")
 def test_a_machine_that_slept_wakes_up_locked(home: AuthorityHome) -> None:
-    from rossec.authority.keyservice.held_key import HeldKey
+    from rossec.authority.keyservice.operations import HeldKey
 
     seconds = [1000.0]
     held = HeldKey(home.load_key, lambda: seconds[0])

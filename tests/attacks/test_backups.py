@@ -17,7 +17,7 @@ import cbor2
 import pytest
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 
-from ca.store import backup
+from ca.keys import passphrases
 from rossec.authority.backup import back_up
 from rossec.authority.home import AuthorityHome
 from tests.ca.keys.test_pbes2 import asking
@@ -41,7 +41,7 @@ def genuine(tmp_path_factory: pytest.TempPathFactory) -> Content:
     home = AuthorityHome.create(
         tmp_path_factory.mktemp("genuine") / "home", "home", PASSPHRASE, int(time.time())
     )
-    return backup.unseal(back_up(home, PASSPHRASE), PASSPHRASE)
+    return passphrases.unseal(back_up(home, PASSPHRASE), PASSPHRASE)
 
 
 @pytest.fixture(scope="module")
@@ -50,15 +50,18 @@ def foreign(tmp_path_factory: pytest.TempPathFactory) -> Content:
     home = AuthorityHome.create(
         tmp_path_factory.mktemp("foreign") / "home", "home", PASSPHRASE, int(time.time())
     )
-    return backup.unseal(back_up(home, PASSPHRASE), PASSPHRASE)
+    return passphrases.unseal(back_up(home, PASSPHRASE), PASSPHRASE)
 
 
 def sealed(content: object) -> bytes:
     """A backup of any content, without the checks of `seal`."""
-    salt, nonce = secrets.token_bytes(backup.SALT_SIZE), secrets.token_bytes(backup.NONCE_SIZE)
-    head = backup.MAGIC + salt + nonce
+    salt, nonce = (
+        secrets.token_bytes(passphrases.SALT_SIZE),
+        secrets.token_bytes(passphrases.NONCE_SIZE),
+    )
+    head = passphrases.MAGIC + salt + nonce
     plain = cbor2.dumps(content, canonical=True)
-    return head + AESGCM(backup._key(PASSPHRASE, salt)).encrypt(nonce, plain, head)
+    return head + AESGCM(passphrases._key(PASSPHRASE, salt)).encrypt(nonce, plain, head)
 
 
 def restore(shell: Shell, data: bytes) -> Said:
@@ -112,8 +115,8 @@ def test_a_backup_of_invalid_content(empty: Shell, content: object) -> None:
 def test_a_huge_one(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     file = empty.root / "huge"
     with file.open("wb") as out:
-        out.write(backup.MAGIC)
-        out.truncate(backup.MAX_BACKUP + 1)
+        out.write(passphrases.MAGIC)
+        out.truncate(passphrases.MAX_BACKUP + 1)
     said = empty.unlocked("ca", "restore", str(file))
     assert said.code == 1
     assert "is larger than" in said.err

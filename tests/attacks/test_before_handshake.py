@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.master.operation.limits import MasterLimits
+from rossec.master.operation.config import MasterLimits
 from rossec.ros import xmlrpc
 from tests.support.attacker import EVE, HOST
 from tests.support.site import Site

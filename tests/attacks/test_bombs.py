@@ -17,10 +17,10 @@ import pytest
 from PIL import Image
 
 from ca.enrollment import qr
-from rossec.console.scanning import supervisor as scanning
-from rossec.console.scanning.client import ScannerClient
 from rossec.console.scanning.frames import MAX_PICTURE
-from rossec.console.scanning.supervisor import ScannerSupervisor
+from rossec.console.server import supervisor as scanning
+from rossec.console.server.supervisor import ScannerSupervisor
+from rossec.console.server.web import ScannerClient
 from rossec.errors import ConfigurationError, PictureRefused
 from rossec.inprocess.options import read
 from tests.support.commands import PASSPHRASE

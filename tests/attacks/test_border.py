@@ -12,12 +12,11 @@ from aiocoap.numbers import codes
 from aiocoap.oscore import NotAProtectedMessage
 
 from ca.encoding import encode
-from rossec.border import wire
-from rossec.border.contexts import OscoreContext
+from rossec.border import messages
 from rossec.border.handshakes import MAX_PENDING
-from rossec.border.wire import Message
+from rossec.border.messages import Message, OscoreContext
 from rossec.errors import DatagramRefused
-from rossec.net.aio.tasks import TaskSet
+from rossec.host.runner import TaskSet
 from tests.support.border import LAMP, BorderSite
 from tests.support.rawthing import EDHOC, RawThing
 from tests.support.site import Site
@@ -59,9 +58,9 @@ def message_1() -> bytes:
     """A handshake's first message, as any thing sends it."""
     first = bytes(lakers.EdhocInitiator().prepare_message_1(b"\x05", None))
     message = Message(code=codes.POST, uri_path=EDHOC, payload=b"\xf5" + first)
-    message.mtype, message.mid = wire.CON, secrets.randbelow(1 << 16)
+    message.mtype, message.mid = messages.CON, secrets.randbelow(1 << 16)
     message.token = secrets.token_bytes(4)
-    return wire.write(message)
+    return messages.write(message)
 
 
 @contextlib.contextmanager
@@ -208,8 +207,8 @@ async def test_a_flood_of_datagrams_and_resets_delays_no_call_of_a_thing(
         assert found is not None
         eve = OscoreContext(secrets.token_bytes(16), b"", kid, b"")
         sealed, _ = eve.seal(Message(code=codes.POST, uri_path=("rd",)))
-        sealed.mtype, sealed.mid, sealed.token = wire.NON, 1, b"t"
-        forged = wire.write(sealed)
+        sealed.mtype, sealed.mid, sealed.token = messages.NON, 1, b"t"
+        forged = messages.write(sealed)
         with sockets(border, 8) as many:
             flood = TaskSet()
             flood.spawn(_flood_of(many, forged))
@@ -217,7 +216,9 @@ async def test_a_flood_of_datagrams_and_resets_delays_no_call_of_a_thing(
                 for number in range(20):
                     assert await thing.request(codes.GET, ("x",)) == codes.NOT_FOUND
                     for mid in range(number * 3277, (number + 1) * 3277):
-                        endpoint.receive(wire.empty(wire.RST, mid & 0xFFFF), found.address, 0.0)
+                        endpoint.receive(
+                            messages.empty(messages.RST, mid & 0xFFFF), found.address, 0.0
+                        )
                 assert endpoint.counts.refused + border.router.server.lost > 1000  # of the flood
             finally:
                 await flood.close()
@@ -243,12 +244,12 @@ async def test_a_flood_with_the_kid_of_a_secret_does_not_keep_its_thing_out(
                 sealed, _ = eve.seal(Message(code=codes.POST, uri_path=("rd",)))
                 kid_context = encode(secrets.token_bytes(8)) if number % 2 else b""
                 if kid_context:
-                    from rossec.border.contexts import name_context
+                    from rossec.border.messages import name_context
 
                     name_context(sealed, kid_context)
-                sealed.mtype, sealed.mid, sealed.token = wire.CON, number, b"t"
+                sealed.mtype, sealed.mid, sealed.token = messages.CON, number, b"t"
                 with contextlib.suppress(BlockingIOError):
-                    many[number % 4].send(wire.write(sealed))
+                    many[number % 4].send(messages.write(sealed))
             async with asyncio.timeout(DEADLINE):
                 assert (await fan.register()).dotted == "2.04"
         server = border.router.server

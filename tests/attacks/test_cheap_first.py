@@ -7,14 +7,14 @@ from typing import Final
 
 import pytest
 
-from ca.enrollment.join_messages import Refused, RefuseReason, read
-from ca.enrollment.join_request import JoinRequest
+from ca.enrollment.invitation import JoinRequest
+from ca.enrollment.join import Refused, RefuseReason, read
 from ca.errors import RevocationRefused, RollbackRefused
+from ca.revocation.lists import RevocationTree, TreeEntries, sign_tree
 from ca.revocation.merkle import Tree
-from ca.revocation.tree import RevocationTree, TreeEntries, sign_tree
 from ca.store.record import Store
 from rossec.errors import AnswerMalformed
-from rossec.federation.answers import MAX_PARTS, SiteCursor
+from rossec.federation.site_state import MAX_PARTS, SiteCursor
 from tests.rossec.authority.keyservice.test_work import Working
 from tests.rossec.master.rights.trust_world import World
 from tests.support.authority import DAY

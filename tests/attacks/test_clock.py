@@ -14,13 +14,13 @@ from typing import Final
 import pytest
 
 from ca.errors import RevocationRefused, RevocationsStale
-from ca.revocation.state import Timestamp, digest, sign_timestamp
+from ca.revocation.lists import Timestamp, digest, sign_timestamp
 from grants.model import Right
 from rossec import clock
 from rossec.clock import Clock, counter
 from rossec.master.server.server import MasterServer
 from rossec.node import Node
-from rossec.participant import master_session
+from rossec.participant import membership
 from rossec.participant.authorized import STALE_GRACE
 from rossec.ros.names import MASTER
 from tests.rossec.sidecar.program import Program, sidecar
@@ -211,7 +211,7 @@ async def test_a_whole_site_set_back_continues(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """An attacker that forges NTP gains nothing, and ends no connection."""
-    monkeypatch.setattr(master_session, "HEARTBEAT", 0.2)
+    monkeypatch.setattr(membership, "HEARTBEAT", 0.2)
     async with undisturbed(site) as witness:
         before = clock.now()
         hand.set = -HOUR
@@ -227,7 +227,7 @@ async def test_a_wrong_clock_may_be_corrected_with_the_master(
     site: Site, hand: ClockControl, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The node's host was an hour ahead; the master's was not."""
-    monkeypatch.setattr(master_session, "HEARTBEAT", 0.2)
+    monkeypatch.setattr(membership, "HEARTBEAT", 0.2)
     assert site.master is not None
     site.master.state.clock = time.time
     site.enroll("/robot")

@@ -8,7 +8,7 @@ import pytest
 
 from ca.enrollment import qr
 from ca.errors import CodeRefused
-from ca.store.lifecycle import RequestState
+from ca.store.values import RequestState
 from rossec.authority.home import AuthorityHome
 from tests.support.commands import PASSPHRASE, Said, Shell
 from tests.support.enrolling import Robot, WaitingRobot

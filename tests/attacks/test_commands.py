@@ -9,7 +9,7 @@ import pytest
 
 from ca.errors import RevocationRefused, RollbackRefused
 from grants import document
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from rossec.ros.names import MASTER
 from tests.support.attacker import EVE, HOST, call, credentials, dial, flip, revoke, signed
 from tests.support.site import Site

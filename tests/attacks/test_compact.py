@@ -10,12 +10,11 @@ import pytest
 from grants.model import Right
 from rossec.errors import ChannelError, CompactRefused, HttpRefused, RossecError
 from rossec.net.aio import SecureStream, WireProtocol, serve
-from rossec.net.bounds import UNSHOWN_BODY, UNSHOWN_UNIT
-from rossec.net.rpc.client import RpcClient
-from rossec.ros import compact
-from rossec.ros.callclient import CallClient, value_in
-from rossec.ros.callserver import CallServer
-from rossec.ros.compactwrite import encoded
+from rossec.net.limits import UNSHOWN_BODY, UNSHOWN_UNIT
+from rossec.net.rpc.calls import RpcClient
+from rossec.ros import calls
+from rossec.ros.calls import CallClient, CallServer, value_in
+from rossec.ros.compact_values import encoded
 from rossec.ros.xmlrpc import BODY_LIMIT, Fault
 from tests.rossec.ros.test_compactread import REFUSED
 from tests.support.attacker import EVE, HOST, credentials, dial
@@ -82,7 +81,7 @@ NO_UNITS = {
     "a name that has a number": bytes.fromhex("83185201") + encoded("getParam"),
     "a method that is a list": bytes.fromhex("8318520180"),
     "another mark": bytes.fromhex("831853011600"),
-    "an answer": compact.dump_answer(1, [1, "", 0]),
+    "an answer": calls.dump_compact_answer(1, [1, "", 0]),
     "two calls": unit(b"\x01") * 2,
     "a request of HTTP": CallClient("x").request(GET_PID, (EVE,)),
     "the rest of a request": b"\r\n",
@@ -137,7 +136,7 @@ async def test_a_parameter_cannot_be_set_that_xml_rpc_cannot_read(site: Site) ->
 async def test_a_call_out_of_its_turn_ends_the_connection(site: Site) -> None:
     for turn in (0, 2, 3, 23):
         async with switched(site, master(site)) as (stream, _):
-            await stream.send(compact.dump_call(turn, GET_PID, (EVE,)))
+            await stream.send(calls.dump_compact_call(turn, GET_PID, (EVE,)))
             await hung_up(stream)
 
 
@@ -158,7 +157,7 @@ async def test_calls_while_one_is_answered_end_the_connection_and_that_call(site
         await stream.send(client.request("rossec.watchGrants", (EVE, b"")))
         for turn in range(2, 20):
             with contextlib.suppress(ChannelError):
-                await stream.send(compact.dump_call(turn, GET_PID, (EVE,)))
+                await stream.send(calls.dump_compact_call(turn, GET_PID, (EVE,)))
         await hung_up(stream)
     await still_served(site, master(site))
 
@@ -172,13 +171,13 @@ async def test_a_peer_that_answers_out_of_turn_is_left(site: Site, lie: str) -> 
     """No answer is ever taken for that to another call."""
     good = [1, "", 7]
     lies = {
-        "an old answer": compact.dump_answer(0, good),
-        "a later answer": compact.dump_answer(2, good),
-        "two answers": compact.dump_answer(1, good) + compact.dump_answer(2, good),
+        "an old answer": calls.dump_compact_answer(0, good),
+        "a later answer": calls.dump_compact_answer(2, good),
+        "two answers": calls.dump_compact_answer(1, good) + calls.dump_compact_answer(2, good),
         "HTTP": b"HTTP/1.1 200 OK\r\nContent-Length: 0\r\n\r\n",
-        "a call": compact.dump_call(1, GET_PID, ()),
+        "a call": calls.dump_compact_call(1, GET_PID, ()),
         "a body": bytes.fromhex("8301f64101"),
-        "nothing asked": compact.dump_answer(1, good),
+        "nothing asked": calls.dump_compact_answer(1, good),
     }
 
     async def answer(stream: SecureStream[Any]) -> None:

@@ -14,7 +14,7 @@ from typing import Final
 
 import pytest
 
-from rossec.cli.completion import seen
+from rossec.cli.completion import values
 from rossec.cli.completion.shells import script
 
 pytestmark = [pytest.mark.attack("hostile-completion"), pytest.mark.timeout(300)]
@@ -43,8 +43,10 @@ def home(tmp_path: Path) -> Path:
     for text in HOSTILE:
         (path / "nodes" / text.replace("/", ".")).mkdir(exist_ok=True)
     named = [f"/{text}" for text in HOSTILE]
-    kept = {kind: [*named, "/good"] for kind in (seen.TOPIC, seen.NODE, seen.TYPE, seen.SERVICE)}
-    (path / seen.NAME).write_text(json.dumps({"master": "", "names": kept}))
+    kept = {
+        kind: [*named, "/good"] for kind in (values.TOPIC, values.NODE, values.TYPE, values.SERVICE)
+    }
+    (path / values.NAME).write_text(json.dumps({"master": "", "names": kept}))
     (path / "ca" / "policy.yaml").write_text("\n".join([*named, "/good"]))
     with sqlite3.connect(path / "ca" / "ca.db") as db:
         db.execute("CREATE TABLE certificate (name, thumbprint, not_after)")

@@ -21,9 +21,8 @@ from ca.errors import (
 )
 from grants import document
 from rossec.authority.backup import back_up, restore
-from rossec.authority.console.questions import Questions
-from rossec.authority.console.records import many
-from rossec.authority.console.views import GrantQuestion, Outcome, Prepared
+from rossec.authority.console.grant_requests import Questions
+from rossec.authority.console.messages import GrantQuestion, Outcome, Prepared, many
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.requests import GrantRequestStore

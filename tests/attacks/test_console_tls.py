@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from cryptography import x509
 
-from rossec.console.tls.server_context import load, make_context
+from rossec.console.server.web import load_bundle, make_context
 from tests.rossec.console.tls.test_server_context import shake_hands
 from tests.support.console_tls import (
     bundle,
@@ -26,7 +26,7 @@ def test_a_thief_of_its_key_passes_for_no_other_site(tmp_path: Path) -> None:
     authority, server, key = new_authority(), make_context(), new_key()
     leaf = foreign_leaf(authority, key, [x509.DNSName(BANK)])
     assert "permitted subtree violation" in openssl_verify(tmp_path, authority, leaf)
-    load(server, bundle(authority, key, leaf))
+    load_bundle(server, bundle(authority, key, leaf))
     with pytest.raises(ssl.SSLCertVerificationError, match="permitted subtree violation"):
         shake_hands(server, authority, BANK)
 

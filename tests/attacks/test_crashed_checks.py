@@ -6,8 +6,8 @@ from typing import Any, Final
 
 import pytest
 
+from grants.decision import Reach
 from grants.model import Right
-from grants.reach import Reach
 from rossec.errors import ChannelError, RossecError
 from rossec.master.rights.statements import TrustState
 from rossec.ros import xmlrpc

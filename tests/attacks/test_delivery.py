@@ -10,10 +10,10 @@ import pytest
 from grants import document
 from grants.model import Right
 from rossec.errors import ChannelError, RossecError
-from rossec.master.api.deposit_calls import DEPOSIT_LIMIT
-from rossec.master.operation.limits import MasterLimits
-from rossec.master.rights.presented_grants import MAX_HELD
-from rossec.net.rpc.client import RpcClient
+from rossec.master.api.statement_calls import DEPOSIT_LIMIT
+from rossec.master.operation.config import MasterLimits
+from rossec.master.rights.held_grants import MAX_HELD
+from rossec.net.rpc.calls import RpcClient
 from rossec.ros.names import AUTHORITY
 from tests.attacks.test_intermediates import below
 from tests.support.attacker import EVE, credentials, dial, revoke, signed

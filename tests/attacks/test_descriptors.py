@@ -14,14 +14,14 @@ from typing import Final
 import pytest
 
 from rossec.channel.opening import WireProtocol
-from rossec.enrollment.node import WaitingNode
+from rossec.enrollment.enroll import WaitingNode
 from rossec.errors import ChannelError
 from rossec.net.aio import connect
-from rossec.net.halfopen import HalfOpen
+from rossec.net.limits import HalfOpen
 from rossec.net.threads.secure_socket import SecureSocket
 from rossec.participant import connections
-from rossec.ros.settings import parse_uri
-from rossec.sidecar.core.endpoints import local_endpoint
+from rossec.ros.names import parse_uri
+from rossec.sidecar.core.layers import local_endpoint
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.attacker import HOST, credentials
 from tests.support.contexts import unlimited

@@ -18,7 +18,7 @@ from tests.support.site import Site
 ROSSEC = (sys.executable, "-m", "rossec")
 FLOOD = """
 import sys, time
-from rossec.discovery.multicast import MulticastSocket
+from rossec.discovery.local_links import MulticastSocket
 group, data = MulticastSocket(listen=False), bytes.fromhex(sys.argv[1])
 print("flooding", flush=True)
 while True:

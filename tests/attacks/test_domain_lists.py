@@ -5,12 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from ca.domains.anchors import Anchors
-from ca.domains.card_codes import card_code, check_code
-from ca.domains.cards import CARD, open_card
-from ca.domains.lists import sign_domains
+from ca.domains.trust import CARD, Anchors, open_card, sign_domains
+from ca.enrollment.qr import card_code, check_code
 from ca.errors import CardRefused, DomainsRefused, LogDamaged, StoreError
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner
 from ca.store.record import Store
 from grants.model import Draft, Permission, Right
 from rossec.authority.home import AuthorityHome
@@ -68,7 +66,7 @@ def test_an_old_list_does_not_bring_a_removed_domain_back(tmp_path: Path) -> Non
 
 @pytest.fixture
 def office(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AuthorityService:
-    monkeypatch.setattr("ca.keys.pbes2._N", 16)  # the passphrase is not under test
+    monkeypatch.setattr("ca.keys.passphrases._N", 16)  # the passphrase is not under test
     AuthorityHome.create(tmp_path / "home", "home", PASSPHRASE, NOW)
     return AuthorityService(tmp_path / "home", lambda: PASSPHRASE, lambda _: 1, lambda: NOW)
 

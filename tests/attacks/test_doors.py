@@ -18,9 +18,8 @@ from rossec.errors import IdentityRefused, PlainPeer, RossecError
 from rossec.net.aio import SecureStream, serve
 from rossec.participant.access import FIELD
 from rossec.participant.message_types import message_type
-from rossec.ros import header
-from rossec.ros.names import MASTER
-from rossec.ros.settings import parse_uri
+from rossec.ros import tcpros
+from rossec.ros.names import MASTER, parse_uri
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.attacker import EVE, HOST, call, credentials
 from tests.support.contexts import unlimited
@@ -40,11 +39,11 @@ async def false_topic(site: Site, name: str, topic: str, kind: str) -> AsyncIter
         "callerid": name, "topic": topic, "type": shape.name, "md5sum": shape.md5sum,
         FIELD: encode(list(own.grants())),
     }  # fmt: skip
-    lie = header.frame(bytes(shape.serialize(shape.create())))
+    lie = tcpros.frame(bytes(shape.serialize(shape.create())))
 
     async def lies(stream: SecureStream[Identity]) -> None:
         await stream.receive()
-        await stream.send(header.encode(fields), lie)
+        await stream.send(tcpros.encode(fields), lie)
         await stream.wait_ended()
 
     context = unlimited(own.credentials(), site.anchor.verify)
@@ -57,7 +56,7 @@ async def plain_port() -> AsyncIterator[int]:
     """A port of a plain program, which answers a header with a header."""
 
     async def answer(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        writer.write(header.encode({"callerid": "/robot", "md5sum": "*", "type": "*"}))
+        writer.write(tcpros.encode({"callerid": "/robot", "md5sum": "*", "type": "*"}))
         await writer.drain()
         writer.close()
 

@@ -6,7 +6,7 @@ import pytest
 
 from grants.model import Right
 from rossec.errors import RossecError
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from tests.support.attacker import EVE, call, dial
 from tests.support.caller import caller
 from tests.support.site import Site

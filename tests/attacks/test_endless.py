@@ -41,9 +41,9 @@ async def site(tmp_path: Path) -> AsyncIterator[Site]:
 @pytest.fixture
 def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     """Seconds, not minutes, in this process; ROBOT sets its own."""
-    monkeypatch.setattr("rossec.progress.WINDOW", WINDOW)
-    monkeypatch.setattr("rossec.progress.STEP", 1)
-    monkeypatch.setattr("rossec.net.aio.arrivals.PATIENCE", 1.0)
+    monkeypatch.setattr("rossec.peer_limits.WINDOW", WINDOW)
+    monkeypatch.setattr("rossec.peer_limits.STEP", 1)
+    monkeypatch.setattr("rossec.net.aio.stream.PATIENCE", 1.0)
 
 
 @contextlib.asynccontextmanager
@@ -57,10 +57,10 @@ ROBOT: Final = (
     SECURE
     + f"""
 import rospy, sys
-import rossec.progress, rossec.inprocess.sockets
+import rossec.peer_limits, rossec.inprocess.sockets
 from importlib import import_module
-rossec.progress.WINDOW = {WINDOW}
-rossec.progress.STEP = 1
+rossec.peer_limits.WINDOW = {WINDOW}
+rossec.peer_limits.STEP = 1
 rossec.inprocess.sockets.PATIENCE = 1.0
 package, name = sys.argv[1].split("/")
 rospy.init_node("robot")

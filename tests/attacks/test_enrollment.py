@@ -15,8 +15,7 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtensionOID
 
-from ca.enrollment import qr, transcript
-from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
+from ca.enrollment import qr, sides
 from ca.enrollment.messages import (
     Acknowledgement,
     Delivery,
@@ -28,7 +27,7 @@ from ca.enrollment.messages import (
     read,
     write,
 )
-from ca.enrollment.node import NodeState
+from ca.enrollment.sides import AuthorityEnrollment, AuthorityState, NodeState
 from ca.errors import (
     AcknowledgementRefused,
     ConflictingOffer,
@@ -37,7 +36,7 @@ from ca.errors import (
     RequestRefused,
     RequestSwapped,
 )
-from rossec.enrollment import authority
+from rossec.enrollment import enroll
 from tests.ca.test_requests import CA_TRUE, SAN, crafted
 from tests.support.enrolling import Robot, WaitingRobot, clock, fresh
 from tests.support.pki import Site, uris
@@ -91,17 +90,17 @@ async def enrolled_through(
 ) -> AuthorityEnrollment:
     core = core or scanned(robot)
     async with between(robot, change) as port:
-        await authority.fetch(core, "127.0.0.1", port, clock)
+        await enroll.fetch(core, "127.0.0.1", port, clock)
         made = offer_of(core)
-        await authority.deliver(core, made, "127.0.0.1", port, clock, lambda _: None)
+        await enroll.deliver(core, made, "127.0.0.1", port, clock, lambda _: None)
     return core
 
 
 def forged(csr: bytes, secret: bytes = b"") -> Offer:
     """An offer of Mallory's authority for the robot's own request."""
     leaf, nonce = MALLORY.authority.issue(csr, now=clock(), serial=3), fresh()
-    agreed = transcript.transcript(csr, [leaf], MALLORY.root, nonce)
-    return Offer((leaf,), MALLORY.root, nonce, transcript.tag(secret, agreed) if secret else b"")
+    agreed = sides.transcript(csr, [leaf], MALLORY.root, nonce)
+    return Offer((leaf,), MALLORY.root, nonce, sides.tag(secret, agreed) if secret else b"")
 
 
 def honest(message: Message) -> Message:
@@ -226,9 +225,9 @@ async def test_a_stolen_screen_code_used_first(site: Site) -> None:
         writer.write(frame(write(forged(robot_.csr, secret))))
         assert length(await reader.readexactly(4)) > 0  # the node has answered the thief
         core = scanned(robot)
-        await authority.fetch(core, robot._host, robot.port, clock)
+        await enroll.fetch(core, robot._host, robot.port, clock)
         with pytest.raises(ConflictingOffer, match="another party has its code"):
-            await authority.deliver(
+            await enroll.deliver(
                 core, offer_of(core, site), robot._host, robot.port, clock, pytest.fail
             )
         writer.close()
@@ -241,12 +240,10 @@ async def test_a_stolen_screen_code_used_first(site: Site) -> None:
 async def test_a_code_used_twice() -> None:
     with WaitingRobot(Robot()) as robot:
         core = scanned(robot)
-        await authority.fetch(core, robot._host, robot.port, clock)
+        await enroll.fetch(core, robot._host, robot.port, clock)
         second = scanned(robot)
-        await authority.fetch(second, robot._host, robot.port, clock)
-        await authority.deliver(
-            core, offer_of(core), robot._host, robot.port, clock, lambda _: None
-        )
+        await enroll.fetch(second, robot._host, robot.port, clock)
+        await enroll.deliver(core, offer_of(core), robot._host, robot.port, clock, lambda _: None)
         with pytest.raises(EnrollmentRefused, match="enrolled already"):
             robot.core.receive(offer_of(second), clock())
     assert len(robot.trusted) == 1

@@ -7,7 +7,7 @@ import pytest
 from rossec import clock
 from rossec.clock import Clock, counter
 from rossec.node import Node
-from rossec.participant.publisher_grace import GRACE
+from rossec.participant.registrations import GRACE
 from tests.support.blocked import BlockedNodes
 from tests.support.site import Site
 from tests.support.witness import POSE, TOPIC, until

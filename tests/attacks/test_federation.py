@@ -11,7 +11,7 @@ import pytest
 import pytest_asyncio
 
 from rossec.home import NodeHome
-from rossec.saved_domains import DomainFiles
+from rossec.saved_statements import DomainFiles
 from tests.support.mesh import Mesh, mesh_of
 from tests.support.trust import accept, carry
 from tests.support.witness import until

@@ -10,15 +10,15 @@ import pytest
 
 from ca.authority import create_root
 from ca.errors import DomainsRefused, Revoked
-from ca.keys.publickey import thumbprint
+from ca.keys.signing import thumbprint
 from grants.model import Right
 from rossec.channel.edhoc.credentials import KnownCertificates
 from rossec.errors import RossecError
-from rossec.master.operation.limits import MasterLimits
+from rossec.master.operation.config import MasterLimits
 from rossec.master.rights.domain_trust import GRACE
 from rossec.net.aio import WireProtocol, connect
-from rossec.net.rpc.client import RpcClient
-from rossec.ros.settings import parse_uri
+from rossec.net.rpc.calls import RpcClient
+from rossec.ros.names import parse_uri
 from rossec.ros.xmlrpc import Fault
 from tests.rossec.master.visiting import HOSPITAL, Hospital, VisitWorld
 from tests.rossec.master.world import EVERYTHING, T, ends, until

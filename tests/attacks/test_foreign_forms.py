@@ -9,13 +9,13 @@ from typing import Any, Final
 import pytest
 
 from ca.errors import HintedError
-from ca.revocation.state import MAX_AGE, Timestamp, digest, open_list, sign_timestamp
+from ca.revocation.lists import MAX_AGE, Timestamp, digest, open_list, sign_timestamp
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.net.aio import SecureStream, connect
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from rossec.node import Node
-from rossec.ros import header
+from rossec.ros import tcpros
 from rossec.ros.names import MASTER
 from tests.attacks.test_existence import ports
 from tests.rossec.sidecar.program import Program, sidecar
@@ -61,7 +61,7 @@ class Stay:
         while True:
             with contextlib.suppress(HintedError):
                 stream = await connect(HOST, self.port, own)
-                await stream.send(header.encode(fields_for(EVE, self.topic, [grant])))
+                await stream.send(tcpros.encode(fields_for(EVE, self.topic, [grant])))
                 if b"error=" not in await stream.receive():
                     return stream
             assert time.monotonic() < end, "it was never let in"

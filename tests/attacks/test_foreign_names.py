@@ -7,7 +7,7 @@ import pytest
 
 from grants.model import Right
 from rossec.master.rights.access_rules import RULES, Scope
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from tests.rossec.master.visiting import HOSPITAL, VisitWorld
 from tests.rossec.master.world import EVERYTHING, T
 from tests.support.authority import EnrolledNode

@@ -6,15 +6,15 @@ from typing import Any, Final
 import pytest
 
 from ca.errors import CAError, NotAdmitted, RevocationsStale, Revoked
-from ca.revocation.state import MAX_AGE, Timestamp, digest, open_list, sign_timestamp
+from ca.revocation.lists import MAX_AGE, Timestamp, digest, open_list, sign_timestamp
 from grants.errors import GrantError, GrantMissing
 from grants.model import Right
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.errors import IdentityRefused, PeerRefused
 from rossec.home import NodeHome
 from rossec.net.aio import SecureStream, connect
-from rossec.net.rpc.client import RpcClient
-from rossec.ros import header
+from rossec.net.rpc.calls import RpcClient
+from rossec.ros import tcpros
 from rossec.ros.names import MASTER
 from tests.support import trust
 from tests.support.attacker import (
@@ -84,7 +84,7 @@ class Visitor:
         links = len(self.witness.publisher.links)
         own = unlimited(self.eve, self.home.anchor.verify)
         stream = await connect(HOST, self.witness.topic_port, own)
-        await stream.send(header.encode(fields_for(EVE, TOPIC, [grant])))
+        await stream.send(tcpros.encode(fields_for(EVE, TOPIC, [grant])))
         await until(lambda: len(self.witness.publisher.links) == links + 1)
         return stream
 

@@ -12,8 +12,8 @@ import pytest
 from grants.filters import layout
 from grants.model import Restriction, Right
 from rossec.node import Node
-from rossec.node.raw_publisher import RawPublisher
-from rossec.node.raw_subscriber import RawSource
+from rossec.node.publisher import RawPublisher
+from rossec.node.subscriber import RawSource
 from rossec.participant.definitions import Definition
 from tests.attacks.test_layouts import (
     CALM,

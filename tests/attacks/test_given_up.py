@@ -20,11 +20,12 @@ from rossec.channel.opening import WireProtocol, first_bytes
 from rossec.channel.records import Frame
 from rossec.cli.policy import simulate
 from rossec.errors import ChannelError, ConfigurationError, LimitExceeded
-from rossec.net.aio import SecureContext, SecureServer, SecureStream, connect, driver, serve
-from rossec.net.bounds import ACCEPTED, BATCH_LIMIT, DIALLED
-from rossec.net.rpc.client import serve_calls
-from rossec.participant.dialer import Dialer
-from rossec.ros.header import MESSAGE_LIMIT
+from rossec.net.aio import SecureContext, SecureServer, SecureStream, connect, serve
+from rossec.net.aio import stream as secure_stream
+from rossec.net.limits import ACCEPTED, BATCH_LIMIT, DIALLED
+from rossec.net.rpc.calls import serve_calls
+from rossec.participant.connections import Dialer
+from rossec.ros.tcpros import MESSAGE_LIMIT
 from tests.rossec.participant.test_dialer import Talker
 from tests.support.contexts import context
 from tests.support.secure_sockets import background, dial, make_listener
@@ -247,7 +248,7 @@ async def test_a_publisher_that_keeps_its_connection_open_is_subscribed_to(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The wait for its end took all of the time that a subscriber has for the handshake."""
-    monkeypatch.setattr(driver, "LINGER", 60.0)
+    monkeypatch.setattr(secure_stream, "LINGER", 60.0)
     site = Site(tmp_path / "site")
     talker = OpenEnded(site, EVE)
     own = SecureContext(site.enroll(ROBOT).credentials(), site.anchor.verify)

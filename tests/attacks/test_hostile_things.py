@@ -9,8 +9,8 @@ from aiocoap.numbers import codes
 
 from ca.encoding import encode
 from grants.model import Right
-from rossec.border.master_visits import MasterVisits
-from rossec.border.quotas import MAX_BODY, MESSAGE_BURST
+from rossec.border.constrained_node import MasterVisits
+from rossec.border.conversations import MAX_BODY, MESSAGE_BURST
 from rossec.errors import DatagramRefused
 from tests.support.border import LAMP, BorderSite
 from tests.support.constrained import Value

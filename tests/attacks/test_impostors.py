@@ -15,10 +15,10 @@ from rossec.channel.edhoc.credentials import Credentials
 from rossec.demo.intruder import UnverifiedPeer, accept_any
 from rossec.errors import CallerMismatch, ConnectionHeaderRefused, ForeignIdentity
 from rossec.net.aio import SecureStream, WireProtocol, serve
-from rossec.net.rpc.client import serve_calls
+from rossec.net.rpc.calls import serve_calls
 from rossec.node import message_type
 from rossec.participant.access import FIELD
-from rossec.ros import header
+from rossec.ros import tcpros
 from rossec.ros.names import MASTER
 from tests.support.attacker import EVE, HOST, call, credentials, flip, signed
 from tests.support.contexts import unlimited
@@ -46,11 +46,11 @@ def answer(grants: list[bytes], **changes: str) -> dict[str, str | bytes]:
 async def impostor(own: Credentials, fields: dict[str, str | bytes]) -> AsyncIterator[str]:
     """A node that sends each caller `fields` and a message at once; its API URI."""
     kind = message_type(POSE)
-    lie = header.frame(bytes(kind.serialize(kind.create())))
+    lie = tcpros.frame(bytes(kind.serialize(kind.create())))
 
     async def topic(stream: SecureStream[UnverifiedPeer]) -> None:
         await stream.receive()
-        await stream.send(header.encode(fields), lie)
+        await stream.send(tcpros.encode(fields), lie)
         await stream.wait_ended()
 
     async def where(method: str, params: tuple[object, ...], peer: UnverifiedPeer) -> object:

@@ -8,17 +8,16 @@ from typing import Final
 import pytest
 
 from ca.authority import Authority
-from ca.certificates import from_pem
+from ca.certificates import build_intermediate_request, from_pem
 from ca.errors import Revoked
-from ca.intermediates import build_intermediate_request
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
 from grants.model import Restriction, Right
 from rossec.authority.renewals import sign_intermediate
 from rossec.authority.signing import SigningAuthority
 from rossec.errors import ChannelError
-from rossec.master.api.revoked_calls import MAX_BELOW_INTERMEDIATE, MAX_CALLS, MAX_CONNECTIONS
-from rossec.net.rpc.client import CallFailed, RpcClient
+from rossec.master.api.dispatch import MAX_BELOW_INTERMEDIATE, MAX_CALLS, MAX_CONNECTIONS
+from rossec.net.rpc.calls import CallFailed, RpcClient
 from rossec.participant.authorized import STALE_GRACE
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, wait_closed

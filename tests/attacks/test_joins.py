@@ -13,12 +13,14 @@ from pathlib import Path
 
 import pytest
 
-from ca.enrollment.join_authority import LiveIdentity
-from ca.enrollment.join_messages import (
+from ca.enrollment.invitation import JoinRequest
+from ca.enrollment.join import (
     Issued,
     Join,
     JoinAnswer,
     JoinMessage,
+    LiveIdentity,
+    NodeJoin,
     Refused,
     RefuseReason,
     Waiting,
@@ -26,15 +28,13 @@ from ca.enrollment.join_messages import (
     read,
     write,
 )
-from ca.enrollment.join_node import NodeJoin
-from ca.enrollment.join_request import JoinRequest
 from ca.enrollment.messages import frame, length
 from ca.errors import JoinRefused, NotTheAuthority, OfferRefused
 from ca.store.record import Store
-from rossec.authority import joining
+from rossec.authority import invitations
 from rossec.authority.signing import SigningAuthority
-from rossec.enrollment import join_node, wire
-from rossec.enrollment.join_server import JoinServer
+from rossec.enrollment import join, sessions
+from rossec.enrollment.join import JoinServer
 from tests.support.joining import HOUR, JoinSite, asked, fresh, issued, refusal
 from tests.support.pki import NOW, new_signer
 
@@ -82,17 +82,17 @@ async def test_the_network_does_not_see_the_secret_and_cannot_use_what_it_sees(
     csr, mine = asked("/fleet/a"), asked("/fleet/mallory")
     async with between(home, lambda message: message) as seen:
         code = home.invite(uses=2)
-        await join_node.join(code, lambda _: csr, clock)
+        await join.join(code, lambda _: csr, clock)
     assert not any(code.secret in data for data in seen)
     [sent] = [found for found in map(read, seen) if isinstance(found, Join)]
     async with home.serving() as server:
         core = NodeJoin(code, fresh())  # its hello needs the id only, which she has seen
         for change in (sent, replace(sent, csr=mine), replace(sent, name="/fleet/mallory")):
             reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
-            wire.send(writer, core.hello())
-            await wire.receive(reader)
-            wire.send(writer, write(change))
-            assert read(await wire.receive(reader)) == Refused(REFUSED)
+            sessions.send(writer, core.hello())
+            await sessions.receive(reader)
+            sessions.send(writer, write(change))
+            assert read(await sessions.receive(reader)) == Refused(REFUSED)
             writer.close()
     assert len(home.store.invitations.uses(code.id)) == 1
 
@@ -103,7 +103,7 @@ def test_secrets_are_guessed(home: JoinSite) -> None:
     for _ in range(50):
         guess = replace(code, secret=secrets.token_bytes(16))
         request = replace(home.request(guess, asked("/fleet/a")), invitation=code.id)
-        assert refusal(joining.join(home.authority, request, NOW)) is REFUSED
+        assert refusal(invitations.join(home.authority, request, NOW)) is REFUSED
     issued(home.join(code))  # guesses do not end it for its owner
 
 
@@ -128,7 +128,7 @@ async def test_an_expiry_or_pattern_changed_in_the_code_changes_nothing(
     code = replace(home.invite(lasts=60), pattern="/**", expires=NOW + 10 * HOUR)
     now = NOW + 61 if fails else NOW
     request = home.request(code, asked("/fleet/a" if fails else "/other/a"))
-    answer = joining.join(home.authority, request, now)
+    answer = invitations.join(home.authority, request, now)
     assert refusal(answer) is (ENDED if fails else RefuseReason.NAME)
 
 
@@ -144,7 +144,7 @@ def test_the_last_use_is_taken_once_by_many_at_once(home: JoinSite) -> None:
         with closing(Store.open(home.site.root / "ca.db")) as store:
             authority = SigningAuthority(home.authority.authority, store, home.site.root)
             start.wait()
-            answers.append(joining.join(authority, request, NOW))
+            answers.append(invitations.join(authority, request, NOW))
 
     threads = [threading.Thread(target=ask, args=(request,)) for request in requests]
     for thread in threads:
@@ -173,7 +173,7 @@ async def test_an_enrolled_node_that_plays_the_authority_gets_nothing(
     fake = JoinServer(lambda: LiveIdentity(own.signer, own.chain, home.root), harvest)
     async with home.serving(fake):
         with pytest.raises(NotTheAuthority, match="a node of this site"):
-            await join_node.join(home.invite(), lambda _: asked("/fleet/a"), clock)
+            await join.join(home.invite(), lambda _: asked("/fleet/a"), clock)
     assert harvested == []
 
 
@@ -183,21 +183,21 @@ async def test_a_copied_certificate_and_a_recorded_welcome_are_not_live(home: Jo
     fake = JoinServer(lambda: replace(true, signer=new_signer()), home.admit)
     async with home.serving(fake):
         with pytest.raises(NotTheAuthority, match="does not have the key"):
-            await join_node.join(home.invite(), lambda _: asked("/fleet/a"), clock)
+            await join.join(home.invite(), lambda _: asked("/fleet/a"), clock)
     async with between(home, lambda message: message) as seen:
         code = home.invite(uses=2)
-        await join_node.join(code, lambda _: asked("/fleet/a"), clock)
+        await join.join(code, lambda _: asked("/fleet/a"), clock)
 
     async def replay(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        await wire.receive(reader)
-        wire.send(writer, seen[1])
+        await sessions.receive(reader)
+        sessions.send(writer, seen[1])
         writer.close()
 
     server = await asyncio.start_server(replay, "127.0.0.1", 0)
     async with server:
         where = f"127.0.0.1:{server.sockets[0].getsockname()[1]}"
         with pytest.raises(NotTheAuthority, match="does not have the key"):
-            await join_node.join(replace(code, address=where), lambda _: asked("/fleet/a"), clock)
+            await join.join(replace(code, address=where), lambda _: asked("/fleet/a"), clock)
 
 
 @pytest.mark.attack("join-impostor")
@@ -215,7 +215,7 @@ async def test_an_answer_that_is_not_the_authoritys_is_not_taken(
 
         async with between(home, swap):
             with pytest.raises(OfferRefused):
-                await join_node.join(home.invite(), lambda _: csr, clock)
+                await join.join(home.invite(), lambda _: csr, clock)
 
 
 @pytest.mark.attack("join-impostor")
@@ -225,7 +225,7 @@ async def test_a_request_swapped_on_its_way(home: JoinSite) -> None:
 
     async with between(home, swap):
         with pytest.raises(JoinRefused):
-            await join_node.join(home.invite(), lambda _: asked("/fleet/a"), clock)
+            await join.join(home.invite(), lambda _: asked("/fleet/a"), clock)
     assert home.store.identities.by_name("/fleet/a") == []
 
 
@@ -237,7 +237,7 @@ def test_names_that_an_invitation_does_not_give(home: JoinSite) -> None:
     for name in ("/ca", "/master", "/master/kitchen"):
         assert refusal(home.join(wide, name)) is RefuseReason.NAME
     request = home.request(replace(code, wildcard=True), asked("/fleet/a", wildcard=True))
-    assert refusal(joining.join(home.authority, request, NOW)) is RefuseReason.REQUEST
+    assert refusal(invitations.join(home.authority, request, NOW)) is RefuseReason.REQUEST
     assert home.store.invitations.uses(code.id) == home.store.invitations.uses(wide.id) == []
 
 
@@ -257,8 +257,8 @@ def test_the_name_of_a_node_is_not_taken_over(home: JoinSite, revoked: bool) -> 
 def test_what_waits_for_a_person_is_bounded_for_a_code(home: JoinSite) -> None:
     code = home.invite(uses=100)
     issued(home.join(code, "/fleet/a"))
-    answers = [home.join(code, "/fleet/a") for _ in range(joining.MAX_WAITING + 5)]
-    assert len(home.store.requests.open()) == joining.MAX_WAITING
+    answers = [home.join(code, "/fleet/a") for _ in range(invitations.MAX_WAITING + 5)]
+    assert len(home.store.requests.open()) == invitations.MAX_WAITING
     assert answers[-5:] == [Refused(RefuseReason.BUSY)] * 5
     issued(home.join(home.invite(), "/fleet/b"))
 
@@ -269,11 +269,11 @@ async def test_open_sessions_do_not_keep_another_host_out(home: JoinSite) -> Non
         held = [await asyncio.open_connection("127.0.0.1", server.port) for _ in range(40)]
         sock = await asyncio.open_connection("127.0.0.1", server.port, local_addr=("127.0.0.2", 0))
         core = NodeJoin(home.invite(), fresh())
-        wire.send(sock[1], core.hello())
+        sessions.send(sock[1], core.hello())
         async with asyncio.timeout(20):
-            core.receive(await wire.receive(sock[0]), NOW)
-            wire.send(sock[1], core.join(asked("/fleet/a")))
-            core.receive(await wire.receive(sock[0]), NOW)
+            core.receive(await sessions.receive(sock[0]), NOW)
+            sessions.send(sock[1], core.join(asked("/fleet/a")))
+            core.receive(await sessions.receive(sock[0]), NOW)
         assert core.identity.root == home.root
         for _, writer in (*held, sock):
             writer.close()
@@ -286,9 +286,9 @@ def test_a_stranger_reaches_no_parser(home: JoinSite, monkeypatch: pytest.Monkey
 
     code = home.invite()
     request = home.request(code, asked("/fleet/a"))
-    monkeypatch.setattr(joining, "check_request", parser)
+    monkeypatch.setattr(invitations, "check_request", parser)
     for number in range(200):
         lying = replace(request, csr=number.to_bytes(2) * 1024)
-        assert refusal(joining.join(home.authority, lying, NOW)) is REFUSED
+        assert refusal(invitations.join(home.authority, lying, NOW)) is REFUSED
     with pytest.raises(AssertionError, match="parsed"):
-        joining.join(home.authority, request, NOW)
+        invitations.join(home.authority, request, NOW)

@@ -16,9 +16,9 @@ import pytest
 from grants.filters import layout
 from grants.model import Restriction, Right, filter_rules
 from rossec.node import Publisher, message_type
-from rossec.participant.header_fields import Fields
-from rossec.participant.topic_handshake import TopicEndpoint as Topic
-from rossec.ros.header import FrameReader
+from rossec.participant.handshakes import Fields
+from rossec.participant.handshakes import TopicEndpoint as Topic
+from rossec.ros.tcpros import FrameReader
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.fleet import SECURE, entitle, environment, program
 from tests.support.sidecarprogram import subscribed

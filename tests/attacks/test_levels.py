@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from grants.filters.compile import preset
 from grants.filters.layout import parse
-from grants.filters.presets import preset
 from grants.model import Restriction
-from grants.vocabulary.describe import describe
-from grants.vocabulary.resolve import resolve
-from grants.vocabulary.words import DataWord
+from grants.vocabulary.contents import DataWord, describe
+from grants.vocabulary.levels import resolve
 from rossec.participant.message_types import message_type
 from tests.support.site import Site
 

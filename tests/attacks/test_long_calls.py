@@ -10,11 +10,11 @@ import pytest
 
 from grants.model import Right
 from rossec.errors import RossecError
-from rossec.master.operation.limits import MasterLimits
-from rossec.net.rpc.client import RpcClient
+from rossec.master.operation.config import MasterLimits
+from rossec.net.rpc.calls import RpcClient
 from rossec.participant.connections import UNSHOWN_CONNECTIONS
 from rossec.ros import xmlrpc
-from rossec.ros.callclient import CallClient
+from rossec.ros.calls import CallClient
 from rossec.ros.xmlrpc import Fault
 from tests.support.attacker import EVE, HOST, credentials, dial
 from tests.support.caller import caller

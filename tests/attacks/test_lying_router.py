@@ -21,11 +21,11 @@ from rossec.overlay.link_frames import (
     Kind,
     head,
     kind_of,
+    mailbox,
     read,
     return_address,
     split_return_address,
 )
-from rossec.overlay.mailboxes import mailbox
 from tests.support.contexts import context
 from tests.support.frame_carriers import MemoryCarrier
 from tests.support.overlay import until

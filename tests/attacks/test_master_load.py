@@ -14,9 +14,9 @@ import pytest
 
 from grants.model import Right
 from rossec.errors import ChannelError, RossecError
-from rossec.master.operation.limits import MasterLimits
+from rossec.master.operation.config import MasterLimits
 from rossec.net.aio import SecureStream, WireProtocol, serve
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from rossec.ros import xmlrpc
 from rossec.ros.xmlrpc import Fault
 from tests.support.attacker import EVE, HOST, credentials, dial

@@ -17,8 +17,7 @@ from grants.errors import (
     NarrowingOutsideDomain,
 )
 from grants.model import Draft, Permission, Restriction, Right, filter_rules
-from grants.narrowing import NARROWING, sign_narrowing
-from grants.token import pack_chain, peek, unpack
+from grants.token import NARROWING, pack_chain, peek, sign_narrowing, unpack
 from tests.support.attacker import (
     EVE,
     Reply,

@@ -9,7 +9,7 @@ import pytest
 
 from rossec.errors import PeerRefused
 from rossec.net.aio import WireProtocol, connect
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from tests.support.attacker import EVE, HOST, credentials, dial, fields_for, send_header, signed
 from tests.support.contexts import unlimited
 from tests.support.site import Site

@@ -11,10 +11,11 @@ import pytest
 from grants import document
 from grants.model import Right
 from grants.request import GrantRequest, RequestedRight, sign_request
-from rossec.authority import policy_plan
+from rossec.authority import policyfile
+from rossec.authority.grant_operations import MasterCall
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile, read_policy
-from rossec.authority.service import AuthorityService, MasterCall
+from rossec.authority.service import AuthorityService
 from rossec.errors import NotDelivered
 from rossec.home import NodeHome
 from tests.support.consoleacts import POLICY as CONSOLE_POLICY
@@ -171,7 +172,7 @@ def test_where_a_list_has_no_room_for_all_others_lose_what_was_taken(
         place.ask("/greedy", RequestedRight(Right.CALL, f"/s/n{number}"))
         place.service.decide_grants(place.policy())
     place.write(POLICY.replace("who: /greedy", "who: /nobody").replace("/camera]", "/map]"))
-    monkeypatch.setattr(policy_plan, "MAX_LEAVES", 3)
+    monkeypatch.setattr(policyfile, "MAX_LEAVES", 3)
     plan = place.service.plan_policy(place.policy())
     assert plan.listed == 3
     assert [reason.partition(":")[0] for reason in plan.refused] == ["/greedy"]

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import pytest
 
-from rossec.master.api.deposit_calls import WATCH_GRANTS
+from rossec.master.api.statement_calls import WATCH_GRANTS
 from rossec.master.operation.config import Config, parse
 from rossec.ros.names import MASTER
 from tests.support.attacker import EVE

@@ -8,9 +8,10 @@ from pathlib import Path
 import pytest
 
 from grants import document
+from rossec.authority.grant_operations import MasterCall
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import read_policy
-from rossec.authority.service import AuthorityService, MasterCall
+from rossec.authority.service import AuthorityService
 from rossec.errors import NotDelivered
 from rossec.home import NodeHome
 

@@ -10,7 +10,7 @@ import pytest
 
 from ca.errors import PathRefused
 from rossec.authority.home import AuthorityHome
-from rossec.master.operation.denial_log import DenialLog
+from rossec.master.server.effects import DenialLog
 from tests.support.commands import PASSPHRASE, Shell
 
 pytestmark = [pytest.mark.attack("linked-output"), pytest.mark.timeout(600)]

@@ -18,8 +18,8 @@ from rossec.demo.intruder import accept_any
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureStream, connect
 from rossec.node import Node, Publisher
-from rossec.ros import header as ros_header
-from rossec.ros.header import FrameReader
+from rossec.ros import tcpros as ros_header
+from rossec.ros.tcpros import FrameReader
 from tests.support.attacker import EVE, HOST, credentials, fields_for
 from tests.support.contexts import unlimited
 from tests.support.site import DAY, Site

@@ -16,11 +16,11 @@ from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ChannelClosed, IdentityRefused
 from rossec.net.aio import SecureStream, serve
-from rossec.net.rpc.client import serve_calls
+from rossec.net.rpc.calls import serve_calls
 from rossec.node import Node, Subscriber
 from rossec.participant.slave_api import NO_TRANSPORT
-from rossec.ros.settings import parse_uri
-from rossec.sidecar.core.endpoints import local_endpoint
+from rossec.ros.names import parse_uri
+from rossec.sidecar.core.layers import local_endpoint
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.attacker import EVE, HOST, call, credentials
 from tests.support.contexts import unlimited

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from ca.certificates import Identity
-from ca.domains.anchors import Anchors
+from ca.domains.trust import Anchors
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect, serve
-from rossec.overlay.peers import Peer
+from rossec.overlay.documents import Peer
 from tests.support.relayedsites import RelayedSite, two_sites
 from tests.support.witness import until
 

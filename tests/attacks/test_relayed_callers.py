@@ -8,11 +8,11 @@ from contextlib import AsyncExitStack
 import pytest
 
 from ca.certificates import Identity
-from rossec.master.state.doors import Door, Report, Target, Way
+from rossec.host.addresses import source_for
+from rossec.master.state.forwarded_ports import Door, Report, Target, Way
 from rossec.net.aio import SecureStream, WireProtocol, connect
-from rossec.net.host.relayed import source_for
-from rossec.net.rpc.client import RpcClient
-from rossec.ros.settings import parse_uri
+from rossec.net.rpc.calls import RpcClient
+from rossec.ros.names import parse_uri
 from tests.rossec.master.visiting import VisitWorld
 from tests.rossec.master.world import EVERYTHING, T, until
 from tests.support.authority import EnrolledNode

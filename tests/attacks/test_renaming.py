@@ -13,12 +13,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from ca.patterns import covers
+from ca.names import pattern_covers
 from grants.errors import GrantMissing
 from grants.model import Right
 from rossec.errors import RossecError
-from rossec.naming.metadata import Kind
-from rossec.naming.runner import RuleRunner
+from rossec.naming.requests import Kind
+from rossec.naming.rule_runner import RuleRunner
 from rossec.participant.access import Access
 from tests.rossec.naming.stylesheets import RULES
 from tests.rossec.participant.test_access import field, revocations
@@ -85,7 +85,7 @@ def test_whatever_is_claimed_a_right_is_that_of_the_name(tmp_path: Path) -> None
         else:
             is_allowed = True
         seen.add(is_allowed)
-        assert is_allowed is covers(OWN, name)
+        assert is_allowed is pattern_covers(OWN, name)
 
     rules = RuleRunner(RULES)
     with asyncio.Runner() as loop:

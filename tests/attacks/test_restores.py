@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from ca.certificates import check_request
 from ca.errors import BackupRefused
-from ca.revocation.state import Revocations
-from ca.store.lifecycle import RequestState
+from ca.revocation.trust_status import Revocations
+from ca.store.values import RequestState
+from ca.svid import check_request
 from rossec import files
 from rossec.authority.backup import back_up, restore
 from rossec.authority.home import AuthorityHome
@@ -31,8 +31,8 @@ pytestmark = pytest.mark.attack("old-backup")
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ca.keys.pbes2._N", 16)  # the passphrase is not under test
-    monkeypatch.setattr("ca.store.backup._N", 16)
+    monkeypatch.setattr("ca.keys.passphrases._N", 16)  # the passphrase is not under test
+    monkeypatch.setattr("ca.keys.passphrases._N", 16)
 
 
 @pytest.fixture

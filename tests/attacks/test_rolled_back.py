@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 
 from ca.errors import Revoked
-from rossec.ros.names import MASTER
-from rossec.ros.settings import parse_uri
+from rossec.ros.names import MASTER, parse_uri
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.attacker import EVE, credentials, expect_refused, fields_for, listen, send_header
 from tests.support.caller import caller

@@ -13,7 +13,7 @@ import pytest_asyncio
 from ca.encoding import encode
 from grants.model import Right
 from rossec.errors import ChannelError, RossecError
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from rossec.ros.names import MASTER
 from rossec.ros.xmlrpc import Fault
 from tests.support.attacker import EVE, HOST, call, credentials, dial

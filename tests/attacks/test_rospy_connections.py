@@ -17,13 +17,13 @@ from grants.model import Right
 from rossec.channel.opening import REFUSAL, tcpros_refusal
 from rossec.demo.intruder import accept_any
 from rossec.errors import ChannelError
-from rossec.inprocess.background import PEER_CONNECTIONS
+from rossec.inprocess.process import PEER_CONNECTIONS
 from rossec.net.aio import SecureStream, WireProtocol, connect, serve
-from rossec.net.halfopen import HalfOpen
-from rossec.net.rpc.client import serve_calls
+from rossec.net.limits import HalfOpen
+from rossec.net.rpc.calls import serve_calls
 from rossec.participant.access import FIELD
 from rossec.participant.message_types import message_type
-from rossec.ros import header
+from rossec.ros import tcpros
 from tests.support.attacker import (
     EVE,
     HOST,
@@ -219,7 +219,7 @@ async def test_a_false_publisher_is_refused(victim: Victim) -> None:
         names.reverse()
         data = bytes(kind.serialize(kind.create(data="obey me")))
         with contextlib.suppress(ChannelError):
-            await stream.send(header.encode(fields), header.frame(data) * 5)
+            await stream.send(tcpros.encode(fields), tcpros.frame(data) * 5)
             await stream.receive()
 
     async def answer_calls(stream: SecureStream[Identity]) -> None:
@@ -287,7 +287,7 @@ async def test_connections_are_limited_per_identity(victim: Victim) -> None:
     streams = []
     for _ in range(PEER_CONNECTIONS):
         streams.append(await connect(HOST, victim.port, unlimited(own, site.anchor.verify)))
-        await streams[-1].send(header.encode(fields))
+        await streams[-1].send(tcpros.encode(fields))
         assert b"callerid=/robot" in await streams[-1].receive()
     expect_refusal(await heard(victim, fields, name), "has 64 connections already")
     data = site.revoke(site.identity(name).thumbprint)

@@ -19,8 +19,8 @@ from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureStream, connect
 from rossec.participant.access import FIELD
-from rossec.ros import header
-from rossec.ros.header import FrameReader
+from rossec.ros import tcpros
+from rossec.ros.tcpros import FrameReader
 from tests.support.attacker import EVE, HOST, fields_for
 from tests.support.contexts import unlimited
 from tests.support.fleet import SECURE, Program, entitle, environment, program
@@ -80,7 +80,7 @@ class Target:
         """One more connection of Eve's, with its header answered."""
         credentials, verify = self.site.enroll(EVE).credentials(), self.site.anchor.verify
         stream = await connect(HOST, self.port, unlimited(credentials, verify))
-        await stream.send(header.encode(fields))
+        await stream.send(tcpros.encode(fields))
         return stream
 
     async def subscribe(self, topic: str) -> "Receiver":
@@ -177,7 +177,7 @@ async def test_calls_over_many_connections_share_the_rate(target: Target) -> Non
         stream = await target.connect(fields)
         async with asyncio.timeout(30):
             assert b"md5sum" in await stream.receive()
-            await stream.send(header.frame(b""))
+            await stream.send(tcpros.frame(b""))
             answers.append((await stream.receive())[:1])
         stream.abort("done")
     assert answers == [b"\1", *[b"\0"] * 5]

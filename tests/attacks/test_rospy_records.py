@@ -16,7 +16,7 @@ from ca.certificates import Identity
 from grants.model import Right
 from rossec.channel.connection import Connection
 from rossec.channel.negotiation import Authenticated, UnitReceived
-from rossec.ros import header
+from rossec.ros import tcpros
 from tests.support.attacker import (
     HOST,
     credentials,
@@ -105,11 +105,11 @@ async def test_tampered_records_end_the_connection(
     grant = victim.site.grant("/clerk", Right.CALL, SERVICE)
     wire = await asyncio.to_thread(Wire, victim, "/clerk")
     fields = for_service("/clerk", SERVICE, [grant], persistent="1")
-    wire.sock.sendall(wire.seal(header.encode(fields)))
+    wire.sock.sendall(wire.seal(tcpros.encode(fields)))
     while not wire.units:
         await asyncio.to_thread(wire.pull)
     before = victim.said.count("RESET")
-    flight = meddle(wire.seal(header.frame(b"")), wire.seal(header.frame(b"")))
+    flight = meddle(wire.seal(tcpros.frame(b"")), wire.seal(tcpros.frame(b"")))
     wire.sock.sendall(flight)
     assert await asyncio.to_thread(wire.ended)
     wire.sock.close()
@@ -125,8 +125,8 @@ async def test_a_truncated_record_delivers_nothing(victim: Victim) -> None:
     grant = victim.site.grant("/clerk", Right.CALL, SERVICE)
     wire = await asyncio.to_thread(Wire, victim, "/clerk")
     fields = for_service("/clerk", SERVICE, [grant])
-    wire.sock.sendall(wire.seal(header.encode(fields)))
-    wire.sock.sendall(wire.seal(header.frame(b""))[:-1])
+    wire.sock.sendall(wire.seal(tcpros.encode(fields)))
+    wire.sock.sendall(wire.seal(tcpros.frame(b""))[:-1])
     wire.sock.shutdown(socket.SHUT_WR)
     assert await asyncio.to_thread(wire.ended)
     wire.sock.close()

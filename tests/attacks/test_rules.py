@@ -23,11 +23,9 @@ from rossec.errors import (
     RulesExceeded,
     RulesRefused,
 )
-from rossec.naming import child, frames
-from rossec.naming.child_process import RuleProcess
-from rossec.naming.documents import MAX_INPUT
-from rossec.naming.metadata import Kind
-from rossec.naming.runner import RuleRunner
+from rossec.naming import child, requests
+from rossec.naming.requests import MAX_INPUT, Kind
+from rossec.naming.rule_runner import RuleProcess, RuleRunner
 from tests.rossec.naming.stylesheets import PHONE, RULES, request, sheet
 from tests.support.witness import until
 
@@ -241,19 +239,19 @@ async def test_what_is_asked_for_is_text_and_no_expression(which: str) -> None:
 
 def taken_over(
     monkeypatch: pytest.MonkeyPatch, action: Callable[[], object]
-) -> frames.Result | bytes:
+) -> requests.Result | bytes:
     """What comes of a request whose process does what an attacker likes, once it is restricted."""
 
     def answered(_: bytes) -> bytes:
         try:
             action()
         except (OSError, ValueError):  # of setrlimit: not allowed
-            return frames.write_names(["/refused"])
-        return frames.write_names(["/succeeded"])
+            return requests.write_names(["/refused"])
+        return requests.write_names(["/succeeded"])
 
     monkeypatch.setattr(child, "_answered", answered)
-    body = frames.write_request(request(RULES))
-    return frames.read_names(bytes(child.ask(bytearray(body))), 1)[0]
+    body = requests.write_request(request(RULES))
+    return requests.read_names(bytes(child.ask(bytearray(body))), 1)[0]
 
 
 def fork_bomb() -> None:

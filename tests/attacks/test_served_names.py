@@ -11,8 +11,8 @@ import pytest
 
 from grants.model import Right
 from rossec.errors import AnswerRefused, RossecError
+from rossec.master.state.imported_facts import Site
 from rossec.master.state.registry import Kind
-from rossec.master.state.sites import Site
 from tests.rossec.master.gatewayworld import (
     ALIAS,
     MAY_BE_SERVED,

@@ -15,12 +15,12 @@ from rossec.errors import ChannelError, RossecError
 from rossec.net.aio import SecureServer, SecureStream, connect, serve
 from rossec.node import Node
 from rossec.node import service as provider
-from rossec.node.listener import first_frame
+from rossec.node.node import first_frame
 from rossec.participant.access import FIELD
-from rossec.participant.service_handshake import ExpectedService, server_header
+from rossec.participant.handshakes import ExpectedService, server_header
 from rossec.participant.service_types import service_type
-from rossec.ros import header
-from rossec.ros import service as wire
+from rossec.ros import tcpros
+from rossec.ros import tcpros as wire
 from tests.support.attacker import (
     EVE,
     HOST,
@@ -126,7 +126,7 @@ async def open_call(
     """Eve's connection after the headers."""
     stream = await connect(HOST, port_of(lamp), unlimited(credentials(site), accept_any))
     try:
-        await stream.send(header.encode(asking([grant or may_call(site)], **changes)))
+        await stream.send(tcpros.encode(asking([grant or may_call(site)], **changes)))
         async with asyncio.timeout(30):
             assert b"request_type" in await stream.receive()
         yield stream
@@ -185,7 +185,7 @@ async def test_a_request_that_never_ends_times_out(
 @pytest.mark.attack("service-occupied")
 async def test_a_malformed_request_fails_only_its_call(site: Site, lamp: Node) -> None:
     async with open_call(site, lamp, persistent="true") as stream:
-        for nonsense in (b"\0\0\0\0", b"\2\0\0\0\1\1", header.frame(bytes(300_000))):
+        for nonsense in (b"\0\0\0\0", b"\2\0\0\0\1\1", tcpros.frame(bytes(300_000))):
             await stream.send(nonsense)
             async with asyncio.timeout(30):
                 answer = await stream.receive()
@@ -264,7 +264,7 @@ async def impostor(
 
     async def play(stream: SecureStream[Any]) -> None:
         await first_frame(stream)
-        await stream.send(header.encode(answer))
+        await stream.send(tcpros.encode(answer))
         heard.append(await stream.receive())
         await stream.send(reply)
         await stream.wait_ended()

@@ -19,12 +19,12 @@ from grants.model import Restriction, Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import RossecError
 from rossec.net.aio import connect
-from rossec.net.aio.dial import dial
-from rossec.net.halfopen import HalfOpen
-from rossec.net.rpc.client import RpcClient
+from rossec.net.aio.client import dial
+from rossec.net.limits import HalfOpen
+from rossec.net.rpc.calls import RpcClient
 from rossec.sidecar import executor
-from rossec.sidecar.core import tcpros
-from rossec.sidecar.core.endpoints import local_endpoint
+from rossec.sidecar.core import node_connections
+from rossec.sidecar.core.layers import local_endpoint
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.contexts import unlimited
@@ -258,6 +258,6 @@ async def test_a_failing_check_closes_the_connection(
         await robot.register("registerPublisher", "/word", "std_msgs/String")
         uris = await ear.register("registerSubscriber", "/word", "std_msgs/String")
         assert isinstance(uris, list)
-        monkeypatch.setattr(tcpros, "guard_for", crash)
+        monkeypatch.setattr(node_connections, "guard_for", crash)
         with pytest.raises(Exception, match=r"closed|reset"):
             await ear.subscribe(uris[0], "/word")

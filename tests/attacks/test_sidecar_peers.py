@@ -8,18 +8,18 @@ import pytest
 
 from ca.certificates import Identity
 from ca.encoding import Value, encode
-from ca.revocation.state import Timestamp, digest, sign_timestamp
+from ca.revocation.lists import Timestamp, digest, sign_timestamp
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ChannelClosed, ChannelError
 from rossec.net.aio import SecureServer, SecureStream, connect, serve
-from rossec.net.aio.dial import dial
-from rossec.net.rpc.client import CallFailed, RpcClient, serve_calls
+from rossec.net.aio.client import dial
+from rossec.net.rpc.calls import CallFailed, RpcClient, serve_calls
 from rossec.participant.access import FIELD
-from rossec.ros import header, xmlrpc
-from rossec.ros.settings import parse_uri
+from rossec.ros import tcpros, xmlrpc
+from rossec.ros.names import parse_uri
 from rossec.ros.xmlrpc import Encoded
-from rossec.sidecar.plain_stream import PlainStream
+from rossec.sidecar.loopback_port import PlainStream
 from rossec.sidecar.pump import split_header
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar
@@ -76,7 +76,7 @@ async def test_a_right_to_call_gives_no_topic(site: Site, near: Sidecar) -> None
             "service": b"/anything", FIELD: encode(grants),
         }  # fmt: skip
         stream = await connect_as_mallory(site, answer[2][2], WireProtocol.TCPROS)
-        await stream.send(header.encode(fields))
+        await stream.send(tcpros.encode(fields))
         said, _ = await split_header(stream)
         assert b"for a topic or for a service" in said["error"]
         assert robot.headers == []
@@ -169,7 +169,7 @@ async def test_a_subscriber_that_sends_data_gets_nothing(site: Site, near: Sidec
         client = RpcClient(await connect_as_mallory(site, port_of(near).port, WireProtocol.HTTP))
         answer = await client.call("requestTopic", "/mallory", "/word", [["TCPROS"]])
         assert isinstance(answer, list)
-        for units in ([header.encode(asked) + b"data"], [header.encode(asked), b"data"]):
+        for units in ([tcpros.encode(asked) + b"data"], [tcpros.encode(asked), b"data"]):
             stream = await connect_as_mallory(site, answer[2][2], WireProtocol.TCPROS)
             for unit in units:
                 await stream.send(unit)

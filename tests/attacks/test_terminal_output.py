@@ -16,7 +16,7 @@ import rossec.cli
 from rossec import terminal
 from rossec.authority.home import AuthorityHome
 from rossec.cli.main import rossec as program
-from rossec.cli.shared.lazy import LazyCommand
+from rossec.cli.shared.context import LazyCommand
 from tests.support.commands import PASSPHRASE, Said, Shell
 
 pytestmark = [pytest.mark.attack("terminal-output"), pytest.mark.timeout(600)]

@@ -5,16 +5,15 @@ from pathlib import Path
 
 import pytest
 
-from ca.cose import Profile
 from ca.encoding import encode
 from ca.errors import LogDamaged, StoreError, ThingChanged, ThingOutdated, ThingRefused
-from ca.store import backup
+from ca.keys import passphrases
+from ca.keys.signing import Profile
 from ca.store.record import Store
-from ca.things.credentials import ThingSecret, read_ccs
-from ca.things.statement import THING, open_statement, sign_statement
+from ca.things.constrained_nodes import THING, ThingSecret, open_statement, read_ccs, sign_statement
 from rossec.authority.backup import back_up
 from rossec.home import NodeHome
-from rossec.saved_things import ThingFiles
+from rossec.saved_statements import ThingFiles
 from tests.support.commands import Shell
 from tests.support.pki import new_signer
 from tests.support.thingoffice import ATTIC, BORDER, DAY, LAMP, PASSPHRASE, Office
@@ -23,7 +22,7 @@ from tests.vectors.make_things import cose_key
 
 @pytest.fixture
 def office(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Office:
-    monkeypatch.setattr("ca.keys.pbes2._N", 16)  # the passphrase is not under test
+    monkeypatch.setattr("ca.keys.passphrases._N", 16)  # the passphrase is not under test
     return Office(tmp_path / "home")
 
 
@@ -195,7 +194,7 @@ def test_a_secret_is_nowhere_but_at_its_router(
 def test_a_backup_of_the_authority_has_no_secret(office: Office) -> None:
     secret = router(office).create_secret(LAMP)
     office.sign(credential=ThingSecret.of(secret, b"\x01"))
-    content = backup.unseal(back_up(office.home, PASSPHRASE), PASSPHRASE)
+    content = passphrases.unseal(back_up(office.home, PASSPHRASE), PASSPHRASE)
     assert "ca.db" in content
     assert not any(secret in data for data in content.values())
 

@@ -16,7 +16,7 @@ from ca.encoding import encode
 from grants.document import GRANT
 from grants.model import Restriction, Right, filter_rules
 from rossec.master.rights.access_rules import RULES
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from rossec.participant.slave_api import RULES as SLAVE_RULES
 from rossec.ros.xmlrpc import Fault
 from tests.fuzz.mutants import dumps, mutants

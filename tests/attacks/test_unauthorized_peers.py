@@ -9,7 +9,8 @@ from typing import Final
 import pytest
 
 from ca.errors import CAError, ForeignCertificate, Revoked
-from grants import claims, document
+from grants import document
+from grants import document as claims
 from grants.errors import (
     GrantError,
     GrantExpired,
@@ -29,8 +30,8 @@ from rossec.errors import (
     RossecError,
 )
 from rossec.net.aio import connect
-from rossec.net.rpc.client import RpcClient
-from rossec.ros import header
+from rossec.net.rpc.calls import RpcClient
+from rossec.ros import tcpros
 from rossec.ros.names import MASTER
 from tests.support.attacker import (
     EVE,
@@ -259,7 +260,7 @@ async def test_the_slave_api_refuses_a_peer_revoked_while_connected(site: Site, 
 async def test_the_connection_of_a_revoked_node_is_closed(site: Site, witness: Witness) -> None:
     own = unlimited(credentials(site), site.anchor.verify)
     eve = await connect(HOST, witness.topic_port, own)
-    await eve.send(header.encode(fields_for(EVE, TOPIC, [signed(site)])))
+    await eve.send(tcpros.encode(fields_for(EVE, TOPIC, [signed(site)])))
     await until(lambda: len(witness.publisher.links) == 2)
     await revoke(site, witness, site.identity(EVE).thumbprint)
     async with asyncio.timeout(30):

@@ -14,11 +14,11 @@ from rossec.channel.records import HEADER, TAG, Bytes, Frame
 from rossec.demo.intruder import accept_any
 from rossec.errors import ConnectionHeaderRefused, FrameRefused
 from rossec.net.aio import SecureStream, connect
-from rossec.node import Subscriber, listener
-from rossec.participant import topic_handshake
-from rossec.participant.deflating import deflated
-from rossec.ros import header
-from rossec.ros.header import MESSAGE_LIMIT, FrameReader
+from rossec.node import Subscriber, node
+from rossec.participant import handshakes
+from rossec.participant.delivery import deflated
+from rossec.ros import tcpros
+from rossec.ros.tcpros import MESSAGE_LIMIT, FrameReader
 from tests.support.attacker import (
     EVE,
     HOST,
@@ -50,11 +50,11 @@ async def subscribed(
     own = credentials(site)
     stream = await connect(HOST, witness.topic_port, unlimited(own, accept_any))
     try:
-        await stream.send(header.encode(fields))
+        await stream.send(tcpros.encode(fields))
         frames = FrameReader()
         while not (found := frames.feed(await stream.receive())):
             pass
-        answer = header.decode(found[0])
+        answer = tcpros.decode(found[0])
         assert "error" not in answer, answer
         assert {key: answer[key].decode() for key in wishes if key in answer} == taken
         yield stream, frames
@@ -249,12 +249,12 @@ async def test_a_publisher_may_not_deflate_unasked(
 ) -> None:
     site.publish(EVE, BOMB)
     site.subscribe("/hall", BOMB)
-    written = topic_handshake.publisher_header
+    written = handshakes.publisher_header
 
     def forged(*arguments: Any, **options: Any) -> dict[str, bytes]:
         return {**written(*arguments, **options), "rossec_deflate": b"1"}
 
-    monkeypatch.setattr(listener, "publisher_header", forged)
+    monkeypatch.setattr(node, "publisher_header", forged)
     async with site.node(EVE) as eve, site.node("/hall") as hall:
         await eve.publisher(BOMB, STRING)
         subscriber = await hall.subscriber(BOMB, STRING, rate=5)

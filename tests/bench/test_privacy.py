@@ -16,7 +16,7 @@ from bench._registrations import registered
 from bench._trackers import habits
 from bench._views import by_preset
 from bench._watchers import watched
-from grants.filters.rooms import read_plan
+from grants.filters.coarsening import read_plan
 from grants.model import Restriction, filter_rules
 
 SECONDS, TRAINING = 900, 7200

@@ -9,11 +9,16 @@ from cryptography import x509
 from cryptography.x509 import verification
 
 from ca.authority import LIFETIME, MAX_LIFETIME, ROOT_LIFETIME, Authority, create_root
-from ca.certificates import TrustAnchor, build_request, to_pem
+from ca.certificates import (
+    TrustAnchor,
+    build_intermediate_request,
+    open_renewal,
+    sign_renewal,
+    to_pem,
+)
 from ca.errors import CertificateRefused, IssueRefused, KeyRefused, NameRefused, RequestRefused
-from ca.intermediates import build_intermediate_request
-from ca.keys.signer import KeySigner
-from ca.renewal import open_renewal, sign_renewal
+from ca.keys.signing import KeySigner
+from ca.svid import build_request
 from tests.support.pki import DAY, NOW, Site, new_signer
 
 SITE = Site.create()
@@ -143,7 +148,7 @@ def test_the_verifier_of_cryptography_accepts_it(*, wildcard: bool) -> None:
 def test_an_authority_has_a_p256_key() -> None:
     from cryptography.hazmat.primitives.asymmetric import ec
 
-    from ca.keys.signer import KeySigner
+    from ca.keys.signing import KeySigner
 
     signer = KeySigner(ec.generate_private_key(ec.SECP384R1()))
     with pytest.raises(KeyRefused):

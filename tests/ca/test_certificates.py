@@ -8,15 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ca import certificates, svid
-from ca.certificates import MAX_CERTIFICATE, Identity, TrustAnchor, from_pem, to_pem
+from ca.certificates import Identity, TrustAnchor, from_pem, to_pem
 from ca.errors import (
     CertificateExpired,
     CertificateNotYetValid,
     CertificateRefused,
     ForeignCertificate,
 )
-from ca.keys.publickey import thumbprint
-from ca.svid import WILDCARD, WILDCARD_VALUE
+from ca.keys.signing import thumbprint
+from ca.svid import MAX_CERTIFICATE, WILDCARD, WILDCARD_VALUE
 from tests.support.pki import (
     DAY,
     NOW,

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ca.cose import Profile
 from ca.encoding import Value, encode
 from ca.errors import EncodingError, SignatureError
+from ca.keys.signing import Profile
 from tests.support.pki import new_signer
 
 PROFILE, OTHER = Profile("rossec-test+cwt"), Profile("rossec-other+cwt")

@@ -3,8 +3,18 @@ import secrets
 import pytest
 
 from ca.authority import Authority
-from ca.certificates import Identity, build_request
-from ca.cose import Profile
+from ca.certificates import (
+    MAX_RENEWAL,
+    PROFILE,
+    Identity,
+    Renewal,
+    build_intermediate_request,
+    open_renewal,
+    renew_at,
+    retry_delay,
+    sign_renewal,
+    signed_at,
+)
 from ca.encoding import Value
 from ca.errors import (
     CertificateExpired,
@@ -13,18 +23,8 @@ from ca.errors import (
     RequestRefused,
     Revoked,
 )
-from ca.intermediates import build_intermediate_request
-from ca.keys.signer import KeySigner
-from ca.renewal import (
-    MAX_RENEWAL,
-    PROFILE,
-    Renewal,
-    open_renewal,
-    renew_at,
-    retry_delay,
-    sign_renewal,
-    signed_at,
-)
+from ca.keys.signing import KeySigner, Profile
+from ca.svid import build_request
 from tests.support.pki import DAY, NOW, Site, new_signer
 
 SITE = Site.create()

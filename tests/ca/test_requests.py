@@ -11,9 +11,8 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import AttributeOID, NameOID
 
 from ca.errors import NameRefused, RequestRefused
-from ca.keys.publickey import thumbprint
-from ca.requests import MAX_REQUEST, build_request, check_request
-from ca.svid import WILDCARD, WILDCARD_VALUE
+from ca.keys.signing import thumbprint
+from ca.svid import MAX_REQUEST, WILDCARD, WILDCARD_VALUE, build_request, check_request
 from tests.support.pki import new_signer, uris, usage
 
 URI = "spiffe://home/robot1/camera"

@@ -7,12 +7,11 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.authority import Authority, create_root
-from ca.certificates import build_request
+from ca.authority import Authority, UnsignedCertificate, create_root, read_unsigned
+from ca.certificates import build_intermediate_request
 from ca.errors import CertificateRefused
-from ca.intermediates import build_intermediate_request
-from ca.keys.x509signer import X509Signer
-from ca.unsigned import UnsignedCertificate, read_unsigned
+from ca.keys.signing import X509Signer
+from ca.svid import build_request
 from tests.support.pki import new_signer
 
 NOW = 1_800_000_000

@@ -2,8 +2,8 @@
 
 import pytest
 
+from ca.certificates import check_time, everything_ended, own_end, span, utc, way_back
 from ca.errors import CertificateExpired, CertificateNotYetValid
-from ca.validity import check_time, everything_ended, own_end, span, utc, way_back
 
 END = 1_800_000_000
 DAY = 86_400

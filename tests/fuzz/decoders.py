@@ -11,19 +11,25 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Final, TypeAlias
 
-from ca.certificates import build_request
 from ca.encoding import decode, encode
-from ca.enrollment import invitation, join_messages, ndef, qr
-from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
-from ca.enrollment.invitation import InvitationCode
-from ca.enrollment.join_authority import AuthorityJoin, LiveIdentity
-from ca.enrollment.join_claim import JoinClaim
-from ca.enrollment.join_messages import Issued, Refused, RefuseReason, Waiting, WaitReason
-from ca.enrollment.join_node import NodeJoin, NodeJoinState
-from ca.enrollment.join_request import JoinRequest
-from ca.enrollment.join_transcript import sign_claim
+from ca.enrollment import invitation, join, qr
+from ca.enrollment import invitation as ndef
+from ca.enrollment.invitation import InvitationCode, JoinClaim, JoinRequest, sign_claim
+from ca.enrollment.join import (
+    AuthorityJoin,
+    Issued,
+    LiveIdentity,
+    NodeJoin,
+    NodeJoinState,
+    Refused,
+    RefuseReason,
+    Waiting,
+    WaitReason,
+)
 from ca.enrollment.messages import Delivery, write
+from ca.enrollment.sides import AuthorityEnrollment, AuthorityState
 from ca.errors import HintedError
+from ca.svid import build_request
 from rossec.channel.edhoc.credentials import KnownCertificates, reference
 from rossec.channel.edhoc.messages import (
     decode_bytes,
@@ -181,7 +187,7 @@ def joins() -> list[bytes]:
     sent = node.join(ROBOT.csr)
     face.receive(sent)
     answers = Issued((LEAF,)), Waiting(WaitReason.LOCKED), Refused(RefuseReason.BUSY)
-    written = [join_messages.write(answer) for answer in answers]
+    written = [join.write(answer) for answer in answers]
     return [node.hello(), welcome, sent, *written, face.request.to_bytes()]
 
 

@@ -13,10 +13,8 @@ from ruamel.yaml import YAML
 from ca.errors import HintedError
 from rossec.authority.policyfile import parse_policy
 from rossec.errors import RossecError
-from rossec.naming import frames, metadata, orders, shipped, xslt
-from rossec.naming.frames import NameRequest
-from rossec.naming.metadata import Kind
-from rossec.naming.proposed import check_proposed
+from rossec.naming import examine, requests, rule_runner, xslt
+from rossec.naming.requests import Kind, NameRequest, check_proposed
 from rossec.ros import xmlrpc
 from tests.fuzz.mutants import mutants
 from tests.rossec.namespace.launch_texts import FIGURES, simple, transform
@@ -91,8 +89,8 @@ def test_every_type_in_every_place_of_a_policy(path: Path) -> None:
                 raise AssertionError(text[:400]) from error
 
 
-RULES: Final = shipped.rules()
-PHONE: Final = shipped.example("phone.xml")
+RULES: Final = rule_runner.shipped_rules()
+PHONE: Final = rule_runner.shipped_example("phone.xml")
 QUERIES: Final = ((Kind.NODE, ""), (Kind.TOPIC, "temperature"))
 
 
@@ -108,16 +106,16 @@ def broken(text: bytes, every: int) -> Iterator[bytes]:
 def test_metadata_with_every_byte_broken() -> None:
     for text in broken(PHONE, 1):
         with suppress(RossecError):
-            metadata.read(text)
-            list(orders.orders(text))
+            requests.read(text)
+            list(examine.orders(text))
         with suppress(RossecError):
-            frames.read_names(xslt.answer(NameRequest(RULES, text, QUERIES)), len(QUERIES))
+            requests.read_names(xslt.answer(NameRequest(RULES, text, QUERIES)), len(QUERIES))
 
 
 def test_rules_with_bytes_broken_at_many_places() -> None:
     for text in broken(RULES, 7):
         with suppress(RossecError):
-            frames.read_names(xslt.answer(NameRequest(text, PHONE, QUERIES)), len(QUERIES))
+            requests.read_names(xslt.answer(NameRequest(text, PHONE, QUERIES)), len(QUERIES))
 
 
 def checked(metadata: bytes, queries: Sequence[tuple[Kind, str]]) -> list[str]:

@@ -6,7 +6,7 @@ from typing import Any
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.encoding import Value
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner
 from grants.document import GRANT, open_grant, sign
 from grants.model import Draft, Grant, Permission, Restriction, Right, filter_rules
 

@@ -6,11 +6,10 @@ from typing import Any
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.keys.publickey import thumbprint
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner, thumbprint
 from grants import document, token
 from grants.model import Draft, Grant, Permission, Right
-from grants.narrowing import sign_narrowing
+from grants.token import sign_narrowing
 from tests.grants.authority import CA, NOW, draft
 
 HOLDERS = tuple(KeySigner(ec.generate_private_key(ec.SECP256R1())) for _ in range(4))

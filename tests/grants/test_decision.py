@@ -15,8 +15,7 @@ from grants.errors import (
     GrantRevoked,
     RestrictionMismatch,
 )
-from grants.model import Grant, Permission, Restriction, Right, filter_rules
-from grants.validity import format_time
+from grants.model import Grant, Permission, Restriction, Right, filter_rules, format_time
 from tests.grants.authority import COARSE, HOLDER, NOW, granted
 
 POSE, SUBSCRIBE, PUBLISH = "/robot/pose", Right.SUBSCRIBE, Right.PUBLISH

@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ca.encoding import decode, encode
-from ca.keys.publickey import thumbprint
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner, thumbprint
 from grants import document
 from grants.errors import (
     ConditionRefused,

@@ -16,8 +16,7 @@ from grants.errors import (
     MessageRefused,
     RestrictionMismatch,
 )
-from grants.guard import Guard, needed_keys
-from grants.memory import Memory
+from grants.guard import Guard, Memory, needed_keys
 from grants.model import Restriction, Right, filter_rules, merge
 from tests.grants.messages import layout, text
 

@@ -8,7 +8,7 @@ import pytest
 
 from grants.decision import Decision
 from grants.errors import MemoryExhausted
-from grants.memory import Memory, MemoryScope, MemoryStore
+from grants.guard import Memory, MemoryScope, MemoryStore
 from grants.model import Right
 
 GROUP = (False, "/a")

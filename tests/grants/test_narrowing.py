@@ -8,10 +8,9 @@ from typing import Any
 import pytest
 
 from ca.encoding import Value, encode
-from ca.keys.publickey import thumbprint, thumbprint_of, to_coordinates
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner, thumbprint, thumbprint_of, to_coordinates
 from grants import token
-from grants.claims import issuer_uri, scope_of
+from grants.document import issuer_uri, scope_of
 from grants.errors import (
     ConditionRefused,
     GrantError,
@@ -24,7 +23,7 @@ from grants.errors import (
     NarrowingOutsideDomain,
 )
 from grants.model import Grant, Permission, Restriction, Right
-from grants.narrowing import (
+from grants.token import (
     NARROWING,
     check_one_domain,
     follow,

@@ -7,14 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from grants.decision import Decision, authorize
+from grants.decision import Decision, Reach, authorize
 from grants.errors import GrantError, GrantMissing, GrantRevoked
 from grants.filters.layout import Layout
-from grants.guard import Guard
-from grants.memory import MemoryScope, MemoryStore
+from grants.guard import Guard, MemoryScope, MemoryStore
 from grants.model import Grant, Permission, Restriction, Right, filter_rules, merge
-from grants.narrowing import verify_chain
-from grants.reach import Reach
+from grants.token import verify_chain
 from tests.grants.authority import NOW
 from tests.grants.chains import A, B, C, D, Made, chain_of, first, key_of
 from tests.grants.messages import layout, text

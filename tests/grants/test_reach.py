@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ca.patterns import check_pattern
+from ca.names import check_pattern
+from grants.decision import Reach
 from grants.model import ALL_RIGHTS, Permission, Restriction, Right
-from grants.reach import Reach
 from tests.ca.test_patterns import COVERED, NOT_COVERED
 
 segments = st.sampled_from(["a", "ab", "a_b", "b"])

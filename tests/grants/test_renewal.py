@@ -8,11 +8,10 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.encoding import Value, encode
 from ca.errors import Revoked
-from ca.keys.publickey import thumbprint
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner, thumbprint
 from grants import document
-from grants.claims import issuer_uri
 from grants.decision import authorize
+from grants.document import issuer_uri
 from grants.errors import (
     GrantExpired,
     GrantForged,

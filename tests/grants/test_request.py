@@ -7,7 +7,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.encoding import Value, encode
 from ca.errors import NameRefused, PatternRefused
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner
 from grants.document import GRANT
 from grants.errors import GrantForged, GrantMalformed
 from grants.model import Right

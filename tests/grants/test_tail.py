@@ -5,13 +5,10 @@ from dataclasses import replace
 import pytest
 
 from ca.encoding import encode
-from grants.claims import from_draft, read
-from grants.decision import authorize
-from grants.document import open_grant
+from grants.decision import Reach, authorize, check_tail
+from grants.document import from_draft, open_grant, read_claims
 from grants.errors import GrantMalformed, GrantMissing, GrantNotHeld
 from grants.model import Permission, Right
-from grants.reach import Reach
-from grants.tail import check_tail
 from tests.grants.authority import CA, HOLDER, NOW, draft, granted, signed_claims
 
 RVIZ = granted(Permission("/rviz~/get_loggers", Right.PROVIDE), subject="/rviz")
@@ -68,7 +65,7 @@ def test_a_grant_is_about_no_tail_but_its_subjects(pattern: str) -> None:
     assert isinstance(claims, dict)
     forged = {**claims, 9: encode([[pattern, int(Right.PROVIDE)]])}
     with pytest.raises(GrantMalformed, match="tail pattern of another"):
-        read(encode(forged), bytes(16))
+        read_claims(encode(forged), bytes(16))
     with pytest.raises(GrantMalformed):
         open_grant(signed_claims(forged), CA.public_key, NOW)
 

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from grants import yaml_text
 from grants.errors import YamlRefused
-from grants.yaml_text import Bounds, load
+from grants.policy import source
+from grants.policy.source import Bounds, load_yaml
 
 
 def refusal(text: str, bounds: Bounds | None = None) -> YamlRefused:
     with pytest.raises(YamlRefused) as caught:
-        load(text, bounds)
+        load_yaml(text, bounds)
     return caught.value
 
 
@@ -37,12 +37,12 @@ def refusal(text: str, bounds: Bounds | None = None) -> YamlRefused:
     ],
 )  # fmt: skip
 def test_a_document_has_its_value(text: str, value: object) -> None:
-    found = load(text)
+    found = load_yaml(text)
     assert (found, type(found)) == (value, type(value))
 
 
 def test_nan_is_a_float() -> None:
-    found = load(".nan")
+    found = load_yaml(".nan")
     assert isinstance(found, float)
     assert math.isnan(found)
 
@@ -92,15 +92,15 @@ def test_size_depth_and_events_are_bounded() -> None:
     assert "deeper than 1" in str(refusal("[[1]]", Bounds(depth=1)))
     many = "[" + "1," * 50 + "]"
     assert "more than 40 YAML events" in str(refusal(many, Bounds(events=40)))
-    assert load(many, Bounds(events=60)) == [1] * 50
+    assert load_yaml(many, Bounds(events=60)) == [1] * 50
 
 
 def test_a_large_text_is_refused_before_it_is_parsed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(yaml_text, "YAML", None)
+    monkeypatch.setattr(source, "YAML", None)
     assert "where at most" in str(refusal("a" * (Bounds().size + 1)))
 
 
 @given(st.text(alphabet="ab1.:{}[],&*!|>'\"-? \n#%\t<=~", max_size=40))
 def test_any_text_is_read_or_refused(text: str) -> None:
     with contextlib.suppress(YamlRefused):
-        load(text)
+        load_yaml(text)

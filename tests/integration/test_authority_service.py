@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.operation.audit import read_entries, verify
+from rossec.host.audit import read_entries, verify
 from tests.support.ports import free_port
 from tests.support.serviceprocess import ServiceProcess, children_of, wait_until_gone
 

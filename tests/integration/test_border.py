@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from ca.things.credentials import ThingKey
+from ca.things.constrained_nodes import ThingKey
 from rossec.border.handshakes import StaticKey
 from rossec.home import NodeHome
-from rossec.saved_things import ThingFiles
+from rossec.saved_statements import ThingFiles
 from tests.support.border import LAMP, BorderSite
 from tests.support.hosts import Host
 from tests.support.site import Site
@@ -26,7 +26,7 @@ MASTER = """
 import asyncio, sys, time
 from pathlib import Path
 from rossec.home import NodeHome
-from rossec.master.server.start import master_of
+from rossec.master.server.server import master_of
 
 async def main():
     home = NodeHome.of(Path(sys.argv[1]), "/master")
@@ -41,7 +41,7 @@ asyncio.run(main())
 THING = """
 import asyncio, json, sys
 from ca.encoding import encode
-from ca.things.credentials import read_ccs
+from ca.things.constrained_nodes import read_ccs
 from tests.support.constrained import Thing, Value
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 

@@ -12,8 +12,7 @@ import pytest
 
 from ca.errors import HintedError
 from rossec.authority.console.client import Assertion, ConsoleClient, Registration
-from rossec.authority.console.messages import SOCKET
-from rossec.authority.console.views import Outcome
+from rossec.authority.console.messages import SOCKET, Outcome
 from tests.support.passkeys import Passkey
 from tests.support.ports import free_port
 from tests.support.serviceprocess import ServiceProcess

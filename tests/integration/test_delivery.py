@@ -24,7 +24,7 @@ import pytest
 from grants import document
 from grants.model import Right
 from rossec.errors import RossecError
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from tests.integration.sidecarworld import ROSSEC, Running, wait
 from tests.support.attacker import credentials, dial, drafted
 from tests.support.caller import Caller

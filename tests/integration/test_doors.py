@@ -17,8 +17,7 @@ import pytest_asyncio
 
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
-from rossec.ros.names import MASTER, PORTS
-from rossec.ros.settings import build_uri, parse_uri
+from rossec.ros.names import MASTER, PORTS, build_uri, parse_uri
 from tests.integration.sidecarworld import ROSSEC, Running
 from tests.support.attacker import call, credentials
 from tests.support.doors import Door, door

@@ -14,12 +14,12 @@ from typing import Any
 import pytest
 
 from grants.model import Right
-from rossec.cli.master.admin import ADMIN_SOCKET
+from rossec.cli.status import ADMIN_SOCKET
 from rossec.errors import ConfigurationError
 from rossec.master.operation.admin import send_command
 from rossec.net.aio import SecureContext, WireProtocol, connect
-from rossec.net.rpc.client import RpcClient
-from rossec.saved_domains import DomainFiles
+from rossec.net.rpc.calls import RpcClient
+from rossec.saved_statements import DomainFiles
 from tests.support.masterprocess import MasterProcess
 from tests.support.masters import domain_list
 from tests.support.site import Site

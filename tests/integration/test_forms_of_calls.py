@@ -14,12 +14,11 @@ from typing import Any
 import pytest
 
 from grants.model import Right
-from rossec.master.server.dialer import SlaveDialer
+from rossec.master.server.updates import SlaveDialer
 from rossec.master.state.registry import NodeRef
-from rossec.net.rpc.client import RpcClient
-from rossec.participant.master_session import MasterSession
-from rossec.ros.callclient import CallClient
-from rossec.ros.callserver import CallServer
+from rossec.net.rpc.calls import RpcClient
+from rossec.participant.membership import MasterSession
+from rossec.ros.calls import CallClient, CallServer
 from tests.support.site import Site
 from tests.support.witness import undisturbed, until
 

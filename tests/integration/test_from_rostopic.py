@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import pytest
 
-from rossec.cli.shared.message_text import parse_documents
+from rossec.cli.shared.messages import parse_documents
 from tests.integration.sidecarworld import DEADLINE, ROSSEC, World, wait
 from tests.support.hosts import two_hosts
 from tests.support.site import Site

@@ -15,15 +15,15 @@ from typing import Any
 import pytest
 
 from grants.model import Right
-from rossec.federation.config import read_config
+from rossec.federation.settings import read_config
 from rossec.master.operation.config import parse
-from rossec.overlay.doors import OpenDoors
-from rossec.overlay.mailboxes import mailbox
-from rossec.overlay.member import RelayMember
-from rossec.overlay.peers import Peer
+from rossec.overlay.documents import Peer
+from rossec.overlay.forwarded_ports import OpenDoors
+from rossec.overlay.homes import RelayFiles
+from rossec.overlay.link_frames import mailbox
+from rossec.overlay.masters import RelayMember
 from rossec.overlay.relay import Relay
-from rossec.overlay.relay_files import RelayFiles
-from rossec.ros.settings import is_door
+from rossec.ros.names import is_door
 from tests.support.masters import Master, masters
 from tests.support.relayedsites import WireNetwork, Wires
 from tests.support.site import Site

@@ -9,7 +9,7 @@ import pytest
 from grants.model import Right
 from rossec.errors import AnswerRefused, RossecError
 from rossec.net.aio import WireProtocol, connect
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from rossec.node import Node
 from tests.support.contexts import unlimited
 from tests.support.masterprocess import MasterProcess, master_process

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from rossec.naming import shipped
-from rossec.sidecar.processes import descendants, parents
+from rossec.naming import rule_runner
+from rossec.sidecar.callers import descendants, parents
 from tests.integration.sidecarworld import ROSSEC, Running, World, wait
 from tests.rossec.namespace.launch_texts import FIGURES
 from tests.support.fleet import SECURE
@@ -78,7 +78,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
 def service(world: World) -> Iterator[Running]:
     """`rossec namespace serve`, and the phone's metadata as its parameter."""
     example = world.directory / "phone.xml"
-    example.write_bytes(shipped.example("phone.xml"))
+    example.write_bytes(rule_runner.shipped_example("phone.xml"))
     generated(world.directory)
     world.tool("rosparam", "set", "-t", str(example), "/phone/metadata")
     with world.started(world.hosts.near, ROSSEC, "namespace", "serve") as running:

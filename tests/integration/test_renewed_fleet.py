@@ -20,11 +20,10 @@ from typing import Final
 import pytest
 
 from ca.authority import Authority
-from ca.certificates import from_pem
-from ca.intermediates import build_intermediate_request
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
-from ca.revocation.state import SKEW
+from ca.certificates import build_intermediate_request, from_pem
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
+from ca.revocation.trust_status import SKEW
 from ca.store.record import Store
 from grants.model import Right
 from rossec.authority import renewals

@@ -14,7 +14,7 @@ from typing import Final
 
 import pytest
 
-from ca.revocation.state import SKEW
+from ca.revocation.trust_status import SKEW
 from grants.model import Right
 from tests.support.attacker import call, credentials
 from tests.support.fleet import SECURE, Program, environment, program
@@ -30,8 +30,8 @@ from rossec.inprocess import connector
 from rossec.channel.records import ChannelLimits
 limits = dict.fromkeys(connector.WireProtocol, ChannelLimits(records=64, seconds=1))
 connector.ACCEPTED = connector.DIALLED = limits
-import rossec.participant.grant_renewal
-rossec.participant.grant_renewal.RETRY = 1
+import rossec.participant.renewals
+rossec.participant.renewals.RETRY = 1
 """
 TALKER: Final = (
     SECURE

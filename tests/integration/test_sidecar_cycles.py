@@ -11,9 +11,9 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Final
 
-from rossec.net.aio.dial import dial
-from rossec.ros import header
-from rossec.sidecar.plain_stream import PlainStream
+from rossec.net.aio.client import dial
+from rossec.ros import tcpros
+from rossec.sidecar.loopback_port import PlainStream
 from rossec.sidecar.pump import split_header
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.site import Site
@@ -82,7 +82,7 @@ async def test_ended_programs_leave_nothing_in_the_sidecar(tmp_path: Path) -> No
 
         async def secured() -> None:
             stream = PlainStream(await dial("127.0.0.1", port, 10))
-            await stream.send(header.encode(ASKED))
+            await stream.send(tcpros.encode(ASKED))
             fields, _ = await split_header(stream)
             assert "error" not in fields
             stream.abort()

@@ -20,9 +20,9 @@ from xmlrpc.server import SimpleXMLRPCServer
 import pytest
 
 from rossec.channel.opening import REFUSAL, WireProtocol, first_bytes, http_refusal, tcpros_refusal
-from rossec.net.halfopen import HalfOpen
-from rossec.ros import header
-from rossec.ros.settings import parse_uri
+from rossec.net.limits import HalfOpen
+from rossec.ros import tcpros
+from rossec.ros.names import parse_uri
 from tests.support import stock
 from tests.support.site import Site
 from tests.support.witness import POSE, TOPIC, Witness, undisturbed, until
@@ -179,7 +179,7 @@ def noise(seed: int, length: int) -> bytes:
 
 TCPROS_OPENING: Final = first_bytes(WireProtocol.TCPROS)
 HTTP_OPENING: Final = first_bytes(WireProtocol.HTTP)
-PLAIN_HEADER: Final = header.encode(
+PLAIN_HEADER: Final = tcpros.encode(
     {"callerid": "/viewer", "topic": TOPIC, "md5sum": "*", "type": "*"}
 )
 GARBAGE: Final[dict[str, bytes]] = {
@@ -195,7 +195,7 @@ GARBAGE: Final[dict[str, bytes]] = {
     "HTTP with a huge body": b"POST / HTTP/1.1\r\nContent-Length: 999999999999\r\n\r\n",
     "HTTP with chunks": b"POST / HTTP/1.1\r\nTransfer-Encoding: chunked\r\n\r\nffffffff\r\n",
     "a plain header": PLAIN_HEADER,
-    "a probe": header.encode({"probe": "1", "service": "/x", "md5sum": "*", "callerid": "/x"}),
+    "a probe": tcpros.encode({"probe": "1", "service": "/x", "md5sum": "*", "callerid": "/x"}),
     "an opening alone": TCPROS_OPENING,
     "an opening and noise": TCPROS_OPENING + noise(9, 3000),
     "an opening and a plain header": TCPROS_OPENING + PLAIN_HEADER,

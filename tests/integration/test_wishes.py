@@ -93,7 +93,7 @@ _WISHING: Final = """
 import asyncio, sys, time
 from rossec.channel.connection import Connection
 from rossec.node import Node, subscriber
-from rossec.participant.wishes import taken_wishes
+from rossec.participant.delivery import taken_wishes
 followed = subscriber.wished_messages
 def tell(asked, answer, limit):
     said = asked and taken_wishes(answer, asked)

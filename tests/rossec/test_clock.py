@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import rossec
-from ca.revocation.state import SKEW
+from ca.revocation.trust_status import SKEW
 from rossec import clock
 from rossec.clock import DRIFT, Clock, Setbacks, counter
 

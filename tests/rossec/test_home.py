@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.certificates import check_request, to_pem
+from ca.certificates import to_pem
 from ca.errors import (
     CertificateExpired,
     CertificateRefused,
@@ -13,7 +13,8 @@ from ca.errors import (
     NameRefused,
     RequestRefused,
 )
-from ca.keys import key_files
+from ca.keys import private_keys
+from ca.svid import check_request
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from tests.support.pki import DAY, NOW, Site
@@ -55,8 +56,8 @@ def test_a_request_and_its_key(tmp_path: Path) -> None:
     home = NodeHome.of(tmp_path / "new", NAME)
     request = home.create_request("home")
     assert check_request(home.request(), "home") == request
-    key = key_files.load_private(home.path / "node.key")
-    assert request.thumbprint == key_files.thumbprint(key.public_key())
+    key = private_keys.load_private(home.path / "node.key")
+    assert request.thumbprint == private_keys.thumbprint(key.public_key())
     assert stat.S_IMODE(home.path.stat().st_mode) == 0o700
     assert stat.S_IMODE((home.path / "node.key").stat().st_mode) == 0o600
 
@@ -244,7 +245,7 @@ def test_a_screen_gets_a_new_request_and_a_label_keeps_its_own(tmp_path: Path) -
     screens = {home.screen_request("home") for _ in range(2)}
     assert len(screens | {label}) == 3
     assert {check_request(csr, "home").thumbprint for csr in (label, *screens)} == {
-        key_files.thumbprint(home.signer().public_key)
+        private_keys.thumbprint(home.signer().public_key)
     }
     assert home.request() == label
     other = NodeHome.of(tmp_path, "/rviz")

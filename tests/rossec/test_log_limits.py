@@ -1,6 +1,6 @@
 import logging
 
-from rossec.log_limits import LogRateLimit
+from rossec.peer_limits import LogRateLimit
 
 
 def line(text: str, at: float) -> logging.LogRecord:

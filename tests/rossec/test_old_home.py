@@ -12,16 +12,16 @@ from typing import Final
 import pytest
 
 from ca.errors import Revoked
-from ca.revocation.state import Revocations, Timestamp, digest
+from ca.revocation.lists import Timestamp, digest
+from ca.revocation.trust_status import Revocations
 from grants import document
 from grants.model import Right
 from rossec.authority.backup import restore
 from rossec.authority.home import AuthorityHome
-from rossec.authority.service import AuthorityService
-from rossec.authority.thing_operations import ThingOrder
-from rossec.authority.thing_records import IN_FORCE
+from rossec.authority.service import AuthorityService, ThingOrder
+from rossec.authority.signing import IN_FORCE
 from rossec.home import NodeHome
-from rossec.operation import audit
+from rossec.host import audit
 from tests.vectors.make_things import KEY
 
 ARCHIVE: Final = Path(__file__).parents[1] / "vectors" / "homes" / "1.tar.gz"

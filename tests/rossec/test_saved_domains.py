@@ -4,7 +4,7 @@ import pytest
 
 from ca.errors import DomainsRefused, RollbackRefused
 from rossec.home import NodeHome
-from rossec.saved_domains import LONGEST, DomainFiles
+from rossec.saved_statements import LONGEST, DomainFiles
 from tests.support.domains import Pair, domains, foreign, revoked
 from tests.support.pki import NOW, Site
 

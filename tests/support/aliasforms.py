@@ -14,10 +14,10 @@ import pytest
 
 from ca.errors import HintedError
 from rossec.channel.opening import WireProtocol
-from rossec.net.aio.tasks import TaskSet
+from rossec.host.runner import TaskSet
 from rossec.node import Node, Subscriber, message_type
-from rossec.ros.header import FrameReader
-from rossec.sidecar.plain_stream import PlainStream
+from rossec.ros.tcpros import FrameReader
+from rossec.sidecar.loopback_port import PlainStream
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program as PlainProgram
 from tests.rossec.sidecar.program import sidecar

@@ -18,9 +18,10 @@ from pathlib import Path
 from ca.authority import Authority
 from ca.revocation.lists import open_list
 from grants import document
+from rossec.authority.grant_operations import MasterCall
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import read_policy
-from rossec.authority.service import AuthorityService, MasterCall
+from rossec.authority.service import AuthorityService
 from rossec.authority.signing import SigningAuthority
 from rossec.home import NodeHome
 from tests.support.killing import run_killed

@@ -1,7 +1,6 @@
 """Approvals for tests: a phone that is registered, statements, and its touch on them."""
 
-from ca.approvals.approval import Approval
-from ca.approvals.assertion import Assertion, Passkey
+from ca.approvals.passkeys import Approval, Assertion, Passkey
 from ca.approvals.statement import (
     LIFETIME,
     Delegate,

@@ -13,16 +13,16 @@ import pytest
 
 from ca.encoding import encode
 from ca.errors import HintedError
-from ca.keys.signer import Signer
+from ca.keys.signing import Signer
 from grants import document
 from grants.model import Draft, Permission, Right
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.demo.intruder import UnverifiedPeer, accept_any
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureStream, WireProtocol, connect
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from rossec.participant.access import FIELD
-from rossec.ros import header
+from rossec.ros import tcpros
 from tests.support.contexts import unlimited
 from tests.support.site import DAY, Site
 from tests.support.witness import TOPIC, Witness, until
@@ -62,7 +62,7 @@ async def send_header(
     stream = await connect(HOST, port, unlimited(credentials, accept_any))
     data = b""
     try:
-        await stream.send(header.encode(fields))
+        await stream.send(tcpros.encode(fields))
         while len(data) < at_most:
             data += await stream.receive()
     except ChannelError:
@@ -71,7 +71,7 @@ async def send_header(
     finally:
         stream.abort("heard enough")
     end = 4 + int.from_bytes(data[:4], "little")
-    return Reply(header.decode(data[4:end]), data[end:])
+    return Reply(tcpros.decode(data[4:end]), data[end:])
 
 
 async def dial(uri: str, credentials: Credentials) -> SecureStream[UnverifiedPeer]:

@@ -8,7 +8,7 @@ from typing import Any, Final
 from grants.model import Right
 from rossec.demo.intruder import UnverifiedPeer
 from rossec.net.aio import SecureStream, WireProtocol, serve
-from rossec.net.rpc.client import RpcClient, serve_calls
+from rossec.net.rpc.calls import RpcClient, serve_calls
 from tests.support.attacker import HOST, credentials, dial
 from tests.support.contexts import unlimited
 from tests.support.site import Site

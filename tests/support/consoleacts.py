@@ -15,22 +15,21 @@ from pathlib import Path
 from typing import Any, Self
 
 from ca.encoding import Value
-from ca.requests import build_request
 from ca.store.record import Store
+from ca.svid import build_request
 from grants.model import Right
 from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec.authority.approvals import ApprovalQueue
 from rossec.authority.console.access import Access
 from rossec.authority.console.approving import Approving, Of
-from rossec.authority.console.records import from_value
-from rossec.authority.console.removals import Removals
+from rossec.authority.console.grant_requests import Removals
+from rossec.authority.console.messages import Outcome, Prepared, from_value
 from rossec.authority.console.serving import acts_of
-from rossec.authority.console.views import Outcome, Prepared
+from rossec.authority.grant_operations import MasterCall
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.operations import KeyOperations
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.keyservice.work import AuthorityWork
-from rossec.authority.master_call import MasterCall
 from rossec.authority.policyfile import PolicyFile
 from rossec.errors import KeyServiceRefused, NotDelivered
 from rossec.ros.names import MASTER

@@ -6,10 +6,10 @@ from typing import Final
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner
 from grants import document
 from grants.model import Draft, Permission, Restriction, Right, filter_rules
-from rossec.authority.console.views import (
+from rossec.authority.console.messages import (
     DenialView,
     EventView,
     FactView,
@@ -18,8 +18,7 @@ from rossec.authority.console.views import (
     NodeView,
     Status,
 )
-from rossec.console.endings import Heard
-from rossec.console.matrix import HeldGrant, Matrix, build, held_grants
+from rossec.console.matrix import Heard, HeldGrant, Matrix, build, held_grants
 from rossec.console.sentences import Known
 from tests.support import consoleservice
 

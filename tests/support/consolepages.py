@@ -10,8 +10,8 @@ from rossec.authority.console.client import ConsoleClient
 from rossec.authority.console.messages import checked
 from rossec.console.app import create_app
 from rossec.console.context import ConsoleContext
+from rossec.console.server.control import Settings
 from rossec.console.sessions import COOKIE, COOKIE_SIZE
-from rossec.console.settings import Settings
 from tests.support.consoleservice import FakeHome
 
 ORIGIN = "http://localhost:7411"

@@ -9,9 +9,8 @@ from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from rossec.console.preview.supervisor import PreviewProcess
-from rossec.console.server.web_process import WebOptions, WebProcess
-from rossec.console.settings import Settings
+from rossec.console.server.control import Settings
+from rossec.console.server.supervisor import PreviewProcess, WebOptions, WebProcess
 from tests.support.consoleservice import FakeHome, fake_service
 
 

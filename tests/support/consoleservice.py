@@ -14,18 +14,15 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from ca.certificates import build_request
 from ca.encoding import Value, encode
 from ca.errors import HintedError
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
-from grants.claims import scope_of
-from grants.document import grant_id, peek, sign
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
+from ca.svid import build_request
+from grants.document import grant_id, peek, scope_of, sign
 from grants.model import Draft, FilterRule, Permission, Restriction, Right
 from rossec.authority.console import messages
-from rossec.authority.console.records import to_value
-from rossec.authority.console.service import ConsoleService
-from rossec.authority.console.views import (
+from rossec.authority.console.messages import (
     ApprovalView,
     AskedRight,
     DenialView,
@@ -47,8 +44,10 @@ from rossec.authority.console.views import (
     Proposal,
     QuestionAnswer,
     Status,
+    to_value,
 )
-from rossec.authority.keyservice.server import KeyServer, SocketRules
+from rossec.authority.console.serving import ConsoleService
+from rossec.authority.keyservice.process import KeyServer, SocketRules
 from rossec.errors import KeyServiceRefused
 from tests.support.authority import EnrolledNode, Site
 
@@ -155,7 +154,7 @@ class FakeHome:
         )
 
     def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        """As `rossec.authority.console.service.Part`."""
+        """As `rossec.authority.console.serving.Part`."""
         return {name: self._handler(name) for name in messages.OPERATIONS}
 
     def _handler(self, name: str) -> Callable[..., Value]:

@@ -9,10 +9,10 @@ from ca.encoding import Value
 from grants.document import grant_id
 from grants.model import Draft, Permission, Right
 from grants.request import GrantRequest, RequestedRight, sign_request
+from rossec.authority.grant_operations import MasterCall
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.keyservice.work import AuthorityWork
-from rossec.authority.master_call import MasterCall
 from rossec.authority.requests import put_in_inbox
 from rossec.errors import NotDelivered
 from rossec.home import NodeHome
@@ -22,7 +22,7 @@ NOW = 1_800_000_000
 
 
 class Part(Protocol):
-    """As `rossec.authority.console.service.Part`."""
+    """As `rossec.authority.console.serving.Part`."""
 
     def handlers(self) -> Mapping[str, Callable[..., Value]]: ...
 

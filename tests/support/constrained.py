@@ -19,11 +19,17 @@ from aiocoap.oscore_sitewrapper import OscoreSiteWrapper
 from aiocoap.transports.oscore import OSCOREAddress
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.things.credentials import ThingKey
-from rossec.border.contexts import name_context
-from rossec.border.quotas import MAX_BLOCK
-from rossec.border.rederivation import NONCE_SIZE, R2_SIZE, thing_context, unwrapped, wrapped
-from rossec.border.wire import Message
+from ca.things.constrained_nodes import ThingKey
+from rossec.border.conversations import MAX_BLOCK
+from rossec.border.messages import (
+    NONCE_SIZE,
+    R2_SIZE,
+    Message,
+    name_context,
+    thing_context,
+    unwrapped,
+    wrapped,
+)
 from tests.support.ports import free_port
 
 LINKS: Final = ".well-known", "core"

@@ -19,16 +19,16 @@ from unittest import mock
 
 from ca.approvals.statement import Kind
 from ca.authority import Authority, create_root
-from ca.certificates import build_request, check_request, from_pem
-from ca.domains.lists import verify_domains
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
-from ca.renewal import sign_renewal
-from ca.revocation.state import open_list
-from ca.store.approvals import ApprovalState
-from ca.store.lifecycle import DAY, RequestState
+from ca.certificates import from_pem, sign_renewal
+from ca.domains.trust import verify_domains
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
+from ca.revocation.lists import open_list
+from ca.store.log import ApprovalState
 from ca.store.record import Store
-from ca.things.statement import sign_statement
+from ca.store.values import DAY, RequestState
+from ca.svid import build_request, check_request
+from ca.things.constrained_nodes import sign_statement
 from rossec.authority.renewals import renew
 from rossec.authority.signing import SigningAuthority
 from tests.support import approving
@@ -76,7 +76,7 @@ def deny(authority: SigningAuthority, _: Path) -> None:
 
 
 def collect(authority: SigningAuthority, _: Path) -> None:
-    with mock.patch("ca.store.requests.KEPT_EXPIRED", 0):
+    with mock.patch("ca.store.identities.KEPT_EXPIRED", 0):
         authority.store.requests.collect(NOW + 60 * DAY)
 
 

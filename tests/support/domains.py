@@ -5,21 +5,22 @@ from typing import Any
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.certificates import Identity, TrustAnchor, build_request
-from ca.domains.anchors import Anchors
-from ca.domains.lists import DomainList, ForeignDomain, sign_domains
-from ca.domains.standing import Standing
-from ca.keys.signer import KeySigner
-from ca.revocation.state import (
+from ca.certificates import Identity, TrustAnchor
+from ca.domains.trust import Anchors, DomainList, ForeignDomain, sign_domains
+from ca.keys.signing import KeySigner
+from ca.revocation.lists import (
     MAX_AGE,
     RevocationList,
-    Revocations,
+    RevocationTree,
     Timestamp,
+    TreeEntries,
     digest,
     sign_list,
     sign_timestamp,
+    sign_tree,
 )
-from ca.revocation.tree import RevocationTree, TreeEntries, sign_tree
+from ca.revocation.trust_status import Revocations, Standing
+from ca.svid import build_request
 from grants import document
 from grants.model import Draft, Permission, Right
 from tests.support.pki import DAY, NOW, Site, new_signer

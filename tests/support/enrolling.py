@@ -8,14 +8,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Self
 
-from ca.certificates import build_request
 from ca.enrollment import qr
-from ca.enrollment.authority import AuthorityEnrollment
-from ca.enrollment.node import NodeEnrollment, NodeState, Pending
+from ca.enrollment.sides import AuthorityEnrollment, NodeEnrollment, NodeState, Pending
 from ca.errors import CAError, EnrollmentOver
-from ca.keys.signer import KeySigner
-from rossec.enrollment.address import join
-from rossec.enrollment.node import WaitingNode
+from ca.keys.signing import KeySigner
+from ca.svid import build_request
+from rossec.enrollment.enroll import WaitingNode
+from rossec.host.addresses import join
 from tests.support.pki import NOW, Site, new_signer
 
 NAME = "/robot1/camera"

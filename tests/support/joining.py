@@ -10,20 +10,25 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Self
 
-from ca.certificates import build_request
-from ca.enrollment.invitation import InvitationCode
-from ca.enrollment.join_authority import AuthorityJoin, LiveIdentity
-from ca.enrollment.join_claim import JoinClaim
-from ca.enrollment.join_messages import Issued, JoinAnswer, NameAnswer, Refused, RefuseReason
-from ca.enrollment.join_node import NodeJoin
-from ca.enrollment.join_request import JoinRequest
-from ca.keys.signer import KeySigner
+from ca.enrollment.invitation import InvitationCode, JoinClaim, JoinRequest
+from ca.enrollment.join import (
+    AuthorityJoin,
+    Issued,
+    JoinAnswer,
+    LiveIdentity,
+    NameAnswer,
+    NodeJoin,
+    Refused,
+    RefuseReason,
+)
+from ca.keys.signing import KeySigner
 from ca.names import AUTHORITY
-from ca.store.invitations import InvitationRow
+from ca.store.identities import InvitationRow
+from ca.svid import build_request
 from rossec.authority.home import AuthorityHome
-from rossec.authority.joining import allowed_pattern, join
-from rossec.authority.keyservice.join_names import JoinNames
-from rossec.enrollment.join_server import JoinServer
+from rossec.authority.invitations import allowed_pattern, join
+from rossec.authority.keyservice.network import JoinNames
+from rossec.enrollment.join import JoinServer
 from tests.support.pki import NOW, new_signer
 from tests.support.site import Site
 

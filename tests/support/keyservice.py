@@ -7,11 +7,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from rossec.authority.home import AuthorityHome
-from rossec.authority.keyservice.caller import Caller
 from rossec.authority.keyservice.operations import KeyOperations
-from rossec.authority.keyservice.process import KeyServiceProcess, operations_of
-from rossec.authority.keyservice.server import admit_all
-from rossec.net.host.peeruid import UnixPeer
+from rossec.authority.keyservice.process import Caller, KeyServiceProcess, admit_all, operations_of
+from rossec.host.local_sockets import UnixPeer
 
 
 @dataclass

@@ -13,11 +13,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from ca.revocation.state import MAX_AGE, Timestamp, digest, open_list, sign_timestamp
+from ca.revocation.lists import MAX_AGE, Timestamp, digest, open_list, sign_timestamp
 from rossec.demo.intruder import accept_any
 from rossec.home import NodeHome
 from rossec.net.aio import SecureStream, WireProtocol, serve
-from rossec.net.rpc.client import serve_calls
+from rossec.net.rpc.calls import serve_calls
 from rossec.ros.xmlrpc import Fault
 from rossec.terminal import say
 from tests.support.contexts import unlimited

@@ -7,20 +7,16 @@ from collections.abc import AsyncIterator, Sequence
 from typing import Any
 
 from ca.certificates import Identity
-from ca.domains.lists import DomainList, ForeignDomain, sign_domains
-from ca.keys.publickey import to_coordinates
-from rossec.federation.config import FederationConfig
-from rossec.federation.mesh import Mesh
-from rossec.federation.settings import SiteSettings
-from rossec.federation.start import mesh_of
+from ca.domains.trust import DomainList, ForeignDomain, sign_domains
+from ca.keys.signing import to_coordinates
+from rossec.federation.mesh import Mesh, mesh_of
+from rossec.federation.settings import FederationConfig, SiteSettings
 from rossec.master.api.methods import DomainsChanged, RevocationsChanged
-from rossec.master.server.server import MasterServer
-from rossec.master.server.start import master_of
+from rossec.master.server.server import MasterServer, master_of
 from rossec.net.aio import SecureContext, WireProtocol, connect
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from rossec.node import Node
-from rossec.ros.names import PRESENT_GRANTS
-from rossec.ros.settings import parse_uri
+from rossec.ros.names import PRESENT_GRANTS, parse_uri
 from tests.support.site import DAY, Site
 
 TYPE = "std_msgs/String"

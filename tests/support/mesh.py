@@ -19,10 +19,9 @@ from typing import Any, Final
 
 import pytest
 
-from ca.domains.lists import open_domains, sign_domains
+from ca.domains.trust import open_domains, sign_domains
 from grants.model import Right
-from rossec.federation.settings import SiteSettings
-from rossec.federation.site_file import SiteFile
+from rossec.federation.settings import SiteFile, SiteSettings
 from rossec.home import NodeHome
 from rossec.ros.names import MASTER
 from tests.support.crewprocess import CrewProcess

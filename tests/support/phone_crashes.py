@@ -13,12 +13,11 @@ from functools import partial
 from pathlib import Path
 
 from rossec.authority.console.access import Access
-from rossec.authority.console.records import from_value
-from rossec.authority.console.views import LoginChallenge
+from rossec.authority.console.messages import LoginChallenge, from_value
+from rossec.authority.grant_operations import MasterCall
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.keyservice.work import AuthorityWork
-from rossec.authority.master_call import MasterCall
 from rossec.errors import NotDelivered
 from tests.support.commands import PASSPHRASE
 from tests.support.consolework import NOW, ask

@@ -12,8 +12,9 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import NameOID
 
 from ca.authority import Authority, create_root
-from ca.certificates import TrustAnchor, build_request
-from ca.keys.signer import KeySigner
+from ca.certificates import TrustAnchor
+from ca.keys.signing import KeySigner
+from ca.svid import build_request
 
 NOW = 1_800_000_000
 DAY = 86_400

@@ -3,7 +3,7 @@
 import asyncio
 from typing import Any, Final
 
-from ca.revocation.tree import is_tree
+from ca.revocation.lists import is_tree
 from rossec.node import Node, Publisher, Subscriber
 from tests.support.site import Site
 

@@ -12,10 +12,9 @@ import lakers
 from aiocoap.numbers import codes
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.things.credentials import ThingKey
-from rossec.border import wire
-from rossec.border.contexts import KEY_SIZE, SALT_SIZE, OscoreContext, unprotected
-from rossec.border.wire import Message
+from ca.things.constrained_nodes import ThingKey
+from rossec.border import messages
+from rossec.border.messages import KEY_SIZE, SALT_SIZE, Message, OscoreContext, unprotected
 from rossec.errors import DatagramRefused
 
 EDHOC: Final = (".well-known", "edhoc")
@@ -77,8 +76,8 @@ class RawThing(asyncio.DatagramProtocol):
     def sealed_bytes(self, message: Message) -> bytes:
         """The bytes of a CON."""
         self._mid = (self._mid + 1) & 0xFFFF
-        message.mtype, message.mid = wire.CON, self._mid
-        return wire.write(message)
+        message.mtype, message.mid = messages.CON, self._mid
+        return messages.write(message)
 
     async def begin(self) -> tuple[Any, bytes]:
         """message_1 and message_2; returns the initiator and C_R."""
@@ -136,7 +135,7 @@ class RawThing(asyncio.DatagramProtocol):
     def datagram_received(self, data: bytes, _: Any) -> None:
         """Answer the router."""
         self.received.append(data)
-        message = wire.read(data)
+        message = messages.read(data)
         if message.code.is_response():
             future = self._waiting.pop(bytes(message.token), None)
             if future is not None and not future.done():
@@ -156,7 +155,7 @@ class RawThing(asyncio.DatagramProtocol):
         if opened.opt.uri_path == (".well-known", "core"):
             self._respond(message, identifier, self.links)
             return
-        observed = opened.opt.observe == wire.OBSERVE
+        observed = opened.opt.observe == messages.OBSERVE
         if observed:
             self._observers.append((message, identifier))
         self._respond(message, identifier, self.state, observed=observed, first=True)
@@ -174,8 +173,8 @@ class RawThing(asyncio.DatagramProtocol):
         sealed.token = message.token
         if observed and not first:
             self._mid = (self._mid + 1) & 0xFFFF
-            sealed.mtype, sealed.mid = wire.NON, self._mid
+            sealed.mtype, sealed.mid = messages.NON, self._mid
         else:
-            sealed.mtype, sealed.mid = wire.ACK, message.mid
-        self.sent.append(wire.write(sealed))
+            sealed.mtype, sealed.mid = messages.ACK, message.mid
+        self.sent.append(messages.write(sealed))
         self._transport.sendto(self.sent[-1])

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from rossec.authority.master_call import MasterCall
+from rossec.authority.grant_operations import MasterCall
 
 REASON = "no room"
 

@@ -9,17 +9,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ca.certificates import Identity
-from ca.domains.anchors import Anchors
-from ca.domains.lists import ForeignDomain
+from ca.domains.trust import Anchors, ForeignDomain
 from rossec.errors import LinkEnded
-from rossec.master.state.doors import Door, Target
+from rossec.master.state.forwarded_ports import Door, Target
 from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, connect, serve
-from rossec.overlay.doors import OpenDoors
-from rossec.overlay.mailboxes import mailbox
-from rossec.overlay.member import RelayMember
-from rossec.overlay.peers import Peer
+from rossec.overlay.documents import Peer
+from rossec.overlay.forwarded_ports import OpenDoors
+from rossec.overlay.homes import RelayFiles
+from rossec.overlay.link_frames import mailbox
+from rossec.overlay.masters import RelayMember
 from rossec.overlay.relay import Relay
-from rossec.overlay.relay_files import RelayFiles
 from tests.support.masters import Master, domain_list
 from tests.support.site import DAY, Site
 from tests.support.witness import until

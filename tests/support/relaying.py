@@ -13,11 +13,11 @@ from typing import Any
 
 from ca.certificates import Identity
 from rossec.errors import RelayRefused, RossecError
-from rossec.master.state.doors import Door, Target, Way
+from rossec.host.addresses import source_for
+from rossec.master.state.forwarded_ports import Door, Target, Way
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
-from rossec.net.host.relayed import source_for
-from rossec.overlay.master_link import MasterLink
-from rossec.ros.settings import parse_uri
+from rossec.overlay.masters import MasterLink
+from rossec.ros.names import parse_uri
 from tests.support.masters import Master
 
 _Ends = tuple[asyncio.StreamReader, asyncio.StreamWriter]

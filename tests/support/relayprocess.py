@@ -5,7 +5,7 @@ import subprocess
 from collections.abc import Iterator
 from typing import Final
 
-from rossec.overlay.routers import OPEN_SEAT, Routers
+from rossec.overlay.documents import OPEN_SEAT, Routers
 from tests.integration.sidecarworld import ROSSEC, Running, World
 from tests.support.hosts import Host
 

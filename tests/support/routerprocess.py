@@ -9,10 +9,9 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-from rossec.overlay.router_home import RouterHome
-from rossec.overlay.router_settings import zenoh_settings
-from rossec.overlay.routers import OPEN_SEAT, Routers
-from rossec.overlay.seats import Seats
+from rossec.overlay.documents import OPEN_SEAT, Routers
+from rossec.overlay.homes import RouterHome
+from rossec.overlay.router_settings import Seats, zenoh_settings
 from rossec.overlay.zenoh_carrier import open_session
 from tests.support.ports import free_port
 

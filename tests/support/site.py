@@ -9,24 +9,21 @@ from pathlib import Path
 
 from ca.authority import Authority, create_root
 from ca.certificates import Identity, TrustAnchor, to_pem
-from ca.keys import key_files
-from ca.keys.signer import KeySigner
-from ca.revocation.tree import is_tree, open_tree
+from ca.keys import private_keys
+from ca.keys.signing import KeySigner
+from ca.revocation.lists import is_tree, open_tree
 from ca.store.record import Store
 from grants import document
 from grants.model import Draft, Permission, Restriction, Right, filter_rules
-from rossec.authority.list_contents import tree_entries
 from rossec.authority.renewals import renew
-from rossec.authority.signing import SigningAuthority
+from rossec.authority.signing import SigningAuthority, tree_entries
 from rossec.channel.opening import post_quantum
 from rossec.home import NodeHome
-from rossec.master.operation.denial_log import OnDenial, ignore_denial
-from rossec.master.operation.limits import MasterLimits
-from rossec.master.server.server import MasterServer
-from rossec.master.server.start import master_of
+from rossec.master.operation.config import MasterLimits
+from rossec.master.server.effects import OnDenial, ignore_denial
+from rossec.master.server.server import MasterServer, master_of
 from rossec.node import Node
-from rossec.ros.names import MASTER
-from rossec.ros.settings import parse_uri
+from rossec.ros.names import MASTER, parse_uri
 
 HOUR = 3600
 DAY = 86400
@@ -40,7 +37,7 @@ class Site:
     ) -> None:
         self.root = root
         self._clock = clock
-        key = KeySigner(key_files.generate())
+        key = KeySigner(private_keys.generate())
         now = self.now()
         certificate = create_root(key, domain, now=now, serial=secrets.randbits(127) + 1)
         root.mkdir(mode=0o700, parents=True, exist_ok=True)

@@ -7,7 +7,7 @@ import sys
 from collections.abc import AsyncIterator
 from typing import Any
 
-from rossec.net.aio.tasks import TaskSet
+from rossec.host.runner import TaskSet
 
 Heard = dict[str, list[Any]]  # by topic: how many, the last number, the gaps
 

@@ -3,11 +3,10 @@
 from dataclasses import replace
 from typing import Any, Final
 
-from ca.keys.publickey import thumbprint
+from ca.keys.signing import thumbprint
 from ca.store.record import Store
-from ca.store.things import ThingRow
-from ca.things.credentials import ThingKey
-from ca.things.statement import ThingStatement, sign_statement
+from ca.store.signed_statements import ThingRow
+from ca.things.constrained_nodes import ThingKey, ThingStatement, sign_statement
 from tests.vectors.make_things import HOME, NOW, OTHER, STATEMENTS
 
 LAMP: Final = STATEMENTS["a key"]

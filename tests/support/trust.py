@@ -3,8 +3,8 @@
 import secrets
 from collections.abc import Sequence
 
-from ca.domains.aliases import alias_of
-from ca.domains.lists import ForeignDomain, NameRights, open_domains
+from ca.domains.trust import ForeignDomain, NameRights, open_domains
+from ca.names import alias_of
 from grants import document
 from grants.model import Draft, Permission, Restriction, Right
 from tests.support.site import DAY, HOUR, Site

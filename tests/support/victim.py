@@ -11,7 +11,7 @@ from ca.encoding import encode
 from grants.model import Right
 from rossec.node import Node, Subscriber
 from rossec.participant.access import FIELD
-from rossec.ros.settings import parse_uri
+from rossec.ros.names import parse_uri
 from tests.support.fleet import SECURE, Program, entitle, environment, program
 from tests.support.site import Site
 from tests.support.witness import until

@@ -12,7 +12,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from ca.errors import CAError
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import Credentials, KnownCertificates, OwnDials, Renews
 from rossec.channel.negotiation import Authenticated, Event, UnitReceived

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.approvals.challenges import Challenge, Purpose
+from ca.approvals.passkeys import Challenge, Purpose
 from ca.approvals.statement import Grant
 from tests.support.approving import NOW, WHATS, state
 from tests.support.passkeys import ORIGIN, RP_ID, Passkey

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from ca.authority import DAY, Authority, create_root
-from ca.certificates import TrustAnchor, build_request
-from ca.domains.cards import CARD, Card, sign_card
-from ca.domains.lists import DOMAINS, DomainList, ForeignDomain, sign_domains
+from ca.certificates import TrustAnchor
+from ca.domains.trust import CARD, DOMAINS, Card, DomainList, ForeignDomain, sign_card, sign_domains
 from ca.encoding import Value
-from ca.keys.publickey import to_coordinates
+from ca.keys.signing import to_coordinates
+from ca.svid import build_request
 from tests.vectors.narrowings import FixedSigner
 
 FILE: Final = Path(__file__).parent / "domains" / "domains.json"

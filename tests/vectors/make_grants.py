@@ -12,7 +12,7 @@ from typing import Any, Final
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from ca.encoding import Value, decode, encode
-from ca.keys.publickey import thumbprint
+from ca.keys.signing import thumbprint
 from grants import document
 from grants.model import ALL_RIGHTS, Draft, Permission, Restriction, Right, filter_rules
 from grants.renewal import TICKET, Delegation, Ticket, sign_delegation, sign_ticket
@@ -121,7 +121,7 @@ def frames() -> dict[str, tuple[bytes, str]]:
 
 
 def flaws() -> dict[str, tuple[bytes, str]]:
-    """Flaws in the claims: the same list as in the tests of `grants.claims`."""
+    """Flaws in the claims: the same list as in the tests of `grants.document`."""
     from tests.grants.test_claims import CLAIMS
 
     claims = decode(BODY)

@@ -12,11 +12,9 @@ from typing import Any, Final
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.authority import Authority, create_root
-from ca.certificates import build_request
-from ca.enrollment import join_transcript, ndef
-from ca.enrollment.invitation import InvitationCode
-from ca.enrollment.join_claim import JoinClaim
-from ca.enrollment.join_messages import (
+from ca.enrollment import invitation
+from ca.enrollment.invitation import InvitationCode, JoinClaim, JoinRequest
+from ca.enrollment.join import (
     Claim,
     Hello,
     Issued,
@@ -30,8 +28,8 @@ from ca.enrollment.join_messages import (
     Welcome,
     write,
 )
-from ca.enrollment.join_request import JoinRequest
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner
+from ca.svid import build_request
 
 FILE: Final = Path(__file__).parent / "join" / "join.json"
 NOW: Final = 1_800_000_000
@@ -56,11 +54,11 @@ def vectors() -> dict[str, Any]:
     csr = build_request(NODE, "home", NAME)
     leaf = authority.issue(csr, now=NOW, serial=3)
     code = code_of(root)
-    agreed = join_transcript.transcript(code.id, NODE_NONCE, OWN_NONCE, [own], root)
-    live = join_transcript.sign_live(OWN, agreed)
-    proof = join_transcript.sign_proof(code.signer, agreed, csr, NAME)
-    claim = join_transcript.sign_claim(code.signer, agreed, METADATA)
-    named_proof = join_transcript.sign_proof(code.signer, agreed, csr, NAME, METADATA)
+    agreed = invitation.transcript(code.id, NODE_NONCE, OWN_NONCE, [own], root)
+    live = invitation.sign_live(OWN, agreed)
+    proof = invitation.sign_proof(code.signer, agreed, csr, NAME)
+    claim = invitation.sign_claim(code.signer, agreed, METADATA)
+    named_proof = invitation.sign_proof(code.signer, agreed, csr, NAME, METADATA)
     messages: dict[str, JoinMessage] = {
         "hello": Hello(code.id, NODE_NONCE),
         "welcome": Welcome(OWN_NONCE, (own,), root, live),
@@ -77,7 +75,7 @@ def vectors() -> dict[str, Any]:
         "root": root.hex(), "own": own.hex(), "csr": csr.hex(), "leaf": leaf.hex(),
         "secret": code.secret.hex(), "expires": code.expires,
         "address": code.address, "pattern": code.pattern,
-        "code": code.text(), "ndef": ndef.write(code).hex(),
+        "code": code.text(), "ndef": invitation.write(code).hex(),
         "key": code.key.hex(), "id": code.id.hex(),
         "node_nonce": NODE_NONCE.hex(), "own_nonce": OWN_NONCE.hex(),
         "transcript": agreed.hex(), "live": live.hex(), "proof": proof.hex(),

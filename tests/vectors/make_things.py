@@ -8,11 +8,16 @@ import json
 from pathlib import Path
 from typing import Any, Final
 
-from ca.cose import Profile
 from ca.encoding import Value, encode
-from ca.keys.publickey import thumbprint
-from ca.things.credentials import ThingKey, ThingSecret
-from ca.things.statement import THING, ThingStatement, sign_statement, statement_id
+from ca.keys.signing import Profile, thumbprint
+from ca.things.constrained_nodes import (
+    THING,
+    ThingKey,
+    ThingSecret,
+    ThingStatement,
+    sign_statement,
+    statement_id,
+)
 from tests.vectors.narrowings import FixedSigner
 
 FILE: Final = Path(__file__).parent / "things" / "things.json"

@@ -18,8 +18,8 @@ from rossec.channel.edhoc.messages import (
 )
 from rossec.channel.opening import MAX_DRAIN, MAX_OPENING, WireProtocol, first_bytes
 from rossec.channel.records import ChannelLimits, Frame, padded
-from rossec.participant.token_opening import MAX_GRANTS
-from rossec.ros import header
+from rossec.participant.access import MAX_GRANTS
+from rossec.ros import tcpros
 from rossec.ros.xmlrpc import dump_call
 from tests.support.wire import NOW, Wire, alice, bob, wire
 from tests.vectors.handshake_vector import handshake
@@ -228,7 +228,7 @@ def units() -> Vectors:
 
 
 def _framed(fields: dict[str, bytes]) -> str:
-    return header.encode(fields).hex()
+    return tcpros.encode(fields).hex()
 
 
 def presented() -> Vectors:

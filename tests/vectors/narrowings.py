@@ -8,12 +8,11 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.utils import decode_dss_signature
 
 from ca.encoding import Value, encode
-from ca.keys.publickey import thumbprint
+from ca.keys.signing import thumbprint
 from grants import document
-from grants.claims import issuer_uri
+from grants.document import issuer_uri
 from grants.model import ALL_RIGHTS, Draft, Grant, Permission
-from grants.narrowing import NARROWING, sign_narrowing
-from grants.token import pack_chain, peek, unpack
+from grants.token import NARROWING, pack_chain, peek, sign_narrowing, unpack
 
 _ORDER: Final = 0xFFFFFFFF00000000FFFFFFFFFFFFFFFFBCE6FAADA7179E84F3B9CAC2FC632551  # of P-256
 

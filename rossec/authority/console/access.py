@@ -9,19 +9,21 @@ RP id of the first bind the others until every one was removed.
 import contextlib
 from collections.abc import Callable, Mapping
 
-from ca.approvals.assertion import Assertion, Passkey, verify
-from ca.approvals.challenges import Challenge, Purpose
-from ca.approvals.registration import Registration, register
+from ca.approvals.passkeys import (
+    Assertion,
+    Challenge,
+    Passkey,
+    Purpose,
+    Registration,
+    register,
+    verify,
+)
 from ca.encoding import Value
 from ca.errors import OtherOrigin, PasskeyUnknown
 from ca.store.record import Store
 from rossec import clock
-from rossec.authority.console.challenges import Challenges
-from rossec.authority.console.codes import Codes, CodeUse
-from rossec.authority.console.origins import check_page
-from rossec.authority.console.proposals import Proposals
-from rossec.authority.console.records import to_value
-from rossec.authority.console.views import LoginChallenge, PhoneView
+from rossec.authority.console.messages import LoginChallenge, PhoneView, check_page, to_value
+from rossec.authority.console.phone_codes import Challenges, Codes, CodeUse, Proposals
 from rossec.authority.keyservice.work import AuthorityWork
 
 
@@ -109,7 +111,7 @@ class Access:
 
         Raises:
             PasskeyUnknown: it is not registered, or was removed.
-            ApprovalRefused: as `ca.approvals.assertion.verify`.
+            ApprovalRefused: as `ca.approvals.passkeys.verify`.
         """
         challenge = self._challenges.open(Purpose.LOGIN, number)
         signed = Assertion(*assertion)
@@ -142,7 +144,7 @@ class Access:
 
         Raises:
             PhoneCodeRefused: as `redeem`; where something else is refused, the code stays valid.
-            ApprovalRefused: as `ca.approvals.registration.register`.
+            ApprovalRefused: as `ca.approvals.passkeys.register`.
             StoreError: a passkey has this name, or it is registered already.
         """
         passkey = self._register(number, code, CodeUse.TERMINAL, name, registration)

@@ -4,32 +4,245 @@ The service makes the statement and verifies the touch: whoever asks for it coul
 anything, and gains nothing. Recording, admitting and auditing are one transaction, before any
 signature. What waits for the key is carried out when it is unlocked, for a day; then it has come to
 nothing. A clock that was set back carries out nothing that is recorded as of later.
+
+What an act is that a phone approves: it is prepared, admitted, and carried out.
+
+Prepared: shown to the person, with all that it gives away; nothing is given. Admitted: in the
+transaction that records the approval, so of two approvals of one thing one is refused. Carried out:
+now or when the key is unlocked, in one transaction with the end of the approval, so that it is done
+once, whenever the process is killed.
+
+Statements that were shown and wait for a touch: in memory, few, each used once.
+
+A statement that this process did not make is never approved. Its time ends by the clock of the
+host, which is in the statement, and by one that cannot be set: a host's clock that was stopped or
+set back makes no statement last longer.
+
+How many requests for identities those who may only look have put into the record.
+
+Preparing an enrollment records its request, which then waits for a day. The record has room for
+256, and one who only looks could fill it with codes of their own; so a few of them are all there
+are at a time, and the rest stays free for phones, commands and nodes that join.
 """
 
+import contextlib
 import logging
 import secrets
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
-from typing import Final, NamedTuple
+from hashlib import sha256
+from typing import Final, NamedTuple, Protocol
 
-from ca.approvals.approval import Approval
-from ca.approvals.assertion import Assertion
+from ca.approvals.passkeys import Approval, Assertion
 from ca.approvals.statement import ID_SIZE, LIFETIME, Kind, Statement, What
 from ca.encoding import Value
-from ca.errors import ApprovalOver, HintedError, PasskeyUnknown, RecordUnusable, TokenRefused
-from ca.store.approvals import ApprovalState
-from ca.store.lifecycle import DAY
+from ca.errors import (
+    ApprovalOutdated,
+    ApprovalOver,
+    HintedError,
+    PasskeyUnknown,
+    RecordUnusable,
+    TokenRefused,
+)
+from ca.store.log import ApprovalState
 from ca.store.record import Store
+from ca.store.values import DAY
 from rossec import clock
-from rossec.authority.console.acts import Act, Approved
-from rossec.authority.console.lookers import LookersRequests
-from rossec.authority.console.records import to_value
-from rossec.authority.console.statements import PreparedStatement, Statements
-from rossec.authority.console.views import Outcome, Prepared
+from rossec.authority.console import messages
+from rossec.authority.console.messages import Outcome, Prepared, to_value
+from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.work import AuthorityWork
+from rossec.authority.service import AuthorityService
 from rossec.errors import AuthorityLocked, KeyServiceRefused, NotDelivered
-from rossec.ros.text import printable
+from rossec.peer_limits import SharedTable, printable
+
+Arguments = tuple[Value, ...]
+Conclude = Callable[[Store, str], None]
+"""Records in the transaction of the act that it is done, with a result for people.
+
+Raises `ApprovalOver` if it was done or ended before."""
+
+
+class ToApprove(NamedTuple):
+    """What a statement says, and the payload whose digest it has; empty: it has none."""
+
+    what: What
+    payload: bytes = b""
+
+
+class Approved(NamedTuple):
+    """An approval with its statement, which was verified; `id` is that of both."""
+
+    approval: Approval
+    statement: Statement
+
+    @property
+    def id(self) -> bytes:
+        """16 bytes."""
+        return self.approval.id
+
+    @property
+    def reason(self) -> str:
+        """Why something was done, for the record."""
+        return f"approval {self.id.hex()[:8]}"
+
+
+class Act(Protocol):
+    """One kind of act. All methods raise `HintedError` to refuse."""
+
+    def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
+        """What is to be approved. Gives nothing away."""
+
+    def admit(self, store: Store, approved: Approved, /) -> str | None:
+        """Check once more, and record; inside the transaction of the approval.
+
+        Returns the result if it is done thereby; None: `carry_out` follows.
+        """
+
+    def carry_out(
+        self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
+    ) -> None:
+        """Do it with the key, and `conclude` in the same transaction.
+
+        Raises:
+            AuthorityLocked: the key is not held; it is called again.
+            NotDelivered: the master is needed, and out of reach; it is called again.
+        """
+
+    def made(self, service: AuthorityService, approved: Approved, /) -> bytes:
+        """What was made, when it is done; empty: nothing to hand out."""
+
+
+class Immediate:
+    """An act that needs no key: it is done when it is admitted, and hands out nothing."""
+
+    def carry_out(
+        self, _service: AuthorityService, _approved: Approved, _conclude: Conclude, _now: int, /
+    ) -> None:
+        """Not called."""
+        raise AssertionError("done when it was approved")
+
+    def made(self, _service: AuthorityService, _approved: Approved, /) -> bytes:
+        """Nothing."""
+        return b""
+
+
+class _Undo(Exception):
+    """Rolls a transaction back."""
+
+
+@contextlib.contextmanager
+def tried(store: Store) -> Iterator[None]:
+    """A transaction that is rolled back: shows whether it would be refused."""
+    with contextlib.suppress(_Undo), store.transaction():
+        yield
+        raise _Undo
+
+
+MAX_OF_KIND: Final = 16
+_HINT: Final = "look at the page again, and approve that"
+
+
+class PreparedStatement(NamedTuple):
+    """A statement that was shown, its payload, and the arguments it was made from."""
+
+    statement: Statement
+    payload: bytes
+    arguments: Arguments
+
+
+class _Shown(NamedTuple):
+    prepared: PreparedStatement
+    end: float
+
+
+class Statements:
+    """The statements that can be approved; threads may share it."""
+
+    def __init__(self, elapsed: clock.Seconds | None = None) -> None:
+        self._elapsed = clock.counter() if elapsed is None else elapsed
+        self._lock = threading.Lock()
+        self._shown: dict[Kind, SharedTable[bytes, _Shown]] = {
+            kind: SharedTable(MAX_OF_KIND) for kind in Kind
+        }
+
+    def add(self, shown: PreparedStatement, owner: str = "") -> None:
+        """Keep a statement of `owner`.
+
+        Where there are too many of its kind, the oldest of whoever has most makes room, and none of
+        a phone for one of a session that may only look.
+
+        Raises:
+            KeyServiceRefused: there is no room for this owner.
+        """
+        statement = shown.statement
+        kept = _Shown(shown, self._elapsed() + LIFETIME)
+        with self._lock:
+            self._drop_old()
+            table = self._shown[statement.kind]
+            if table.add(statement.id, kept, owner, messages.rank(owner)) is None:
+                raise KeyServiceRefused(
+                    f"{MAX_OF_KIND} such approvals wait for a touch", "approve them, or wait"
+                )
+
+    def take(self, number: bytes, now: int) -> PreparedStatement:
+        """The statement with this id, which is used up by this.
+
+        Raises:
+            ApprovalOutdated: it was not made here, was used, or its time is over.
+        """
+        with self._lock:
+            self._drop_old()
+            taken = [table.pop(number) for table in self._shown.values()]
+        found = next(filter(None, taken), None)
+        if found is None:
+            raise ApprovalOutdated("this is not waiting for a touch, or not any more", _HINT)
+        statement = found.prepared.statement
+        if not statement.made <= now <= statement.until:
+            raise ApprovalOutdated("the touch came too late, or the clock was set", _HINT)
+        return found.prepared
+
+    def _drop_old(self) -> None:
+        now = self._elapsed()
+        for table in self._shown.values():
+            for number, shown in table.items():
+                if now >= shown.end:
+                    table.pop(number)
+
+
+MAX_REQUESTS: Final = 32
+
+
+class LookersRequests:
+    """The requests that were prepared by those who may only look, by the digest of the CSR."""
+
+    def __init__(self) -> None:
+        self._prepared: dict[bytes, None] = {}
+
+    def check(
+        self, home: AuthorityHome, arguments: tuple[Value, ...], owner: str, now: int
+    ) -> None:
+        """Return if `owner` may have a request recorded, of which `arguments` begin with the CSR.
+
+        Raises:
+            KeyServiceRefused: so many of them wait already.
+        """
+        if messages.rank(owner) or not arguments or not isinstance(arguments[0], bytes):
+            return
+        with closing(home.store()) as store:
+            waiting = {row.digest for row in store.requests.open(now)}
+        digest = sha256(arguments[0]).digest()
+        self._prepared = {each: None for each in self._prepared if each in waiting}
+        if digest in waiting:
+            return
+        if len(self._prepared) >= MAX_REQUESTS:
+            raise KeyServiceRefused(
+                f"{MAX_REQUESTS} nodes wait that were added without a phone",
+                "approve or deny them, or log in with the phone",
+            )
+        self._prepared[digest] = None
+
 
 WAITS: Final = DAY  # seconds after the end of a statement in which it is carried out
 MAX_RESULT: Final = 500  # characters

@@ -16,8 +16,7 @@ from typing import Final, NamedTuple
 
 from ca.encoding import Value
 from rossec.authority.console import messages
-from rossec.authority.console.records import from_value, many
-from rossec.authority.console.views import (
+from rossec.authority.console.messages import (
     ApprovalView,
     AskedRight,
     DenialView,
@@ -38,12 +37,13 @@ from rossec.authority.console.views import (
     Proposal,
     QuestionAnswer,
     Status,
+    from_value,
+    many,
 )
 from rossec.authority.keyservice import messages as frames
 from rossec.authority.keyservice.messages import Request
 from rossec.errors import KeyMessageRefused, KeyServiceFailed, PeerUserRefused
-from rossec.net.host.peeruid import require_user
-from rossec.operation.unix_socket import raw_socket
+from rossec.host.local_sockets import raw_socket, require_user
 
 CONNECTIONS: Final = 4
 STRANGERS: Final = 1  # of them are used at a time for what anybody on the network may ask

@@ -3,16 +3,124 @@
 The table is all that the console can ask. Nothing in it signs what was not approved: `PREPARE`
 makes a statement, `APPROVE` verifies a passkey's signature over its digest and only then acts. What
 only takes away (`deny-*`, `revoke-*`, `end-*`, `remove-phone`) needs none.
+
+Who has what was begun at the console: a phone, or a session that may only look. Pure.
+
+The console says it with what it asks; shares of bounded tables go by it (`rossec.peer_limits`), and
+rights do not. A phone is the owner's, so nothing that a looker begins ends what a phone began.
+
+Where a page of the console may be, and what name its passkeys may have. Pure.
+
+Web Authentication section 5.1.3: the RP id is the host of the page, or a parent domain of it. Only
+https, and http on `localhost`, are secure contexts; an IP address has no passkeys.
+
+Named tuples as CBOR values and back: what the console and the service send each other. Pure.
+
+A record is the list of its fields. The annotations say what may come: int, str, bytes, bool, one of
+them or None, a tuple of any number of them, another record. Everything else is refused, also an int
+where a bool belongs, so the reader of a record needs no further check of types.
+
+What the service shows the console, as records (`records`). Pure.
+
+Times are seconds since the epoch, durations seconds; ids, digests and keys (COSE thumbprints) are
+bytes. Texts of nodes are as the nodes wrote them: whoever shows them escapes them.
+
+What was approved, as one line for people. Pure.
 """
 
-from collections.abc import Mapping
-from typing import Final
+import ipaddress
+import re
+from collections.abc import Iterable, Mapping
+from types import NoneType, UnionType
+from typing import Any, Final, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
+from urllib.parse import urlsplit
 
-from ca.encoding import Value
+from ca.approvals import statement as kinds
+from ca.approvals.statement import Statement
+from ca.encoding import Value, decode
+from ca.errors import EncodingError, PasskeyRefused
+from ca.names import MASTER
+from grants import document
+from grants.errors import GrantError
+from grants.model import ID_SIZE, Permission
 from rossec.authority.keyservice import messages
 from rossec.authority.keyservice.messages import Request
+from rossec.clock import format_duration, format_time
 from rossec.errors import KeyMessageRefused, KeyServiceRefused
 from rossec.files import Owned
+from rossec.peer_limits import printable
+
+LOOKER: Final = "look"
+"""Everybody who may only look, where they share one place."""
+
+_PHONE: Final = "phone "
+MAX_OWNER: Final = 200  # characters
+
+
+def of_phone(name: str) -> str:
+    """All sessions of a phone."""
+    return f"{_PHONE}{name}"
+
+
+def of_looker(session: bytes) -> str:
+    """One session that may only look."""
+    return f"{LOOKER} {session.hex()}"
+
+
+def rank(owner: str) -> int:
+    """1: of a phone; 0: of whoever may only look."""
+    return int(owner.startswith(_PHONE))
+
+
+MAX_ORIGIN: Final = 300
+_LABEL: Final = "[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?"
+_DOMAIN: Final = re.compile(rf"{_LABEL}(\.{_LABEL})*")
+
+
+def check_page(origin: str, rp_id: str) -> None:
+    """Return if a page at `origin` can have passkeys for `rp_id`.
+
+    Raises:
+        PasskeyRefused: it cannot.
+    """
+    host = _host(origin)
+    if host is None:
+        raise PasskeyRefused(
+            f"{origin[:80]!a} is no address of a console", "https://NAME, or http://localhost"
+        )
+    if not _DOMAIN.fullmatch(rp_id) or _is_address(rp_id):
+        raise PasskeyRefused(
+            f"passkeys cannot belong to {rp_id[:80]!a}", "open the console by a name"
+        )
+    if host != rp_id and not host.endswith(f".{rp_id}"):
+        raise PasskeyRefused(
+            f"a page at {host} has no passkeys of {rp_id}", "open the console by its own name"
+        )
+
+
+def _host(origin: str) -> str | None:
+    """The host of exactly an origin (RFC 6454), if it is a secure context."""
+    if len(origin) > MAX_ORIGIN:
+        return None
+    try:
+        parts = urlsplit(origin)
+        host, port = parts.hostname or "", parts.port
+    except ValueError:
+        return None
+    shown = host if port is None else f"{host}:{port}"
+    if origin != f"{parts.scheme}://{shown}" or not _DOMAIN.fullmatch(host):
+        return None
+    is_secure = parts.scheme == "https" or (parts.scheme == "http" and host == "localhost")
+    return host if is_secure else None
+
+
+def _is_address(text: str) -> bool:
+    try:
+        ipaddress.ip_address(text)
+    except ValueError:
+        return False
+    return True
+
 
 SOCKET: Final = "console.sock"  # in the authority's directory
 # What the console has there. Who restores an authority makes a new TLS key for browsers.
@@ -113,3 +221,358 @@ def checked(answer: Value) -> Value:
 
 
 _HINT: Final = "are the service and the console of one version of rossec?"
+
+_PLAIN: Final = (int, str, bytes, bool)
+_T = TypeVar("_T")
+
+
+def to_value(item: object) -> Value:
+    """The value of a record, of a tuple of records, or of a plain item."""
+    if isinstance(item, tuple):
+        return [to_value(each) for each in item]
+    if item is None or type(item) in _PLAIN:
+        return item  # type: ignore[return-value]
+    raise TypeError(f"{type(item).__name__} is not part of a record")
+
+
+def from_value(kind: type[_T], value: Value) -> _T:
+    """The record of type `kind` that `value` is.
+
+    Raises:
+        KeyMessageRefused: another number of fields, or a field of another type.
+    """
+    found: _T = _read(kind, value)
+    return found
+
+
+def many(kind: type[_T], value: Value) -> tuple[_T, ...]:
+    """As `from_value`, for a list of records."""
+    if not isinstance(value, list):
+        raise KeyMessageRefused("records that are no list", _HINT)
+    return tuple(from_value(kind, each) for each in value)
+
+
+def _read(kind: Any, value: Value) -> Any:
+    if kind in _PLAIN or kind is NoneType:
+        if type(value) is not kind:
+            raise KeyMessageRefused(f"{type(value).__name__} where {kind.__name__} belongs", _HINT)
+        return value
+    if isinstance(kind, UnionType):
+        possible = [each for each in get_args(kind) if each is not NoneType]
+        return None if value is None else _read(possible[0], value)
+    if not isinstance(value, list):
+        raise KeyMessageRefused("a record that is no list", _HINT)
+    if get_origin(kind) is tuple:
+        return tuple(_read(get_args(kind)[0], each) for each in value)
+    fields = get_type_hints(kind)
+    if len(value) != len(fields):
+        raise KeyMessageRefused(f"{kind.__name__} of {len(value)} fields", _HINT)
+    return kind(*map(_read, fields.values(), value))
+
+
+class Status(NamedTuple):
+    """The service: `number` changes whenever anything that the console can show has changed."""
+
+    domain: str
+    fingerprint: str
+    locked: bool
+    remaining: int | None  # seconds; 0: until it is locked; None: it is locked
+    number: int
+    now: int
+    phones: int  # passkeys that can approve
+    has_master: bool  # whether the last call to the master succeeded
+
+
+class NodeView(NamedTuple):
+    """An identity: the newest of its name, or another key of it that is still valid."""
+
+    name: str
+    key: bytes
+    not_before: int
+    not_after: int
+    anonymous: bool  # for anonymous nodes too
+    revoked_at: int  # 0: it is not revoked
+    reason: str
+
+
+class GrantView(NamedTuple):
+    """A signed grant; `data` is its COSE form (`grants.document.peek`)."""
+
+    id: bytes
+    node: str
+    data: bytes
+    at: int  # when it was signed
+    expires: int
+    cap: int  # until when the master renews it
+    revoked_at: int  # 0: it is not revoked
+    reason: str
+    rules: str  # of the policy; empty: by hand
+    delivery: str  # as `rossec grant list` shows it: held, fetched, waiting; empty: not known
+
+
+class IdentityRequestView(NamedTuple):
+    """A request for an identity that waits: for a person (`pending`), or the key (`approved`)."""
+
+    id: bytes
+    name: str
+    key: bytes
+    source: str
+    arrived: int
+    expires: int
+    state: str
+    anonymous: bool
+    is_other_key: bool  # the name has, or had, another key
+    csr: bytes  # DER, as `PREPARED` of "enroll" takes it
+
+
+class AskedRight(NamedTuple):
+    """One right that a node asks for, as the policy would grant it (see `grants.document`)."""
+
+    right: int
+    pattern: str
+    type: str  # of the messages; empty: not known
+    rules: str
+    why: str  # the reason in the policy, not the node's
+    permissions: bytes  # CBOR list of the AIF entries that would be granted
+
+
+class GrantQuestion(NamedTuple):
+    """A right that a node asks for, and that waits for a person.
+
+    A request for several rights is as many questions, and `request` is the id that they share.
+    """
+
+    id: bytes
+    node: str
+    key: bytes
+    why: str  # the node's own words
+    at: int
+    expires: int  # denied afterwards
+    lifetime: int  # seconds that would be granted, renewals by the master included
+    coarse: tuple[str, ...]  # names of filters that could be put on it
+    rights: tuple[AskedRight, ...]
+    request: bytes = b""
+
+
+class QuestionAnswer(NamedTuple):
+    """The answer to a question: `granted`, `denied`, or why nobody gave one."""
+
+    node: str
+    right: int
+    pattern: str
+    answer: str
+    reason: str
+    at: int
+
+
+class InvitationView(NamedTuple):
+    """A join code; `state` is `open`, or why it is not."""
+
+    id: bytes
+    pattern: str
+    uses: int
+    names: tuple[str, ...]  # that joined by it
+    anonymous: bool
+    expires: int
+    at: int
+    state: str
+
+
+class PhoneView(NamedTuple):
+    """A passkey."""
+
+    id: bytes
+    name: str
+    at: int
+    last_used: int  # 0: never
+    added_by: str  # a phone's name; empty: the terminal
+    ended: str  # why; empty: it can approve
+
+
+class ApprovalView(NamedTuple):
+    """An approval: `state` is `waiting` (for the key), `done`, `failed`, or `expired`."""
+
+    id: bytes
+    kind: int
+    sentence: str
+    phone: str
+    at: int
+    state: str
+    result: str
+
+
+class EventView(NamedTuple):
+    """An entry of the log of the record (`ca.store.values.LogEntry`)."""
+
+    number: int
+    at: int
+    what: str
+    subject: str
+    detail: str
+
+
+class DenialView(NamedTuple):
+    """A right that a node lacked, as the master or another node refused it."""
+
+    at: int
+    node: str
+    right: int
+    name: str
+
+
+class FactView(NamedTuple):
+    """A fact of the graph, as `rossec.watchGraph` gives it; `kind`: publisher, type and so on."""
+
+    kind: str
+    name: str
+    node: str
+
+
+class PolicyRight(NamedTuple):
+    """A right that a policy would give or take; `restriction` in words, `until` as its span."""
+
+    node: str
+    right: int
+    pattern: str
+    restriction: str
+    until: str
+
+
+class PolicyView(NamedTuple):
+    """The difference between the policy file and the grants in force."""
+
+    path: str
+    digest: bytes  # of the file; empty: there is none
+    gives: tuple[PolicyRight, ...]
+    takes: tuple[PolicyRight, ...]
+    keeps: int
+    mistakes: tuple[str, ...]
+    refused: tuple[str, ...] = ()  # of single nodes: in no grant, though a rule allows it
+
+
+class PolicyName(NamedTuple):
+    """What the policy calls a node, a topic or a pattern; empty: it has no title, or no type."""
+
+    name: str
+    title: str
+    type: str
+
+
+class ListStanding(NamedTuple):
+    """How far a revocation list has come."""
+
+    epoch: int
+    seq: int
+    is_signed: bool
+    is_at_master: bool
+    nodes: int  # with a session at the master; 0: not known
+    nodes_with_list: int
+
+
+class Prepared(NamedTuple):
+    """A statement to be approved; `challenge` is its digest, `payload` what it has a digest of."""
+
+    id: bytes
+    statement: bytes
+    challenge: bytes
+    until: int
+    rp_id: str
+    credentials: tuple[bytes, ...]
+    payload: bytes
+
+
+class Outcome(NamedTuple):
+    """What came of an approval: as in `ApprovalView`; `data` is what it made."""
+
+    id: bytes
+    state: str
+    result: str
+    data: bytes  # an identity bundle (PEM), or the text of a join code; empty otherwise
+
+
+class LoginChallenge(NamedTuple):
+    """A challenge for a login, or for a new passkey."""
+
+    id: bytes
+    challenge: bytes
+    until: int
+    rp_id: str
+    credentials: tuple[bytes, ...]
+
+
+class Proposal(NamedTuple):
+    """A passkey that waits to be approved by a phone that is there already."""
+
+    id: bytes
+    name: str
+    digits: str  # shown on both phones
+    expires: int
+
+
+_MOST: Final = 4  # rights that are listed
+
+
+def sentence(statement: Statement, payload: bytes) -> str:
+    """What `statement` is about; `payload` is what it has a digest of."""
+    match statement.what:
+        case kinds.Enroll(name=name, replaces=replaces):
+            text = f"identity of {name}" + ", with another key than before" * replaces
+        case kinds.Grant():
+            text = given(_bodies(payload))
+        case kinds.PolicyChange():
+            text = "the changed policy is in force"
+        case kinds.Delegate(lifetime=lifetime):
+            text = f"the master may renew grants for {format_duration(lifetime)}"
+        case kinds.Intermediate(enrolls=enrolls):
+            new = "and enroll nodes" if enrolls else "for nodes known here"
+            text = f"an intermediate authority may renew identities {new}"
+        case kinds.NewPasskey(name=name):
+            text = f"phone {name}"
+        case kinds.Invitation(pattern=pattern, uses=uses):
+            text = f"join code for {uses} of {pattern}"
+        case kinds.RevokeMaster(reason=reason, master=master):
+            which = "the master" if master == MASTER else f"the master {master}"
+            text = f"revocation of {which}" + f": {reason}" * bool(reason)
+        case _:
+            text = "another domain"
+    return printable(text)
+
+
+def given(bodies: Iterable[bytes]) -> str:
+    """What grants with these claims give, and until when: what was approved, not what was asked."""
+    try:
+        found = [document.read_claims(body, bytes(ID_SIZE)) for body in bodies]
+    except (EncodingError, GrantError):
+        found = []
+    if not found:
+        return "a right of a node"
+    rights = dict.fromkeys(_right(each) for grant in found for each in grant.permissions)
+    more = f" and {len(rights) - _MOST} more" if len(rights) > _MOST else ""
+    until = format_time(min(max(each.expires, each.cap) for each in found))
+    return f"{found[0].subject} may {', '.join([*rights][:_MOST])}{more}, until {until}"
+
+
+def _right(given: Permission) -> str:
+    coarser = given.restriction is not None and given.restriction.restricts_messages
+    return f"{given.rights.label} {given.pattern}" + " (not all of it)" * coarser
+
+
+def _bodies(payload: bytes) -> list[bytes]:
+    """The claims in the payload of a grant (`grant_acts`); none if it is malformed."""
+    try:
+        match decode(payload, limit=kinds.MAX_PAYLOAD):
+            case [_, _, [*grants]]:
+                return [body for grant in grants for body in _body(grant)]
+            case _:
+                pass
+    except EncodingError:
+        pass
+    return []
+
+
+def _body(grant: Value) -> list[bytes]:
+    match grant:
+        case [bytes(body), _]:
+            return [body]
+        case _:
+            return []

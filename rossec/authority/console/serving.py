@@ -1,37 +1,340 @@
-"""The console's side of `rossec ca serve` put together: who may look, what it shows and does."""
+"""The console's side of `rossec ca serve` put together: who may look, what it shows and does.
+
+How the service is, and a number that differs whenever what the console can show has changed.
+
+It is asked every second, so it looks at little: the size of the log says whether the record
+changed, the file's time whether the policy did.
+
+Which processes may not use `service.sock`: whoever showed itself to be the console's pages.
+
+The web process is confined as the network face is: it can start no other process. So one that was
+taken over cannot ask for the key's signature, whether it came to the console's socket first (it is
+remembered as long as it lives) or not (a process that may start no other one is no command of a
+person; it cannot take that back). A number of a process that ended is given to another one, so its
+start is remembered too, where the kernel shows it.
+
+Carries out what the console asks: each operation of `messages` by its handler.
+
+Handlers come in parts. Each part is called in a thread of its own, one task after the other: so it
+needs no lock, and none waits for a master that does not answer but those who ask for it.
+
+The console's socket: `ca/console.sock`, or where another user's console finds it. A shell.
+
+Whoever may connect can read the record's names and take rights away, so it is the authority's own
+user; one other may be named, whose socket is then outside of the directory of the key.
+"""
 
 import asyncio
+import contextlib
+import hashlib
+import logging
+import os
+import pwd
+import threading
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple, Protocol
 
 from ca.approvals.statement import Kind
+from ca.encoding import Value
 from ca.errors import HintedError
 from rossec import clock
+from rossec.authority.console import messages
 from rossec.authority.console.access import Access
-from rossec.authority.console.acts import Act
-from rossec.authority.console.admission import ConsolePeers
-from rossec.authority.console.approving import Approving, Of
-from rossec.authority.console.console_socket import ConsolePlace, ConsoleSocket
-from rossec.authority.console.grant_acts import GrantAct
-from rossec.authority.console.identity_acts import EnrollAct, IntermediateAct
-from rossec.authority.console.master_view import MasterView
-from rossec.authority.console.policy_acts import DelegateAct, PolicyAct
-from rossec.authority.console.policy_names import PolicyNames
-from rossec.authority.console.policy_view import PolicyLook
-from rossec.authority.console.questions import Questions
-from rossec.authority.console.reading import Reading
-from rossec.authority.console.record_acts import InvitationAct, PasskeyAct, RevokeMasterAct
-from rossec.authority.console.removals import Removals
-from rossec.authority.console.service import ConsoleService
-from rossec.authority.console.status import StatusLook
-from rossec.authority.keyservice.network import NetworkWork
-from rossec.authority.keyservice.operations import KeyOperations
-from rossec.authority.keyservice.rounds import Rounds
+from rossec.authority.console.approved_acts import (
+    DelegateAct,
+    EnrollAct,
+    IntermediateAct,
+    InvitationAct,
+    PasskeyAct,
+    PolicyAct,
+    RevokeMasterAct,
+)
+from rossec.authority.console.approving import Act, Approving, Of
+from rossec.authority.console.grant_requests import GrantAct, Questions, Removals
+from rossec.authority.console.messages import OPERATIONS, Status, checked, to_value
+from rossec.authority.console.queries import MasterView, PolicyLook, PolicyNames, Reading
+from rossec.authority.grant_operations import MasterCall
+from rossec.authority.home import fingerprint
+from rossec.authority.keyservice.messages import Request
+from rossec.authority.keyservice.network import NetworkWork, Rounds
+from rossec.authority.keyservice.operations import HeldKey, KeyOperations
+from rossec.authority.keyservice.process import Caller, KeyServer, SocketRules
 from rossec.authority.keyservice.work import AuthorityWork
-from rossec.authority.master_call import MasterCall
-from rossec.errors import ConfigurationError, NotDelivered
+from rossec.errors import ConfigurationError, KeyServiceRefused, NotDelivered, PeerUserRefused
+from rossec.host.local_sockets import UnixPeer
+from rossec.peer_limits import printable
+
+INBOX = "inbox"  # in the authority's directory (`rossec.authority.requests`)
+
+
+class StatusLook:
+    """The operation that is asked every second.
+
+    Args:
+        work: of the authority.
+        held: its key.
+        has_master: whether the last call to the master succeeded.
+        seen: whatever else differs when something to be shown has changed.
+    """
+
+    def __init__(
+        self,
+        work: AuthorityWork,
+        held: HeldKey,
+        has_master: Callable[[], bool],
+        seen: Callable[[], tuple[object, ...]] = tuple,
+    ) -> None:
+        self._work = work
+        self._held = held
+        self._has_master = has_master
+        self._seen = seen
+        anchor = work.home().anchor()
+        self._domain, self._fingerprint = anchor.domain, fingerprint(anchor)
+
+    def handlers(self) -> Mapping[str, Callable[..., Value]]:
+        """By the operation."""
+        return {"status": self.status}
+
+    def status(self) -> Value:
+        """How it is now."""
+        home, now = self._work.home(), self._work.now()
+        with contextlib.closing(home.store()) as store, store.database.read_transaction():
+            size, phones = store.log.head(now).size, len(store.passkeys.active())
+        remaining, has_master = self._held.remaining(), self._has_master()
+        files = (self._work.policy_path(), home.path / INBOX)
+        number = _number(size, remaining is None, has_master, *map(_changed, files), *self._seen())
+        return to_value(
+            Status(
+                self._domain, self._fingerprint, remaining is None, remaining, number, now,
+                phones, has_master,
+            )
+        )  # fmt: skip
+
+
+def _changed(path: Path) -> tuple[int, ...]:
+    try:
+        status = path.stat()
+    except OSError:
+        return ()
+    return status.st_mtime_ns, status.st_size, status.st_ino
+
+
+def _number(*state: object) -> int:
+    return int.from_bytes(hashlib.sha256(repr(state).encode()).digest()[:6])
+
+
+_START: Final = 19  # of the fields after the command's name, proc(5): starttime
+_LIMIT: Final = b"Max processes"
+_REFUSED: Final = "a process of the console's pages may not use the service's socket"
+
+
+class ConsolePeers:
+    """The processes that connected to the console's socket; threads may share it."""
+
+    def __init__(self, proc: Path = Path("/proc")) -> None:
+        self._proc = proc
+        self._lock = threading.Lock()
+        self._known: dict[int, bytes | None] = {}  # when it started, by its number
+
+    def remember(self, peer: UnixPeer) -> None:
+        """A process came to the console's socket."""
+        started = self._started(peer.process)
+        with self._lock:
+            for process in [each for each in self._known if self._is_gone(each)]:
+                del self._known[process]
+            self._known[peer.process] = started
+
+    def refuse(self, peer: UnixPeer) -> None:
+        """Raise for one of them, or another that is confined in the same way.
+
+        Raises:
+            PeerUserRefused: it may not ask for the key.
+        """
+        with self._lock:
+            is_known = peer.process in self._known and not self._is_gone(peer.process)
+        if is_known or self._is_confined(peer.process):
+            raise PeerUserRefused(_REFUSED)
+
+    def _is_gone(self, process: int) -> bool:
+        """Whether the process that was remembered under this number has surely ended."""
+        remembered, now = self._known[process], self._started(process)
+        if now is None:
+            return not (self._proc / str(process)).exists() and (self._proc / "self").exists()
+        return remembered is not None and remembered != now
+
+    def _started(self, process: int) -> bytes | None:
+        try:
+            stat = (self._proc / str(process) / "stat").read_bytes()
+        except OSError:
+            return None
+        fields = stat.rpartition(b")")[2].split()  # its name may have spaces and parentheses
+        return fields[_START] if len(fields) > _START else None
+
+    def _is_confined(self, process: int) -> bool:
+        """Whether it may have no other process: `RLIMIT_NPROC` is 0."""
+        try:
+            limits = (self._proc / str(process) / "limits").read_bytes()
+        except OSError:
+            return False
+        rows = [line for line in limits.splitlines() if line.startswith(_LIMIT)]
+        return any(row.removeprefix(_LIMIT).split()[:2] == [b"0", b"0"] for row in rows)
+
+
+_log = logging.getLogger("rossec.authority.service")
+
+Handler = Callable[..., Value]
+CHANGES: Final = frozenset(
+    {
+        "deny-request", "deny-question", "revoke-grant", "revoke-node", "end-invitation",
+        "remove-phone", "end-proposal", "approve",
+    }
+)  # fmt: skip
+
+
+def _unaudited(_: str) -> None:
+    """Nothing is written: for parts that change nothing."""
+
+
+class Part(Protocol):
+    """Some of the operations."""
+
+    def handlers(self) -> Mapping[str, Handler]:
+        """By the operation: called with its arguments. Raises `HintedError` to refuse."""
+
+
+class ConsoleService:
+    """All operations.
+
+    Args:
+        parts: which have one handler for each operation of the table between them.
+        audit: writes a line. Raises `HintedError` if it cannot: then nothing is done.
+    """
+
+    def __init__(self, *parts: Part, audit: Callable[[str], None] = _unaudited) -> None:
+        self._audit = audit
+        self._threads = [ThreadPoolExecutor(1, thread_name_prefix="console") for _ in parts]
+        self._handlers: dict[str, tuple[ThreadPoolExecutor, Handler]] = {}
+        for part, thread in zip(parts, self._threads, strict=True):
+            for operation, handler in part.handlers().items():
+                if operation in self._handlers or operation not in OPERATIONS:
+                    raise ValueError(f"{operation} is not an operation, or has two handlers")
+                self._handlers[operation] = thread, handler
+
+    @property
+    def missing(self) -> frozenset[str]:
+        """The operations without a handler."""
+        return frozenset(OPERATIONS) - self._handlers.keys()
+
+    async def carry_out(self, request: Request, caller: Caller) -> Value:
+        """Carry out a request.
+
+        Raises:
+            HintedError: refused; the text is for the person at the console.
+        """
+        if request.operation not in self._handlers:
+            raise KeyServiceRefused(
+                f"this service does not do {request.operation}", "restart it: rossec ca serve"
+            )
+        if request.operation in CHANGES:
+            self._audit(f"{_described(request)}, asked by the console of {caller}")
+        thread, handler = self._handlers[request.operation]
+        call = partial(_answer, handler, request.arguments)
+        return await asyncio.get_running_loop().run_in_executor(thread, call)
+
+    async def close(self) -> None:
+        """End the threads; what runs is finished first."""
+        for thread in self._threads:
+            await asyncio.to_thread(thread.shutdown, cancel_futures=True)
+
+
+def _described(request: Request) -> str:
+    """The operation and what it is about; the rest of it is in the record."""
+    about = request.arguments[0]
+    shown = about.hex() if isinstance(about, bytes) else printable(str(about))
+    return f"{request.operation} {shown}"
+
+
+def _answer(handler: Handler, arguments: tuple[Value, ...]) -> Value:
+    return checked(handler(*arguments))
+
+
+MAX_CALLERS: Final = 16
+
+
+class ConsolePlace(NamedTuple):
+    """Where the socket is, and which users may connect; none: the one of this process."""
+
+    path: Path
+    users: frozenset[int] = frozenset()
+
+
+def place(directory: Path, path: Path | None, user: str | None) -> ConsolePlace:
+    """Where the console of the authority in `directory` is: by default there.
+
+    Raises:
+        ConfigurationError: another user cannot come there, or could put a socket of their own.
+    """
+    if path is not None and path.exists() and not path.is_socket():
+        raise ConfigurationError(
+            f"{path} is a file, and not a socket", "choose another --console-socket"
+        )
+    if user is None:
+        return ConsolePlace(path or directory / messages.SOCKET)
+    try:
+        number = pwd.getpwnam(user).pw_uid
+    except KeyError:
+        raise ConfigurationError(
+            f"there is no user {user!a} on this host", "make one, or leave --console-user"
+        ) from None
+    if path is None:
+        raise ConfigurationError(
+            f"{user} cannot enter {directory}, where the socket would be",
+            "name a directory for it: --console-socket /run/rossec/console.sock",
+        )
+    _check_directory(path.parent)
+    return ConsolePlace(path, frozenset({os.geteuid(), number}))
+
+
+def _check_directory(directory: Path) -> None:
+    try:
+        found = directory.stat()
+    except OSError as error:
+        raise ConfigurationError(
+            f"{directory}: {error.strerror}", "make it, as the user of the service"
+        ) from None
+    if found.st_mode & 0o022 or found.st_uid not in {0, os.geteuid()}:
+        raise ConfigurationError(
+            f"another user could replace the socket in {directory}",
+            "choose a directory of your own, which no other user can write",
+        )
+
+
+class ConsoleSocket:
+    """Answers the console.
+
+    Args:
+        where: the socket.
+        service: carries out what is asked.
+        peers: is told who connects.
+    """
+
+    def __init__(self, where: ConsolePlace, service: ConsoleService, peers: ConsolePeers) -> None:
+        rules = SocketRules(messages.read_request, messages.MAX_REQUEST, MAX_CALLERS, where.users)
+        self._service = service
+        self._server = KeyServer(where.path, service.carry_out, peers.remember, rules)
+
+    async def start(self) -> None:
+        """Listen; raises as `KeyServer.start`."""
+        await self._server.start()
+
+    async def close(self) -> None:
+        """Stop listening, and end the threads."""
+        await self._server.close()
+        await self._service.close()
 
 
 def _no_address() -> str:

@@ -5,10 +5,13 @@ service, which is asked over `ca/service.sock`. Both ends must be of one user. E
 verified here before it is used: a service of another authority's key could sign nothing for this
 one. A request that the service ended the connection instead of answering is sent once more, over a
 new connection: services are restarted, and drop those that are idle.
+
+One service of an authority at a time, and none while a backup is restored over it.
 """
 
 import os
 import socket
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Final, Self
 
@@ -18,13 +21,30 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.utils import encode_dss_signature
 
 from ca.encoding import Value
+from rossec import files
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice import messages
-from rossec.authority.keyservice.held_key import UNLOCK_HINT
 from rossec.authority.keyservice.messages import SOCKET, Request
-from rossec.errors import AuthorityLocked, KeyServiceFailed, PeerUserRefused
-from rossec.net.host.peeruid import require_user
-from rossec.operation.unix_socket import MAX_PATH
+from rossec.authority.keyservice.operations import UNLOCK_HINT
+from rossec.errors import AuthorityLocked, ConfigurationError, KeyServiceFailed, PeerUserRefused
+from rossec.host.local_sockets import MAX_PATH, process_lock, require_user
+
+LOCK: Final = "service.lock"
+OWNED: Final = (files.Owned(r"service\.lock", kept=False),)  # of a process
+
+
+def service_lock(directory: Path) -> AbstractContextManager[None]:
+    """The lock of the service of the authority in `directory`; it ends with the process.
+
+    Raises:
+        ConfigurationError: when it is entered, and a service runs.
+    """
+    busy = ConfigurationError(
+        f"the authority's service runs from {directory}",
+        "end it first: Ctrl-C where it runs, or systemctl stop rossec-ca",
+    )
+    return process_lock(directory / LOCK, busy)
+
 
 TIMEOUT: Final = 30.0  # seconds for one answer; scrypt takes some tenths of one
 _ECDSA: Final = ec.ECDSA(hashes.SHA256())

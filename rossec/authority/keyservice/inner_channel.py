@@ -13,10 +13,11 @@ from typing import Final
 
 from ca.encoding import Value
 from ca.errors import HintedError
-from rossec.authority.keyservice import inner_messages, messages
-from rossec.authority.keyservice.inner_messages import InnerAnswer, InnerRefusal, InnerRequest
+from rossec.authority.keyservice import messages
+from rossec.authority.keyservice import messages as inner_messages
+from rossec.authority.keyservice.messages import InnerAnswer, InnerRefusal, InnerRequest
 from rossec.errors import KeyMessageRefused, KeyServiceRefused
-from rossec.net.aio.tasks import TaskSet
+from rossec.host.runner import TaskSet
 
 MAX_REQUESTS: Final = 512  # of the other side at a time; a join port has 256 sessions
 _FAILED: Final = "the other process could not do it", "its log says why"

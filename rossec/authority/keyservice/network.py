@@ -2,37 +2,249 @@
 
 Tasks that need the record run in one thread, one after the other; a round is a task as a join is.
 So a master whose host is off, which fails slowly, is not called for a while: nodes go on joining.
+
+What the service does again and again: every minute, and at once when there is a reason. A shell.
+
+A reason is a key that was unlocked, or something recorded that waits for the key or the master. One
+that comes during a round begins another. A task that crashes keeps no other from being done.
+
+Names by rules for nodes that join. A shell around `rossec.naming`.
+
+The service holds the authority's key, so it reads no metadata: they go, as they came, to the
+process for rules, and only when the secret of an invitation was proved. What comes back is a name
+that was checked; here it is compared with the invitation. The rules decide twice: for the claim,
+and for the request that follows it, since what is between may lie.
+
+Identities of nodes that are due: fetched from the master, renewed, and brought back. A shell.
+
+The service waits at the master for requests, so that a node has its new identity within seconds of
+asking. While the key is locked it says so there, since nodes tell their users, and does not wait.
 """
 
 import asyncio
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Final, TypeVar
+from types import TracebackType
+from typing import Final, Protocol, Self, TypeVar
 
 from ca.encoding import Value
-from ca.enrollment.join_claim import JoinClaim
-from ca.enrollment.join_messages import NameAnswer, Named, Refused, RefuseReason, write
-from ca.enrollment.join_request import JoinRequest
+from ca.enrollment.invitation import JoinClaim, JoinRequest
+from ca.enrollment.join import NameAnswer, Named, Refused, RefuseReason, write
 from ca.errors import EncodingError, HintedError
-from rossec.authority.keyservice.face_process import FaceProcess
-from rossec.authority.keyservice.join_names import JoinNames
+from ca.names import is_reserved, pattern_covers
+from rossec.authority.grant_operations import MasterCall
 from rossec.authority.keyservice.operations import KeyOperations
-from rossec.authority.keyservice.renewal_watch import RenewalWatch
-from rossec.authority.keyservice.rounds import Rounds
+from rossec.authority.keyservice.process import FaceProcess
 from rossec.authority.keyservice.work import AuthorityWork
-from rossec.authority.master_call import MasterCall
-from rossec.errors import ConfigurationError, NotDelivered
-from rossec.net.aio.tasks import TaskSet
+from rossec.errors import ConfigurationError, NotDelivered, RossecError
+from rossec.host.runner import TaskSet
+from rossec.naming.rule_runner import RuleRunner
+from rossec.peer_limits import printable
+from rossec.ros.names import SETTLE_RENEWALS, WATCH_RENEWALS
+
+ROUND: Final = 60.0  # seconds between two rounds
+_log = logging.getLogger("rossec.authority.service")
+
+Task = Callable[[], None]
+
+
+class Rounds:
+    """Calls its tasks, one after the other.
+
+    Args:
+        in_thread: calls a task in a thread.
+    """
+
+    def __init__(self, in_thread: Callable[[Task], Awaitable[None]]) -> None:
+        self._in_thread = in_thread
+        self._tasks: list[Task] = []
+        self._due = asyncio.Event()
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    def add(self, task: Task, *, first: bool = False) -> None:
+        """Call `task` in every round, as the last or `first` one."""
+        self._tasks.insert(0 if first else len(self._tasks), task)
+
+    def wake(self) -> None:
+        """Begin a round now; for every thread."""
+        if self._loop is not None and not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self._due.set)
+
+    async def run(self) -> None:
+        """Do rounds until this is cancelled."""
+        self._loop = asyncio.get_running_loop()
+        while True:
+            self._due.clear()
+            for task in self._tasks:
+                try:
+                    await self._in_thread(task)
+                except Exception:  # noqa: BLE001 - without the next, revocations would stay behind
+                    _log.exception("a round of the authority failed")
+            try:
+                async with asyncio.timeout(ROUND):
+                    await self._due.wait()
+            except TimeoutError:
+                continue
+
+
+CHILDREN: Final = 2
+SECONDS: Final = 1.0  # for one answer of the rules
+
+
+class JoinNames:
+    """The rules of one authority; without rules no node is named.
+
+    Args:
+        rules: a stylesheet, or None.
+    """
+
+    def __init__(self, rules: bytes | None) -> None:
+        self._runner: RuleRunner | None = None
+        if rules is not None:
+            self._runner = RuleRunner(rules, children=CHILDREN, seconds=SECONDS)
+
+    async def __aenter__(self) -> Self:
+        """Try the rules.
+
+        Raises:
+            RossecError: they are refused, or cannot be applied here; as `RuleRunner`.
+        """
+        if self._runner is not None:
+            await self._runner.__aenter__()
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._runner is not None:
+            self._runner.close()
+
+    async def answer(self, metadata: bytes, pattern: str) -> NameAnswer:
+        """The name for `metadata`, if an invitation for `pattern` allows it."""
+        if self._runner is None:
+            return Refused(RefuseReason.UNNAMED)
+        try:
+            name = await self._runner.name(metadata)
+        except RossecError as error:
+            _log.warning("a node that joins has no name: %s", printable(error))
+            return Refused(RefuseReason.METADATA)
+        if is_reserved(name) or not pattern_covers(pattern, name):
+            return Refused(RefuseReason.NAME)
+        return Named(name)
+
+
+WITHIN: Final = 40  # seconds for a call that waits at the master
+SETTLE_WITHIN: Final = 15
+LOCKED_PAUSE: Final = 10.0  # seconds until a locked service looks again
+FIRST_PAUSE: Final = 1.0  # seconds after a failure, doubled up to
+LONGEST_PAUSE: Final = 30.0
+QUIET: Final = 60.0  # seconds out of reach until it is said: it may start after the service
+
+Renew = Callable[[list[bytes]], Awaitable[list[tuple[bytes, bytes, str]]]]
+
+
+class CallsMaster(Protocol):
+    """What calls the master (`FaceProcess`)."""
+
+    async def call(self, method: str, arguments: list[Value], within: int) -> Value:
+        """The value of its answer."""
+
+
+class RenewalWatch:
+    """Renews identities until it is cancelled.
+
+    Args:
+        face: calls the master.
+        work: says whether the key is held.
+        renew: answers requests, in the thread of the work.
+    """
+
+    def __init__(self, face: CallsMaster, work: AuthorityWork, renew: Renew) -> None:
+        self._face = face
+        self._work = work
+        self._renew = renew
+        self._looks_again = asyncio.Event()
+        self._said = ""
+
+    def wake(self) -> None:
+        """Look again now: the key may have been unlocked."""
+        self._looks_again.set()
+
+    async def run(self) -> None:
+        """Ask the master, and answer, again and again."""
+        pause, reached = FIRST_PAUSE, time.monotonic()
+        while True:
+            self._looks_again.clear()
+            locked, began = self._work.is_locked, time.monotonic()
+            try:
+                found = await self._look(locked=locked)
+            except Exception as error:  # noqa: BLE001 - a crash must not end all renewals
+                if not isinstance(error, HintedError | OSError):  # a TimeoutError is one
+                    _log.exception("renewing identities failed")
+                if time.monotonic() - reached >= QUIET:
+                    cause = printable(error) or "no answer in time"
+                    self._say(f"no identities are renewed: {cause}")
+                await self._wait(pause)
+                pause = min(2 * pause, LONGEST_PAUSE)
+                continue
+            pause, reached = FIRST_PAUSE, time.monotonic()
+            if locked:
+                await self._wait(LOCKED_PAUSE)
+            elif found:
+                self._said = ""
+            elif time.monotonic() - began < FIRST_PAUSE:  # it should have waited
+                await self._wait(FIRST_PAUSE)
+
+    async def _look(self, *, locked: bool) -> int:
+        """Ask the master once; returns how many requests were answered.
+
+        Raises:
+            HintedError, TimeoutError: it is out of reach, or of an older version.
+        """
+        answer = await self._face.call(WATCH_RENEWALS, [int(locked)], WITHIN)
+        match answer:
+            case {"renewals": list() as items, "waiting": int() as waiting}:
+                requests = [item for item in items if isinstance(item, bytes)]
+            case _:
+                requests, waiting = [], 0
+        if locked and waiting:
+            self._say(
+                f"{waiting} {'node waits' if waiting == 1 else 'nodes wait'} for a new identity,"
+                " and the key is locked: rossec ca unlock --for 8h"
+            )
+        if not requests:
+            return 0
+        answers = await self._renew(requests)
+        settled: list[Value] = [[digest, bundle, reason] for digest, bundle, reason in answers]
+        if settled:
+            await self._face.call(SETTLE_RENEWALS, [settled], SETTLE_WITHIN)
+        return len(settled)
+
+    async def _wait(self, seconds: float) -> None:
+        try:
+            async with asyncio.timeout(seconds):
+                await self._looks_again.wait()
+        except TimeoutError:
+            return
+
+    def _say(self, text: str) -> None:
+        """Once, until something else is to be said."""
+        if text != self._said:
+            _log.warning("%s", text)
+        self._said = text
+
 
 _WITHIN: Final = 30.0  # seconds for a call at the master that does not say
 SLOW: Final = 1.0  # seconds in which a master that runs, or does not, has answered
 PAUSE: Final = 45.0  # seconds without calls after one that failed slowly; less than a round
 _OTHER_NAME: Final = Refused(RefuseReason.NAME)
 _T = TypeVar("_T")
-_log = logging.getLogger("rossec.authority.service")
 
 
 class NetworkWork:

@@ -1,29 +1,224 @@
-"""The process that holds the key, while it runs: socket, time and audit put together. A shell."""
+"""The process that holds the key, while it runs: socket, time and audit put together. A shell.
+
+Who asks the service: the user, the process and its command line, for the audit.
+
+The kernel says which process connected (SO_PEERCRED). Its command line is read from /proc at that
+moment and is what the process itself says: a process can change it, or end and another one get its
+number. It is evidence for a person who reads the audit, and decides nothing.
+
+A socket of the service: `ca/service.sock`, for the user of the authority alone. A shell.
+
+Every connection is one caller, admitted by the user id that the kernel reports. It may send any
+number of requests, one after the other. Its number of connections, the size of a message and the
+time for one are bounded; what is malformed is answered with a refusal and ends the connection.
+
+The service's side of its network face: starts it, answers it, starts it again. A shell.
+
+The face is executed anew, so that nothing of the service's memory is in it, and started first while
+the service has no key. Its end of a socketpair is the only descriptor it inherits. A face that dies
+is replaced, each time later; one that breaks the protocol is killed before.
+"""
 
 import asyncio
 import logging
-from collections.abc import Callable
-from typing import Final
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Awaitable, Callable, Collection, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Final, NamedTuple
 
 from ca.authority import Authority
 from ca.encoding import Value
 from ca.errors import HintedError
-from ca.keys.signer import Signer
+from ca.keys.signing import Signer
 from rossec import clock
 from rossec.authority.home import AuthorityHome, fingerprint
-from rossec.authority.keyservice import messages, recognize
-from rossec.authority.keyservice.caller import Caller
-from rossec.authority.keyservice.held_key import HeldKey
+from rossec.authority.keyservice import messages
+from rossec.authority.keyservice.inner_channel import Handler, InnerChannel
 from rossec.authority.keyservice.messages import SOCKET, Request
-from rossec.authority.keyservice.operations import KeyOperations
-from rossec.authority.keyservice.server import KeyServer
-from rossec.errors import KeyServiceRefused
-from rossec.net.host.peeruid import UnixPeer
-from rossec.operation.audit import AuditFile
-from rossec.operation.audit_log import AUDIT
+from rossec.authority.keyservice.operations import HeldKey, KeyOperations
+from rossec.errors import ConfigurationError, KeyMessageRefused, KeyServiceRefused, PeerUserRefused
+from rossec.host.audit import AUDIT, AuditFile
+from rossec.host.local_sockets import UnixPeer, listen_at, raw_socket, require_user, unix_peer
+from rossec.host.runner import reap
+from rossec.peer_limits import printable
+
+_MAX_READ: Final = 4096  # bytes
+_MAX_SHOWN: Final = 300  # characters
+
+
+class Caller(NamedTuple):
+    """A process that asks, as the audit names it."""
+
+    user: int
+    process: int
+    command: str
+
+    def __str__(self) -> str:
+        return f"user {self.user}, process {self.process}: {self.command}"
+
+
+def caller_of(peer: UnixPeer, proc: Path = Path("/proc")) -> Caller:
+    """The caller at the other end of a unix socket."""
+    try:
+        with (proc / str(peer.process) / "cmdline").open("rb") as file:
+            data = file.read(_MAX_READ)
+    except OSError:
+        data = b""
+    words = data.rstrip(b"\0").replace(b"\0", b" ").decode(errors="replace")
+    return Caller(peer.user, peer.process, printable(words, _MAX_SHOWN) or "(unknown)")
+
+
+MAX_CALLERS: Final = 64
+IDLE: Final = 120.0  # seconds between two requests of a caller
+DEADLINE: Final = 10.0  # seconds from the first byte of a request to its last, and for an answer
+_log = logging.getLogger("rossec.authority.service")
+
+CarryOut = Callable[[Request, Caller], Awaitable[Value]]
+
+
+def admit_all(_: UnixPeer) -> None:
+    """Admit every process of the user."""
+
+
+class SocketRules(NamedTuple):
+    """What a socket takes, and from whom.
+
+    Args:
+        read_request: reads the body of a frame. Raises `KeyMessageRefused`.
+        max_request: bytes of the body.
+        max_callers: connections at a time.
+        users: who may connect; empty: the user of this process.
+    """
+
+    read_request: Callable[[bytes], Request] = messages.read_request
+    max_request: int = messages.MAX_FRAME
+    max_callers: int = MAX_CALLERS
+    users: Collection[int] = ()
+
+
+KEY_RULES: Final = SocketRules()
+
+
+class KeyServer:
+    """Listens at `path`.
+
+    Args:
+        path: of the socket; a stale one is replaced, so the caller holds the lock of the service.
+        carry_out: carries out one request. Raises `HintedError` for a refusal.
+        admit: raises `PeerUserRefused` for a process that may not ask.
+        rules: of the socket.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        carry_out: CarryOut,
+        admit: Callable[[UnixPeer], None] = admit_all,
+        rules: SocketRules = KEY_RULES,
+    ) -> None:
+        self._path = path
+        self._carry_out = carry_out
+        self._admit = admit
+        self._rules = rules
+        self._server: asyncio.Server | None = None
+        self._callers: set[asyncio.StreamWriter] = set()
+
+    async def start(self) -> None:
+        """Listen.
+
+        Raises:
+            ConfigurationError: the path is too long.
+        """
+        self._path.unlink(missing_ok=True)
+        self._server = await asyncio.start_unix_server(
+            self._serve, sock=self._listen(), limit=self._rules.max_request
+        )
+
+    def _listen(self) -> socket.socket:
+        sock = listen_at(self._path)
+        if self._rules.users:
+            self._path.chmod(0o666)  # the directory, and who connects, decide
+        return sock
+
+    async def close(self) -> None:
+        """Stop listening, and end every connection."""
+        if self._server is not None:
+            self._server.close()
+            self._path.unlink(missing_ok=True)
+        for writer in self._callers:
+            writer.transport.abort()
+        await asyncio.sleep(0)  # the sockets are closed by then
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._callers.add(writer)
+        try:
+            with suppress(TimeoutError, OSError, asyncio.IncompleteReadError):
+                await self._answer_all(reader, writer)
+        except Exception:  # noqa: BLE001 - a check that crashes closes the connection
+            _log.exception("a connection to the service ended")
+        finally:
+            self._callers.discard(writer)
+            writer.transport.abort()
+
+    async def _answer_all(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        caller = self._admitted(writer)
+        if len(self._callers) > self._rules.max_callers:
+            busy = KeyServiceRefused(
+                f"{self._rules.max_callers} programs use the authority's service now", "try again"
+            )
+            await _send(writer, messages.write_refusal(busy))
+            return
+        while True:
+            async with asyncio.timeout(IDLE):
+                first = await reader.readexactly(1)
+            try:
+                async with asyncio.timeout(DEADLINE):
+                    body = await _read_frame(reader, first, self._rules.max_request)
+                    request = self._rules.read_request(body)
+            except KeyMessageRefused as error:
+                await _send(writer, messages.write_refusal(error))
+                return
+            await _send(writer, await self._answer(request, caller))
+
+    def _admitted(self, writer: asyncio.StreamWriter) -> Caller:
+        """Who is at the other end, if it may ask.
+
+        Raises:
+            OSError: it may not; it gets no answer.
+        """
+        try:
+            sock = raw_socket(writer.get_extra_info("socket"))
+            require_user(sock, self._rules.users or {os.geteuid()})
+            peer = unix_peer(sock)
+            self._admit(peer)
+        except PeerUserRefused as error:
+            _log.warning("refused at the authority's service: %s", error)
+            raise OSError("refused") from error
+        return caller_of(peer)
+
+    async def _answer(self, request: Request, caller: Caller) -> bytes:
+        try:
+            return messages.write_answer(await self._carry_out(request, caller))
+        except HintedError as error:
+            return messages.write_refusal(error)
+
+
+async def _read_frame(reader: asyncio.StreamReader, first: bytes, limit: int) -> bytes:
+    head = first + await reader.readexactly(messages.HEAD - 1)
+    return await reader.readexactly(messages.frame_size(head, limit))
+
+
+async def _send(writer: asyncio.StreamWriter, data: bytes) -> None:
+    writer.write(data)
+    async with asyncio.timeout(DEADLINE):
+        await writer.drain()
+
 
 TICK: Final = 1.0  # seconds between two looks at the clock
-_log = logging.getLogger("rossec.authority.service")
 
 
 def operations_of(
@@ -45,7 +240,7 @@ def operations_of(
         """The key, if it belongs to the certificate."""
         return Authority(home.load_key(secret), anchor.certificate, own).signer
 
-    authority = recognize.Authority(subject, anchor.domain)
+    authority = messages.Authority(subject, anchor.domain)
     describe = lambda: {**about, "join_port": join_port()}  # noqa: E731 - one expression
     return KeyOperations(HeldKey(load), authority, audit, describe)
 
@@ -114,3 +309,162 @@ class KeyServiceProcess:
         if request.operation == messages.UNLOCK:
             return await asyncio.to_thread(self.operations.carry_out, request, caller)
         return self.operations.carry_out(request, caller)
+
+
+CREDENTIALS: Final = "CREDENTIALS_DIRECTORY"  # of systemd: the passphrase may be there
+MODULE: Final = "rossec.authority.keyservice.front_end"
+START: Final = 30.0  # seconds until it listens
+MAX_DELAY: Final = 60.0
+_END: Final = 5.0  # seconds between the end of the connection and SIGKILL
+
+
+class FaceOptions(NamedTuple):
+    """Where nodes join (`host:port`), the master's URI, and the log's form."""
+
+    join_address: str
+    master_uri: str
+    log: str = "text"
+
+
+class FaceProcess:
+    """The face, from the first start to the end of the service.
+
+    Args:
+        home: of the authority.
+        options: of the face.
+        environ: its environment.
+    """
+
+    def __init__(
+        self,
+        home: AuthorityHome,
+        options: FaceOptions,
+        environ: Mapping[str, str],
+        module: str = MODULE,
+    ) -> None:
+        self.port = 0
+        self._command = [sys.executable, "-I", "-m", module]
+        self._arguments = [str(home.node().path), *options]
+        self._environ = {name: text for name, text in environ.items() if name != CREDENTIALS}
+        self._process: subprocess.Popen[bytes] | None = None
+        self._socket: socket.socket | None = None
+        self._channel: InnerChannel | None = None
+        self._started: asyncio.Future[int] | None = None
+
+    def spawn(self) -> None:
+        """Start the process; `run` connects to it."""
+        ours, theirs = socket.socketpair()
+        with theirs:
+            self._process = subprocess.Popen(  # noqa: S603 - this program's own module
+                [*self._command, str(theirs.fileno()), *self._arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                pass_fds=(theirs.fileno(),),
+                env=self._environ,
+                start_new_session=True,  # Ctrl-C is for the service, which ends the face
+            )
+        self._socket = ours
+
+    def admit(self, peer: UnixPeer) -> None:
+        """Raise for the face itself, which may start no other process: it may not ask for keys.
+
+        Raises:
+            PeerUserRefused: it is the face.
+        """
+        if self._process is not None and peer.process == self._process.pid:
+            raise PeerUserRefused("the network process may not use the service's socket")
+
+    async def run(self, join: Handler, name: Handler | None = None) -> None:
+        """Keep a face running until this is cancelled; `join` and `name` answer its requests."""
+        delay = 0.5
+        while True:
+            begin = asyncio.get_running_loop().time()
+            try:
+                await self._run_once(join, name)
+            except KeyMessageRefused as error:
+                _log.error("the network process breaks the protocol: %s", error)
+            finally:
+                await self._end()
+            lasted = asyncio.get_running_loop().time() - begin
+            delay = 1.0 if lasted > MAX_DELAY else min(MAX_DELAY, 2 * delay)
+            _log.error("the network process ended; it is started again in %.0f s", delay)
+            await asyncio.sleep(delay)
+            self.spawn()
+
+    async def started(self) -> int:
+        """Wait until the first face listens; returns its port.
+
+        Raises:
+            ConfigurationError: it cannot listen, or does not start.
+        """
+        try:
+            async with asyncio.timeout(START):
+                return await self._future()
+        except TimeoutError as error:
+            raise ConfigurationError(
+                "the network process does not start", "its messages are in the log"
+            ) from error
+
+    async def call(self, method: str, arguments: list[Value], within: int) -> Value:
+        """Have it call the master; returns the value of the answer.
+
+        Raises:
+            KeyServiceRefused: the master is out of reach or refuses, or the face is not there.
+            TimeoutError: no answer.
+        """
+        if self._channel is None:
+            raise KeyServiceRefused("the network process does not run", "it is started again")
+        operation = messages.CALL
+        return await self._channel.call(operation, method, arguments, within, within=within + 1)
+
+    async def _run_once(self, join: Handler, name: Handler | None) -> None:
+        if self._socket is None:
+            return
+        handlers: dict[str, Handler] = {
+            messages.READY: self._ready,
+            messages.FAILED: self._failed,
+            messages.JOIN: join,
+        }
+        if name is not None:
+            handlers[messages.NAME] = name
+        self._channel = InnerChannel(self._socket, handlers, messages.MAX_FROM_FACE)
+        self._socket = None
+        try:
+            await self._channel.run()
+        finally:
+            self._channel = None
+
+    async def _end(self) -> None:
+        """Reap it: it ends with the connection, or is killed. Until then `admit` refuses it."""
+        process = self._process
+        if process is None:
+            return
+        try:
+            await reap(process, _END)
+        finally:
+            self._process = None
+
+    def close(self) -> None:
+        """End a face that was started and never connected."""
+        if self._socket is not None:
+            self._socket.close()
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+
+    def _future(self) -> asyncio.Future[int]:
+        if self._started is None:
+            self._started = asyncio.get_running_loop().create_future()
+        return self._started
+
+    async def _ready(self, port: int) -> Value:
+        self.port = port
+        if not self._future().done():
+            self._future().set_result(port)
+        return None
+
+    async def _failed(self, message: str, hint: str) -> Value:
+        _log.error("%s", printable(message))
+        if not self._future().done():
+            self._future().set_exception(ConfigurationError(printable(message), printable(hint)))
+        return None

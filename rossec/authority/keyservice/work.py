@@ -13,18 +13,16 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
-from ca.enrollment.join_claim import JoinClaim
-from ca.enrollment.join_messages import Issued, Refused, RefuseReason, write
-from ca.enrollment.join_request import JoinRequest
+from ca.enrollment.invitation import JoinClaim, JoinRequest
+from ca.enrollment.join import Issued, Refused, RefuseReason, write
 from ca.errors import HintedError, RecordUnusable, StoreError
 from grants.errors import PolicyRefused
 from rossec import clock
-from rossec.authority import joining, policyfile, renewals
-from rossec.authority.grant_delivery import RefusedDeposit
+from rossec.authority import invitations, policyfile, renewals
+from rossec.authority.grant_operations import MasterCall, RefusedDeposit
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.operations import KeyOperations, OwnSigner
-from rossec.authority.master_call import MasterCall
-from rossec.authority.policy_plan import PolicyPlan
+from rossec.authority.policyfile import PolicyPlan
 from rossec.authority.service import AuthorityService
 from rossec.errors import (
     AuthorityLocked,
@@ -33,7 +31,7 @@ from rossec.errors import (
     NotDelivered,
     PolicyIncomplete,
 )
-from rossec.ros.text import printable
+from rossec.peer_limits import printable
 
 PERIOD: Final = 600  # seconds after which grants may have become due
 GRACE: Final = 50  # seconds in which a master may be started: less than a round
@@ -99,14 +97,14 @@ class AuthorityWork:
         """
         request = JoinRequest.from_bytes(data)
         with contextlib.closing(self.home().store()) as store:
-            if not joining.is_proved(store, request):  # before the authority is opened
+            if not invitations.is_proved(store, request):  # before the authority is opened
                 return write(Refused(RefuseReason.REFUSED)), None
         with self.service(JOIN_PURPOSE) as service:
             try:
-                answer = joining.join(service.unlock(), request, self._now())
+                answer = invitations.join(service.unlock(), request, self._now())
             except AuthorityLocked:
                 with contextlib.closing(service.home.store()) as store:
-                    answer = joining.join_locked(store, request, self._now())
+                    answer = invitations.join_locked(store, request, self._now())
         return write(answer), request.name if isinstance(answer, Issued) else None
 
     def renew_identities(self, requests: Iterable[bytes]) -> list[tuple[bytes, bytes, str]]:
@@ -142,7 +140,7 @@ class AuthorityWork:
             HintedError: it could not be decided now.
         """
         with contextlib.closing(self.home().store()) as store:
-            return joining.allowed_pattern(store, asked, self._now())
+            return invitations.allowed_pattern(store, asked, self._now())
 
     def was_issued(self, request: JoinRequest) -> bool:
         """Whether there is an identity for exactly this request.

@@ -28,7 +28,7 @@ from typing import Final, Protocol, TypeAlias, TypeVar
 from weakref import WeakValueDictionary
 
 from ca.encoding import Value, encode
-from ca.keys.signer import Signer
+from ca.keys.signing import Signer
 from rossec.channel.edhoc.suites import PublicKey, bstr
 from rossec.errors import HandshakeFailed, PeerCredentialUnknown
 

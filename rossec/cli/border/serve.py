@@ -4,18 +4,17 @@ import asyncio
 from typing import Final
 
 from rossec import clock
-from rossec.border import status
+from rossec.border import border_router
+from rossec.border.border_router import BorderRouter
 from rossec.border.handshakes import StaticKey
-from rossec.border.router import BorderRouter
 from rossec.cli.shared.context import Environment, now
 from rossec.cli.shared.master import with_master
 from rossec.errors import ConfigurationError, NotWritten
 from rossec.home import NodeHome
-from rossec.master.operation.descriptor_limit import raise_descriptor_limit
-from rossec.operation.process_lock import process_lock
-from rossec.operation.shutdown import stop_on_signals, until_first_ends
-from rossec.operation.systemd import READY, STOPPING, notify
-from rossec.saved_things import ThingFiles
+from rossec.host.local_sockets import process_lock
+from rossec.host.runner import READY, STOPPING, notify, stop_on_signals, until_first_ends
+from rossec.master.operation.admin import raise_descriptor_limit
+from rossec.saved_statements import ThingFiles
 from rossec.terminal import note, say, say_json
 
 LOCK: Final = "border.lock"
@@ -55,7 +54,7 @@ async def _serve(
         notify(STOPPING, environment.variables)
     finally:
         await router.close()
-        (home.path / status.FILE).unlink(missing_ok=True)
+        (home.path / border_router.STATUS_FILE).unlink(missing_ok=True)
 
 
 def _print_ready(router: BorderRouter, *, as_json: bool) -> None:
@@ -74,7 +73,9 @@ async def _write_status(router: BorderRouter) -> None:
     """Say what it does, again and again; a full disk is no reason to end."""
     while True:
         try:
-            status.write(router.node.home.path, status.describe(router, clock.now()))
+            border_router.write_status(
+                router.node.home.path, border_router.describe_status(router, clock.now())
+            )
         except NotWritten as error:
             note(str(error))
-        await asyncio.sleep(status.PERIOD)
+        await asyncio.sleep(border_router.STATUS_PERIOD)

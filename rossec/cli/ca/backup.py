@@ -4,16 +4,16 @@ from pathlib import Path
 
 import click
 
-from ca.domains.lists import MAX_LIST as MAX_DOMAINS
-from ca.store.backup import MAX_BACKUP
+from ca.domains.trust import MAX_LIST as MAX_DOMAINS
+from ca.keys.passphrases import MAX_BACKUP
 from rossec import files
+from rossec.authority import backup as authority_contents
 from rossec.authority import backup as backups
-from rossec.authority import contents, restored_lists
+from rossec.authority import restored_lists
 from rossec.authority.home import AuthorityHome, fingerprint
 from rossec.cli.shared import options, passphrase
-from rossec.cli.shared.busy import working
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.results import json_result
+from rossec.cli.shared.options import json_result, working
 from rossec.terminal import note, printable, record, say
 
 
@@ -32,7 +32,7 @@ def backup(environment: Environment, file: Path, passphrase_file: Path | None) -
     with working("encrypting the backup"):
         home.unlock(secret).store.close()  # a backup that its key does not open is invalid
         files.create(file, backups.back_up(home, secret))
-    left = contents.undeclared(home.path)
+    left = authority_contents.undeclared(home.path)
     found = fingerprint(home.anchor())
     record(domain=home.domain, file=str(file), fingerprint=found, left_out=left)
     for name in left:

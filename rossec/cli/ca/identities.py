@@ -1,28 +1,40 @@
-"""`rossec ca list | show | renew`: the identities of the authority, and their renewal."""
+"""`rossec ca list | show | renew`: the identities of the authority, and their renewal.
 
+`rossec ca revoke | refresh | publish`: revoke identities, sign the list, deliver it.
+
+`rossec ca invitations`: which there are, who joined by them, and how they end.
+
+`rossec ca log`: what the authority did, whether the log is complete, and proofs for others.
+"""
+
+import base64
+import contextlib
 from pathlib import Path
 from typing import Any
 
 import click
 
 from ca.authority import DAY, MAX_LIFETIME
+from ca.certificates import renew_at
 from ca.errors import HintedError
-from ca.renewal import renew_at
+from ca.names import is_alias, local_name, shown
 from ca.store.record import Store
-from ca.store.rows import CertificateRow
+from ca.store.values import CertificateRow, LogEntry, leaf, open_head
 from rossec import files, terminal
-from rossec.authority import thing_records as things
+from rossec.authority import restored_lists
+from rossec.authority import signing as things
 from rossec.authority.home import AuthorityHome, fingerprint, format_fingerprint
+from rossec.authority.invitations import InvitationStatus, end, find, invitations, revoke_nodes
 from rossec.authority.service import AuthorityService
 from rossec.authority.signing import OWN_NODE
-from rossec.cli.shared.batch import Batch, unique
+from rossec.cli.shared import options
 from rossec.cli.shared.context import Duration, Environment, now, pass_environment
-from rossec.cli.shared.results import json_result
-from rossec.cli.shared.service import pass_service, remind_to_publish
+from rossec.cli.shared.options import Batch, json_result, unique, working
+from rossec.cli.shared.service import pass_service, publish_list, remind_to_publish
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.terminal import note, record, say, say_json
+from rossec.terminal import note, printable, record, say, say_json
 
 _ITS = "its machine", "their machines"
 
@@ -212,3 +224,322 @@ def _install(service: AuthorityService, name: str, bundle: Path) -> bool:
     record(installed=str(home.path))
     say(f"installed in {home.path}")
     return True
+
+
+@click.command()
+@options.master_uri
+@json_result()
+@pass_service
+def publish(service: AuthorityService) -> None:
+    """Give the newest revocation list to the master.
+
+    The passphrase is needed only where something is revoked that is in no signed list yet.
+    """
+    if count := service.home.count_unlisted(now()):
+        note(f"{count} revocation{'s' * (count != 1)} in no signed list yet: it is signed anew")
+        service.complete_list()
+    record(published=False)
+    service.publish()
+    record(published=True)
+    say("the master has the newest list")
+
+
+@click.command()
+@click.option(
+    "--list", "older", type=options.FILE,
+    help="first revoke what this list revokes: a node's, from before a restore that lacked it",
+)  # fmt: skip
+@click.option(
+    "--entries", type=options.FILE,
+    help="of that list where it is a tree; by default revocations.entries beside it",
+)  # fmt: skip
+@options.master_uri
+@json_result()
+@pass_service
+def refresh(service: AuthorityService, older: Path | None, entries: Path | None) -> None:
+    """Sign the revocation list anew, before it expires, and give it to the master.
+
+    The authority's own node is renewed as well when two thirds of its life are over.
+    """
+    if older is not None:
+        taken = service.take_over_revocations(*restored_lists.read_files(older, entries))
+        say(f"{taken} revocations were taken over from {older}")
+    listed, renewed = service.refresh()
+    record(list=listed.seq, expires=listed.expires, own_identity_expires=renewed)
+    if renewed is not None:
+        say(f"renewed {OWN_NODE} until {format_time(renewed)}")
+    say(f"list {listed.seq} holds until {format_time(listed.expires)}")
+    publish_list(service)
+
+
+@click.command()
+@click.argument("names", metavar="NAME...", nargs=-1, required=True)
+@click.option("--reason", default="", help="why, for the record")
+@click.option(
+    "--certificate", type=options.FILE,
+    help="of a node of another domain: revoke the key in this node.pem, and no other",
+)  # fmt: skip
+@click.option(
+    "--thing", "of_thing", is_flag=True,
+    help="revoke what is said of the thing NAME; the node that stands for it keeps its identity",
+)  # fmt: skip
+@options.master_uri
+@json_result()
+@pass_service
+def revoke(
+    service: AuthorityService,
+    names: tuple[str, ...],
+    reason: str,
+    certificate: Path | None,
+    of_thing: bool,
+) -> None:
+    """Revoke the identity of the node NAME, or with --thing the thing NAME, at once.
+
+    Its connections end and its key is never trusted again; to return it needs a new key. With a
+    border router its things end as well: it has the keys of their nodes.
+
+    NAME may be one of another domain, as hospital:/rounds/robot3: every key of it that is recorded
+    here (by rossec grant sign) is refused in this domain, whatever its own authority says. Where
+    one of several is refused the others are revoked, and the exit code is 1.
+    """
+    names = unique(names)
+    if certificate is not None and len(names) > 1:
+        raise click.UsageError("--certificate is of one NAME")
+    if len(names) > 1:
+        service.unlock()  # a wrong passphrase is no fault of a name
+    batch = Batch(len(names), "name")
+    for name in names:
+        with batch.item(name):
+            say(_revoke_thing(service, name, reason) if of_thing
+                else _revoke_node(service, name, reason, certificate))  # fmt: skip
+    if batch.done:
+        publish_list(service)
+    batch.finish()
+
+
+def _revoke_thing(service: AuthorityService, name: str, reason: str) -> str:
+    listed, count = service.revoke_thing(name, reason)
+    record(statements=count, list=listed.seq)
+    return f"revoked the thing {name}, {count} statement{'s' * (count != 1)} (list {listed.seq})"
+
+
+def _revoke_node(
+    service: AuthorityService, name: str, reason: str, certificate: Path | None
+) -> str:
+    local = local_name(name)
+    if is_alias(local):
+        pem = b"" if certificate is None else files.read(certificate, options.MAX_PEM)
+        listed, count = service.revoke_foreigner(local, reason, pem)
+    elif certificate is not None:
+        raise ConfigurationError(
+            f"{name} is a node of this domain, whose keys are in the record",
+            "--certificate is for nodes of other domains: LABEL:/NAME",
+        )
+    else:
+        listed, count = service.revoke_identity(name, reason)
+        for intermediate in service.intermediates():
+            note(
+                f"{intermediate} may have certified other keys for {shown(local)}, which are not"
+                " in this record: rossec ca import NODE.pem and revoke again, or revoke"
+                f" {intermediate}"
+            )
+    record(keys=count, list=listed.seq)
+    return f"revoked {shown(local)}, {count} key{'s' * (count != 1)} (list {listed.seq})"
+
+
+_REASON = "the invitation was revoked"
+
+
+def show_invitations(environment: Environment, *, everything: bool, in_json: bool) -> None:
+    """Show the invitations that can be used, or all of them."""
+    at = now()
+    with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
+        found = [each for each in invitations(store) if everything or each.state(at) == "open"]
+    if in_json:
+        say_json([_summary(each, at) for each in found])
+        return
+    for each in found:
+        for line in _lines(each, at):
+            say(line)
+    if not found:
+        say("no invitations" if everything else "no open invitations")
+
+
+@click.command()
+@click.argument("invitation_ids", metavar="INVITATION_ID...", nargs=-1, required=True)
+@click.option("--and-nodes", is_flag=True, help="also revoke every node that joined by it")
+@click.option("--reason", default=_REASON, help="why, for the record")
+@options.master_uri
+@json_result()
+@pass_service
+def revoke_invitations(
+    service: AuthorityService, invitation_ids: tuple[str, ...], and_nodes: bool, reason: str
+) -> None:
+    """End the invitation INVITATION_ID (or its beginning); who joined by it stays enrolled.
+
+    Requests that wait for a person because of it are denied. With --and-nodes every key of the
+    names that joined by it is revoked, and the master is notified at once. The first needs no key,
+    so it is done also where the second cannot be.
+    """
+    ids, ended = unique(invitation_ids), list[InvitationStatus]()
+    batch = Batch(len(ids), "id")
+    for invitation_id in ids:
+        with batch.item(invitation_id):
+            ended.append(_end(service, invitation_id, reason))
+            if not and_nodes and (uses := ended[-1].uses):
+                note(f"{len(uses)} joined by it and stay enrolled; to revoke them: --and-nodes")
+    if and_nodes and ended:
+        _revoke_nodes(service, ended, reason)
+    batch.finish()
+
+
+def _end(service: AuthorityService, invitation_id: str, reason: str) -> InvitationStatus:
+    with contextlib.closing(service.home.store()) as store:
+        found = find(store, invitation_id)
+        denied = end(store, found, reason, now())
+    record(invitation=found.row.id.hex(), denied=denied)
+    say(f"invitation {found.short_id} is ended")
+    if denied:
+        say(f"denied {denied} request{'s' * (denied != 1)} that waited")
+    return found
+
+
+def _revoke_nodes(service: AuthorityService, ended: list[InvitationStatus], reason: str) -> None:
+    revoked, lists = list[str](), list[object]()
+    for found in ended:
+        listed, names = revoke_nodes(service.unlock(), found, reason, now())
+        revoked += names
+        lists += [listed] * (listed is not None)
+    record(revoked_nodes=revoked)
+    for name in revoked:
+        say(f"revoked {name}")
+    if lists:
+        publish_list(service)
+    else:
+        say("no node that joined by it is left to revoke")
+        remind_to_publish(service)
+
+
+def _lines(each: InvitationStatus, at: int) -> list[str]:
+    row = each.row
+    anonymous = "  for anonymous nodes too" if row.wildcard else ""
+    joined = f"{len(each.uses)} of {row.uses} joined"
+    until = f"until {format_time(row.expires)}{anonymous}"
+    return [
+        "  ".join((each.short_id, printable(each.state(at)), row.pattern, joined, until)),
+        *(f"  {use.name}  {format_time(use.at)}" for use in each.uses),
+    ]
+
+
+def _summary(each: InvitationStatus, at: int) -> dict[str, object]:
+    row = each.row
+    return {
+        "id": row.id.hex(),
+        "state": each.state(at).partition(":")[0],
+        "reason": each.ended or "",
+        "pattern": row.pattern,
+        "uses": row.uses,
+        "anonymous": row.wildcard,
+        "made": row.at,
+        "until": row.expires,
+        "joined": [
+            {"name": use.name, "key": use.thumbprint.hex(), "at": use.at} for use in each.uses
+        ],
+    }
+
+
+_MAX_HEAD = 4096
+
+
+def show_log(environment: Environment, last: int | None, *, in_json: bool) -> None:
+    """Show the newest `last` entries, by default all."""
+    entries = AuthorityHome.at(environment.home).store().log.entries()[-(last or 0) :]
+    if in_json:
+        say_json([_as_json(entry) for entry in entries])
+        return
+    for entry in entries:
+        words = [str(entry.number), format_time(entry.at), entry.what, entry.subject, entry.detail]
+        say(printable("  ".join(filter(None, words))))
+
+
+@click.command()
+@click.option(
+    "--head", "heads", multiple=True, type=options.FILE,
+    help="a signed head kept elsewhere (rossec ca log head)",
+)  # fmt: skip
+@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@pass_environment
+def verify(environment: Environment, heads: tuple[Path, ...], in_json: bool) -> None:
+    """Recompute the whole log and compare it with the record and with every signed head.
+
+    Exit code 1 and the number of the first wrong entry, if anything is not as it was written.
+    """
+    home = AuthorityHome.at(environment.home)
+    store = home.store()
+    kept = [files.read(path, _MAX_HEAD) for path in heads]
+    with working("recomputing the log", quiet=in_json):
+        newest = store.log.audit(home.own_key(), *kept)
+    size = store.log.head(now()).size
+    if in_json:
+        say_json({"entries": size, "signed": newest.size, "at": newest.issued})
+        return
+    say(f"{size} entries, all as they were written")
+    if newest.size:
+        say(f"the first {newest.size} are signed, {format_time(newest.issued)}")
+    else:
+        say("none of them is signed: next, rossec ca log head")
+    if not heads:
+        note("a head kept elsewhere proves more: the owner of this file could rewrite all of it")
+
+
+@click.command()
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="write it here")
+@json_result()
+@pass_service
+def head(service: AuthorityService, out: Path | None) -> None:
+    """Sign the state of the log, to be kept elsewhere."""
+    data = service.sign_head()
+    remind_to_publish(service)
+    size = open_head(data, service.home.own_key()).size
+    record(entries=size, head=base64.b64encode(data).decode())
+    if out is None:
+        say(base64.b64encode(data).decode())
+        return
+    files.replace(out, data, 0o644)
+    record(file=str(out))
+    say(f"head of {size} entries: {out}")
+
+
+@click.command()
+@click.option("--entry", type=click.IntRange(0), help="prove that this entry is in the log")
+@click.option(
+    "--since", type=options.FILE,
+    help="prove that the log continues this signed head",
+)  # fmt: skip
+@pass_environment
+def prove(environment: Environment, entry: int | None, since: Path | None) -> None:
+    """Print a proof, as JSON, against the newest signed head (RFC 6962)."""
+    home = AuthorityHome.at(environment.home)
+    if (entry is None) == (since is None):
+        raise ConfigurationError("there is nothing to prove, or too much", "--entry N or --since F")
+    journal = home.store().log
+    heads = journal.heads()
+    if not heads:
+        raise ConfigurationError("no state of the log was signed yet", "next: rossec ca log head")
+    signed = heads[-1]
+    newest, tree = open_head(signed, home.own_key()), journal.tree()
+    shown: dict[str, Any] = {"size": newest.size, "root": newest.root.hex()}
+    if entry is not None:
+        content = leaf(journal.entries()[entry]) if entry < len(tree) else b""
+        shown |= {"entry": entry, "leaf": content.hex()}
+        proof = tree.inclusion(entry, newest.size)
+    else:
+        old = open_head(files.read(since or Path(), _MAX_HEAD), home.own_key())
+        shown |= {"first": old.size, "first_root": old.root.hex()}
+        proof = tree.consistency(old.size, newest.size)
+    head_text = base64.b64encode(signed).decode()
+    say_json({**shown, "proof": [digest.hex() for digest in proof], "head": head_text})
+
+
+def _as_json(entry: LogEntry) -> dict[str, Any]:
+    return {**entry._asdict(), "digest": entry.digest.hex()}

@@ -5,12 +5,11 @@ from pathlib import Path
 
 import click
 
-from ca.keys.hsm import KeyUri
-from rossec.authority.home import AuthorityHome, fingerprint
-from rossec.authority.local_node import check_new, enroll_here
+from ca.keys.private_keys import KeyUri
+from rossec.authority.home import AuthorityHome, check_new, enroll_here, fingerprint
 from rossec.cli.shared import passphrase
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.results import json_result
+from rossec.cli.shared.options import json_result
 from rossec.clock import format_time
 from rossec.home import NodeHome
 from rossec.ros.names import MASTER

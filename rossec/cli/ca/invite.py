@@ -6,21 +6,21 @@ from typing import Final
 
 import click
 
-from ca.enrollment import ndef, qr
+from ca.enrollment import invitation, qr
 from ca.enrollment.invitation import InvitationCode
-from ca.patterns import check_pattern
-from grants.policy.projected_grants import projected_for_names
+from ca.names import check_pattern
+from grants.policy.wanted import projected_for_names
 from rossec import files
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import MAX_USES, invite
 from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.authority.policyfile import PolicyFile, place
 from rossec.cli.shared.context import Duration, Environment, now, pass_environment
-from rossec.cli.shared.own_address import own_address
-from rossec.cli.shared.results import json_result
+from rossec.cli.shared.master import own_address
+from rossec.cli.shared.options import json_result
 from rossec.clock import format_time
-from rossec.enrollment import address
 from rossec.errors import ConfigurationError
+from rossec.host import addresses
 from rossec.terminal import note, note_picture, printable, record, say_secret
 
 _MAX_DAYS: Final = 30
@@ -73,7 +73,7 @@ def command(
     if home.is_intermediate:
         note("  each waits for a person: this record does not know the root's names: ca requests")
     if tag is not None:
-        files.create(tag, ndef.write(code))
+        files.create(tag, invitation.write(code))
         note(f"written for an NFC tag: {tag}")
     if picture:
         note_picture(qr.terminal(code.text()))
@@ -90,18 +90,18 @@ def _address(given: str, home: AuthorityHome) -> str:
     Raises:
         ConfigurationError: not an address.
     """
-    host, port = address.split(given, _join_port(home))
-    return address.join(host, port)
+    host, port = addresses.split(given, _join_port(home))
+    return addresses.join(host, port)
 
 
 def _join_port(home: AuthorityHome) -> int:
     """The port of the service that runs, else the usual one."""
     client = KeyServiceClient.find(home.path)
     if client is None:
-        return address.JOIN_PORT
+        return addresses.JOIN_PORT
     with closing(client):
         port = client.status().get("join_port")
-    return port if isinstance(port, int) and port else address.JOIN_PORT
+    return port if isinstance(port, int) and port else addresses.JOIN_PORT
 
 
 def _describe(code: InvitationCode, uses: int, policy: list[str]) -> None:

@@ -1,42 +1,54 @@
-"""`rossec ca serve`: the authority as a service, which holds the key and lets nodes join."""
+"""`rossec ca serve`: the authority as a service, which holds the key and lets nodes join.
+
+`rossec ca unlock | lock | status`: the service that runs in the authority's directory.
+"""
 
 import asyncio
 import logging
-from contextlib import ExitStack
+import time
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
-from rossec.authority.console import console_socket
+from ca.encoding import Value
+from rossec import clock
+from rossec.authority.console import serving
 from rossec.authority.console.serving import Console
 from rossec.authority.home import AUDIT_FILE, AuthorityHome
-from rossec.authority.keyservice.face import ANY
-from rossec.authority.keyservice.face_process import FaceOptions, FaceProcess
-from rossec.authority.keyservice.lock import service_lock
+from rossec.authority.keyservice.client import KeyServiceClient, service_lock
+from rossec.authority.keyservice.front_end import ANY
 from rossec.authority.keyservice.messages import MAX_UNLOCKED, SOCKET
 from rossec.authority.keyservice.network import NetworkWork
 from rossec.authority.keyservice.process import (
+    FaceOptions,
+    FaceProcess,
     KeyServiceProcess,
     audit_to,
     operations_of,
 )
 from rossec.cli.shared import options, passphrase, rules
 from rossec.cli.shared.context import Environment, UnlockTime, pass_environment
-from rossec.cli.shared.master import master_at
-from rossec.cli.shared.own_address import own_address
+from rossec.cli.shared.master import master_at, own_address
+from rossec.cli.shared.options import json_result
 from rossec.clock import format_duration
-from rossec.enrollment import address
-from rossec.enrollment.address import JOIN_PORT
 from rossec.errors import ConfigurationError
-from rossec.net.host.peeruid import UnixPeer
-from rossec.operation.audit_log import AUDIT, audit_written
-from rossec.operation.json_log import log_as_json
-from rossec.operation.process_memory import protect_memory
-from rossec.operation.shutdown import stop_on_signals, until_first_ends
-from rossec.operation.systemd import READY, STOPPING, notify
-from rossec.ros import settings
-from rossec.terminal import say, say_json
+from rossec.host import addresses
+from rossec.host.addresses import JOIN_PORT
+from rossec.host.audit import AUDIT, audit_written
+from rossec.host.local_sockets import UnixPeer
+from rossec.host.runner import (
+    READY,
+    STOPPING,
+    log_as_json,
+    notify,
+    stop_on_signals,
+    until_first_ends,
+)
+from rossec.host.sandbox import protect_memory
+from rossec.ros import names
+from rossec.terminal import record, say, say_json
 
 OPERATOR = "the operator who started it"
 
@@ -104,10 +116,10 @@ def serve(
         raise ConfigurationError("--apply delivers grants over the network", "leave --no-network")
     if rules_path is not None and no_network:
         raise ConfigurationError("--rules are for nodes that join", "leave --no-network")
-    names = None if rules_path is None else rules.read_rules(rules_path)
+    joiners = None if rules_path is None else rules.read_rules(rules_path)
     uri = master_at(environment, home.node(), master_uri)
-    settings.parse_uri(uri, "the master's URI")
-    where = console_socket.place(home.path, console_socket_path, console_user)
+    names.parse_uri(uri, "the master's URI")
+    where = serving.place(home.path, console_socket_path, console_user)
     options_of_face = FaceOptions(join_address, uri, log)
     with ExitStack() as stack:
         protect_memory()
@@ -121,7 +133,7 @@ def serve(
             face.spawn()  # before there is a key
             network = NetworkWork(
                 environment.home, operations, face, applies=applies, policy=policy_path,
-                rules=names, renews=renews,
+                rules=joiners, renews=renews,
             )  # fmt: skip
         if not locked:
             secret = passphrase.read(passphrase_file, environment.variables)
@@ -131,8 +143,8 @@ def serve(
         console = Console(where, environment.home, operations, network, policy_path, reached)
         admit = _Admission(console, face).admit
         process = KeyServiceProcess(home, operations, admit, console.access.phone_code)
-        serving = _Serving(environment, home, process, console, face, network)
-        asyncio.run(serving.run(as_json=as_json))
+        served = _Serving(environment, home, process, console, face, network)
+        asyncio.run(served.run(as_json=as_json))
 
 
 @dataclass
@@ -204,8 +216,8 @@ def _join_address(environment: Environment, given: str, face: FaceProcess | None
         raise ConfigurationError(
             "this service has no join port", "start it without --no-network: rossec ca serve"
         )
-    host = address.split(given.replace(ANY, "localhost", 1), JOIN_PORT)[0]
-    return address.join(own_address(environment) if given.startswith(ANY) else host, face.port)
+    host = addresses.split(given.replace(ANY, "localhost", 1), JOIN_PORT)[0]
+    return addresses.join(own_address(environment) if given.startswith(ANY) else host, face.port)
 
 
 def describe_remaining(remaining: int | None) -> str:
@@ -213,3 +225,74 @@ def describe_remaining(remaining: int | None) -> str:
     if remaining is None:
         return "locked; unlock it with: rossec ca unlock --for 15m"
     return f"unlocked for {format_duration(remaining)}" if remaining else "unlocked while it runs"
+
+
+_START = "start it with: rossec ca serve"
+_STARTING = 3.0  # seconds: `rossec ca serve &` and `rossec ca unlock` may be pasted together
+_PAUSE = 0.1
+
+
+@click.command()
+@click.option(
+    "--for", "seconds", type=UnlockTime(MAX_UNLOCKED), default="15m", show_default=True,
+    help="how long the key is held; 0: while the service runs",
+)  # fmt: skip
+@passphrase.option
+@json_result()
+@pass_environment
+def unlock(environment: Environment, seconds: int, passphrase_file: Path | None) -> None:
+    """Give the running service the passphrase: it holds the key from now on, for a time.
+
+    Waits some seconds for a service that is starting.
+    """
+    with closing(_running(environment, wait=_STARTING)) as client:
+        secret = passphrase.read(passphrase_file, environment.variables)
+        found = client.unlock(secret, seconds)
+        record(**found)
+        say(_describe(found))
+
+
+@click.command()
+@json_result()
+@pass_environment
+def lock(environment: Environment) -> None:
+    """Let the running service drop the key at once."""
+    with closing(_running(environment)) as client:
+        found = client.lock()
+        record(**found)
+        say(_describe(found))
+
+
+@click.command()
+@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@pass_environment
+def status(environment: Environment, as_json: bool) -> None:
+    """Show whether the authority's service runs, and whether it holds the key."""
+    client = KeyServiceClient.find(AuthorityHome.at(environment.home).path)
+    found = None
+    if client is not None:
+        with closing(client):
+            found = client.status()
+    if as_json:
+        say_json({"running": False} if found is None else {"running": True, **found})
+    elif found is None:
+        say(f"no service runs, each command asks for the passphrase; {_START}")
+    else:
+        say(_describe(found))
+
+
+def _running(environment: Environment, wait: float = 0) -> KeyServiceClient:
+    """The service that runs, or will within `wait` seconds."""
+    directory, seconds = AuthorityHome.at(environment.home).path, clock.counter()
+    until = seconds() + wait
+    while (client := KeyServiceClient.find(directory)) is None:
+        if seconds() >= until:
+            raise ConfigurationError("the authority's service does not run", _START)
+        time.sleep(_PAUSE)
+    return client
+
+
+def _describe(found: dict[str, Value]) -> str:
+    remaining = found.get("remaining")
+    state = describe_remaining(remaining if isinstance(remaining, int) else None)
+    return f"authority of {found.get('domain')!s}: {state}"

@@ -1,23 +1,71 @@
-"""`rossec ca sign`: sign the identity requests of nodes."""
+"""`rossec ca sign`: sign the identity requests of nodes.
 
+Options of the commands that sign identities.
+
+`rossec ca intermediate`: a host that signs nodes for a limited time, below an offline root.
+
+`rossec ca import`: record at the root the identities that intermediates have signed.
+
+`rossec ca thing | things`: what the authority says of constrained things.
+"""
+
+import contextlib
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, Final
 
 import click
 
-from ca.certificates import IdentityRequest, check_request
+from ca.authority import DAY, MAX_LIFETIME
+from ca.certificates import Identity, check_intermediate_request, from_pem
 from ca.enrollment import qr
+from ca.keys.signing import thumbprint
 from ca.names import check_wildcard, spiffe_id
+from ca.svid import IdentityRequest, check_request
+from ca.things.constrained_nodes import (
+    PSK,
+    Credential,
+    ThingKey,
+    ThingStatement,
+    read_ccs,
+    read_description,
+)
 from rossec import files
+from rossec.authority import renewals
 from rossec.authority.home import AuthorityHome, format_fingerprint
-from rossec.authority.service import AuthorityService
-from rossec.cli.shared import options, signing_options
-from rossec.cli.shared.batch import Batch
-from rossec.cli.shared.context import confirm, now
-from rossec.cli.shared.outright import give_outright
-from rossec.cli.shared.results import json_result
-from rossec.cli.shared.service import pass_service, publish_if_revoked
+from rossec.authority.service import AuthorityService, SignedThing, ThingOrder
+from rossec.authority.signing import IN_FORCE, OTHER_KEY, ThingState, states
+from rossec.cli.shared import options, passphrase
+from rossec.cli.shared.context import Duration, Environment, confirm, now, pass_environment
+from rossec.cli.shared.options import Batch, json_result
+from rossec.cli.shared.service import (
+    give_outright,
+    pass_service,
+    publish_if_revoked,
+    publish_list,
+    remind_to_publish,
+)
+from rossec.clock import format_time
 from rossec.errors import ConfigurationError
-from rossec.terminal import printable, record, say
+from rossec.terminal import printable, record, say, say_json
+
+identity_lifetime = click.option(
+    "--for", "lifetime", type=Duration(MAX_LIFETIME // DAY), default="30d", show_default=True,
+    help="how long the identity lasts",
+)  # fmt: skip
+anonymous = click.option(
+    "--anonymous", is_flag=True,
+    help="for anonymous nodes too: /rviz also as /rviz_1234_1700000000000",
+)  # fmt: skip
+
+
+def replace_key(*, multiple: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Add `--replace-key` to a command that signs one identity, or `multiple`."""
+    return click.option(
+        "--replace-key", "replaced", multiple=multiple, metavar="NAME",
+        help="let the known name NAME come with another key; revokes the old one",
+    )  # fmt: skip
+
 
 _MAX_REQUEST = 16 * 1024
 
@@ -27,9 +75,9 @@ _MAX_REQUEST = 16 * 1024
 @click.option(
     "--code", "codes", multiple=True, help="text of the QR code the node shows; one per request"
 )
-@signing_options.identity_lifetime
-@signing_options.replace_key(multiple=True)
-@signing_options.anonymous
+@identity_lifetime
+@replace_key(multiple=True)
+@anonymous
 @options.master_uri
 @click.option("--yes", is_flag=True, help="do not ask")
 @json_result()
@@ -130,3 +178,309 @@ def _read(path: Path) -> bytes:
 
 def _count(number: int) -> str:
     return "this identity" if number == 1 else f"these {number} identities"
+
+
+_MAX_FILE = 16 * 1024
+
+
+@click.command()
+@click.argument("domain")
+@passphrase.option
+@json_result()
+@pass_environment
+def request_intermediate(
+    environment: Environment, domain: str, passphrase_file: Path | None
+) -> None:
+    """On the host: make its key and a request, to carry to the root of DOMAIN."""
+    secret = passphrase.choose(passphrase_file, environment.variables)
+    path = renewals.begin(environment.home, domain, secret)
+    key = check_intermediate_request(path.read_bytes(), domain)
+    record(domain=domain, file=str(path), key=thumbprint(key).hex())
+    say(f"request of an intermediate of {domain}: {path}")
+    say(f"fingerprint {format_fingerprint(thumbprint(key))}")
+    say(f"next, at the root: rossec ca intermediate sign {path} --may renew")
+
+
+@click.command()
+@click.argument("request", type=options.FILE)
+@click.option(
+    "--may", required=True, type=click.Choice(["renew", "enroll"]),
+    help="renew identities that exist, or enroll new nodes as well",
+)  # fmt: skip
+@click.option(
+    "--for", "lifetime", type=Duration(MAX_LIFETIME // DAY), default="90d", show_default=True,
+    help="how long it may sign",
+)  # fmt: skip
+@click.option("--yes", is_flag=True, help="do not ask")
+@json_result()
+@pass_service
+def sign_intermediate(
+    service: AuthorityService, request: Path, may: str, lifetime: int, yes: bool
+) -> None:
+    """At the root: sign REQUEST of a host, and set what it may do."""
+    domain = service.home.domain
+    data = files.read(request, _MAX_FILE)
+    key = check_intermediate_request(data, domain)
+    powers = "renew identities" + (" and enroll new nodes" if may == "enroll" else "")
+    say(f"an intermediate of {domain} that may {powers} until {format_time(now() + lifetime)}")
+    say(f"  fingerprint {format_fingerprint(thumbprint(key))}")
+    confirm("is this the fingerprint its host shows, and sign it?", yes=yes)
+    name, bundle = service.sign_intermediate(data, may_enroll=may == "enroll", lifetime=lifetime)
+    target = request.with_suffix(".pem")
+    files.replace(target, bundle, 0o644)
+    record(name=name, file=str(target), key=thumbprint(key).hex(), may=may)
+    say(f"signed {name}: {target}")
+    say(f"to revoke it, with all it signed: rossec ca revoke {name}")
+    remind_to_publish(service)
+
+
+@click.command()
+@click.argument("bundle", type=options.FILE)
+@passphrase.option
+@json_result()
+@pass_environment
+def install_intermediate(
+    environment: Environment, bundle: Path, passphrase_file: Path | None
+) -> None:
+    """On the host: install BUNDLE, which the root signed."""
+    data = files.read(bundle, _MAX_FILE)
+    secret = passphrase.read(passphrase_file, environment.variables)
+    found = renewals.install(environment.home, data, secret, now())
+    powers = "renew and enroll" if found.may_enroll else "renew"
+    record(may=powers, expires=found.not_after)
+    say(f"this host may {powers} until {format_time(found.not_after)}")
+
+
+_MAX_BUNDLE = 64 * 1024
+
+
+@click.command("import")
+@click.argument("bundles", nargs=-1, required=True, type=options.FILE)
+@replace_key(multiple=True)
+@options.master_uri
+@click.option("--yes", is_flag=True, help="do not ask")
+@json_result()
+@pass_service
+def import_(
+    service: AuthorityService, bundles: tuple[Path, ...], replaced: tuple[str, ...], yes: bool
+) -> None:
+    """Record the identities in BUNDLES (node.pem), which an intermediate enrolled or renewed.
+
+    Only then can the root sign grants for these nodes, or revoke them by their names.
+    """
+    home, batch = service.home, Batch(len(bundles))
+    found: list[tuple[Path, bytes]] = []
+    for path in bundles:
+        with batch.item(path, last=False):
+            data = files.read(path, _MAX_BUNDLE)
+            _show_identity(home, path, home.anchor().verify(from_pem(data)[:-1], now()))
+            found.append((path, data))
+    if found:
+        confirm(f"import {len(found)} of them?", yes=yes)
+        service.unlock()
+        for path, data in found:
+            with batch.item(path):
+                identity, new = service.import_identity(data, replaced)
+                record(name=identity.name, new=new)
+                say(f"{'imported' if new else 'known already:'} {identity.name}")
+        publish_if_revoked(service)
+    batch.finish()
+
+
+def _show_identity(home: AuthorityHome, path: Path, identity: Identity) -> None:
+    say(f"{identity.name} of {home.domain} until {format_time(identity.not_after)} ({path})")
+    say(f"  fingerprint {format_fingerprint(identity.thumbprint)}")
+    for issuer in identity.issuers:
+        say(f"  signed by intermediate/{issuer.hex()[:16]}")
+
+
+_MAX_DAYS: Final = 3650
+_THINGS_MAX_REQUEST: Final = 16 * 1024
+_MAX_CREDENTIAL: Final = 4096
+_ONE: Final = "give --key FILE, --psk FILE or --renew"
+_SHOWN: Final = (IN_FORCE, OTHER_KEY)
+
+
+@click.command()
+@click.argument("name")
+@click.option("--border", metavar="NAME", help="the border router that serves it")
+@click.option("--key", "ccs", type=options.FILE, help="its credential: a CCS, as CBOR")
+@click.option(
+    "--psk", "description", type=options.FILE,
+    help="what `rossec border add NAME --psk` wrote about its secret",
+)  # fmt: skip
+@click.option("--renew", is_flag=True, help="say the same again")
+@click.option(
+    "--request", type=options.FILE, help="sign this request, of the node that stands for it, too"
+)
+@click.option("--code", help="text of the code on the thing's label")
+@click.option(
+    "--replace", "replaced", multiple=True, metavar="NAME",
+    help="end what is said of NAME: it was renamed or moved, or its device is another one",
+)  # fmt: skip
+@click.option(
+    "--for", "lifetime", type=Duration(_MAX_DAYS), default="365d", show_default=True,
+    help="how long this is so",
+)  # fmt: skip
+@click.option(
+    "--identity-for", "identity_lifetime", type=Duration(MAX_LIFETIME // DAY), default="30d",
+    show_default=True, help="how long the identity lasts",
+)  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="where to write it")
+@click.option("--yes", is_flag=True, help="do not ask")
+@options.master_uri
+@json_result()
+@pass_service
+def thing(service: AuthorityService, name: str, yes: bool, renew: bool, **given: Any) -> None:
+    """State that the thing NAME has this key or secret, and which border router serves it.
+
+    The statement is written to a file for the border router, and installed where that is in this
+    ROSSEC_HOME. With --request the identity of the node NAME is signed in the same step.
+    """
+    if renew:
+        _check_renewal(given)
+        signed = service.renew_thing(name, given["lifetime"])
+    else:
+        order = _order(name, given)
+        _show(service, order, checked=_check_code(given["code"], order.credential))
+        confirm(f"sign the statement about {name}?", yes=yes)
+        signed = service.sign_thing(order)
+    _hand_over(service, signed, given["request"], given["out"])
+    if service.has_revoked:
+        record(revoked=signed.revoked)
+        say(f"what it replaces is revoked ({signed.revoked} entr{_ies(signed.revoked)})")
+        publish_list(service)
+    else:
+        remind_to_publish(service)
+
+
+@click.command()
+@click.option("--all", "everything", is_flag=True, help="also what is renewed, expired or revoked")
+@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@pass_environment
+def things(environment: Environment, everything: bool, in_json: bool) -> None:
+    """List the things that are stated now, with their border routers."""
+    with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
+        found = [each for each in states(store, now()) if everything or each.state in _SHOWN]
+    if in_json:
+        say_json([_summary(each) for each in found])
+        return
+    for each in found:
+        say(_line(each))
+    if not found:
+        say("no things")
+
+
+def _order(name: str, given: dict[str, Any]) -> ThingOrder:
+    if given["border"] is None:
+        raise ConfigurationError("which border router serves it?", "give --border NAME")
+    request: Path | None = given["request"]
+    return ThingOrder(
+        name, given["border"], _credential(given["ccs"], given["description"]), given["lifetime"],
+        frozenset(given["replaced"]),
+        b"" if request is None else files.read(request, _THINGS_MAX_REQUEST),
+        given["identity_lifetime"],
+    )  # fmt: skip
+
+
+def _credential(ccs: Path | None, description: Path | None) -> Credential:
+    match ccs, description:
+        case Path(), None:
+            return read_ccs(files.read(ccs, _MAX_CREDENTIAL))
+        case None, Path():
+            return read_description(files.read(description, _MAX_CREDENTIAL))
+        case _:
+            raise ConfigurationError("a thing has a key or a secret", _ONE)
+
+
+def _check_renewal(given: dict[str, Any]) -> None:
+    others = ("border", "ccs", "description", "request", "code", "replaced")
+    if any(given[name] for name in others):
+        raise ConfigurationError("--renew says the same again, and takes nothing new", _ONE)
+
+
+def _check_code(code: str | None, credential: Credential) -> bool:
+    """Whether a code was given, and fits.
+
+    Raises:
+        ConfigurationError: it was made for another credential.
+    """
+    if code is None:
+        return False
+    if not qr.parse(code).matches(described(credential)):
+        raise ConfigurationError(
+            "the code on the label is not that of this credential",
+            "take the credential from the thing again, or scan the label of this thing",
+        )
+    return True
+
+
+def described(credential: Credential) -> bytes:
+    """The octets that a label names: the CCS, or the description of a secret."""
+    return credential.ccs if isinstance(credential, ThingKey) else credential.description
+
+
+def _show(service: AuthorityService, order: ThingOrder, *, checked: bool) -> None:
+    what = "key" if isinstance(order.credential, ThingKey) else "secret"
+    say(f"{printable(order.name)} at the border router {printable(order.border)}")
+    say(f"  {what} {format_fingerprint(order.credential.thumbprint)}")
+    say(f"  kid {order.credential.kid.hex()}")
+    how = "the code of its label fits" if checked else "no code was checked: compare with its label"
+    say(f"  {how}")
+    if order.request:
+        asked = check_request(order.request, service.home.domain)
+        say(f"  and an identity for its node, fingerprint {format_fingerprint(asked.thumbprint)}")
+
+
+def _hand_over(
+    service: AuthorityService, signed: SignedThing, request: Path | None, out: Path | None
+) -> None:
+    """Write what was signed, and install it where it belongs if that is here."""
+    statement, name = signed.statement, signed.statement.name
+    target = out or Path(f"{name.lstrip('/').replace('/', '.')}.thing")
+    files.replace(target, signed.data, 0o644)
+    record(name=name, id=statement.id.hex(), expires=statement.expires, file=str(target))
+    say(f"signed {name} until {format_time(statement.expires)}: {target}")
+    bundle = target if request is None else write_identity(request, signed.bundle)
+    if request is not None:
+        record(identity=str(bundle))
+        say(f"signed its identity: {bundle}")
+    path = service.store_thing(signed.data, signed.bundle)
+    if path is not None:
+        record(border=str(path))
+        say(f"given to its border router in {path}")
+    else:
+        more = "" if request is None else f" {bundle}"
+        say(f"next, on its border router: rossec border install {target}{more}")
+    if request is not None:
+        give_outright(service, name)
+
+
+def _line(each: ThingState) -> str:
+    found = each.row.read()
+    kind = "secret" if found.kind == PSK else "key"
+    return "  ".join([
+        each.row.name, f"at {each.row.border}", f"until {format_time(each.row.expires)}",
+        f"{kind} {format_fingerprint(found.credential.thumbprint)}",
+        *[each.state] * (each.state != IN_FORCE),
+    ])  # fmt: skip
+
+
+def _summary(each: ThingState) -> dict[str, object]:
+    found: ThingStatement = each.row.read()
+    return {
+        "name": found.name,
+        "border": each.row.border,
+        "border_key": found.border.hex(),
+        "class": found.kind,
+        "kid": found.credential.kid.hex(),
+        "key": found.credential.thumbprint.hex(),
+        "not_before": found.not_before,
+        "expires": found.expires,
+        "id": found.id.hex(),
+        "state": each.state,
+    }
+
+
+def _ies(count: int) -> str:
+    return "y" if count == 1 else "ies"

@@ -3,13 +3,150 @@
 The scripts run the `rossec` that printed them, never what stands at the prompt. An answer is data:
 no script evaluates, globs or splits a value. Each gives what was typed, up to the cursor, as
 COMP_LINE. The scripts that click makes evaluate more: theirs for bash expands `*` in values.
+
+Outlines of all commands, kept so that completion imports none of them. A shell.
+
+A wheel carries the table of its commands (`hatch_build.py`). In a source tree there is none:
+there an outline is kept beside Python's own compiled files when it was needed for the first time,
+until a file of the command line changes.
+
+The command to be completed, made of its outline, with names for its arguments. A shell.
+
+`rossec completion SHELL`: the script that makes Tab complete names.
 """
 
+import contextlib
+import json
+import os
 import shlex
+import shutil
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 from typing import Any, Final
 
 import click
 from click.shell_completion import CompletionItem, ShellComplete, split_arg_string
+
+from ca.errors import HintedError
+from rossec.cli.completion.values import (
+    COMMAND,
+    FREE,
+    KINDS,
+    Outline,
+    Values,
+    command_of,
+    kinds_of,
+    offered,
+    outline_of,
+)
+from rossec.terminal import say_block
+
+COMMANDS: Final = Path(__file__).parents[1]
+SHIPPED: Final = Path(__file__).with_name("outlines.json")
+CACHE: Final = Path(__file__).parent / "__pycache__" / "outlines.json"
+_MAX: Final = 1024 * 1024
+
+
+class OutlineTable:
+    """The outlines by the places of their commands (`ca.init:init`)."""
+
+    def __init__(
+        self, shipped: Path = SHIPPED, cache: Path = CACHE, commands: Path = COMMANDS
+    ) -> None:
+        self._cache = cache
+        self._stamp: str | None = None  # None: what is shipped does not age
+        self._outlines = _read(shipped).get("outlines", {})
+        if not self._outlines:
+            self._stamp = _stamp(commands)
+            found = _read(cache)
+            self._outlines = found["outlines"] if found.get("stamp") == self._stamp else {}
+
+    def get(self, place: str, make: Callable[[], Outline | None]) -> Outline | None:
+        """The outline of the command at `place`; `make` imports it: None if it is a group."""
+        if place in self._outlines or self._stamp is None:
+            found: Outline | None = self._outlines.get(place) or make()
+            return found
+        made = make()
+        if made is not None:
+            self._outlines[place] = made
+            self._keep()
+        return made
+
+    def _keep(self) -> None:
+        """Write the cache; where it cannot be written, completion is slow and right."""
+        text = json.dumps({"stamp": self._stamp, "outlines": self._outlines})
+        new = self._cache.with_name(f"{self._cache.name}.{os.getpid()}")
+        with contextlib.suppress(OSError):
+            self._cache.parent.mkdir(exist_ok=True)
+            new.write_text(text)
+            new.replace(self._cache)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """A table in a file; empty if it cannot be read."""
+    try:
+        with path.open("rb") as stream:
+            found = json.loads(stream.read(_MAX))
+    except (OSError, ValueError):
+        return {}
+    whole = isinstance(found, dict) and isinstance(found.get("outlines"), dict)
+    return found if whole else {}
+
+
+def _stamp(directory: Path) -> str:
+    """What changes when a file of the command line is written, added or removed."""
+    files = [
+        entry.stat()
+        for folder in [directory, *filter(Path.is_dir, directory.iterdir())]
+        if folder.name != "__pycache__"
+        for entry in os.scandir(folder)
+        if entry.name.endswith(".py")
+    ]
+    newest = max(status.st_mtime_ns for status in files)
+    return f"{len(files)} {newest} {sum(status.st_size for status in files)}"
+
+
+_FILES: Final = [CompletionItem("", type="file")]  # the shell looks them up
+
+
+def completed(
+    name: str, place: str, load: Callable[[], click.Command], table: OutlineTable | None = None
+) -> click.Command:
+    """The command `name` at `place`, to be completed; `load` imports it if that is needed."""
+    loaded: list[click.Command] = []
+
+    def make() -> Outline | None:
+        loaded.append(load())
+        return None if isinstance(loaded[0], click.Group) else outline_of(loaded[0])
+
+    outline = (table or OutlineTable()).get(place, make)
+    if outline is None:
+        return loaded[0]
+    return command_of(name, outline, [*map(_values, kinds_of(place, outline))])
+
+
+def _values(kind: str) -> Values | None:
+    return None if kind == FREE else partial(_offer, kind)
+
+
+def _offer(
+    kind: str, context: click.Context, _param: click.Parameter, incomplete: str
+) -> list[CompletionItem[Any]]:
+    """The names of a kind that begin with what is typed."""
+    if kind == COMMAND:
+        return _FILES
+    from rossec.cli.completion.sources import Sources  # noqa: PLC0415 - not needed for options
+
+    environment = context.obj
+    try:
+        sources = Sources(environment.home, environment.variables)
+    except HintedError:  # a home that others could have written
+        return []
+    found = [word for read in KINDS[kind] for word in read(sources)]
+    return [CompletionItem(word) for word in offered(found, incomplete)]
+
 
 VARIABLE: Final = "_ROSSEC_COMPLETE"
 
@@ -134,3 +271,33 @@ def answer(group: click.Command, environment: Any) -> str:
         return ""
     lines = (_Bash if shell == "bash" else _Shell)(group, environment).complete()
     return f"{lines}\n" if lines else ""
+
+
+@click.command()
+@click.argument("shell", type=click.Choice(SHELLS))
+def completion(shell: str) -> None:
+    """Print what makes Tab complete commands and names in SHELL: bash, zsh or fish.
+
+    For bash, add this line to ~/.bashrc; for zsh, with zsh for bash, to ~/.zshrc behind compinit:
+
+    \b
+      eval "$(rossec completion bash)"
+
+    For fish, once:
+
+    \b
+      rossec completion fish > ~/.config/fish/completions/rossec.fish
+
+    Names are those in ROSSEC_HOME, of what the last look at the graph showed (rossec topic list),
+    and of the ROS packages here. Tab asks no master and no person.
+    """
+    say_block(script(shell, _program()).rstrip())
+
+
+def _program() -> str:
+    """The path of this program: Tab runs no other; else by name, as of a program on PATH."""
+    path = Path(sys.argv[0])
+    if path.name != "rossec":
+        return "rossec"
+    found = shutil.which(path)
+    return "rossec" if found is None else str(Path(found).absolute())

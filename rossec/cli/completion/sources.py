@@ -19,7 +19,7 @@ from typing import Final
 
 from ca.errors import HintedError
 from ca.keys import ownership
-from rossec.cli.completion import seen
+from rossec.cli.completion import values
 
 RIGHTS: Final = (
     "admin", "call", "graph", "param-get", "param-set", "provide", "publish", "subscribe",
@@ -80,7 +80,7 @@ class Sources:
     def seen(self, kind: str) -> Iterator[object]:
         """What the last look at the graph of this master showed."""
         master = self._variables.get("ROS_MASTER_URI", "")
-        yield from seen.read(self._home, master, kind)
+        yield from values.read(self._home, master, kind)
 
     def written(self) -> Iterator[object]:
         """Names in the policy file that are no patterns."""

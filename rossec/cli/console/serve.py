@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from rossec.authority.console.messages import SOCKET
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.client import KeyServiceClient
-from rossec.cli.console.service import login_address, running_service, show_code
+from rossec.cli.console.phones import login_address, running_service, show_code
 from rossec.cli.shared.context import Environment, now
-from rossec.console.address import only_console, write_address
+from rossec.console.listening import only_console, write_address
 from rossec.console.options import (
     HAND_OUT_PORT,
     Endpoint,
@@ -21,19 +21,15 @@ from rossec.console.options import (
     check_origin,
     read_options,
 )
-from rossec.console.tls.authority import TlsAuthority
-from rossec.console.tls.description import as_json as described
-from rossec.console.tls.description import describe
-from rossec.console.tls.renewing import renewed_from
-from rossec.console.tls.source import TlsSetup, prepare_tls
-from rossec.console.tls.store import DIRECTORY
+from rossec.console.tls.certificates import DIRECTORY, TlsSetup, prepare_tls, renewed_from
+from rossec.console.tls.own_authority import TlsAuthority, describe
+from rossec.console.tls.own_authority import as_json as described
 from rossec.errors import ConfigurationError
-from rossec.operation.json_log import log_as_json
-from rossec.operation.systemd import READY, STOPPING, notify
+from rossec.host.runner import READY, STOPPING, log_as_json, notify
 from rossec.terminal import say, say_block, say_json
 
 if TYPE_CHECKING:
-    from rossec.console.preview.supervisor import PreviewProcess
+    from rossec.console.server.supervisor import PreviewProcess
 
 _LIBRARIES: Final = ("fido2", "jinja2", "starlette", "uvicorn")
 
@@ -67,8 +63,11 @@ def serve(environment: Environment, options: Options, form: Form, *, rename: boo
             it by another address and `rename` was not given.
     """
     check_libraries()
-    from rossec.console.server.supervisor import settings_for, supervise  # noqa: PLC0415 - extra
-    from rossec.console.server.web_process import WebOptions  # noqa: PLC0415
+    from rossec.console.server.supervisor import (  # noqa: PLC0415 - extra
+        WebOptions,
+        settings_for,
+        supervise,
+    )
 
     if form.log == "json":
         log_as_json()
@@ -100,10 +99,7 @@ def _preview(environment: Environment) -> "PreviewProcess":
     Raises:
         HintedError: the node of the preview is not enrolled here.
     """
-    from rossec.console.preview.supervisor import (  # noqa: PLC0415 - few consoles have one
-        PreviewProcess,
-        check_enrolled,
-    )
+    from rossec.console.server.supervisor import PreviewProcess, check_enrolled
 
     check_enrolled(environment.home)
     return PreviewProcess({**environment.variables, "ROSSEC_HOME": str(environment.home)})
@@ -131,7 +127,7 @@ def _handing_out(
     if not endpoint.hand_out or setup is None or setup.authority is None:
         yield
         return
-    from rossec.console.tls.hand_out_process import handing_out  # noqa: PLC0415 - the extra
+    from rossec.console.tls.hand_out import handing_out  # noqa: PLC0415 - the extra
 
     certificate, addresses = setup.authority.data, endpoint.addresses
     with handing_out(certificate, endpoint.origin, addresses, environment.variables):

@@ -7,20 +7,18 @@ from contextlib import AsyncExitStack, ExitStack, suppress
 from functools import partial
 from typing import Final
 
-from rossec.cli.gateway.status import ADMIN_SOCKET
 from rossec.cli.shared.context import Environment
 from rossec.cli.shared.master import node_as
+from rossec.cli.status import ADMIN_SOCKET
 from rossec.environment import own_gateway
 from rossec.errors import ConfigurationError, MasterNotFound, PeerUnreachable
 from rossec.gateway.gateway import Gateway, status
 from rossec.gateway.rules import TopicRule
 from rossec.home import NodeHome
-from rossec.master.operation.admin import AdminPort
-from rossec.master.operation.descriptor_limit import raise_descriptor_limit
+from rossec.host.local_sockets import process_lock
+from rossec.host.runner import READY, STOPPING, notify, stop_on_signals, until_first_ends
+from rossec.master.operation.admin import AdminPort, raise_descriptor_limit
 from rossec.node import Node
-from rossec.operation.process_lock import process_lock
-from rossec.operation.shutdown import stop_on_signals, until_first_ends
-from rossec.operation.systemd import READY, STOPPING, notify
 from rossec.terminal import note, printable, say, say_json
 
 LOCK: Final = "gateway.lock"

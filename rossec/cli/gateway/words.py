@@ -11,7 +11,7 @@ from typing import Final
 import click
 
 from rossec.gateway.rules import MAX_RULES, TopicRule, rule
-from rossec.participant.wishes import Wishes
+from rossec.participant.delivery import Wishes
 
 FROM: Final = "--from"
 RATE: Final = "--rate"

@@ -1,23 +1,40 @@
-"""`rossec grant list | deliver`: the grants that were signed, and whether their nodes have them."""
+"""`rossec grant list | deliver`: the grants that were signed, and whether their nodes have them.
+
+`rossec grant show | install | revoke`: one grant that was signed.
+
+`rossec master delegate`: let the master renew grants in place of the authority.
+"""
 
 from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
 
 import click
 
-from ca.domains.aliases import is_alias, shown
+from ca.names import is_alias, is_master_name, shown
 from grants import document
 from grants.model import Grant
+from grants.renewal import MAX_DELEGATION, MAX_TICKET, MIN_TICKET
+from grants.token import peek
 from rossec import terminal
-from rossec.authority.grant_delivery import require_delivered
+from rossec.authority.grant_operations import require_delivered
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
-from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.results import json_result
-from rossec.cli.shared.service import say_deposited, service_of
+from rossec.cli.shared.context import Duration, Environment, now, pass_environment
+from rossec.cli.shared.master import holder_home, open_held, read_token
+from rossec.cli.shared.options import Batch, json_result, unique
+from rossec.cli.shared.service import (
+    pass_service,
+    publish_list,
+    remind_to_publish,
+    say_deposited,
+    service_of,
+)
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError, NotDelivered
 from rossec.home import NodeHome
-from rossec.terminal import note, say, say_json
+from rossec.ros.names import MASTER
+from rossec.terminal import note, printable, record, say, say_json
 
 _OVER = ("expired", "revoked")
 _STATES = {"held": "held", "fetched": "delivered", "waiting": "waiting", "": "undelivered"}
@@ -135,3 +152,141 @@ def _line(grant: Grant, state: str) -> str:
     rights = "; ".join(dict.fromkeys(given))  # a right may have several restrictions
     end = f"until {format_time(grant.expires)}"
     return f"{grant.id.hex()}  {shown(grant.subject)}  {rights}  {end}  {terminal.state(state)}"
+
+
+@click.command()
+@click.argument("file", type=options.FILE)
+@json_result()
+def show(file: Path) -> None:
+    """Show what the grant in FILE allows; its signature is not checked."""
+    content = peek(read_token(file))
+    record(**_facts(content))
+    holder = printable(f"of {content.domain} for {content.subject}")
+    say(f"grant {content.id.hex()} {holder}")
+    say(f"holds from {format_time(content.not_before)} until {format_time(content.expires)}")
+    for depth, link in enumerate(content.links):
+        if content.chain:
+            to = printable(link.subject)
+            say(f"narrowed for {to}, which may also not do more than:" if depth else f"for {to}:")
+        _show_permissions(link)
+    if content.may_narrow:
+        say(f"may be narrowed {content.may_narrow} times")
+
+
+def _facts(content: Grant) -> dict[str, object]:
+    return {
+        "id": content.id.hex(),
+        "domain": content.domain,
+        "node": content.subject,
+        "not_before": content.not_before,
+        "expires": content.expires,
+        "may_narrow": content.may_narrow,
+        "links": [
+            {"node": link.subject, "permissions": permissions_json(link)} for link in content.links
+        ],
+    }
+
+
+def _show_permissions(link: Grant) -> None:
+    for permission in link.permissions:
+        say(printable(f"may {permission.rights.label} {permission.pattern}"))
+        for line in permission.restriction.lines() if permission.restriction else []:
+            say(printable(f"  {line}"))
+
+
+@click.command()
+@click.argument("grant_files", metavar="FILE...", nargs=-1, required=True, type=options.FILE)
+@json_result()
+@pass_environment
+def install(environment: Environment, grant_files: tuple[Path, ...]) -> None:
+    """Give the grant in FILE, or the chain, to its node, on the node's machine.
+
+    Where one of several is refused the others are installed, and the exit code is 1.
+    """
+    batch = Batch(len(grant_files))
+    for file in grant_files:
+        with batch.item(file):
+            data = read_token(file)
+            home = holder_home(environment.home, peek(data))
+            content = open_held(home, data, now())
+            home.add_grant(content.id, data)
+            record(grant=content.id.hex(), node=home.name)
+            say(f"{home.name} holds grant {content.id.hex()}")
+    batch.finish()
+
+
+@click.command()
+@click.argument("grant_ids", metavar="GRANT_ID...", nargs=-1, required=True)
+@click.option("--reason", default="", help="why, for the record")
+@options.master_uri
+@json_result()
+@pass_service
+def revoke(service: AuthorityService, grant_ids: tuple[str, ...], reason: str) -> None:
+    """Revoke the grant GRANT_ID (or the beginning of it) and notify the master at once.
+
+    Where one of several is refused the others are revoked, and the exit code is 1.
+    """
+    ids = unique(grant_ids)
+    if len(ids) > 1:
+        service.unlock()  # a wrong passphrase is no fault of a grant
+    batch = Batch(len(ids), "id")
+    for grant_id in ids:
+        with batch.item(grant_id):
+            listed, entry = service.revoke_grant(grant_id, reason)
+            record(grant=entry.hex(), list=listed.seq)
+            say(f"revoked {entry.hex()} (list {listed.seq})")
+    if batch.done:
+        publish_list(service)
+    batch.finish()
+
+
+DAY: Final = 86400
+
+
+@click.command()
+@click.option(
+    "--for", "lifetime", type=Duration(MAX_DELEGATION // DAY), default="90d", show_default=True,
+    help="how long the master may renew grants",
+)  # fmt: skip
+@click.option(
+    "--ticket", type=Duration(MAX_TICKET // DAY), default="8h", show_default=True,
+    help="how long a renewed grant holds before it is renewed again; at least a minute",
+)  # fmt: skip
+@click.option(
+    "--to", "master", metavar="NAME", default=MASTER, show_default=True,
+    help="which of the domain's masters; give its address with --master",
+)  # fmt: skip
+@click.option("--withdraw", is_flag=True, help="revoke what was delegated before instead")
+@options.master_uri
+@json_result()
+@pass_service
+def delegate(
+    service: AuthorityService, lifetime: int, ticket: int, master: str, withdraw: bool
+) -> None:
+    """Let the master renew grants, unchanged and up to their caps, while the authority is away.
+
+    A revoked grant is not renewed. With --withdraw, what the master has renewed ends at once.
+    """
+    if ticket < MIN_TICKET:
+        raise ConfigurationError(
+            f"a ticket of {ticket} s ends before a node can be sure to have the next one",
+            f"give {MIN_TICKET}s or more: a node renews after two thirds, the rest is for retries",
+        )
+    if not is_master_name(master):
+        raise ConfigurationError(
+            f"{master[:255]!a} is not the name of a master", "/master, or /master/kitchen"
+        )
+    if withdraw:
+        listed, count = service.revoke_delegations("withdrawn")
+        record(withdrawn=count, list=listed.seq)
+        say(f"withdrew {count} delegation{'s' * (count != 1)} (list {listed.seq})")
+        publish_list(service)
+        return
+    delegation, call = service.delegate(lifetime, ticket, master)
+    until = format_time(delegation.expires)
+    record(master=master, id=delegation.id.hex(), expires=delegation.expires, published=False)
+    say(f"{master} may renew grants until {until} (delegation {delegation.id.hex()})")
+    service.deliver_delegation(delegation, call)
+    record(published=True)
+    say("the master has the delegation")
+    remind_to_publish(service)

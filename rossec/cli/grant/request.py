@@ -7,23 +7,21 @@ from typing import Any
 
 import click
 
-from ca.domains.aliases import shown
+from ca.names import shown
 from grants import document
-from grants.missing_rights import grant_command, in_shell
 from grants.model import Right
 from grants.policy.decision import restriction_lines
-from grants.request import GrantRequest, RequestedRight, sign_request
+from grants.request import GrantRequest, RequestedRight, grant_command, in_shell, sign_request
 from rossec import files
 from rossec.authority import requests
 from rossec.authority.approvals import PendingApproval, verdict_change
-from rossec.authority.grant_delivery import RefusedDeposit, require_delivered
+from rossec.authority.grant_operations import RefusedDeposit, SignedGrant, require_delivered
 from rossec.authority.policyfile import PolicyFile, place, read_policy
-from rossec.authority.service import AuthorityService, SignedGrant
-from rossec.cli.grant.permission_options import own_pattern
+from rossec.authority.service import AuthorityService
+from rossec.cli.grant.sign import own_pattern
 from rossec.cli.shared import options
-from rossec.cli.shared.batch import Batch, unique
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.results import add_entry, json_result
+from rossec.cli.shared.options import Batch, add_entry, json_result, unique
 from rossec.cli.shared.service import deliver_grant, deliver_grants, pass_service, service_of
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError

@@ -1,34 +1,302 @@
-"""`rossec grant sign | presets`: what nodes may do, signed."""
+"""`rossec grant sign | presets`: what nodes may do, signed.
+
+The options of `rossec grant sign` as permissions: rights, conditions and filters.
+
+`rossec grant narrow`: a node hands a right of its own on to another node of its domain.
+
+Signed with the node's own key, in its home. Nothing is recorded at an authority: the chain is a
+file for the other node, and ends with each of its links.
+"""
 
 import contextlib
+import itertools
+import secrets
+from collections import Counter
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import click
 
-from ca.domains.aliases import is_alias, local_name
-from ca.names import check_name
+from ca.certificates import Identity, from_pem
+from ca.errors import PatternRefused
+from ca.names import check_name, is_alias, local_name
 from grants import document
-from grants.filters.presets import PRESETS
-from grants.model import MAX_NARROWINGS
+from grants.conditions.compile import compile_condition
+from grants.errors import (
+    ConditionRefused,
+    FilterRefused,
+    GrantMalformed,
+    GrantNotHeld,
+    NarrowingNotAllowed,
+)
+from grants.filters.compile import PRESETS, compile_filter, preset
+from grants.filters.layout import parse
+from grants.model import (
+    MAX_NARROWINGS,
+    Draft,
+    Grant,
+    Permission,
+    Restriction,
+    Right,
+    check_time,
+    filter_rules,
+)
+from grants.policy.names import NODE, check_rule_pattern, resolve
+from grants.token import pack_chain, peek, sign_narrowing
 from rossec import files
-from rossec.authority.grant_delivery import require_delivered
+from rossec.authority.grant_operations import require_delivered
 from rossec.authority.service import AuthorityService
-from rossec.cli.grant import permission_options
+from rossec.authority.signing import CLOCK_SKEW
 from rossec.cli.shared import options
-from rossec.cli.shared.context import Duration, now
-from rossec.cli.shared.results import json_result
+from rossec.cli.shared.context import Duration, Environment, now, pass_environment
+from rossec.cli.shared.master import read_token
+from rossec.cli.shared.options import json_result
 from rossec.cli.shared.service import deliver_grant, pass_service, remind_to_publish
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
-from rossec.terminal import record, say
+from rossec.home import NodeHome
+from rossec.participant.access import MAX_PRESENTED
+from rossec.participant.service_types import part_type
+from rossec.terminal import printable, record, say
+
+_EXAMPLES: Final = (
+    "for example --clear header.frame_id, --round pose.position=2.0,"
+    " --when 'msg.header.frame_id == \"map\"'"
+)
+
+_RIGHTS: Final = {
+    Right.PUBLISH: "may publish these topics",
+    Right.SUBSCRIBE: "may subscribe to these topics",
+    Right.CALL: "may call these services",
+    Right.PROVIDE: "may provide these services",
+    Right.PARAM_GET: "may read these parameters and all below",
+    Right.PARAM_SET: "may set these parameters and all below",
+    Right.ADMIN: "may end these nodes and clean up after them",
+}
+_RESTRICTED: Final = Right.SUBSCRIBE | Right.CALL  # by conditions and filters given here
+
+
+def _once(_context: click.Context, _parameter: click.Parameter, given: tuple[Any, ...]) -> Any:
+    """The value of an option that is given once: of two click would lose the first."""
+    if len(given) > 1:
+        raise click.BadParameter("given more than once, and one would be lost")
+    return given[0] if given else None
+
+
+_RESTRICTING: Final = (
+    click.option("--graph", is_flag=True, help="may see the whole ROS graph"),
+    click.option(
+        "--type", "type_name", multiple=True, callback=_once, metavar="PKG/TYPE",
+        help="message type of the restrictions",
+    ),
+    click.option("--clear", multiple=True, metavar="FIELD", help="clear this field"),
+    click.option("--round", "rounds", multiple=True, metavar="FIELD=STEP", help="round this field"),
+    click.option(
+        "--clamp", "clamps", multiple=True, metavar="FIELD=LOW:HIGH",
+        help="keep this field in a range",
+    ),
+    click.option(
+        "--rate", type=float, multiple=True, callback=_once, metavar="HZ",
+        help="at most so many messages a second",
+    ),
+    click.option(
+        "--preset", "preset_name", type=click.Choice(list(PRESETS)), multiple=True, callback=_once,
+        help="restrictions for a usual wish; see `rossec grant presets`",
+    ),
+    click.option(
+        "--when", multiple=True, metavar="CONDITION",
+        help="only messages and times for which this holds",
+    ),
+)  # fmt: skip
+
+
+def wishes(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add every option for rights and their restrictions; `read` takes what they say."""
+    for option in reversed(_RESTRICTING):
+        command = option(command)
+    return rights(command)
+
+
+def own_pattern(text: str, node: str, *, tail: bool) -> str:
+    """The pattern that `{node}/pose` is for `node`; every other one is returned as it is.
+
+    Raises:
+        PatternRefused: not a pattern, or none for this node.
+    """
+    if not is_own_text(text):
+        return text
+    found = resolve(check_rule_pattern(text), node, tail=tail)
+    if found is None:
+        raise PatternRefused(f"{text[:80]!a} is no name of {node}", "its own authority grants it")
+    return found
+
+
+def read(said: Mapping[str, Any]) -> tuple[Permission, ...]:
+    """The permissions that the options of `wishes` say.
+
+    Raises:
+        ConfigurationError: no right is given, or an invalid parameter.
+        ConditionRefused, FilterRefused: a restriction that does not fit the message type.
+    """
+    filters = rules(said["clear"], said["rounds"], said["clamps"])
+    inside = restrictions(
+        said["type_name"], filters, said["when"], said["rate"], said["preset_name"]
+    )
+    return permissions(patterns_by_right(said), graph=said["graph"], restricted=inside)
+
+
+def rights(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add an option for every right over names: `--publish`, `--param-get` and so on."""
+    for right, help_text in reversed(_RIGHTS.items()):
+        command = click.option(
+            f"--{right.label}", multiple=True, metavar="PATTERN", help=help_text
+        )(command)
+    return command
+
+
+def for_node(said: Mapping[str, Any], node: str, tail: Callable[[], bool]) -> dict[str, Any]:
+    """What `wishes` say, with own names as those of `node`.
+
+    Args:
+        tail: asked only if there are own names: whether the node has a wildcard tail.
+
+    Raises:
+        PatternRefused: as `own_pattern`.
+    """
+    named = patterns_by_right(said)
+    if not any(is_own_text(each) for each in itertools.chain(*named.values())):
+        return dict(said)
+    has_tail = tail()
+    own = {
+        str(right.name).lower(): tuple(own_pattern(each, node, tail=has_tail) for each in patterns)
+        for right, patterns in named.items()
+    }
+    return {**said, **own}
+
+
+def is_own_text(text: str) -> bool:
+    """Whether it is meant as an own name, well-formed or not."""
+    return NODE in text or text.startswith("~")
+
+
+def patterns_by_right(options: Mapping[str, Any]) -> dict[Right, tuple[str, ...]]:
+    """The patterns given with these options, by right."""
+    return {right: options[str(right.name).lower()] for right in _RIGHTS}
+
+
+def rules(
+    clear: tuple[str, ...], rounds: tuple[str, ...], clamps: tuple[str, ...]
+) -> dict[str, dict[str, object]]:
+    """The filters, by field.
+
+    Raises:
+        ConfigurationError: an invalid parameter, or a field with two filters: one would be lost.
+    """
+    given: list[tuple[str, dict[str, object]]] = [(path, {"clear": True}) for path in clear]
+    given += [(path, {"round": {"step": step}}) for path, step in map(_rounding, rounds)]
+    given += [
+        (path, {"clamp": {"low": low, "high": high}}) for path, low, high in map(_clamping, clamps)
+    ]
+    for path, times in Counter(path for path, _ in given).items():
+        if times > 1:
+            raise ConfigurationError(
+                f"{path}: {times} filters for one field", "one of --clear, --round and --clamp"
+            )
+    return dict(given)
+
+
+def restrictions(
+    type_name: str | None,
+    filters: dict[str, dict[str, object]],
+    when: tuple[str, ...],
+    rate: float | None,
+    preset_name: str | None,
+) -> list[Restriction]:
+    """Build the restrictions and compile them for the message type: mistakes show here."""
+    if not filters and not when and rate is None and preset_name is None:
+        return []
+    if type_name is None:
+        raise ConfigurationError(
+            "restrictions need the message type they are for", "add --type PKG/TYPE"
+        )
+    shape = parse(type_name, part_type(type_name).definition)
+    try:
+        made = [preset(preset_name).restriction(shape)] if preset_name is not None else []
+        if filters or when or rate is not None:
+            made.append(Restriction(type_name, when, filter_rules(filters), rate))
+        for restriction in made:
+            compile_filter(shape, restriction.filters)
+            for text in restriction.conditions:
+                compile_condition(shape, text)
+    except (ConditionRefused, FilterRefused) as error:
+        error.hint = error.hint or _EXAMPLES
+        raise
+    return made
+
+
+def permissions(
+    wanted: Mapping[Right, tuple[str, ...]], *, graph: bool, restricted: list[Restriction]
+) -> tuple[Permission, ...]:
+    """The permissions of the grant.
+
+    Raises:
+        ConfigurationError: no right is given, or no right that can be restricted.
+    """
+    made: list[Permission] = []
+    for right, patterns in wanted.items():
+        inside = restricted if right in _RESTRICTED and restricted else [None]
+        # all restrictions that cover a name hold together
+        made += [Permission(pattern, right, item) for pattern in patterns for item in inside]
+    if graph:
+        made.append(Permission("/**", Right.GRAPH))
+    if not made:
+        raise ConfigurationError(
+            "a grant that allows nothing", "add --publish, --subscribe, --call or another right"
+        )
+    if restricted and not any(item.restriction for item in made):
+        raise ConfigurationError(
+            "conditions and filters restrict what a subscriber sees and what a caller may ask",
+            "add --subscribe or --call",
+        )
+    return tuple(made)
+
+
+def _clamping(text: str) -> tuple[str, float, float]:
+    path, _, limits = text.partition("=")
+    low, _, high = limits.partition(":")
+    try:
+        return path, _number(low), _number(high)
+    except ValueError:
+        raise ConfigurationError(
+            f"--clamp {text} has no range", "for example --clamp ranges=0.5:10"
+        ) from None
+
+
+def _number(text: str) -> float:
+    """An integer where it is written so: integer fields accept no float."""
+    try:
+        return int(text)
+    except ValueError:
+        return float(text)
+
+
+def _rounding(text: str) -> tuple[str, float]:
+    path, _, step = text.partition("=")
+    try:
+        return path, float(step)
+    except ValueError:
+        raise ConfigurationError(
+            f"--round {text} has no step", "for example --round pose.position=2.0"
+        ) from None
+
 
 MAX_DAYS: Final = 3650  # an authority's own certificate does not last longer
 
 
 @click.command()
 @click.argument("node")
-@permission_options.wishes
+@wishes
 @click.option(
     "--for", "lifetime", type=Duration(MAX_DAYS), default="7d", show_default=True,
     help="how long it holds",
@@ -74,8 +342,8 @@ def sign(
     _check_foreign(node, renewal, out, certificate, foreign=is_alias(name))
     if out is not None:
         check_new(out)
-    wanted = permission_options.for_node(wishes, name, lambda: _has_tail(service, name))
-    permissions = permission_options.read(wanted)
+    wanted = for_node(wishes, name, lambda: _has_tail(service, name))
+    permissions = read(wanted)
     pem = b"" if certificate is None else files.read(certificate, options.MAX_PEM)
     draft, data = service.sign_grant(name, permissions, lifetime, renewal, may_narrow, pem)
     record(id=document.grant_id(data).hex(), node=name, expires=draft.expires)
@@ -134,3 +402,106 @@ def check_new(out: Path) -> None:
         raise ConfigurationError(f"{out} exists and is not overwritten", "give a new file")
     if not out.parent.is_dir():
         raise ConfigurationError(f"there is no directory {out.parent}", "make it first")
+
+
+MAX_NARROWED_DAYS: Final = 365
+_OVERHEAD: Final = 16  # of the array it is presented in
+
+
+@click.command()
+@click.argument("file", type=options.FILE)
+@click.option("--as", "own", required=True, metavar="NODE", help="the node that holds the grant")
+@click.option(
+    "--to", "certificate", required=True, type=options.FILE, metavar="CERTIFICATE",
+    help="the certificate of the node that gets the right: its node.pem",
+)  # fmt: skip
+@wishes
+@click.option(
+    "--for", "lifetime", type=Duration(MAX_NARROWED_DAYS), default="8h", show_default=True,
+    help="how long it holds; never longer than the grant in FILE",
+)  # fmt: skip
+@click.option(
+    "--may-narrow", type=click.IntRange(0), default=0, metavar="N",
+    help="how often the other node may hand it on in its turn",
+)  # fmt: skip
+@click.option(
+    "--out", type=click.Path(path_type=Path), required=True, help="write the token to this new file"
+)
+@json_result()
+@pass_environment
+def narrow(
+    environment: Environment,
+    /,
+    file: Path,
+    own: str,
+    certificate: Path,
+    lifetime: int,
+    may_narrow: int,
+    out: Path,
+    **wishes: Any,
+) -> None:
+    """Hand the grant in FILE on to another node of this domain, restricted further.
+
+    What FILE does not allow stays refused, whatever is given here: each link is judged alone, and
+    all restrictions hold. The other node takes the token with: rossec grant install.
+    """
+    check_new(out)
+    home, at = NodeHome.find(environment.home, check_name(own)), now()
+    token, receiver = read_token(file), _receiver(home, certificate, at)
+    held = peek(token)
+    _check_held(home, held, may_narrow, at)
+    end = min(at + lifetime, held.expires)
+    draft = Draft(
+        domain=held.domain, subject=receiver.name, holder=receiver.thumbprint,
+        not_before=max(at - CLOCK_SKEW, held.not_before), expires=end, cap=end,
+        serial=secrets.token_bytes(16), permissions=read(wishes),
+        may_narrow=may_narrow,
+    )  # fmt: skip
+    _check_useful(draft, held)
+    packed = pack_chain(token, [sign_narrowing(home.signer(), draft, held)])
+    if len(packed) > MAX_PRESENTED - _OVERHEAD:
+        raise GrantMalformed(
+            f"the chain has {len(packed)} bytes, more than a node may present",
+            "fewer rights in one grant",
+        )
+    files.create(out, packed, 0o644)
+    record(id=peek(packed).id.hex(), node=receiver.name, expires=end, file=str(out))
+    say(f"grant {peek(packed).id.hex()} for {receiver.name} until {format_time(end)}")
+    say(f"written to {out}; on the machine of {receiver.name}: rossec grant install {out.name}")
+
+
+def _receiver(home: NodeHome, path: Path, at: int) -> Identity:
+    """The node of the own domain that a file with its certificate names."""
+    pem = files.read(path, options.MAX_PEM, ConfigurationError(f"there is no file {path}", ""))
+    anchor = home.anchor()
+    chain = [each for each in from_pem(pem) if each != anchor.certificate]
+    return anchor.verify(chain, at)
+
+
+def _check_held(home: NodeHome, held: Grant, may_narrow: int, at: int) -> None:
+    if held.holder != home.identity(at).thumbprint:
+        raise GrantNotHeld(
+            printable(f"grant {held.short_id} is not held by {home.name}"),
+            printable(f"it is for {held.subject}"),
+        )
+    check_time(held, at)
+    if held.may_narrow <= may_narrow:
+        raise NarrowingNotAllowed(
+            f"grant {held.short_id} allows {held.may_narrow} narrowings after it",
+            "fewer with --may-narrow"
+            if held.may_narrow
+            else "at the authority: rossec grant sign NODE --may-narrow N",
+        )
+
+
+def _check_useful(draft: Draft, held: Grant) -> None:
+    """A right on one name that FILE does not give is a mistake; of patterns nobody can say."""
+    for permission in draft.permissions:
+        if "*" in permission.pattern:
+            continue
+        for right in permission.rights:
+            if not held.covers(right, permission.pattern):
+                raise ConfigurationError(
+                    f"the grant gives no {right.label} on {permission.pattern}",
+                    "see: rossec grant show FILE",
+                )

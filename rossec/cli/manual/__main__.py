@@ -5,7 +5,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from rossec.cli.main import rossec
-from rossec.cli.manual.made import make
+from rossec.cli.manual.pages import make
 from rossec.terminal import say
 
 

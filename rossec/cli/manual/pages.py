@@ -2,26 +2,95 @@
 
 `man rossec ca` finds the page `rossec-ca`: man-db joins two words. A page says what `--help` says,
 so it cannot be wrong alone.
+
+roff, as man(7) has it: text that can hold any character, and the few macros of our pages. Pure.
+
+A hyphen is written as a minus, so that an option can be copied from the page; accents and quotes as
+the ASCII characters they are (groff_char(7), "Basic Latin").
+
+What a build makes of the commands: manual pages, and the outlines for completion. A shell.
+
+`hatch_build.py` puts them into the wheel.
 """
 
 import inspect
-from collections.abc import Iterator
+import json
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Final
 
 import click
 
-from rossec.cli.manual.roff import (
-    bold,
-    escape,
-    italic,
-    item,
-    paragraph,
-    section,
-    subsection,
-    title,
-    verbatim,
-)
-from rossec.cli.shared.lazy import LazyCommand
+from rossec.cli.completion.values import Outline, outline_of
+from rossec.cli.shared.context import LazyCommand
+
+_ESCAPED: Final = {
+    "\\": r"\e", "-": r"\-", "^": r"\(ha", "~": r"\(ti", "`": r"\(ga", "'": r"\(aq", '"': r"\(dq",
+}  # fmt: skip
+_SPECIAL: Final = re.compile(r"""[\\^~`'"-]|[^\x20-\x7e]""")
+_FONT: Final = {"B": r"\fB", "I": r"\fI"}
+
+
+def escape(text: str) -> str:
+    """`text` on one line, as roff prints it; a control character is a space."""
+    line = _SPECIAL.sub(_character, text)
+    return rf"\&{line}" if line[:1] == "." else line
+
+
+def _character(match: re.Match[str]) -> str:
+    found = match[0]
+    if found in _ESCAPED:
+        return _ESCAPED[found]
+    return rf"\[u{ord(found):04X}]" if found.isprintable() else " "
+
+
+def bold(text: str) -> str:
+    """Escaped, and bold."""
+    return rf"\fB{escape(text)}\fR"
+
+
+def italic(text: str) -> str:
+    """Escaped, and in italics."""
+    return rf"\fI{escape(text)}\fR"
+
+
+def title(name: str, source: str) -> str:
+    """The first line of the page `name` of section 1. It has no date: a build can be repeated."""
+    return f'.TH "{escape(name.upper())}" 1 "" "{escape(source)}" "rossec manual"'
+
+
+def section(heading: str) -> str:
+    """A section."""
+    return f'.SH "{escape(heading)}"'
+
+
+def subsection(heading: str) -> str:
+    """A part of a section."""
+    return f'.SS "{escape(heading)}"'
+
+
+def paragraph(text: str) -> list[str]:
+    """A paragraph, whose lines are filled anew."""
+    return [".PP", escape(" ".join(text.split()))]
+
+
+def verbatim(lines: Iterable[str]) -> list[str]:
+    """Lines that stay as they are, indented."""
+    return [
+        ".PP",
+        ".RS 4",
+        ".nf",
+        *(escape(line.rstrip()) or r"\&" for line in lines),
+        ".fi",
+        ".RE",
+    ]
+
+
+def item(term: str, text: str) -> list[str]:
+    """A term, which is escaped already, and what it means."""
+    return [".TP", term, escape(" ".join(text.split())) or r"\&"]
+
 
 PROGRAM: Final = "rossec"
 _STATUS: Final = {
@@ -142,3 +211,27 @@ def _option_records(command: click.Command) -> list[tuple[str, str]]:
     context = _context(PROGRAM, command)
     options = (each for each in command.params if isinstance(each, click.Option))
     return [record for each in options if (record := each.get_help_record(context)) is not None]
+
+
+def make(group: click.Group, version: str, directory: Path) -> tuple[list[Path], Path]:
+    """Write the pages below `man1`, and the outlines; both are the same for the same commands."""
+    folder = directory / "man1"
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for name, text in pages(group, version).items():
+        written.append(folder / name)
+        written[-1].write_text(text)
+    table = directory / "outlines.json"
+    table.write_text(json.dumps({"outlines": dict(outlines(group))}, sort_keys=True))
+    return written, table
+
+
+def outlines(group: click.Group) -> Iterator[tuple[str, Outline]]:
+    """The outlines of all commands of a lazy group, by their places."""
+    for listed in group.commands.values():
+        if isinstance(listed, LazyCommand):
+            command = listed.load()
+            if isinstance(command, click.Group):
+                yield from outlines(command)
+            else:
+                yield listed.place, outline_of(command)

@@ -4,15 +4,15 @@ from pathlib import Path
 
 import click
 
-from ca.keys.publickey import thumbprint
+from ca.keys.signing import thumbprint
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.clock import format_time
 from rossec.environment import own_master
 from rossec.errors import ConfigurationError
 from rossec.files import lines, open_text
 from rossec.home import NodeHome
-from rossec.operation import audit as audits
-from rossec.operation.audit_mark import check_beginning
+from rossec.host import audit as audits
+from rossec.host.audit import check_beginning
 from rossec.terminal import note, printable, say
 
 AUDIT = "audit.log"

@@ -12,31 +12,32 @@ from typing import Any, Final
 
 from rossec.authority.local_list import LocalList
 from rossec.channel import opening
-from rossec.cli.master.admin import ADMIN_SOCKET
 from rossec.cli.master.audit import AUDIT
 from rossec.cli.shared.context import Environment, now
 from rossec.cli.shared.master import own_variables
+from rossec.cli.status import ADMIN_SOCKET
 from rossec.errors import ConfigurationError
-from rossec.federation.config import FederationConfig, read_config
-from rossec.federation.mesh import Mesh
-from rossec.federation.start import mesh_of
+from rossec.federation.mesh import Mesh, mesh_of
+from rossec.federation.settings import FederationConfig, read_config
 from rossec.home import NodeHome
+from rossec.host.audit import audit_written
+from rossec.host.local_sockets import process_lock
+from rossec.host.runner import (
+    READY,
+    STOPPING,
+    log_as_json,
+    notify,
+    stop_on_signals,
+    until_first_ends,
+)
 from rossec.master.operation import config as configs
-from rossec.master.operation.admin import AdminPort
+from rossec.master.operation.admin import AdminPort, denials_limited, raise_descriptor_limit
 from rossec.master.operation.config import Config
-from rossec.master.operation.denial_limit import denials_limited
-from rossec.master.operation.denial_log import DenialLog, ignore_denial
-from rossec.master.operation.descriptor_limit import raise_descriptor_limit
 from rossec.master.operation.metrics import MetricsExporter, on_loop
-from rossec.master.rights.identity_renewals import Renewer
-from rossec.master.server.server import MasterServer
-from rossec.master.server.start import master_of
-from rossec.operation.audit_log import audit_written
-from rossec.operation.json_log import log_as_json
-from rossec.operation.process_lock import process_lock
-from rossec.operation.shutdown import stop_on_signals, until_first_ends
-from rossec.operation.systemd import READY, STOPPING, notify
-from rossec.ros import settings
+from rossec.master.rights.renewals import Renewer
+from rossec.master.server.effects import DenialLog, ignore_denial
+from rossec.master.server.server import MasterServer, master_of
+from rossec.ros import names
 from rossec.terminal import say, say_json
 
 LOCK: Final = "master.lock"
@@ -79,7 +80,7 @@ def run(
         stack.enter_context(denials_limited())
         home = NodeHome.of(environment.home, name)
         home.anchor()  # before anything is written there
-        settings.read((), own_variables(environment), default_name=name)  # likewise
+        names.read((), own_variables(environment), default_name=name)  # likewise
         federation = _federation(config, config_file, follow_announced=follow_announced)
         stack.enter_context(_only_master(home.path))
         if config.audit:
@@ -107,7 +108,7 @@ async def _serve(
     *,
     as_json: bool,
 ) -> None:
-    own = settings.read((), own_variables(environment), default_name=home.name)
+    own = names.read((), own_variables(environment), default_name=home.name)
     stop = stop_on_signals()
     local_list = LocalList(environment.home)
     newest = local_list.newest()
@@ -173,7 +174,7 @@ def _print_address(
 
 
 async def _announce(server: MasterServer, home: NodeHome) -> None:
-    from rossec.discovery.announcer import announce  # noqa: PLC0415 - carried when it is used
+    from rossec.discovery.local_links import announce  # noqa: PLC0415 - carried when it is used
 
     await announce(
         home.credentials(), server.uri, name=home.name,

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import click
 
-from rossec.cli.shared.results import json_result
-from rossec.namespace import message_package
+from rossec.cli.shared.options import json_result
+from rossec.namespace import topic_names
 from rossec.terminal import printable, record, say
 
 
@@ -20,6 +20,6 @@ def command(directory: Path) -> None:
     Programs need it to call /get_topic_name: from rossec_namespace.srv import GetTopicName. The
     directory may be the `src` of a catkin workspace.
     """
-    written = str(message_package.write(directory))
+    written = str(topic_names.write(directory))
     record(path=written)
     say(printable(written))

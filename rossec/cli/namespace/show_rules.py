@@ -2,7 +2,7 @@
 
 import click
 
-from rossec.naming import shipped
+from rossec.naming import rule_runner
 from rossec.terminal import say_block
 
 
@@ -12,4 +12,4 @@ def command() -> None:
 
     They are those of the thesis, in XSLT 1.0: rossec namespace rules > names.xsl
     """
-    say_block(shipped.rules().decode().removesuffix("\n"))
+    say_block(rule_runner.shipped_rules().decode().removesuffix("\n"))

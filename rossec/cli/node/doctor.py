@@ -3,41 +3,378 @@
 Each check is one line, `ok` or `not ok` with what to do; the command fails when one is not ok. What
 is revoked is not ok, wherever on this machine that is known, without a running master. Plain
 connections that are allowed get a line of their own and are no failure: they were configured.
+
+What a node knows of foreign domains, and whether that is the newest: for `rossec doctor`.
+
+A node without a list knows none, which is in order unless an authority on this machine has one.
+
+What this machine knows to be revoked, without a running master: for `rossec doctor`.
+
+The record of an authority that lives here, and the signed lists that lie in the homes of a node, of
+the master and of the authority. A list is accepted when the node's own authority signed it. What is
+revoked stays revoked: of several lists every entry counts.
+
+What `rossec doctor` says of addresses: that of this host, and those of nodes it may reach.
+
+The commonest fault of a ROS network: a name that only one host knows, or the address of yesterday.
+Whoever gives it away notices nothing; whoever is given it finds nobody there.
+
+What `rossec doctor` learns from the master: who answers there, the clock, and what is revoked.
+
+All of it comes over a connection on which the master proved its identity, and both things that are
+relied on are signed: the list by the authority, the timestamp by the master, in the second in which
+it answers. So the timestamp shows how far this host's clock is off. Of an unauthenticated host no
+time is taken.
 """
 
 import asyncio
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
-from dataclasses import asdict, dataclass
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, suppress
+from dataclasses import asdict, dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import Final
 
 import click
 
-from ca.certificates import Identity
-from ca.domains.aliases import display_name, shown
-from ca.errors import HintedError, RevocationRefused
-from ca.names import is_master_name, is_relay_name
-from ca.renewal import signed_at
-from ca.revocation.state import SKEW, open_statement
+from ca import svid
+from ca.certificates import Identity, TrustAnchor, signed_at
+from ca.domains.trust import DomainList
+from ca.errors import (
+    CertificateExpired,
+    CertificateNotYetValid,
+    HintedError,
+    RevocationRefused,
+    RevocationsStale,
+    Revoked,
+)
+from ca.names import display_name, is_master_name, is_relay_name, shown
+from ca.revocation.lists import RevocationList, Timestamp, TreeEntries, open_timestamp
+from ca.revocation.trust_status import SKEW, Revocations, open_statement
 from grants.errors import GrantRevoked
-from grants.missing_rights import in_shell
 from grants.model import Grant
-from rossec import files
-from rossec.cli.node.address_check import Outcome, check_own_address
-from rossec.cli.node.known_domains import check_domains
-from rossec.cli.node.known_revocations import known_revocations
-from rossec.cli.node.master_check import check_master
+from grants.request import in_shell
+from rossec import clock, files
+from rossec.authority.home import AuthorityHome
+from rossec.channel.opening import post_quantum
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.master import anew
-from rossec.cli.shared.tokens import open_held
+from rossec.cli.shared.master import (
+    REVOCATIONS,
+    anew,
+    find_master,
+    is_of_revoked,
+    open_held,
+    revoked_text,
+)
 from rossec.clock import format_duration, format_time
-from rossec.environment import own_master
-from rossec.errors import ConfigurationError
+from rossec.environment import OWN_MASTER, missing_nodes, nodes_in, own_master
+from rossec.errors import ChannelError, ConfigurationError
 from rossec.home import NodeHome
-from rossec.home_hints import missing_nodes, nodes_in
+from rossec.host import addresses
 from rossec.inprocess.options import file_of, read
-from rossec.saved_domains import DomainFiles
-from rossec.terminal import printable, say, say_json, state
+from rossec.net.aio import SecureContext, SecureStream, WireProtocol, as_master, connect
+from rossec.net.rpc.calls import RpcClient
+from rossec.participant.renewals import MAX_PROOFS_PER_CALL, MasterCall, prove
+from rossec.peer_limits import printable
+from rossec.ros import names
+from rossec.ros.names import MASTER, PRESENT_GRANTS
+from rossec.saved_statements import DomainFiles
+from rossec.terminal import printable as terminal_printable
+from rossec.terminal import say, say_json, state
+
+
+def check_domains(home: Path, node: NodeHome, now: int) -> Iterator[str]:
+    """A line for each domain that the node trusts.
+
+    Raises:
+        ConfigurationError: its list has expired, or is not the newest of this machine.
+        DomainsRefused: its list is not the authority's.
+    """
+    anchor = node.anchor()
+    held, newest = DomainFiles(node, anchor).anchors().current, _recorded(home, anchor)
+    for each in () if held is None else held.domains:
+        ended = "" if now < each.until else ", which is over"
+        until = format_time(each.until)
+        yield f"admits nodes of {each.domain}, here {each.label}, until {until}{ended}"
+    if held is not None and now >= held.expires:
+        raise ConfigurationError(
+            "the list of domains has expired: no foreign node is admitted",
+            "at the authority: rossec ca refresh",
+        )
+    if newest is not None and (held is None or held.number < newest.number):
+        raise ConfigurationError(
+            "the node has not the newest list of domains",
+            "deliver it: rossec ca publish; the node takes it from the master while it runs",
+        )
+
+
+def _recorded(home: Path, anchor: TrustAnchor) -> DomainList | None:
+    """The newest list of an authority on this machine, if it is the node's."""
+    with suppress(HintedError):
+        authority = AuthorityHome.at(home)
+        if authority.anchor().thumbprint == anchor.thumbprint:
+            found = authority.domain_list()
+            return None if found is None else found[1]
+    return None
+
+
+def known_revocations(home: Path, node: NodeHome) -> dict[bytes, str]:
+    """Each entry that is revoked, with the source that lists it."""
+    anchor, found = node.anchor(), dict[bytes, str]()
+    for place in (node, NodeHome.of(home, MASTER)):
+        for entry in _listed(place, anchor):
+            found.setdefault(entry, f"the list in {place.path}")
+    for entry in _known_revocations_recorded(home, anchor):
+        found[entry] = f"the authority's record in {home / 'ca'}"
+    return found
+
+
+def _listed(place: NodeHome, anchor: TrustAnchor) -> Iterator[bytes]:
+    """What a list that was saved holds; a tree's entries are only in a master's home."""
+    data = place.load_revocations()
+    if data is None:
+        return
+    with suppress(RevocationRefused):  # a list of another authority does not concern this node
+        statement = open_statement(data, anchor.public_key)
+        if isinstance(statement, RevocationList):
+            yield from statement.entries
+        elif (entries := place.load_entries()) is not None:
+            listing = TreeEntries.read(entries)
+            listing.check(statement)
+            yield from listing.entries
+
+
+def _known_revocations_recorded(home: Path, anchor: TrustAnchor) -> frozenset[bytes]:
+    """Of the authority itself, if it is the node's and not an intermediate below it."""
+    with suppress(HintedError):
+        authority = AuthorityHome.at(home)
+        if authority.anchor().thumbprint == anchor.thumbprint and not authority.is_intermediate:
+            with closing(authority.store()) as store:
+                return store.revoked_entries()
+    return frozenset()
+
+
+Outcome = str | HintedError
+"""A line that is ok, or a fault that does not end the check."""
+
+LIMIT: Final = 64  # nodes whose address is looked up
+_ENTER: Final = "enter the name in /etc/hosts here, or set ROS_IP on its host and start it again"
+
+
+def check_own_address(variables: Mapping[str, str]) -> Iterator[Outcome]:
+    """Whether ROS_HOSTNAME or ROS_IP leads to this host.
+
+    Raises:
+        ConfigurationError: it does not.
+    """
+    address = names.own_address(variables)
+    if address is None:
+        return
+    yield addresses.check_own_address(address, addresses.variable_of(variables))
+
+
+async def check_node_addresses(home: NodeHome, call: MasterCall) -> AsyncIterator[Outcome]:
+    """Whether the host names of the nodes that the master shows to this one are known here."""
+    await call(PRESENT_GRANTS, home.grants())
+    for name in islice(_nodes(await call("getSystemState")), LIMIT):
+        with suppress(ConfigurationError):  # a service without a slave API
+            host, _ = names.parse_uri(str(await call("lookupNode", name)))
+            if not await asyncio.to_thread(addresses.resolved, host):
+                yield ConfigurationError(
+                    f"{shown(name)} is at {printable(host)}, a name that this host does not know",
+                    _ENTER,
+                )
+
+
+def _nodes(state: object) -> list[str]:
+    """Who publishes or provides what this node may see, each once."""
+    match state:
+        case [list() as publishers, _, list() as services]:
+            entries = [*publishers, *services]
+            nodes = [node for entry in entries for node in (entry[1] if len(entry) == 2 else ())]
+            return list(dict.fromkeys(map(str, nodes)))
+        case _:
+            return []
+
+
+_MINUTE: Final = 60  # seconds that a connection may last whose certificate is out of its time
+_NO_LIST: Final = "the master has no revocation list"
+
+
+async def check_master(
+    environment: Environment, home: NodeHome, grants: Iterable[Grant]
+) -> AsyncIterator[Outcome]:
+    """Ask the master as the node in `home`, which holds `grants`.
+
+    Raises:
+        HintedError: it is out of reach, or not the master; the node is revoked.
+    """
+    uri = await find_master(environment, home)
+    judge = _Judge(home)
+    stream = await _connect(environment, home, uri, judge)
+    try:
+        client = RpcClient(stream)
+
+        async def call(method: str, *parameters: object) -> object:
+            return await client.ask(method, home.name, *parameters)
+
+        begun = clock.time()
+        data, stamp = _opened(home, stream.peer, await call(REVOCATIONS))
+        yield (said := describe_offset(stamp.issued, begun, clock.time()))
+        if isinstance(said, HintedError):
+            return  # nothing that has a time can be checked
+        if judge.late is not None:
+            raise judge.late
+        revocations = Revocations(home.anchor().public_key)
+        revocations.update(data, now())
+        revocations.confirm(stamp, now())
+        await _check_master_key(revocations, stream.peer, call)
+        yield f"the master at {uri} has a fresh revocation list"
+        async for outcome in _check_grants(revocations, grants, call):
+            yield outcome
+        async for outcome in check_node_addresses(home, call):
+            yield outcome
+    finally:
+        await stream.close()
+
+
+class _Judge:
+    """Verifies the master also where by this host's clock its certificate is not valid: to compare.
+
+    Whoever answers has the key of a certificate of this authority, and by its signed timestamp the
+    clock is judged; nothing else is taken from it. `late` is what the clock alone would refuse.
+    """
+
+    def __init__(self, home: NodeHome) -> None:
+        self._anchors = DomainFiles(home, home.anchor()).anchors()
+        self._own = svid.validity(svid.parse(home.credentials().chain[0]))
+        self.late: HintedError | None = None
+
+    def verify(self, chain: tuple[bytes, ...], at: int) -> Identity:
+        """As the anchors do; out of its time, as of the time of this node's own certificate."""
+        try:
+            return self._anchors.verify(chain, at)
+        except (CertificateExpired, CertificateNotYetValid) as error:
+            self.late = error.bare()
+            begin, end = svid.validity(svid.parse(chain[0]))
+            moment = min(max(at, begin, self._own[0]), end, self._own[1])
+            return replace(self._anchors.verify(chain, moment), not_after=at + _MINUTE)
+
+
+async def _connect(
+    environment: Environment, home: NodeHome, uri: str, judge: _Judge
+) -> SecureStream[Identity]:
+    suites = post_quantum(environment.variables)
+    context = SecureContext(home.credentials(), judge.verify, suites=suites)
+    host, port = names.parse_uri(uri, "the URI of the master")
+    try:
+        stream = await connect(host, port, context, WireProtocol.HTTP)
+    except ChannelError as error:
+        raise as_master(error) from error
+    wanted = own_master(environment.variables)
+    if stream.peer.name == wanted:
+        return stream
+    await stream.close()
+    raise ConfigurationError(
+        f"{shown(stream.peer.name)} answers there, not {wanted}",
+        f"check ROS_MASTER_URI, and {OWN_MASTER} if there are several masters",
+    )
+
+
+def _opened(home: NodeHome, master: Identity, answer: object) -> tuple[bytes, Timestamp]:
+    """The signed list, and the master's timestamp.
+
+    Raises:
+        ConfigurationError: the node is revoked, or there is no list.
+        RevocationRefused: one of them is not signed as it should be.
+    """
+    match answer:
+        case [bytes() as data, b""] if is_of_revoked(answer):
+            raise ConfigurationError(f"{revoked_text(home.name)}{_where(home, data)}", anew(home))
+        case [bytes() as data, bytes() as timestamp] if data:
+            return data, open_timestamp(timestamp, master.public_key)
+        case _:
+            raise ConfigurationError(_NO_LIST, "next: rossec ca publish")
+
+
+def _where(home: NodeHome, data: bytes) -> str:
+    """Whether the authority's own signature shows it; a tree would need a proof."""
+    statement = open_statement(data, home.anchor().public_key)
+    own = home.identity(now())
+    if isinstance(statement, RevocationList) and not statement.entries.isdisjoint(own.keys):
+        return f", by list {statement.seq} of the authority"
+    return ""
+
+
+def describe_offset(issued: int, begun: float, ended: float) -> Outcome:
+    """How far this host's clock is off, by a timestamp of the second in which it was signed.
+
+    Args:
+        issued: the master's time, in whole seconds, when it answered.
+        begun, ended: this host's time before the question and after the answer.
+    """
+    behind, ahead = issued - ended, begun - (issued + 1)
+    off = max(behind, ahead)
+    if off <= 0:
+        return "the clock agrees with the master's"
+    which = "behind" if behind > 0 else "ahead of"
+    text = (
+        f"the clock of this host is {clock.format_duration(max(1, int(off)))} {which} the master's"
+    )
+    if off <= SKEW:
+        return f"{text}; up to {SKEW} s are allowed"
+    return ConfigurationError(
+        f"{text}: nodes here take no word of the master for fresh, and refuse all connections",
+        "synchronize the clocks of both hosts (NTP), then restart what runs here",
+    )
+
+
+async def _check_master_key(revocations: Revocations, master: Identity, call: MasterCall) -> None:
+    """Raise ConfigurationError if the master itself is revoked, and still runs."""
+    found = await _revoked_of(revocations, master.keys, call)
+    if found:
+        raise ConfigurationError(
+            f"the identity of {shown(master.name)} is revoked, so that no node trusts it any more",
+            "on its host: move its directory away, and enroll it anew with a new key",
+        )
+
+
+async def _check_grants(
+    revocations: Revocations, grants: Iterable[Grant], call: MasterCall
+) -> AsyncIterator[Outcome]:
+    """Of grants that are in order here: whether the newest list revokes them."""
+    by_entry = {entry: grant for grant in grants for entry in grant.revocable}
+    for entry in await _revoked_of(revocations, tuple(by_entry), call):
+        yield ConfigurationError(
+            f"grant {by_entry[entry].short_id} is revoked according to the master's list",
+            f"ask for another; it does no harm in {by_entry[entry].subject}'s directory",
+        )
+
+
+async def _revoked_of(
+    revocations: Revocations, entries: Sequence[bytes], call: MasterCall
+) -> list[bytes]:
+    """Those that are revoked; where the list is a tree, the master is asked for proofs.
+
+    Raises:
+        RevocationsStale: of one it is not known.
+    """
+    for start in range(0, len(entries), MAX_PROOFS_PER_CALL):
+        for entry in entries[start : start + MAX_PROOFS_PER_CALL]:
+            with suppress(Revoked, RevocationsStale):
+                revocations.check(entry, now())
+        await prove(call, revocations)
+    return [entry for entry in entries if _is_revoked(revocations, entry)]
+
+
+def _is_revoked(revocations: Revocations, entry: bytes) -> bool:
+    try:
+        revocations.check(entry, now())
+    except Revoked:
+        return True
+    return False
+
 
 _SOON = 1 / 3  # of an identity's life: by then it should have been renewed
 _MAX_FILE = 64 * 1024
@@ -74,7 +411,7 @@ def doctor(environment: Environment, names: tuple[str, ...], offline: bool, as_j
         _say(findings, plain, several=len(homes) > 1)
         for name in unfinished:
             say(f"-       {shown(name)} is not enrolled yet: rossec node join again, or remove")
-            say(f"        {printable(str(NodeHome.of(environment.home, name).path))}")
+            say(f"        {terminal_printable(str(NodeHome.of(environment.home, name).path))}")
     failed = {(finding.node, finding.check) for finding in findings if not finding.ok}
     if failed:
         said = {(finding.text, finding.hint) for finding in findings if not finding.ok}
@@ -148,11 +485,13 @@ def _say(findings: list[Finding], plain: list[str], *, several: bool) -> None:
         causes.setdefault((finding.ok, finding.text, finding.hint), []).append(finding.node)
     for (ok, text, hint), nodes in causes.items():
         who = f"{', '.join(map(shown, dict.fromkeys(nodes)))}: " if several else ""
-        say(f"{state('ok    ' if ok else 'not ok')}  {printable(who + text)}")
+        say(f"{state('ok    ' if ok else 'not ok')}  {terminal_printable(who + text)}")
         if not ok:
-            say(f"        {printable(hint)}")
+            say(f"        {terminal_printable(hint)}")
     for entry in plain:
-        say(f"PLAIN   {printable(entry)} is neither encrypted nor checked: allow_plain names it")
+        say(
+            f"PLAIN   {terminal_printable(entry)} is neither encrypted nor checked: allow_plain names it"
+        )
 
 
 def _identity(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
@@ -196,7 +535,7 @@ def _address(environment: Environment, _: NodeHome) -> Iterator[Outcome]:
 
 
 def _grants(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
-    held, (usable, refused) = home.grants(), _opened(environment, home)
+    held, (usable, refused) = home.grants(), _doctor_opened(environment, home)
     for grant in usable:
         label = _label(home, grant)
         for permission in grant.links[-1].permissions:
@@ -219,7 +558,7 @@ def _grants(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
         yield ConfigurationError(f"{errors[0]}{others}", errors[0].hint)
 
 
-def _opened(
+def _doctor_opened(
     environment: Environment, home: NodeHome
 ) -> tuple[list[Grant], dict[type[HintedError], list[HintedError]]]:
     """The grants that hold as far as this host knows, and why others do not, by kind."""
@@ -272,7 +611,7 @@ async def _ask_master(environment: Environment, home: NodeHome) -> list[Outcome]
     """All that is found, and what ended it."""
     found = list[Outcome]()
     try:
-        usable, _ = _opened(environment, home)
+        usable, _ = _doctor_opened(environment, home)
         async for outcome in check_master(environment, home, usable):
             found.append(outcome)
     except HintedError as error:

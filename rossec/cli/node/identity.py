@@ -9,9 +9,8 @@ from ca.enrollment import qr
 from rossec import files
 from rossec.authority.home import fingerprint, format_fingerprint
 from rossec.cli.shared import options, rules
-from rossec.cli.shared.batch import Batch, unique
 from rossec.cli.shared.context import Environment, confirm, now, pass_environment
-from rossec.cli.shared.results import json_result
+from rossec.cli.shared.options import Batch, json_result, unique
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome

@@ -1,37 +1,37 @@
-"""`rossec explain`: whether a node may do something, by which rule, and what would change that."""
+"""`rossec explain`: whether a node may do something, by which rule, and what would change that.
 
-from collections.abc import Collection
+`rossec privacy`: which node has access to which data, and why.
+"""
+
+from collections.abc import Callable, Collection
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import click
 
-from ca.domains.aliases import is_alias, local_name
-from ca.names import check_name
+from ca.names import check_name, is_alias, local_name
 from grants import document
 from grants.errors import PolicyRefused
-from grants.missing_rights import grant_command
-from grants.model import Grant, Right
-from grants.policy.decision import Verdict
-from grants.policy.in_force import gives_whole, held_lines, in_force
-from grants.policy.in_force import lines as in_force_lines
-from grants.policy.mistakes import suggest
+from grants.model import Grant, Permission, Right, format_time
+from grants.policy import privacy as report
+from grants.policy.decision import Decider, Verdict
 from grants.policy.model import Policy, Subject
+from grants.policy.privacy import ReceiverAccess, Trial, level_lines, levels_json, shown
 from grants.policy.rules import RIGHTS
-from grants.policy.shown import as_json as levels_json
-from grants.policy.shown import lines as level_lines
-from grants.policy.shown import shown
-from grants.policy.trial import Trial
-from grants.validity import format_time
+from grants.policy.source import suggest
+from grants.policy.wanted import gives_whole, held_lines, in_force, in_force_lines
+from grants.request import grant_command
 from rossec import files
-from rossec.authority import foreign_nodes
+from rossec.authority import domain_operations
 from rossec.authority.home import AuthorityHome
-from rossec.authority.policyfile import PolicyFile, layout_of, place, read_policy
+from rossec.authority.policyfile import PolicyFile, place, read_policy
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.message_output import flat
-from rossec.cli.shared.message_text import fill, parse_message, stamp_now
+from rossec.cli.shared.messages import fill, flat, parse_message, stamp_now
+from rossec.clock import format_time as clock_format_time
 from rossec.errors import ConfigurationError
+from rossec.participant.host_types import layout_of
 from rossec.participant.message_types import MessageType, message_type
 from rossec.terminal import note, say, say_json
 
@@ -208,7 +208,7 @@ def subject_of(environment: Environment, node: str) -> Subject:
         store = AuthorityHome.at(environment.home).store()
         try:
             if is_alias(name):
-                return Subject(name, foreign_nodes.holder(store, name, now()))
+                return Subject(name, domain_operations.holder(store, name, now()))
             name = store.identities.certified_name(node, now())
             rows = [row for row in store.identities.all() if row.name == name]
         finally:
@@ -246,3 +246,106 @@ def _message(file: Path, kind: MessageType) -> bytes:
     message = kind.create()
     fill(message, parse_message(data.decode(errors="replace")), stamp_now())
     return bytes(kind.serialize(message))
+
+
+def show_privacy(
+    environment: Environment,
+    policy_path: Path | None,
+    *,
+    node: str | None,
+    field: str | None,
+    held: bool,
+    html: Path | None,
+    as_json: bool,
+) -> None:
+    """Show the report of the policy, or of what is `held`, as text, JSON or a page."""
+    read = read_policy(environment.home, policy_path)
+    accesses = report.from_policy(read.decider)
+    if held:
+        told = clock_format_time if html is None else _day
+        accesses = _held(AuthorityHome.at(environment.home), read.decider, told)
+    if html is not None:
+        wanted = partial(_is_wanted, node, field)
+        files.replace(html, _page(accesses, wanted, read.policy).encode(), 0o644)
+        say(f"written to {html}")
+        return
+    rows = [
+        row
+        for row in report.rows(accesses, layout_of, read.policy.vocabulary)
+        if _is_wanted(node, field, row.receiver, row.field)
+    ]
+    if as_json:
+        say_json(report.as_json(rows))
+    else:
+        for line in report.lines(rows):
+            say(line)
+
+
+def _day(time: int) -> str:
+    """As the console's pages say it: in this host's time zone."""
+    from rossec.console.words import day  # noqa: PLC0415 - for a page alone
+
+    return day(time)
+
+
+def _held(
+    home: AuthorityHome, decider: Decider, told: Callable[[int], str]
+) -> list[ReceiverAccess]:
+    """What is granted now, with the reason the policy gives for it today."""
+    store = home.store()
+    try:
+        revoked = store.revoked_entries()
+        grants = [document.peek(row.data) for row in store.grants() if row.id not in revoked]
+    finally:
+        store.close()
+    return [
+        _access(grant, permission, decider, told)
+        for grant in grants
+        if grant.not_before <= now() < grant.expires
+        for permission in grant.permissions
+        if Right.SUBSCRIBE in permission.rights
+    ]
+
+
+def _access(
+    grant: Grant, permission: Permission, decider: Decider, told: Callable[[int], str]
+) -> ReceiverAccess:
+    subject = Subject(check_name(grant.subject), grant.holder, grant.has_tail_patterns)
+    verdict = decider.decide(subject, Right.SUBSCRIBE, permission.pattern)
+    restriction = permission.restriction
+    kind = decider.policy.type_of(permission.pattern)
+    return ReceiverAccess(
+        permission.pattern,
+        kind if restriction is None or restriction.type is None else restriction.type,
+        grant.subject,
+        "; ".join(rule.why for rule in verdict.rules if rule.why and verdict),
+        told(grant.expires),
+        f"grant {grant.short_id}",
+        () if restriction is None else (restriction,),
+        getattr(restriction, "rate", None),
+    )
+
+
+def _is_wanted(node: str | None, field: str | None, receiver: str, path: str) -> bool:
+    return node in (None, receiver) and (field is None or field in path)
+
+
+def _page(
+    accesses: list[ReceiverAccess], wanted: Callable[[str, str], bool], policy: Policy
+) -> str:
+    """The report as the console shows it, as one file.
+
+    Raises:
+        ConfigurationError: the extra `console` is missing.
+    """
+    try:
+        from rossec.console.matrix import topics  # noqa: PLC0415 - an extra
+        from rossec.console.pages.visibility import write  # noqa: PLC0415 - an extra
+        from rossec.console.words import Names  # noqa: PLC0415 - an extra
+    except ModuleNotFoundError as error:
+        raise ConfigurationError(
+            f"a page needs the package {error.name}",
+            "pip install 'rossec[console]', or leave out --html",
+        ) from error
+    found = topics(accesses, layout_of, wanted, policy.vocabulary)
+    return write(found, policy.robot, now(), Names(dict(policy.titles)))

@@ -19,16 +19,16 @@ from grants.errors import GrantError
 from grants.filters.layout import Layout, parse
 from grants.model import Right
 from grants.policy.decision import Decider
-from grants.policy.editing import empty
-from grants.policy.lint import sample_subject
+from grants.policy.learn import empty
+from grants.policy.lint_views import sample_subject
 from grants.policy.model import Policy, Subject
-from grants.policy.trial import Trial, TrialOutcome
+from grants.policy.privacy import Trial, TrialOutcome
 from rossec.authority.policyfile import PolicyFile, parse_policy, place, read_policy
 from rossec.cli.policy.explain import changes, subject_of
-from rossec.cli.shared.busy import working
 from rossec.cli.shared.context import Environment, pass_environment
+from rossec.cli.shared.options import working
 from rossec.errors import ConfigurationError, MessageError
-from rossec.ros.header import MESSAGE_LIMIT
+from rossec.ros.tcpros import MESSAGE_LIMIT
 from rossec.terminal import note, printable, say, say_json
 
 _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)

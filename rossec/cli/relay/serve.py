@@ -10,23 +10,21 @@ from pathlib import Path
 from typing import Final
 
 from rossec import files
-from rossec.cli.relay.home import ADMIN_SOCKET, relay_files
+from rossec.cli.relay.sites import RELAY_SOCKET, relay_files
 from rossec.cli.shared.context import Environment
 from rossec.cli.shared.master import with_master
 from rossec.environment import own_relay
 from rossec.errors import ConfigurationError, OverlayUnavailable
-from rossec.master.operation.admin import AdminPort
-from rossec.master.operation.descriptor_limit import raise_descriptor_limit
-from rossec.operation.audit_log import audit_written
-from rossec.operation.process_lock import process_lock
-from rossec.operation.shutdown import stop_on_signals, until_first_ends
-from rossec.operation.systemd import READY, STOPPING, notify
-from rossec.overlay.doors import OpenDoors
-from rossec.overlay.member import RelayMember
-from rossec.overlay.network import RouterNetwork
+from rossec.host.audit import audit_written
+from rossec.host.local_sockets import process_lock
+from rossec.host.runner import READY, STOPPING, notify, stop_on_signals, until_first_ends
+from rossec.master.operation.admin import AdminPort, raise_descriptor_limit
+from rossec.overlay.documents import MAX_SEAT_FILE, Routers
+from rossec.overlay.endpoint import RouterNetwork
+from rossec.overlay.forwarded_ports import OpenDoors
+from rossec.overlay.homes import RelayFiles
+from rossec.overlay.masters import RelayMember
 from rossec.overlay.relay import Relay
-from rossec.overlay.relay_files import RelayFiles
-from rossec.overlay.routers import MAX_FILE, Routers
 from rossec.overlay.zenoh_carrier import Carrier
 from rossec.sidecar.callers import Callers
 from rossec.sidecar.loopback_port import Admission, find_loopback
@@ -63,7 +61,7 @@ def run(environment: Environment, doors: str, seat_file: Path | None, *, as_json
 
 def _read_seat(file: Path) -> Routers:
     missing = ConfigurationError(f"there is no {file}", "`rossec router seats add` made it")
-    return Routers.read(files.read_own(file, MAX_FILE, missing, link=True))
+    return Routers.read(files.read_own(file, MAX_SEAT_FILE, missing, link=True))
 
 
 async def _serve(
@@ -84,7 +82,7 @@ async def _serve(
     relay = Relay(
         member, RouterNetwork(carrier, routers, member.link_context), admission, store.peers
     )
-    admin = AdminPort(store.home.path / ADMIN_SOCKET, {"status": relay.status})
+    admin = AdminPort(store.home.path / RELAY_SOCKET, {"status": relay.status})
     try:
         await admin.start()
         _say_ready(store, carrier, as_json=as_json)

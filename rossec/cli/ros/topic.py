@@ -1,34 +1,161 @@
-"""`rossec topic`: publish and listen from the command line, with an identity."""
+"""`rossec topic`: publish and listen from the command line, with an identity.
+
+A node that runs for one command.
+
+The type a publisher claims, to show its messages by: one that is known here, or its definition.
+
+Nothing is decided by it. A type that is known here counts as it is known here.
+
+A topic of any type as a command listens to it: messages as bytes, and why there are none.
+
+A person who waits is told after a moment: that nobody publishes, or what each publisher was refused
+for. Each reason is said once.
+
+`rossec topic hz | bw`: how often messages arrive, and how much they are.
+"""
 
 import asyncio
-from collections.abc import AsyncIterable, AsyncIterator, Callable, Sequence
+import time
+from collections import deque
+from collections.abc import AsyncIterable, AsyncIterator, Callable, Coroutine, Sequence
+from contextlib import asynccontextmanager
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import click
 
-from ca.domains.aliases import local_name
+from ca.names import local_name, shown
 from rossec import files
-from rossec.cli.ros.claimed_types import readable
-from rossec.cli.ros.listening import Arrivals, listening, watched
+from rossec.cli.ros.graph import as_node
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.master import node_as
-from rossec.cli.shared.message_output import plain, render
-from rossec.cli.shared.message_text import (
+from rossec.cli.shared.messages import (
+    RateWindow,
+    SizeWindow,
     fill,
     mentions_now,
     parse_arguments,
     parse_documents,
+    plain,
+    render,
     stamp_now,
 )
-from rossec.cli.shared.running import run_until_node_ends
-from rossec.cli.shared.system_state import as_node
 from rossec.errors import ConfigurationError, MessageError
-from rossec.node import Publisher
-from rossec.participant.message_types import Message, MessageType, message_type
-from rossec.terminal import note, say, say_block, say_json
+from rossec.node import Node, Publisher
+from rossec.node.subscriber import RawSource, Subscriber
+from rossec.participant.definitions import Definition
+from rossec.participant.message_types import Message, MessageType, message_type, register_types
+from rossec.terminal import note, printable, say, say_block, say_json
+
+
+async def run_until_node_ends(node: Node, work: Coroutine[Any, Any, None]) -> None:
+    """Run `work`; if the node ends first, cancel it and raise why the node ended.
+
+    Both tasks have ended when this returns, also after Ctrl-C: the node is closed next.
+    """
+    tasks = [asyncio.ensure_future(node.wait_ended()), asyncio.ensure_future(work)]
+    try:
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+    for task in done:
+        await task
+
+
+def readable(claimed: Definition) -> MessageType:
+    """The type to read messages of `claimed` by.
+
+    Raises:
+        MessageError: its name has another definition here, or the definition is none.
+    """
+    try:
+        known = message_type(claimed.name)
+    except MessageError:
+        register_types({claimed.name: claimed.definition})
+        known = message_type(claimed.name)
+    if known.md5sum != claimed.md5sum:
+        raise MessageError(
+            f"the publisher's {claimed.name} is another one than here",
+            "its messages cannot be read by the definition that is installed here",
+        )
+    return known
+
+
+MOMENT: Final = 2.0  # seconds in which a publisher that runs is connected
+KEPT: Final = 100  # messages that wait; older ones are dropped, as a subscriber's queue does
+
+Arrived = tuple[RawSource, bytes]
+
+
+class Arrivals:
+    """The receiver of a raw subscription: keeps what came, and says what was refused."""
+
+    def __init__(self, size: int = KEPT) -> None:
+        self._queue: deque[Arrived] = deque(maxlen=size)
+        self._wake = asyncio.Event()
+        self._said: set[str] = set()
+
+    def connected(self, _: RawSource) -> None:
+        """Nothing is to be said of a publisher that is connected."""
+
+    def received(self, source: RawSource, messages: Sequence[bytes]) -> None:
+        """Keep what came; its bytes are of a buffer that is used again."""
+        self._queue.extend((source, bytes(message)) for message in messages)
+        self._wake.set()
+
+    def disconnected(self, _: RawSource) -> None:
+        """Nothing is to be said of a publisher that has gone."""
+
+    def refused(self, error: Exception) -> None:
+        """Say once why a publisher is not connected, or no longer."""
+        hint = getattr(error, "hint", "")
+        text = printable(f"{error}" + (f"; {hint}" if hint else ""))
+        if text not in self._said:
+            self._said.add(text)
+            note(text)
+
+    async def messages(self) -> AsyncIterator[Arrived]:
+        """What arrives, for ever."""
+        while True:
+            while self._queue:
+                yield self._queue.popleft()
+            self._wake.clear()
+            await self._wake.wait()
+
+
+@asynccontextmanager
+async def listening(
+    environment: Environment, name: str, node: str
+) -> AsyncIterator[tuple[Node, Arrivals]]:
+    """A running node that subscribes to the topic, and what arrives there."""
+    async with node_as(environment, node) as running:
+        arrivals = Arrivals()
+        topic = running.settings.resolve(local_name(name))
+        subscriber = await running.topics.subscribe_raw(topic, arrivals)
+        async with watched(subscriber):
+            yield running, arrivals
+
+
+@asynccontextmanager
+async def watched(subscriber: Subscriber) -> AsyncIterator[None]:
+    """Say it if nobody publishes after a moment."""
+    task = asyncio.ensure_future(_say_if_nobody(subscriber))
+    try:
+        yield
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
+async def _say_if_nobody(subscriber: Subscriber) -> None:
+    await asyncio.sleep(MOMENT)
+    if not subscriber.publishers:
+        note(f"nobody publishes {shown(subscriber.topic)} at this master; waiting")
+
 
 Show = Callable[[Message], None]
 MAX_FILE: Final = 4 * 1024 * 1024  # as much YAML as is read
@@ -207,3 +334,79 @@ async def _publish(
         publisher.publish(messages.at(sent))
         sent += 1
         await asyncio.sleep(period)
+
+
+PERIOD: Final = 1.0  # seconds between two lines
+_WINDOW = click.option(
+    "--window", "-w", type=click.IntRange(min=2), help="of the last N messages only", metavar="N"
+)
+_COUNT = click.option("--count", "-n", type=click.IntRange(min=1), help="end after N lines")
+
+Add = Callable[[float, int], None]
+
+
+@click.command()
+@click.argument("name")
+@as_node
+@_WINDOW
+@_COUNT
+@pass_environment
+def hz(
+    environment: Environment, name: str, node: str, window: int | None, count: int | None
+) -> None:
+    """Show how often messages of the topic NAME arrive, as NODE may see them."""
+    rates = RateWindow(window)
+    asyncio.run(
+        _watch(environment, name, node, lambda now, _: rates.add(now), rates.describe, count)
+    )
+
+
+@click.command()
+@click.argument("name")
+@as_node
+@_WINDOW
+@_COUNT
+@pass_environment
+def bw(
+    environment: Environment, name: str, node: str, window: int | None, count: int | None
+) -> None:
+    """Show how many bytes of the topic NAME arrive, as NODE may see them."""
+    sizes = SizeWindow(window or 100)  # rostopic's
+
+    def describe() -> str:
+        return sizes.describe(time.monotonic())
+
+    asyncio.run(_watch(environment, name, node, sizes.add, describe, count))
+
+
+async def _watch(
+    environment: Environment,
+    name: str,
+    node: str,
+    add: Add,
+    describe: Callable[[], str],
+    count: int | None,
+) -> None:
+    async with listening(environment, name, node) as (running, arrivals):
+        note(f"subscribed to [{name}]")
+        await run_until_node_ends(running, _count_and_say(arrivals, add, describe, count))
+
+
+async def _count_and_say(
+    arrivals: Arrivals, add: Add, describe: Callable[[], str], count: int | None
+) -> None:
+    counting = asyncio.ensure_future(_count(arrivals, add))
+    try:
+        lines = 0
+        while count is None or lines < count:
+            await asyncio.sleep(PERIOD)
+            say_block(describe())
+            lines += 1
+    finally:
+        counting.cancel()
+        await asyncio.gather(counting, return_exceptions=True)
+
+
+async def _count(arrivals: Arrivals, add: Add) -> None:
+    async for _, data in arrivals.messages():
+        add(time.monotonic(), len(data))

@@ -4,10 +4,9 @@ import asyncio
 from collections.abc import Mapping
 
 from rossec.cli.shared.context import Environment
-from rossec.operation.shutdown import stop_on_signals, until_first_ends
-from rossec.operation.systemd import READY, STOPPING, notify
+from rossec.host.runner import READY, STOPPING, notify, stop_on_signals, until_first_ends
+from rossec.overlay.homes import RouterHome
 from rossec.overlay.router import Router, seats_of
-from rossec.overlay.router_home import RouterHome
 from rossec.overlay.router_settings import RouterSettings, nested, zenoh_settings
 from rossec.terminal import json_text, note, say, say_block, say_json
 

@@ -1,15 +1,38 @@
-"""What every command shares: the environment it was called with, and what follows from it."""
+"""What every command shares: the environment it was called with, and what follows from it.
 
+One command line, from arguments to exit code: a refusal is printed as error and hint.
+
+Groups whose commands are imported when they run: help and completion list them unimported.
+"""
+
+import importlib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import click
 
-from rossec.errors import ConfigurationError, MasterNotFound
-from rossec.terminal import printable
+from ca.errors import HintedError, JoinWaiting
+from rossec.errors import (
+    ConfigurationError,
+    MasterNotFound,
+    NotDelivered,
+    PolicyContradicted,
+    PolicyIncomplete,
+)
+from rossec.terminal import (
+    CONTRADICTED,
+    INCOMPLETE,
+    INTERRUPTED,
+    REFUSED,
+    UNDELIVERED,
+    USAGE,
+    WAITING,
+    fail,
+    printable,
+)
 
 _UNITS: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
 _ANSWER: Final = "answer y, or give --yes where no one can answer"
@@ -121,3 +144,97 @@ def ask_yes_no(question: str, *, yes: bool) -> bool:
     except click.Abort as abort:
         reraise_interrupt(abort)
         raise ConfigurationError("there was no answer, nothing was done", _ANSWER) from None
+
+
+_EXIT_CODES: Final[dict[type[HintedError], int]] = {
+    NotDelivered: UNDELIVERED,
+    PolicyContradicted: CONTRADICTED,
+    PolicyIncomplete: INCOMPLETE,
+    JoinWaiting: WAITING,
+}
+
+
+def run(program: click.Command, arguments: Sequence[str], environ: Mapping[str, str]) -> int:
+    """Run one command line and return its exit code (see `rossec.terminal`)."""
+    try:
+        program.main(
+            list(arguments), prog_name="rossec", standalone_mode=False, obj=Environment(environ)
+        )
+    except HintedError as error:
+        fail(str(error), error.hint)
+        return _EXIT_CODES.get(type(error), REFUSED)
+    except click.ClickException as error:
+        return _report(error)
+    except (KeyboardInterrupt, click.Abort, EOFError):
+        return INTERRUPTED
+    except UnicodeEncodeError:  # an argument of octets that are no text, as the system hands it on
+        fail("what was given is not text in UTF-8", "write it anew, or rename the file")
+        return REFUSED
+    except OSError as error:
+        fail(f"{error.filename or 'the system'}: {(error.strerror or str(error)).lower()}")
+        return REFUSED
+    return 0
+
+
+def _report(error: click.ClickException) -> int:
+    """Print a click error as error and hint."""
+    if isinstance(error, click.exceptions.NoArgsIsHelpError):
+        click.echo(error.format_message())
+        return USAGE
+    usage = isinstance(error, click.UsageError)
+    fail(_plain(error.format_message()), _usage_hint(error) if usage else "")
+    return USAGE if usage else REFUSED
+
+
+def _plain(message: str) -> str:
+    line = " ".join(message.split())
+    return (line[:1].lower() + line[1:]).rstrip(".")
+
+
+def _usage_hint(error: click.ClickException) -> str:
+    context = getattr(error, "ctx", None)
+    path = context.command_path if context is not None else "rossec"
+    return f"see: {path} --help"
+
+
+class LazyCommand(click.Command):
+    """A command that is listed: its name, its help line, and the place it is imported from."""
+
+    def __init__(self, name: str, place: str, help_line: str) -> None:
+        """`place` is "module:attribute" below `rossec.cli`."""
+        super().__init__(name, help=help_line)
+        self.place = place
+
+    def get_short_help_str(self, limit: int = 45) -> str:  # noqa: ARG002 - as the base has it
+        """The whole help line: the list wraps it, click would cut it."""
+        return self.help or ""
+
+    def load(self) -> click.Command:
+        """The command itself."""
+        module, _, attribute = self.place.partition(":")
+        command: click.Command = getattr(importlib.import_module(f"rossec.cli.{module}"), attribute)
+        return command
+
+    def outlined(self) -> click.Command:
+        """The command as far as completion needs it; a group as it is."""
+        from rossec.cli.completion.shells import completed  # noqa: PLC0415 - for completion alone
+
+        return completed(self.name or "", self.place, self.load)
+
+
+class LazyGroup(click.Group):
+    """A group made from a table: name -> (place, help line), see `LazyCommand`."""
+
+    def __init__(self, *args: Any, table: Mapping[str, tuple[str, str]], **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        for name, (place, help_line) in table.items():
+            self.add_command(LazyCommand(name, place, help_line))
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """The command that is to run; to be completed, one that knows its parameters alone."""
+        name, command, rest = super().resolve_command(ctx, args)
+        if isinstance(command, LazyCommand):
+            command = command.outlined() if ctx.resilient_parsing else command.load()
+        return name, command, rest

@@ -2,27 +2,45 @@
 
 All commands take the master's URI from here, from `--master` or ROS_MASTER_URI. Where it is
 `discover:`, the master is found once, by what it announces (docs/howto/find-the-master.md).
+
+The address of this host as others can reach it, for a code that they read.
+
+Files with a grant or a chain of narrowings, as the commands of a node read them.
+
+A grant of the node's own domain, or of a listed one, is verified. Of one of another domain that is
+checked which the node can know: its form, its time and its key.
 """
 
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Mapping
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from ca.names import origin_of, shown
+from grants.errors import GrantNotHeld
+from grants.model import Grant, check_time
+from grants.token import MAX_TOKEN, Verifier, peek
+from rossec import files
 from rossec.authority.master_connection import master_connection
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.channel.opening import post_quantum
 from rossec.cli.shared.context import Environment
 from rossec.errors import ChannelClosed, ConfigurationError, MasterNotFound
 from rossec.home import NodeHome
-from rossec.net.rpc.client import RpcClient
-from rossec.participant.grant_renewal import MasterCall
-from rossec.ros import settings
+from rossec.host import addresses
+from rossec.host.addresses import warn_of_own_address
+from rossec.net.rpc.calls import RpcClient
+from rossec.participant.renewals import MasterCall
+from rossec.ros import names
 from rossec.ros.names import PRESENT_GRANTS
+from rossec.saved_statements import DomainFiles
+from rossec.terminal import note
 
 if TYPE_CHECKING:
     from rossec.node import Node
+
 
 VARIABLE: Final = "ROS_MASTER_URI"
 DISCOVER: Final = "discover:"
@@ -58,7 +76,7 @@ async def find_master(
     if uri != DISCOVER:
         return uri
     # Imported where it is asked for.
-    from rossec.discovery.choose import discover_master, trusted  # noqa: PLC0415
+    from rossec.discovery.local_links import discover_master, trusted  # noqa: PLC0415
 
     who = f"/{node.lstrip('/')}" if isinstance(node, str) else node
     key = trusted(environment.home, who)[0].thumbprint
@@ -103,11 +121,11 @@ def own_variables(environment: Environment) -> Mapping[str, str]:
     """
     if _given(environment, None) != DISCOVER:
         return environment.variables
-    return {**environment.variables, VARIABLE: settings.DEFAULT_MASTER_URI}
+    return {**environment.variables, VARIABLE: names.DEFAULT_MASTER_URI}
 
 
 def _given(environment: Environment, master_uri: str | None) -> str:
-    return master_uri or environment.variables.get(VARIABLE, settings.DEFAULT_MASTER_URI)
+    return master_uri or environment.variables.get(VARIABLE, names.DEFAULT_MASTER_URI)
 
 
 @contextlib.asynccontextmanager
@@ -169,3 +187,56 @@ async def calls_as(
 
         await call(PRESENT_GRANTS, home.grants())
         yield call
+
+
+def own_address(environment: Environment) -> str:
+    """ROS_IP or ROS_HOSTNAME, else the address at which others probably reach this host."""
+    configured = names.own_address(environment.variables)
+    if configured is not None:
+        warn_of_own_address(
+            configured, environment.variables, lambda error: note(f"{error} ({error.hint})")
+        )
+        return configured
+    first, *others = addresses.own_addresses()
+    if others:
+        note(f"other addresses of this host, for --address: {', '.join(others)}")
+    return first
+
+
+def read_token(path: Path) -> bytes:
+    """The octets of a file with a token; not verified.
+
+    Raises:
+        ConfigurationError: it is gone, or too large.
+    """
+    missing = ConfigurationError(f"there is no file {path}", "give the file `rossec grant` wrote")
+    return files.read(path, MAX_TOKEN, missing)
+
+
+def holder_home(rossec_home: Path, grant: Grant) -> NodeHome:
+    """The directory of the node a grant is for: a grant of another domain names it by its alias."""
+    return NodeHome.of(rossec_home, origin_of(grant.subject))
+
+
+def open_held(home: NodeHome, token: bytes, now: int) -> Grant:
+    """What a token of this node says, verified as far as this node can.
+
+    Raises:
+        GrantError: the subclass for what is wrong.
+    """
+    anchor, grant = home.anchor(), peek(token)
+    listed = DomainFiles(home, anchor).anchors().listed_domain(grant.domain)
+    if grant.domain == anchor.domain or listed is not None:
+        signer = anchor if listed is None else listed.anchor
+        Verifier(signer.public_key, signer.domain, (), 0, _not_asked).open(token, now)
+    check_time(grant, now)
+    if grant.holder != home.identity(now).thumbprint:
+        raise GrantNotHeld(
+            f"grant {grant.short_id} is bound to another key than that of {home.name}",
+            f"the domain {grant.domain} gave it to {shown(grant.subject)}: install it there",
+        )
+    return grant
+
+
+def _not_asked(entry: bytes, now: int) -> None:
+    """Revocation is looked up by who knows a list."""

@@ -7,9 +7,9 @@ import click
 
 from rossec import files
 from rossec.cli.shared import options
-from rossec.naming import shipped
-from rossec.naming.documents import MAX_INPUT, check_document, check_rules
-from rossec.naming.runner import RuleRunner, require_extra
+from rossec.naming import rule_runner
+from rossec.naming.requests import MAX_INPUT, check_document, check_rules
+from rossec.naming.rule_runner import RuleRunner, require_extra
 
 option = click.option(
     "--rules", "rules_path", type=options.FILE, metavar="FILE",
@@ -25,7 +25,7 @@ def read_rules(path: Path | None) -> bytes:
         RulesRefused, ConfigurationError: too long, or with a document type.
     """
     require_extra()
-    return shipped.rules() if path is None else check_rules(files.read(path, MAX_INPUT))
+    return rule_runner.shipped_rules() if path is None else check_rules(files.read(path, MAX_INPUT))
 
 
 def read_metadata(path: Path) -> bytes:

@@ -1,4 +1,7 @@
-"""The authority of a command: its passphrase and its master are those of the options."""
+"""The authority of a command: its passphrase and its master are those of the options.
+
+At enrollment: a new identity gets at once what the policy gives its name outright.
+"""
 
 import asyncio
 import contextlib
@@ -10,18 +13,17 @@ from pathlib import Path
 from typing import Any, Final
 
 from ca.errors import HintedError
-from ca.revocation.state import NO_LIST_YET
+from ca.revocation.trust_status import NO_LIST_YET
 from grants import document
 from rossec import files
-from rossec.authority.grant_delivery import LATER, RefusedDeposit
-from rossec.authority.master_call import MasterCall
+from rossec.authority.grant_operations import LATER, MasterCall, RefusedDeposit, SignedGrant
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import passphrase
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import master_as, master_at
-from rossec.cli.shared.results import add_entry
+from rossec.cli.shared.options import add_entry
 from rossec.errors import ConfigurationError, NotDelivered, PeerUnreachable
-from rossec.ros import settings
+from rossec.ros import names
 from rossec.ros.xmlrpc import Fault
 from rossec.terminal import note, printable, record, say
 
@@ -74,7 +76,7 @@ def call_master(environment: Environment, master_uri: str | None, call: MasterCa
     if call.note:
         note(call.note)
     uri = master_at(environment, call.node, master_uri)
-    settings.parse_uri(uri, "the master's URI")
+    names.parse_uri(uri, "the master's URI")
 
     async def ask() -> object:
         async with (
@@ -187,3 +189,37 @@ def deliver_grant(
         add_entry("given", {"node": document.peek(data).subject, "path": str(path)})
         say(f"given to {document.peek(data).subject} in {path}")
     return ()
+
+
+_NAMED: Final = 5  # rights of the line
+
+
+def give_outright(service: AuthorityService, name: str) -> None:
+    """Grant `name` what the policy in force gives it, if there is one, and say so in one line.
+
+    What the policy leaves to a person waits for a request. The identity is signed by then, so a
+    policy that cannot be used is a note.
+    """
+    try:
+        signed = service.grant_outright(name)
+    except HintedError as error:
+        record(no_grants=str(error))
+        note(f"{name} has no grants yet: {error}")
+        note("correct it (rossec policy check), then: rossec policy apply")
+        return
+    if signed:
+        record(granted=[document.grant_id(data).hex() for _, data in signed])
+        say(f"the policy gives {name}: {_rights(signed)}")
+        for each in deliver_grants(service, [data for _, data in signed])[:1]:
+            note(each.hint)
+
+
+def _rights(signed: list[SignedGrant]) -> str:
+    found = [
+        f"{item.rights.label} {item.pattern}" + (" (restricted)" if item.restriction else "")
+        for _, data in signed
+        for item in document.peek(data).permissions
+    ]
+    unique = list(dict.fromkeys(found))
+    more = f", and {len(unique) - _NAMED} more" if len(unique) > _NAMED else ""
+    return ", ".join(unique[:_NAMED]) + more

@@ -1,24 +1,29 @@
-"""Today: what waits for an answer, who sees what, what it looks like, and what happened."""
+"""Today: what waits for an answer, who sees what, what it looks like, and what happened.
+
+What happened: the record's log and the denials as one time line; and the data flow, live.
+
+`/news`: that something changed, as server-sent events, to pages that are open.
+"""
 
 from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any, Final, NamedTuple
+from urllib.parse import urlencode
 
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import Response, StreamingResponse
 
 from ca.errors import HintedError
 from grants.model import Permission, Right
-from rossec.authority.console.views import GrantQuestion
-from rossec.console import asking, overview
+from rossec.authority.console.messages import DenialView, EventView, GrantQuestion
+from rossec.console import approvals
 from rossec.console.context import ConsoleContext
-from rossec.console.forms import to_base64url
 from rossec.console.matrix import Access, Matrix, TopicRow
-from rossec.console.overview import Overview
+from rossec.console.pages import visibility
+from rossec.console.pages.visibility import Overview
 from rossec.console.pictures import flow, place
-from rossec.console.rendering import names_of, render
-from rossec.console.routing import Page
-from rossec.console.sentences import Known, Part, permissions, story
+from rossec.console.rendering import Page, names_of, render, to_base64url
+from rossec.console.sentences import Known, Part, Sentence, permissions, refusals, story
 
 ROWS: Final = 8
 RECEIVERS: Final = 4
@@ -46,11 +51,11 @@ class Counts(NamedTuple):
     receivers: int
 
 
-async def show(request: Request, context: ConsoleContext) -> Response:
+async def show_today(request: Request, context: ConsoleContext) -> Response:
     """The first page."""
-    home = await overview.load(context, names_of(request))
-    questions, without_policy = await overview.questions(context)
-    denied = await overview.denials(context)
+    home = await visibility.load(context, names_of(request))
+    questions, without_policy = await visibility.questions(context)
+    denied = await visibility.denials(context)
     events = await context.service.events(0, _ENTRIES)
     known = Known.of(home.held, home.nodes, questions, home.ending)
     told = [each for each in story(events, denied, known) if each.tone != "note"]
@@ -61,8 +66,8 @@ async def show(request: Request, context: ConsoleContext) -> Response:
         authority=await context.service.status(), waiting=await _waiting(context, questions),
         counts=counts(home.matrix), matrix=part, rows=len(busy.rows),
         receivers=len(busy.receivers), silent=silent(home), **_looks(context, busy),
-        flow=flow.draw(part, overview.refused_names(denied), names_of(request).title),
-        sentences=told[:THINGS], ending=len(home.ending), again=overview.again(home),
+        flow=flow.draw(part, visibility.refused_names(denied), names_of(request).title),
+        sentences=told[:THINGS], ending=len(home.ending), again=visibility.again(home),
         new=_new(request, [each.number for each in told]), without_master=home.without_master,
         without_policy=without_policy,
     )  # fmt: skip
@@ -76,7 +81,7 @@ async def _waiting(context: ConsoleContext, questions: Iterable[GrantQuestion]) 
             f"/ask/{to_base64url(each.id)}",
             each.at,
             each.why,
-            asking.acts(each.rights),
+            approvals.acts(each.rights),
         )
         for each in questions
     ]
@@ -104,7 +109,7 @@ async def _waiting(context: ConsoleContext, questions: Iterable[GrantQuestion]) 
 
 def _asked(question: GrantQuestion) -> tuple[Part, ...]:
     rights = [Permission(each.pattern, Right(each.right)) for each in question.rights]
-    drives = any(asking.drives(each) for each in question.rights)
+    drives = any(approvals.drives(each) for each in question.rights)
     asks = Part("asks to drive, to" if drives else "asks to")
     return Part(question.node, is_name=True), asks, *permissions(rights)
 
@@ -129,7 +134,7 @@ def _looks(context: ConsoleContext, matrix: Matrix) -> dict[str, Any]:
     `moving` is the node whose place it is, if it is one's.
     """
     for row in sorted(matrix.rows, key=_contrast, reverse=True):
-        found = overview.comparison(context, row)
+        found = visibility.comparison(context, row)
         if found is not None:
             one = len(row.publishers) == 1 and place.has_place(row.type)
             moving = row.publishers[0] if one else ""
@@ -148,4 +153,111 @@ def _new(request: Request, numbers: list[int]) -> int:
     return 0 if seen is None else sum(number > seen for number in numbers)
 
 
-PAGES: Final = (Page("/", ("GET",), show),)
+TODAY_PAGES: Final = (Page("/", ("GET",), show_today),)
+
+HAPPENED_THINGS: Final = 50
+MAX_REFUSED: Final = 20  # sentences about denials on one page
+_HAPPENED_ENTRIES: Final = 100  # asked at once
+_ROUNDS: Final = 10  # of asking, where few entries are of the node that is looked for
+
+
+async def log(request: Request, context: ConsoleContext) -> Response:
+    """The time line before an entry, of one node or of all."""
+    before = visibility.position(request.query_params.get("before"))
+    text = request.query_params.get("node", "")
+    node = visibility.name_of(text[1:]) if text else ""
+    home = await visibility.load(context, names_of(request))
+    questions = (await visibility.questions(context))[0]
+    known = Known.of(home.held, home.nodes, questions, home.ending)
+    events, following = await _events(context, before, node, known)
+    denied = _between(await visibility.denials(context), events, before, following)
+    told, refused = _bounded(
+        [each for each in story(events, denied, known) if not node or each.node == node]
+    )
+    fresh = 0 if before else _look(request, events, told)
+    more = urlencode({"before": following, **({"node": node} if node else {})})
+    return render(
+        context, request, "log.html", live=not before, sentences=told, node=node, before=before,
+        more=f"/log?{more}" if following else "", new=fresh, more_refused=refused,
+        without_master=home.without_master, again=0 if before else visibility.again(home),
+    )  # fmt: skip
+
+
+def _bounded(told: list[Sentence]) -> tuple[list[Sentence], int]:
+    """At most so many denials, the newest, and how many are left out: nodes cause them at will."""
+    denied = [each for each in told if each.number < 0]
+    left = set(denied[MAX_REFUSED:])
+    return [each for each in told if each not in left], len(left)
+
+
+async def _events(
+    context: ConsoleContext, before: int, node: str, known: Known
+) -> tuple[list[EventView], int]:
+    """Entries with about `THINGS` sentences, and the number before which there are more, or 0."""
+    found: list[EventView] = []
+    following = before
+    for _ in range(_ROUNDS):
+        part = await context.service.events(following, _HAPPENED_ENTRIES)
+        for event in part:
+            found.append(event)
+            following = event.number
+            told = story(found, (), known)
+            if len([each for each in told if not node or each.node == node]) >= HAPPENED_THINGS:
+                return found, following
+        if len(part) < _HAPPENED_ENTRIES:
+            return found, 0
+    return found, following
+
+
+def _between(
+    denied: tuple[DenialView, ...], events: list[EventView], before: int, following: int
+) -> list[DenialView]:
+    """The denials of the time of this part: none is shown twice, none left out."""
+    first = min((event.at for event in events), default=0) if following else 0
+    last = max((event.at for event in events), default=0) if before else None
+    return [each for each in denied if each.at >= first and (last is None or each.at < last)]
+
+
+def _look(request: Request, events: list[EventView], told: list[Sentence]) -> int:
+    """How many things are new to this session, which has seen them now."""
+    session = request.state.session
+    seen = session.seen
+    if events:
+        session.seen = max(seen or 0, *(event.number for event in events))
+    return 0 if seen is None else sum(each.number > seen for each in told)
+
+
+async def way(request: Request, context: ConsoleContext) -> Response:
+    """Who sends what to whom, and what was refused, as a picture and as a list."""
+    home = await visibility.load(context, names_of(request))
+    row = visibility.position(request.query_params.get("row"))
+    denied = await visibility.denials(context)
+    busy = home.matrix.busiest_first()
+    part = busy.window(slice(row, row + flow.MAX_ROWS), slice(flow.MAX_ROWS))
+    told = refusals(denied)
+    running = {fact.name for fact in home.facts if fact.kind == "publisher"}
+    return render(
+        context, request, "way.html", live=True, row=row, rows=len(busy.rows),
+        page_rows=flow.MAX_ROWS, shown=busy.rows[row : row + flow.MAX_ROWS],
+        flow=flow.draw(part, visibility.refused_names(denied), names_of(request).title),
+        running=running, again=visibility.again(home),
+        refused=sorted(told, key=lambda each: -each.at)[:MAX_REFUSED],
+        more_refused=max(0, len(told) - MAX_REFUSED), without_master=home.without_master,
+    )  # fmt: skip
+
+
+HAPPENED_PAGES: Final = (Page("/log", ("GET",), log), Page("/way", ("GET",), way))
+
+
+async def stream(request: Request, context: ConsoleContext) -> Response:
+    """A stream that ends with its session.
+
+    Raises:
+        HttpRefused: there are too many.
+    """
+    session = request.state.session
+    is_valid = lambda: context.sessions.is_valid(session, context.elapsed())  # noqa: E731 - one expression
+    return StreamingResponse(context.news.open(is_valid), media_type="text/event-stream")
+
+
+NEWS_PAGES: Final = (Page("/news", ("GET",), stream),)

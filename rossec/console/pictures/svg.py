@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from typing import Final, TypeAlias
 from xml.sax.saxutils import escape
 
-from rossec.ros.text import printable
+from rossec.peer_limits import printable
 
 NAMESPACE: Final = "http://www.w3.org/2000/svg"
 MAX_TEXT: Final = 200

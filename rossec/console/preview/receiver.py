@@ -17,14 +17,13 @@ from typing import Final
 from ca.errors import HintedError
 from grants.model import Right
 from rossec import clock
-from rossec.console.preview import frames
-from rossec.console.preview.memory import MAX_TOPICS, PreviewMessage
-from rossec.discovery.choose import discover_master
+from rossec.console import samples
+from rossec.console.samples import MAX_TOPICS, PreviewMessage
+from rossec.discovery.local_links import discover_master
 from rossec.errors import AnswerRefused, MessageError
-from rossec.net.aio.tasks import TaskSet
+from rossec.host.runner import TaskSet, until_first_ends
+from rossec.host.sandbox import protect_memory
 from rossec.node import Node, Subscriber
-from rossec.operation.process_memory import protect_memory
-from rossec.operation.shutdown import until_first_ends
 
 NAME: Final = "/console"
 PERIOD: Final = 3.0  # seconds between two looks for topics
@@ -95,10 +94,12 @@ class PreviewReceiver:
         next_at = 0.0
         async for data in subscriber.raw():
             at = clock.time()
-            if at < next_at or len(data) > frames.MAX_DATA:
+            if at < next_at or len(data) > samples.MAX_DATA:
                 continue
             next_at = at + 1 / PER_SECOND
-            self._writer.write(frames.write(PreviewMessage(subscriber.topic, kind, at, data)))
+            self._writer.write(
+                samples.write_preview(PreviewMessage(subscriber.topic, kind, at, data))
+            )
             await self._writer.drain()
 
 

@@ -17,8 +17,8 @@ from rossec.console.scanning import frames
 from rossec.console.scanning.frames import Found, Unreadable
 from rossec.enrollment import scanner
 from rossec.errors import ConfigurationError
-from rossec.operation import landlock
-from rossec.operation.process_memory import protect_memory
+from rossec.host import sandbox
+from rossec.host.sandbox import protect_memory
 
 SEVERAL: Final = Unreadable("there are several codes in the picture", "show one of them alone")
 _LARGE: Final = Unreadable("the picture takes more memory than allowed", scanner.CLOSER)
@@ -64,7 +64,7 @@ def confine() -> None:
         bound = most if hard == resource.RLIM_INFINITY else min(most, hard)
         resource.setrlimit(what, (bound, bound))
     try:
-        landlock.read_only(map(Path, ("/usr/lib", "/proc/self", *filter(None, sys.path))))
+        sandbox.read_only(map(Path, ("/usr/lib", "/proc/self", *filter(None, sys.path))))
     except OSError as error:
         _log.warning("the scanner can read the files of its user: %s", error)
 

@@ -4,13 +4,25 @@ No access log: a path can name a robot. No server header, no headers of a proxy 
 A connection has a deadline for every request's head, so nobody holds one by sending a byte a
 minute, and a place from `accept` until it is closed (`places`); what cannot be read is not
 answered.
+
+On localhost: whether the program at the other end belongs to this user.
+
+Cookies know no ports, and every user of a host reaches every port of it; so the user of the TCP
+peer is looked up for each request. Root is refused like any other user unless the console runs as
+root: it could take what it wants anyway, and a browser run as root by mistake should not.
+
+The places of the console's connections: shares by source, then by who is logged in. Pure.
+
+A connection takes a place when it is accepted, before TLS begins, and keeps it until it is closed.
+Where all are taken, one of the source that has most makes room (`rossec.net.limits`). One on
+which a session was shown moves to the places of sessions: strangers end none of those.
 """
 
 import asyncio
 import logging
 import socket
 import ssl
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from email.utils import formatdate
 from functools import partial
@@ -21,12 +33,91 @@ from uvicorn.config import Config
 from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
 from uvicorn.server import ServerState
 
-from rossec.console.server.peer import check_peer
-from rossec.console.server.places import ConnectionShares, Place
 from rossec.errors import PeerUserRefused
+from rossec.host import local_sockets
+from rossec.host.local_sockets import require_user
+from rossec.host.runner import TaskSet
 from rossec.net.aio.server import ACCEPT_PAUSE
-from rossec.net.aio.tasks import TaskSet
-from rossec.net.host.peeruid import require_user
+from rossec.net.limits import HalfOpen, HalfOpenCount, HalfOpenSlot
+
+_HINT: Final = "open it in a browser of the user who started the console"
+
+
+def check_peer(scope: Mapping[str, Any], users: frozenset[int] | None) -> None:
+    """Return if the connection of a request may be used; `users` None: anybody's may.
+
+    Raises:
+        PeerUserRefused: it is of another user, from another host, or nobody knows whose.
+    """
+    if users is None:
+        return
+    client, server = scope.get("client"), scope.get("server")
+    if not client or not server or server[1] is None:
+        raise PeerUserRefused("nobody knows whose connection this is", _HINT)
+    try:
+        holder = local_sockets.find_holder((client[0], client[1]), (server[0], server[1]))
+    except OSError as error:
+        raise PeerUserRefused("nobody knows whose connection this is", _HINT) from error
+    if holder is None or holder.user not in users or not local_sockets.is_known(holder.user):
+        raise PeerUserRefused("this console belongs to another user of this computer", _HINT)
+
+
+STRANGERS: Final = HalfOpen(per_address=64, total=256)  # a browser has six, and a page one for news
+SESSIONS: Final = HalfOpen(per_address=32, total=128)  # of one phone, or of one session to look
+OTHER_USERS: Final = HalfOpen(per_address=8, total=8)  # of this host; they are told, and no more
+PROXIES: Final = HalfOpen(per_address=256, total=256)  # at a unix socket, where all have no address
+
+
+class Place:
+    """The place of one connection."""
+
+    def __init__(self, slot: HalfOpenSlot, sessions: HalfOpenCount) -> None:
+        self._slot = slot
+        self._sessions = sessions
+        self._owner = ""
+
+    def closed_by(self, close: Callable[[], None]) -> None:
+        """How to close the connection, to make room."""
+        self._slot.close = close
+
+    def belongs_to(self, owner: str) -> None:
+        """A session of `owner` was shown on it: it counts among those, if they have room."""
+        if owner == self._owner:
+            return
+        slot = self._sessions.admit(owner)
+        if slot is not None:
+            slot.close = self._slot.close
+            self._slot.release()
+            self._slot, self._owner = slot, owner
+
+    def release(self) -> None:
+        """The connection is closed."""
+        self._slot.release()
+
+
+class ConnectionShares:
+    """All places of one console."""
+
+    def __init__(self) -> None:
+        self._strangers = HalfOpenCount(STRANGERS)
+        self._sessions = HalfOpenCount(SESSIONS)
+        self._other_users = HalfOpenCount(OTHER_USERS)
+        self._proxies = HalfOpenCount(PROXIES)
+
+    def __len__(self) -> int:
+        """How many are taken."""
+        counts = (self._strangers, self._sessions, self._other_users, self._proxies)
+        return sum(map(len, counts))
+
+    def take(self, address: str, *, is_other_user: bool) -> Place | None:
+        """A place for a connection from `address` (empty: of a proxy); None: there is no room."""
+        if is_other_user:
+            count = self._other_users
+        else:
+            count = self._strangers if address else self._proxies
+        slot = count.admit(address)
+        return None if slot is None else Place(slot, self._sessions)
+
 
 HEAD_TIME: Final = 15.0  # seconds for a request's head, from the connection or the answer before
 MAX_HEAD: Final = 16 * 1024

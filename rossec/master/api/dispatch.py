@@ -3,46 +3,71 @@
 The order of every call: arity, caller_id, identity, arguments (names resolved), right, handler.
 What stock rosmaster refuses is answered with its texts and defaults; what only rossec refuses with
 `[-1, "rossec: ...", <the method's default>]`, which rospy and roscpp log.
+
+`system.multicall`: each element is a call of its own, with its own rights. Pure.
+
+It is processed in turns, so that four thousand elements of one node do not delay other calls; the
+caller's rights are evaluated again at each turn. Limited are the number of elements, the number of
+expensive ones, and the size of all answers together. Nesting is refused.
+
+The calls that a revoked identity may still make: it receives the revocations only. Pure.
+
+Both ends of a connection may be revoked at once, as below a revoked intermediate; then no peer but
+these two can close it, and only the master can inform them. It sends the list without a timestamp:
+without that confirmation a node closes all its connections, even if it cannot find itself in a tree
+(`ca.revocation.lists`).
 """
 
+import xmlrpc
 import xmlrpc.client
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from typing import Final
 
+from rossec.errors import HangUp
 from rossec.master.api import arguments as arg
 from rossec.master.api.arguments import ArgumentRefused
-from rossec.master.api.authority_calls import AuthorityCalls
-from rossec.master.api.deposit_calls import DepositCalls
-from rossec.master.api.domain_calls import DomainCalls
-from rossec.master.api.graph_calls import GraphCalls
+from rossec.master.api.graph_calls import GraphCalls, WatchCalls
 from rossec.master.api.methods import (
     Administered,
     CallDenied,
+    CallOutcome,
     CallRequest,
     Denied,
+    DomainsChanged,
+    GrantsPresented,
+    MasterEvent,
     Method,
     Methods,
     Reply,
+    RevocationsChanged,
     Steps,
     StopMaster,
+    TurnExpired,
+    Work,
+    advance,
 )
 from rossec.master.api.parameter_calls import ParameterCalls
-from rossec.master.api.relay_calls import RelayCalls
-from rossec.master.api.renewal_calls import RenewalCalls
-from rossec.master.api.site_calls import SiteCalls
-from rossec.master.api.statement_calls import StatementCalls
-from rossec.master.api.turns import CallOutcome, Work
-from rossec.master.api.watch_calls import WatchCalls
-from rossec.master.rights.access_rules import AccessControl
-from rossec.master.rights.alias_publishers import AliasPublishers
-from rossec.master.rights.caller import AddressTaken, Caller, Peer, Refused
-from rossec.master.rights.deposits import Deposits
-from rossec.master.rights.recent_denials import RecentDenials
+from rossec.master.api.site_calls import RelayCalls, SiteCalls
+from rossec.master.api.statement_calls import (
+    PROOF_LIMIT,
+    AuthorityCalls,
+    DepositCalls,
+    DomainCalls,
+    RenewalCalls,
+    StatementCalls,
+)
+from rossec.master.rights.access_rules import RULES, AccessControl, Scope
+from rossec.master.rights.caller import AddressTaken, Caller, Peer, RecentDenials, Refused
+from rossec.master.rights.held_grants import Deposits
+from rossec.master.rights.publisher_views import AliasPublishers
 from rossec.master.rights.statements import TrustState
-from rossec.master.state.doors import Doors
+from rossec.master.state.forwarded_ports import Doors
 from rossec.master.state.graph import Graph
 from rossec.master.state.imports import Imports
-from rossec.master.state.parameters import SIZE_LIMIT, Parameters
+from rossec.master.state.parameters import SIZE_LIMIT, Parameters, encoded_size
 from rossec.master.state.registry import Registry
+from rossec.ros.xmlrpc import BODY_LIMIT
 
 Fault = xmlrpc.client.Fault
 
@@ -209,3 +234,181 @@ def _refused(refused: Refused, method: str, entry: Method, caller: Caller) -> Ca
         caller.name, caller.wildcard,
     )  # fmt: skip
     return CallOutcome([-1, status, entry.default], (refusal, *denied))
+
+
+MULTICALL: Final = "system.multicall"
+MULTICALL_LIMIT: Final = 4096  # roslaunch sets every parameter of a launch file in one
+MULTICALL_QUERIES: Final = 16  # queries of the whole graph; more would be amplification
+MULTICALL_ANSWER: Final = BODY_LIMIT // 4  # bytes, about
+# Each of the own methods costs signatures or carries a whole list.
+MULTICALL_ONCE: Final = frozenset(method for method in RULES if method.startswith("rossec."))
+
+
+_RIGHTS_CHANGED: Final = (RevocationsChanged, DomainsChanged, GrantsPresented)
+BeginCall = Callable[[str, Sequence[object]], CallOutcome | Work]
+"""Answers one call, or begins to, or raises `Fault`."""
+
+
+class Multicall:
+    """One multicall: call `step` until `done`, then `answer` is its answer.
+
+    Raises:
+        Fault: the multicall is malformed or exceeds a limit.
+    """
+
+    def __init__(self, params: Sequence[object]) -> None:
+        calls = params[0] if len(params) == 1 else None
+        if not isinstance(calls, list) or len(calls) > MULTICALL_LIMIT:
+            raise Fault(1, f"rossec: a multicall is one list of at most {MULTICALL_LIMIT} calls")
+        if sum(map(_is_query, calls)) > MULTICALL_QUERIES:
+            raise Fault(1, f"rossec: more than {MULTICALL_QUERIES} state queries in a multicall")
+        self._calls: list[object] = calls
+        self._answers: list[object] = []
+        self._first_index: dict[str, int] = {}  # by method, of those allowed once
+        self._bytes_left = MULTICALL_ANSWER
+        self._work: Work | None = None  # the element in progress
+
+    @property
+    def done(self) -> bool:
+        """Whether no element is left."""
+        return self._bytes_left < 0 or len(self._answers) == len(self._calls)
+
+    @property
+    def answer(self) -> object:
+        """The answers so far; a fault when they are too long: the calls made remain in effect."""
+        if self._bytes_left >= 0:
+            return self._answers
+        made = f"{len(self._answers)} of its {len(self._calls)} calls were made"
+        text = "the answers of this multicall are too long"
+        return Fault(1, f"rossec: {text}: {made}, ask for less at a time")
+
+    def step(self, begin: BeginCall, expired: TurnExpired) -> tuple[MasterEvent, ...]:
+        """Process elements until the turn has `expired`; returns the events to deliver."""
+        events: list[MasterEvent] = []
+        while not self.done:
+            outcome = self._run_element(begin, expired)
+            if outcome is None:
+                break
+            self._answers.append(outcome.answer)
+            self._bytes_left -= encoded_size(outcome.answer)
+            events += outcome.events
+            if expired() or (events and isinstance(events[-1], _RIGHTS_CHANGED)):
+                break  # its effects must come before the next element
+        return tuple(events)
+
+    def restart_element(self) -> None:
+        """Discard the partial result of the element in progress."""
+        self._work = None
+
+    def _run_element(self, begin: BeginCall, expired: TurnExpired) -> CallOutcome | None:
+        """Process one element; None: it is not finished."""
+        try:
+            begun = self._begin_next(begin) if self._work is None else self._work
+            outcome = begun if isinstance(begun, CallOutcome) else advance(begun, expired)
+        except Fault as fault:
+            outcome = CallOutcome({"faultCode": fault.faultCode, "faultString": fault.faultString})
+        else:
+            if outcome is None:
+                self._work = None if isinstance(begun, CallOutcome) else begun
+                return None
+            outcome = CallOutcome([outcome.answer], outcome.events)
+        self._work = None
+        return outcome
+
+    def _begin_next(self, begin: BeginCall) -> CallOutcome | Work:
+        element = self._calls[len(self._answers)]
+        self._check_once(element)
+        return _begin_element(element, begin)
+
+    def _check_once(self, element: object) -> None:
+        method, at = _method_of(element), len(self._answers)
+        if method in MULTICALL_ONCE and self._first_index.setdefault(method, at) != at:
+            raise Fault(1, f"rossec: more than one {method} in a multicall")
+
+
+def _begin_element(element: object, begin: BeginCall) -> CallOutcome | Work:
+    method = element.get("methodName") if isinstance(element, dict) else None
+    params = element.get("params") if isinstance(element, dict) else None
+    if not isinstance(method, str) or not isinstance(params, list):
+        raise Fault(1, "rossec: a multicall element needs methodName and params")
+    if method == MULTICALL:
+        raise Fault(1, "rossec: a multicall inside a multicall")
+    return begin(method, params)
+
+
+def _method_of(element: object) -> str:
+    method = element.get("methodName") if isinstance(element, dict) else None
+    return method if isinstance(method, str) else ""
+
+
+def _is_query(element: object) -> bool:
+    rule = RULES.get(_method_of(element))
+    return rule is not None and rule.scope is Scope.FILTERED
+
+
+CONNECTION_SECONDS: Final = 5.0  # seconds that a connection of a revoked identity may last
+MAX_CONNECTIONS: Final = 4  # such connections of one identity
+MAX_BELOW_INTERMEDIATE: Final = 32  # of all identities below one intermediate
+MAX_CALLS: Final = 16  # on one connection; a node makes two or three
+_LIST_METHODS: Final = frozenset({"rossec.revocations", "rossec.revocationsSince"})
+_UNCONFIRMED: Final = b""
+
+
+class RevokedConnections:
+    """Counts the connections of each revoked key."""
+
+    def __init__(self) -> None:
+        self._counts: Counter[bytes] = Counter()
+
+    def admit(self, keys: tuple[bytes, ...]) -> bool:
+        """Count one more of the identity with these keys, its own first; False: too many."""
+        own, *issuers = keys
+        full = self._counts[own] >= MAX_CONNECTIONS or any(
+            self._counts[key] >= MAX_BELOW_INTERMEDIATE for key in issuers
+        )
+        if not full:
+            self._counts.update(keys)
+        return not full
+
+    def release(self, keys: tuple[bytes, ...]) -> None:
+        """An admitted connection has ended."""
+        self._counts -= Counter(keys)  # drops zeros
+
+
+class RevokedCalls:
+    """Answers few calls of a revoked identity on one connection: an answer may be a whole list.
+
+    Args:
+        now: seconds since the epoch.
+    """
+
+    def __init__(self, statements: TrustState, now: Callable[[], int]) -> None:
+        self._statements = statements
+        self._now = now
+        self._calls_left = MAX_CALLS
+
+    def answer(self, method: str, params: tuple[object, ...], _: object) -> list[object]:
+        """As `answer_revoked`, for `MAX_CALLS` calls."""
+        self._calls_left -= 1
+        if self._calls_left < 0:
+            raise HangUp("the identity is revoked, and has been sent the list")
+        return answer_revoked(self._statements, self._now(), method, params)
+
+
+def answer_revoked(
+    statements: TrustState, now: int, method: str, params: tuple[object, ...]
+) -> list[object]:
+    """Answer a call of a revoked identity.
+
+    Raises:
+        HangUp: any call but those by which a node learns that it is revoked.
+    """
+    match params:
+        case (str(), *_) if method in _LIST_METHODS:
+            # Always whole: an empty list would mean that there is none.
+            return [1, "revocations", [statements.current(now)[0], _UNCONFIRMED]]
+        case (str(), list() as entries) if method == "rossec.revocationProofs":
+            known = [entry for entry in entries[:PROOF_LIMIT] if isinstance(entry, bytes)]
+            return [1, "proofs", statements.proofs(known)]
+        case _:
+            raise HangUp("the identity is revoked")

@@ -2,23 +2,34 @@
 
 State queries are filtered by access control: a caller sees its own entries and the names that its
 grants cover.
+
+What each caller that follows the graph was sent, so that it is sent only the changes. Pure.
+
+A state is a set of facts, so a change is two sets, and all changes between two calls of one caller
+are sent as one. Nothing is queued: a slow caller is updated less often, one without a stored view
+is sent everything. An answer is bounded; `more` says that the rest follows at once.
+
+Watching the graph: the whole state in the first answer, then only the changes. Pure.
+
+The state is what a watcher may see of the own registrations and of what is imported. What was sent
+to whom is `graph_views`'s.
 """
 
-from collections.abc import Generator, Iterable
-from typing import Final
+from collections import OrderedDict
+from collections.abc import Generator, Iterable, Iterator
+from itertools import count
+from typing import Final, NamedTuple, TypeAlias
 
 from rossec.master.api import arguments as arg
 from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps
-from rossec.master.rights import slotted_views
-from rossec.master.rights.access_rules import AccessControl, require_capacity
-from rossec.master.rights.alias_publishers import AliasPublishers
+from rossec.master.rights import publisher_views
+from rossec.master.rights.access_rules import AccessControl, require_capacity, require_place
 from rossec.master.rights.caller import Caller
-from rossec.master.rights.served_rights import require_place
-from rossec.master.rights.served_views import entries, is_topic_visible
+from rossec.master.rights.publisher_views import AliasPublishers, is_topic_visible, shown_entries
 from rossec.master.state.graph import Graph
-from rossec.master.state.registry import Kind
-from rossec.ros.compactwrite import encode_ahead
-from rossec.ros.xmlwrite import EncodedList
+from rossec.master.state.registry import ANY_TYPE, Kind
+from rossec.ros.compact_values import encode_ahead
+from rossec.ros.xmlrpc import EncodedList
 
 _MAX_CACHED_STATES: Final = 16
 _MAX_CACHED_ENTRIES: Final = 8192
@@ -109,7 +120,7 @@ class GraphCalls:
         self._ask(name, request)
         uri = self._graph.node_uri(name)
         if uri is None or not self._access_control.is_node_visible(request.caller, name):
-            uri = slotted_views.node_uri(self._graph, request.caller, name)
+            uri = publisher_views.node_uri(self._graph, request.caller, name)
         if uri is None:
             return Reply("", f"unknown node [{name}]", -1)
         return Reply(uri, "node api")
@@ -165,10 +176,10 @@ class GraphCalls:
 
     def _visible_entries(self, kind: Kind, caller: Caller) -> Generator[None, None, list[object]]:
         found, at_once = list[object](), caller.names_per_yield
-        for count, (key, nodes) in enumerate(entries(self._graph, caller, kind), 1):
+        for number, (key, nodes) in enumerate(shown_entries(self._graph, caller, kind), 1):
             if names := self._access_control.visible_nodes(caller, key, nodes):
                 found.append(self._entry(key, names))
-            if not count % at_once:
+            if not number % at_once:
                 yield
         return found
 
@@ -183,7 +194,7 @@ class GraphCalls:
 
     def _topic_types(self, request: CallRequest) -> Steps:
         self._ask_everything(request)
-        types = slotted_views.topic_types(self._graph, request.caller)
+        types = publisher_views.topic_types(self._graph, request.caller)
         return self._types_reply(request.caller, types, "current system state")
 
     def _published_topics(self, request: CallRequest) -> Steps:
@@ -192,10 +203,10 @@ class GraphCalls:
         if namespace and not namespace.endswith("/"):
             namespace += "/"
         graph, caller = self._graph, request.caller
-        published = entries(graph, caller, Kind.PUBLISHER)
+        published = shown_entries(graph, caller, Kind.PUBLISHER)
         within = (
-            (key, slotted_views.topic_type(graph, caller, key))
-            if key.startswith(namespace) and slotted_views.is_published(graph, caller, key)
+            (key, publisher_views.topic_type(graph, caller, key))
+            if key.startswith(namespace) and publisher_views.is_published(graph, caller, key)
             else None
             for key, _ in published
         )
@@ -211,9 +222,165 @@ class GraphCalls:
     ) -> Generator[None, None, list[list[str]]]:
         """Those of `topics`, with their types, that the caller may see."""
         shown, at_once = list[list[str]](), caller.names_per_yield
-        for count, topic in enumerate(topics, 1):
+        for number, topic in enumerate(topics, 1):
             if topic is not None and is_topic_visible(self._graph, caller, topic[0]):
                 shown.append([*topic])
-            if not count % at_once:
+            if not number % at_once:
                 yield
         return shown
+
+
+BATCH: Final = 1024  # facts in one answer
+MAX_VIEWS: Final = 4  # stored for one identity
+_START: Final = 0  # the cursor of a caller without state
+
+Fact: TypeAlias = tuple[str, str, str]
+"""Kind, name and value: `("publisher", "/scan", "/laser")`, `("type", "/scan", "pkg/Type")`,
+`("provider", "/reset", "rosrpc://...")`, `("node", "/laser", "http://...")`."""
+
+View: TypeAlias = frozenset[Fact]
+
+
+class _Sent(NamedTuple):
+    """What a caller knows: facts, and what was said beside them."""
+
+    facts: View
+    beside: tuple[bytes, ...]
+
+
+class GraphViews:
+    """The views of all callers of one method.
+
+    Args:
+        instance: identifies this run of the master: cursors start again after a restart.
+    """
+
+    def __init__(self, instance: str) -> None:
+        self._instance = instance
+        self._cursors = count(_START + 1)
+        self._views: OrderedDict[bytes, OrderedDict[int, _Sent]] = OrderedDict()
+
+    def __len__(self) -> int:
+        return sum(map(len, self._views.values()))
+
+    def keep_only(self, thumbprints: frozenset[bytes]) -> None:
+        """Discard the views of all other keys."""
+        for key in self._views.keys() - thumbprints:
+            del self._views[key]
+
+    def answer(
+        self,
+        caller: bytes,
+        seen: tuple[object, object],
+        now: View,
+        version: int,
+        beside: tuple[bytes, ...] = (),
+    ) -> dict[str, object]:
+        """The changes since the caller's last view; the cursor stays if there are none.
+
+        Args:
+            caller: the thumbprint of its key.
+            seen: the instance and the cursor it was answered last.
+            now: what it may see now.
+            version: of the state.
+            beside: what the caller adds to the answer; a change of it is one of the answer.
+        """
+        instance, cursor = seen
+        views = self._views.setdefault(caller, OrderedDict())
+        cursor = cursor if isinstance(cursor, int) and instance == self._instance else _START
+        known = views.get(cursor)
+        old = frozenset() if known is None else known.facts
+        added, removed = sorted(now - old), sorted(old - now)
+        sent_added, sent_removed = added[:BATCH], removed[:BATCH]
+        if known is None or added or removed or beside != known.beside:
+            views.pop(cursor, None)
+            cursor = next(self._cursors)
+            view = (old | frozenset(sent_added)) - frozenset(sent_removed)
+            views[cursor] = _Sent(view, beside)
+            if len(views) > MAX_VIEWS:
+                views.popitem(last=False)
+        return {
+            "instance": self._instance,
+            "version": version % (1 << 31),  # XML-RPC's integers end there
+            "cursor": cursor,
+            "whole": known is None,
+            "more": len(added) > BATCH or len(removed) > BATCH,
+            "added": [list(fact) for fact in sent_added],
+            "removed": [list(fact) for fact in sent_removed],
+        }
+
+
+def is_unchanged(answer: object, cursor: object) -> bool:
+    """Whether an answer to a call with this cursor contains no change."""
+    match answer:
+        case [1, _, {"whole": False, "cursor": int() as now}]:
+            return now == cursor
+        case _:
+            return False
+
+
+__all__ = ("BATCH", "MAX_VIEWS", "WATCH", "Fact", "WatchCalls", "facts", "is_unchanged")
+
+WATCH: Final = "rossec.watchGraph"
+
+
+def facts(graph: Graph, access_control: AccessControl, caller: Caller) -> Iterator[Fact | None]:
+    """What `caller` may see of the graph, as in `getSystemState` and similar queries.
+
+    None for each name and node that it may not see.
+    """
+    for kind in (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE):
+        for key, names in shown_entries(graph, caller, kind):
+            shown = access_control.visible_nodes(caller, key, names)
+            yield from ((kind.value, key, name) for name in shown)
+            if not shown:
+                yield None
+            elif kind is Kind.SERVICE:
+                yield "provider", key, graph.service_uri(key) or ""
+            elif (type_name := publisher_views.topic_type(graph, caller, key)) != ANY_TYPE:
+                yield "type", key, type_name
+    seen = set[str]()
+    for node in graph.nodes():
+        if access_control.is_node_visible(caller, node.name):
+            seen.add(node.name)
+            yield "node", node.name, node.uri
+        else:
+            yield None
+    for told in publisher_views.shown_nodes(graph, caller):
+        yield None if told is None or told.name in seen else ("node", told.name, told.uri)
+
+
+class WatchCalls:
+    """The call by which a node watches the graph.
+
+    Args:
+        instance: identifies this run of the master.
+    """
+
+    def __init__(self, graph: Graph, access_control: AccessControl, instance: str) -> None:
+        self._graph = graph
+        self._access_control = access_control
+        self.views: Final = GraphViews(instance)
+
+    def methods(self) -> Methods:
+        """The entry of the method table."""
+        checks = (arg.text("instance"), arg.number("cursor"))
+        return {WATCH: Method(checks, {}, self._watch)}
+
+    def _watch(self, request: CallRequest) -> Steps:
+        if not request.caller.is_foreign:
+            self._graph.imports.demand.ask_everything(request.now)
+        return self._watch_reply(request)
+
+    def _watch_reply(self, request: CallRequest) -> Steps:
+        seen, at_once = set[Fact](), request.caller.names_per_yield
+        found = facts(self._graph, self._access_control, request.caller)
+        for checked, fact in enumerate(found, 1):
+            if fact is not None:
+                seen.add(fact)
+            if not checked % at_once:
+                yield
+        known = request.arguments[1], request.arguments[2]
+        key, version = request.caller.thumbprint, self._graph.version
+        version = 0 if request.caller.has_slots else version  # it grows with each registration
+        return Reply(self.views.answer(key, known, frozenset(seen), version), "state of the graph")

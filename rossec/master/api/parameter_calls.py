@@ -2,15 +2,23 @@
 
 A right must cover what a call reaches: for a tree every parameter in it, before and after. So
 `setParam("/", ...)` or `getParam("/ns")` does not circumvent a missing right on one of them.
+
+Rights on trees of parameters, checked without listing them where possible. Pure.
+
+Where a right covers everything below a namespace, or nothing there, its names are not checked one
+by one. A check of a whole tree ends at the first name without the right, and covers at most
+`MAX_NAMES_CHECKED` names, fewer for a caller with many patterns: a larger tree is refused. A
+filtered query may take many turns, between which the tree may change.
 """
 
+import xmlrpc
 import xmlrpc.client
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator
-from typing import Final
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from typing import Any, Final, NamedTuple, TypeAlias
 
-from ca.domains.aliases import is_alias
 from ca.errors import NameRefused
+from ca.names import is_alias, shown
 from grants.model import Right
 from rossec.master.api import arguments as arg
 from rossec.master.api.methods import (
@@ -24,20 +32,98 @@ from rossec.master.api.methods import (
 )
 from rossec.master.rights.access_rules import require_address, require_capacity
 from rossec.master.rights.caller import Caller, Refused
-from rossec.master.rights.parameter_trees import (
-    ParameterItem,
-    decisions_across_turns,
-    has_right_on_all,
-    parameter_names,
-    require_tree,
-)
-from rossec.master.state import parameter_values
+from rossec.master.state import parameters
 from rossec.master.state import parameters as parameter_state
-from rossec.master.state.mirrors import MirrorChange, Mirrors, refuse_mirror
-from rossec.master.state.parameter_journal import ParameterChange
-from rossec.master.state.parameters import SIZE_LIMIT, ParameterMissing, Parameters, TooLarge
+from rossec.master.state.journals import ParameterChange
+from rossec.master.state.parameters import (
+    SIZE_LIMIT,
+    MirrorChange,
+    Mirrors,
+    ParameterMissing,
+    Parameters,
+    TooLarge,
+    refuse_mirror,
+)
 from rossec.master.state.registry import Kind, NodeRef, Registry
+from rossec.ros import names
 from rossec.ros.xmlrpc import BODY_LIMIT
+
+MAX_NAMES_CHECKED: Final = 8192  # names checked for one call, namespaces included
+MAX_PATTERN_MATCHES: Final = 2 * MAX_NAMES_CHECKED  # of patterns with wildcards against names
+
+ParameterItem: TypeAlias = tuple[str, object]
+"""A key and its value; a dict is a namespace."""
+
+
+class TreeDecision(NamedTuple):
+    """Whether a parameter, or everything below a namespace, is covered."""
+
+    item: ParameterItem
+    covered: bool | None  # None: a namespace whose names are checked one by one
+
+
+def require_tree(caller: Caller, right: Right, key: str, *items: ParameterItem) -> None:
+    """Raise `Refused` unless `caller` has `right` on everything in `items`; also if empty.
+
+    The text depends on `key` alone, which the caller knows: the uncovered name, the grants that
+    nearly cover it, or the size of the tree would reveal which parameters exist.
+    """
+    if not items or not has_right_on_all(caller, right, items):
+        needs = f"{caller.display_name} needs the right {right.label} on {shown(key)}"
+        raise Refused(
+            f"{needs}: no grant covers it and all below it ({caller.remedy(right, key)})",
+            (right, key),
+        )
+
+
+def has_right_on_all(caller: Caller, right: Right, items: Sequence[ParameterItem]) -> bool:
+    """Whether `caller` has `right` on every parameter in `items`, and `items` are not too large."""
+    if len(items) == 1 and not isinstance(items[0][1], dict):  # the usual case
+        return caller.may(right, items[0][0])
+    limit = min(MAX_NAMES_CHECKED, MAX_PATTERN_MATCHES // max(1, caller.patterns(right)))
+    results = (decision for item in items for decision in decisions(caller, right, item))
+    return all(
+        count <= limit and decision.covered is not False
+        for count, decision in enumerate(results, 1)
+    )
+
+
+def decisions_across_turns(
+    caller: Caller, right: Right, item: ParameterItem
+) -> Iterator[TreeDecision]:
+    """As `decisions`, for a tree that may change meanwhile."""
+    return decisions(caller, right, item, lambda tree: tuple(tree.items()))
+
+
+def decisions(
+    caller: Caller,
+    right: Right,
+    item: ParameterItem,
+    entries: Callable[[dict[str, object]], Iterable[Any]] = dict.items,
+) -> Iterator[TreeDecision]:
+    """Which parts of `item` are covered by `right`, in the order of the tree."""
+    key, value = item
+    if not isinstance(value, dict) or not value:
+        yield TreeDecision(item, caller.may(right, key))
+    elif caller.may_all_below(right, key):
+        yield TreeDecision(item, covered=True)
+    elif not caller.may_some_below(right, key):
+        yield TreeDecision(item, covered=False)
+    else:
+        yield TreeDecision(item, covered=None)
+        for name, below in entries(value):
+            yield from decisions(caller, right, (names.join(key, name), below), entries)
+
+
+def parameter_names(item: ParameterItem) -> Iterator[str]:
+    """The name of every parameter in `item`, in stock's order; the tree may change meanwhile."""
+    key, value = item
+    if not isinstance(value, dict):
+        yield key
+        return
+    for name, below in tuple(value.items()):
+        yield from parameter_names((names.join(key, name), below))
+
 
 MAX_ENCODED: Final = 2 * BODY_LIMIT  # by `encoded_size`, about the length of an answer
 _TOO_LONG: Final = f"rossec: an answer of more than {BODY_LIMIT} bytes: ask for less at a time"
@@ -196,7 +282,7 @@ class ParameterCalls:
         for count, name in enumerate(self._readable_names(request.caller), 1):
             if name is not None:
                 shown.append(name)
-                bytes_left -= parameter_values.encoded_size(name)
+                bytes_left -= parameters.encoded_size(name)
             if bytes_left < 0:
                 raise Fault(1, _TOO_LONG)
             if not count % at_once:
@@ -263,6 +349,6 @@ def _refuse_mirror(key: str, value: object = None) -> None:
 
 def _sendable(value: object) -> object:
     """The value, unless it is far too long: encoding it would already take long."""
-    if isinstance(value, dict) and parameter_values.exceeds(value, MAX_ENCODED):
+    if isinstance(value, dict) and parameters.exceeds(value, MAX_ENCODED):
         raise Fault(1, _TOO_LONG)
     return value

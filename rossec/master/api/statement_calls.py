@@ -2,18 +2,43 @@
 
 Lists and delegations carry the authority's signature, so any authenticated node may deliver one.
 Answers to RFC 9770 queries contain what pertains to a node, and all entries for an administrator.
+
+The calls about foreign domains: the list of them, and what their authorities revoked. Pure.
+
+What is delivered here is signed by the own authority, what is answered by the one it is of: a node
+verifies all of it. Foreigners ask their own master.
+
+The calls that deliver grants: the authority deposits them, each node fetches its own. Pure.
+
+Nothing here is trusted for rights: a node verifies what it fetches. A deposit is verified in turns,
+as each costs a signature, and then takes effect in one step, after it was made durable.
+
+The calls that renew identities: nodes ask, the authority's service answers. Pure.
+
+A node that has no answer yet is told so with the code 0 of ROS, a failure that is no fault of the
+call: it asks again soon. The service is the authority's own node; nobody else sees requests or
+leaves answers (`rossec.master.rights.access_rules`).
+
+What the authority's own node asks for a person: how far a list has come, who was denied. Pure.
+
+Only `/ca` may call these (`rossec.master.rights.access_rules`). Times are given as seconds ago: the
+clocks of two hosts may differ, and XML-RPC's integers end in 2038.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Final
 
 from ca.errors import HintedError
-from grants.model import Right
+from ca.names import is_alias
+from grants.model import Grant, Right
 from rossec.master.api import arguments as arg
+from rossec.master.api.arguments import ArgumentRefused
 from rossec.master.api.methods import (
     Administered,
     CallRequest,
+    DomainsChanged,
+    GrantsDeposited,
     GrantsPresented,
     Method,
     Methods,
@@ -21,11 +46,22 @@ from rossec.master.api.methods import (
     RevocationsChanged,
     Steps,
 )
-from rossec.master.rights.caller import Refused
-from rossec.master.rights.deposits import Deposits
+from rossec.master.rights.caller import Peer, RecentDenials, Refused
+from rossec.master.rights.held_grants import DeliveryState, Deposits
+from rossec.master.rights.renewals import OFFER_LIMIT, Settlement
+from rossec.master.rights.revocation_lists import RevocationQueries
 from rossec.master.rights.statements import TrustState
-from rossec.master.rights.trl import RevocationQueries
+from rossec.master.state.journals import ID_SIZE
 from rossec.master.state.registry import Kind, Registry
+from rossec.ros.names import (
+    DOMAINS,
+    FOREIGN_PROOFS,
+    FOREIGN_REVOCATIONS,
+    RENEW_IDENTITY,
+    SETTLE_RENEWALS,
+    UPDATE_DOMAINS,
+    WATCH_RENEWALS,
+)
 
 PRESENT_LIMIT: Final = 64
 RENEW_LIMIT: Final = 16
@@ -179,3 +215,273 @@ def refusals_answered() -> Iterator[None]:
 def binaries(value: object) -> Sequence[bytes]:
     """An argument that `arg.binaries` has checked."""
     return [item for item in value if isinstance(item, bytes)] if isinstance(value, list) else []
+
+
+MAX_DOMAIN: Final = 255  # characters
+
+
+class DomainCalls:
+    """Handlers over what a `TrustState` knows of other domains."""
+
+    def __init__(self, statements: TrustState) -> None:
+        self._statements = statements
+
+    def methods(self) -> Methods:
+        """The entries of the method table."""
+        domain, digest = arg.text("domain"), arg.binary("digest")
+        entries = arg.binaries("entries", PROOF_LIMIT)
+        return {
+            DOMAINS: Method((digest,), b"", self._domains),
+            UPDATE_DOMAINS: Method((arg.binary("list"),), 0, self._update),
+            FOREIGN_REVOCATIONS: Method((domain, digest), [], self._revocations),
+            FOREIGN_PROOFS: Method((domain, entries), [], self._proofs),
+        }
+
+    def _domains(self, request: CallRequest) -> Reply:
+        domains = self._statements.domains
+        held = request.binary(1) == domains.digest()
+        return Reply(b"" if held else domains.anchors.data, "domains")
+
+    def _update(self, request: CallRequest) -> Reply:
+        with refusals_answered():
+            newer = self._statements.update_domains(request.binary(1))
+        if not newer:
+            return Reply(0, "not newer than the list in force")
+        changed = DomainsChanged(request.caller.identity)
+        return Reply(1, "domains updated", events=(changed,))
+
+    def _revocations(self, request: CallRequest) -> Reply:
+        word = self._statements.domains.word(self._listed(request))
+        held = request.binary(2) == word.digest()
+        answer = [b"" if held else word.revocations, word.timestamp, list(word.chain)]
+        return Reply(answer, "revocations")
+
+    def _proofs(self, request: CallRequest) -> Reply:
+        domain = self._listed(request)
+        entries = binaries(request.arguments[2])
+        return Reply(self._statements.domains.proofs(domain, entries), "proofs")
+
+    def _listed(self, request: CallRequest) -> str:
+        domain = request.text(1)[:MAX_DOMAIN]
+        if self._statements.domains.anchors.listed_domain(domain) is None:
+            raise Refused(f"domain {domain!a} is not listed here")
+        return domain
+
+
+WATCH_GRANTS: Final = "rossec.watchGrants"
+DEPOSIT_LIMIT: Final = 64  # grants in one call
+STATES_LIMIT: Final = 256
+KNOWN_LIMIT: Final = 256  # ids that a node names
+_HOLDER_SIZE: Final = 32
+_BATCH: Final = 8  # verifications, a millisecond, between two yields
+
+
+class DepositCalls:
+    """Handlers over the table of deposits; `statements` says what is revoked and presented."""
+
+    def __init__(self, statements: TrustState, deposits: Deposits) -> None:
+        self._statements = statements
+        self._deposits = deposits
+
+    def methods(self) -> Methods:
+        """The entries of the method table."""
+        known = arg.binary("known")
+        return {
+            "rossec.depositGrants": Method(
+                (arg.binaries("grants", DEPOSIT_LIMIT),), [], self._deposit
+            ),
+            "rossec.deliveryStates": Method(
+                (arg.binaries("grants", STATES_LIMIT),), [], self._states
+            ),
+            "rossec.fetchGrants": Method((known,), {}, self._fetch),
+            WATCH_GRANTS: Method((known,), {}, self._fetch),
+        }
+
+    def _deposit(self, request: CallRequest) -> Steps:
+        verified: list[tuple[bytes, Grant | HintedError]] = []
+        for number, data in enumerate(binaries(request.arguments[1]), 1):
+            verified.append((data, self._verified(data, request.now)))
+            if not number % _BATCH:
+                yield
+        self._deposits.drop_ended(request.now, self._statements.revoked())
+        with refusals_answered():
+            reasons = self._deposits.add(verified)
+        return _deposited(request, verified, reasons)
+
+    def _verified(self, data: bytes, now: int) -> Grant | HintedError:
+        try:
+            return self._deposits.verify(data, now)
+        except HintedError as error:
+            return error
+
+    def _fetch(self, request: CallRequest) -> Reply:
+        known = frozenset(_split(request.binary(1), ID_SIZE, KNOWN_LIMIT))
+        found = self._deposits.missing(
+            request.caller.thumbprint, known, request.now, self._statements.revoked()
+        )
+        return Reply({"grants": found.grants, "more": found.more}, "grants")
+
+    def _states(self, request: CallRequest) -> Reply:
+        entries = binaries(request.arguments[1])
+        if any(len(entry) != ID_SIZE + _HOLDER_SIZE for entry in entries):
+            raise Refused("a grant is named by its id and the thumbprint of its holder's key")
+        self._deposits.drop_ended(request.now, self._statements.revoked())
+        return Reply([self._state(entry).value for entry in entries], "states")
+
+    def _state(self, entry: bytes) -> DeliveryState:
+        grant_id, holder = entry[:ID_SIZE], entry[ID_SIZE:]
+        if self._statements.has_presented(holder, grant_id):
+            return DeliveryState.HELD
+        return self._deposits.state(grant_id)
+
+
+def is_empty(answer: object) -> bool:
+    """Whether an answer to a node has no grant."""
+    match answer:
+        case [1, _, {"grants": []}]:
+            return True
+        case _:
+            return False
+
+
+def _deposited(
+    request: CallRequest,
+    verified: Sequence[tuple[bytes, Grant | HintedError]],
+    reasons: list[str],
+) -> Reply:
+    holders = [
+        grant.holder
+        for (_, grant), reason in zip(verified, reasons, strict=True)
+        if isinstance(grant, Grant) and not reason
+    ]
+    event = GrantsDeposited(request.caller.identity, frozenset(holders), len(holders))
+    refused = len(reasons) - len(holders)
+    status = f"{len(holders)} grants deposited" + (f", {refused} refused" if refused else "")
+    return Reply(reasons, status, events=(event,) if holders else ())
+
+
+def _split(value: bytes, size: int, most: int) -> list[bytes]:
+    """The items of `size` bytes that `value` consists of."""
+    if len(value) % size or len(value) > size * most:
+        raise Refused(f"expected at most {most} ids of {size} bytes, one after the other")
+    return [value[at : at + size] for at in range(0, len(value), size)]
+
+
+_DIGEST: Final = 32
+_PENDING: Final = 0
+
+
+class RenewalCalls:
+    """Handlers over the table of renewals in `statements`."""
+
+    def __init__(self, statements: TrustState) -> None:
+        self._statements = statements
+
+    def methods(self) -> Methods:
+        """The entries of the method table."""
+        return {
+            RENEW_IDENTITY: Method((arg.binary("request"),), b"", self._renew),
+            WATCH_RENEWALS: Method((arg.number("locked"),), {}, self._offer),
+            SETTLE_RENEWALS: Method((_settlements,), 0, self._settle),
+        }
+
+    def _renew(self, request: CallRequest) -> Reply:
+        with refusals_answered():
+            found = self._statements.renew_identity(request.caller, request.binary(1), request.now)
+        if not found.bundle:
+            return Reply(b"", f"rossec: {found.status}", _PENDING)
+        return Reply(found.bundle, found.status)
+
+    def _offer(self, request: CallRequest) -> Reply:
+        renewals = self._statements.identities
+        found = renewals.offer(request.now, locked=request.arguments[1] != 0)
+        return Reply({"renewals": found.requests, "waiting": found.waiting}, "renewals")
+
+    def _settle(self, request: CallRequest) -> Steps:
+        """In turns: each bundle costs a signature or two."""
+        settled = 0
+        answers = request.arguments[1]
+        for each in answers if isinstance(answers, list) else ():
+            settled += self._statements.identities.settle(
+                [each], request.now, self._statements.check
+            )
+            yield
+        done = Administered(request.caller.identity, f"renewed or refused {settled} identities")
+        return Reply(settled, "settled", events=(done,) if settled else ())
+
+
+def is_idle(answer: object) -> bool:
+    """Whether an answer to the authority's service has nothing for it to decide."""
+    match answer:
+        case [1, _, {"renewals": []}]:
+            return True
+        case _:
+            return False
+
+
+def _settlements(value: object, _caller: str) -> list[Settlement]:
+    """[[SHA-256 of the request, bundle, reason]]; of the last two one is empty."""
+    if not isinstance(value, list) or len(value) > OFFER_LIMIT:
+        raise ArgumentRefused(f"ERROR: parameter [answers] must be a list of at most {OFFER_LIMIT}")
+    return [_settlement(each) for each in value]
+
+
+def _settlement(value: object) -> Settlement:
+    match value:
+        case [bytes() as digest, bytes() as bundle, str() as reason] if len(
+            digest
+        ) == _DIGEST and bool(bundle) is not bool(reason):
+            return Settlement(digest, bundle, reason)
+        case _:
+            raise ArgumentRefused("ERROR: parameter [answers] has an entry of another form")
+
+
+STANDING: Final = "rossec.revocationStanding"
+DENIALS: Final = "rossec.recentDenials"
+MAX_LACKING: Final = 64  # names in one answer
+
+
+class AuthorityCalls:
+    """Handlers over what the master knows.
+
+    Args:
+        connected: the certified identities that have a connection now.
+    """
+
+    def __init__(
+        self,
+        statements: TrustState,
+        denials: RecentDenials,
+        connected: Callable[[], Iterable[Peer]],
+    ) -> None:
+        self._statements = statements
+        self._denials = denials
+        self._connected = connected
+
+    def methods(self) -> Methods:
+        """The entries of the method table."""
+        return {
+            STANDING: Method((), {}, self._standing),
+            DENIALS: Method((), [], self._recent_denials),
+        }
+
+    def _standing(self, request: CallRequest) -> Reply:
+        key = request.caller.thumbprint  # the authority has signed the list and needs none
+        own = (peer for peer in self._connected() if not is_alias(peer.name))
+        nodes = [peer for peer in own if peer.thumbprint != key]
+        found = self._statements.standing(nodes, request.now)
+        epoch, seq = self._statements.list_number
+        answer = {
+            "list": f"{epoch}.{seq}",
+            "nodes": found.nodes,
+            "holding": found.holding,
+            "lacking": list(found.lacking[:MAX_LACKING]),
+        }
+        return Reply(answer, "standing of the revocation list")
+
+    def _recent_denials(self, request: CallRequest) -> Reply:
+        answer = [
+            [max(0, request.now - denial.at), denial.node, int(denial.right), denial.name]
+            for denial in self._denials.newest_first(request.now)
+        ]
+        return Reply(answer, "denials of the last day")

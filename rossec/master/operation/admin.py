@@ -3,22 +3,104 @@
 A shell. The socket is in its own directory (0600), and the kernel reports the user of the peer:
 only the user who runs it, and root, are admitted. A master's is off unless enabled. A connection is
 one request and one answer, each a line of JSON. No command changes a right.
+
+The limit on open files: each node takes two, and a shell's soft limit is often 1024.
+
+Rate limit for log lines that nodes cause: token buckets. Pure except for the given clock.
+
+A node that is denied a thousand times a second must neither fill the disk nor hide the lines of
+others: there is a bucket for each node and one for all. Several nodes together could empty the
+common one, so each also has a small bucket in reserve. Lines of administrators are never limited;
+so the lines that nodes cause have their own logger, a child of the audit's. The number of lines
+that were left out is recorded in the next line of that node.
 """
 
 import asyncio
 import json
 import logging
 import os
+import resource
 import socket
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from grants.limits import TokenBucket
 from rossec.errors import ConfigurationError, PeerUserRefused
-from rossec.master.operation.denial_limit import DENIALS
-from rossec.net.host.peeruid import require_user
-from rossec.operation.unix_socket import listen_at, raw_socket
+from rossec.host.audit import LEFT_OUT
+from rossec.host.local_sockets import listen_at, raw_socket, require_user
+from rossec.peer_limits import subject
+
+DESCRIPTORS: Final = 65536
+
+
+def raise_descriptor_limit() -> None:
+    """Raise the soft limit to `DESCRIPTORS`, or to the hard limit where that is lower."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    missing = DESCRIPTORS if hard == resource.RLIM_INFINITY else min(hard, DESCRIPTORS)
+    if soft != resource.RLIM_INFINITY and soft < missing:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (missing, hard))
+
+
+DENIALS: Final = "rossec.audit.denials"
+MAX_NODES: Final = 4096
+
+
+@dataclass
+class NodeBudget:
+    """The limit of one node, its reserve, and the number of lines left out."""
+
+    limit: TokenBucket = field(default_factory=lambda: TokenBucket(10, 200))
+    reserved: TokenBucket = field(default_factory=lambda: TokenBucket(0.1, 10))
+    left_out: int = 0
+
+
+class DenialRateLimit(logging.Filter):
+    """Passes a line while the buckets of its node (its first argument) and of all have tokens."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        super().__init__()
+        self._clock = clock
+        self._common = TokenBucket(50, 1000)
+        self._nodes: OrderedDict[str, NodeBudget] = OrderedDict()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether the line is written; if so, it records how many before it were not."""
+        now = self._clock()
+        budget = self._budget(subject(record))
+        common = self._common if self._common.refill(now) >= 1 else budget.reserved
+        if not (budget.limit.refill(now) >= 1 and common.refill(now) >= 1):
+            budget.left_out += 1
+            return False
+        budget.limit.tokens -= 1
+        common.tokens -= 1
+        if budget.left_out:
+            setattr(record, LEFT_OUT, budget.left_out)
+            budget.left_out = 0
+        return True
+
+    def _budget(self, node: str) -> NodeBudget:
+        budget = self._nodes.pop(node, None) or NodeBudget()
+        self._nodes[node] = budget
+        if len(self._nodes) > MAX_NODES:
+            self._nodes.popitem(last=False)
+        return budget
+
+
+@contextmanager
+def denials_limited() -> Iterator[None]:
+    """Limit the rate of the lines that nodes cause."""
+    limit, log = DenialRateLimit(), logging.getLogger(DENIALS)
+    log.addFilter(limit)
+    try:
+        yield
+    finally:
+        log.removeFilter(limit)
+
 
 DEADLINE: Final = 5.0
 _MAX_LINE: Final = 1024

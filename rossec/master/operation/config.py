@@ -2,6 +2,8 @@
 
 No setting can widen a right. A missing key has its default, and an unknown key is an error: a
 misspelt limit must not be ignored.
+
+Limits on what one peer may use, each checked before memory is allocated for the peer.
 """
 
 import dataclasses
@@ -12,11 +14,48 @@ from typing import TYPE_CHECKING, Any, Final
 
 from rossec import files
 from rossec.errors import ConfigurationError
-from rossec.master.operation.limits import MasterLimits
-from rossec.ros.text import printable
+from rossec.master.state.parameters import SIZE_LIMIT
+from rossec.master.state.registry import NODES_LIMIT
+from rossec.net.limits import UNSHOWN_BODY
+from rossec.peer_limits import printable
+from rossec.ros.xmlrpc import BODY_LIMIT
 
 if TYPE_CHECKING:
     from grants.policy.source import Part, YamlScalar
+
+
+@dataclass(frozen=True)
+class MasterLimits:
+    """The limits; the defaults are for a site of a thousand nodes.
+
+    Args:
+        body: bytes of one call, and of one answer.
+        parameters: bytes of all parameters together.
+        connections_per_identity: open at a time; a node has two, and one for each watched graph.
+        connections_per_domain: open at a time, of all nodes of one foreign domain.
+        connections_without_right: of those of one identity or foreign domain, as long as no grant
+            gives its nodes any right here.
+        body_without_right: bytes of one call of such a node, but for calls with signed statements.
+        nodes_per_identity: registered at a time; only a wildcard identity can have several.
+        handshake_seconds: from the first byte of a connection to an authenticated peer.
+        request_seconds: from the first byte of a call to its last.
+        idle_seconds: between two calls on one connection; nodes call every ten seconds.
+        unfinished_per_address, unfinished: handshakes at a time.
+    """
+
+    body: int = BODY_LIMIT
+    parameters: int = SIZE_LIMIT
+    connections_per_identity: int = 32
+    connections_per_domain: int = 256
+    connections_without_right: int = 16
+    body_without_right: int = UNSHOWN_BODY
+    nodes_per_identity: int = NODES_LIMIT
+    handshake_seconds: int = 5
+    request_seconds: int = 10
+    idle_seconds: int = 120
+    unfinished_per_address: int = 128
+    unfinished: int = 512
+
 
 _SIZE: Final = 64 * 1024
 _DEPTH: Final = 6
@@ -43,8 +82,8 @@ class Config:
         announce: announce the master on the local links.
         metrics: port for Prometheus, on loopback; None: none.
         complaints: file of the denial log; None: none.
-        limits: see `rossec.master.operation.limits`.
-        federation: a part of the file for `rossec.federation.config`; None: there is none.
+        limits: see `rossec.master.operation.config`.
+        federation: a part of the file for `rossec.federation.settings`; None: there is none.
     """
 
     port: int | None = None
@@ -89,9 +128,11 @@ def parse(text: str, name: str) -> Config:
 
 def _tree(text: str, name: str) -> "Part | None":
     from grants.errors import PolicyRefused  # noqa: PLC0415 - not loaded without a file
-    from grants.policy.mistakes import Mistakes  # noqa: PLC0415 - as above
-    from grants.policy.source import read_source  # noqa: PLC0415 - as above
-    from grants.yaml_text import Bounds  # noqa: PLC0415 - as above
+    from grants.policy.source import (
+        Bounds,
+        Mistakes,
+        read_source,
+    )
 
     mistakes = Mistakes(name)
     try:

@@ -13,7 +13,7 @@ from weakref import WeakKeyDictionary
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
 from rossec.errors import ConfigurationError
-from rossec.net.halfopen import HalfOpen, HalfOpenCount, HalfOpenSlot
+from rossec.net.limits import HalfOpen, HalfOpenCount, HalfOpenSlot
 
 ADDRESS: Final = "127.0.0.1"
 _LIMIT: Final = HalfOpen(per_address=8, total=16)

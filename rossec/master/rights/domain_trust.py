@@ -14,20 +14,17 @@ from typing import Final, NamedTuple
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.certificates import Identity
-from ca.domains.lists import NameRights
-from ca.domains.standing import Standing
+from ca.domains.trust import NameRights
 from ca.errors import NotAdmitted, RevocationRefused, RevocationsStale
-from ca.keys.publickey import THUMBPRINT_SIZE, thumbprint
+from ca.keys.signing import THUMBPRINT_SIZE, thumbprint
 from ca.names import is_master_name
-from ca.revocation.lists import GRANT_ID_SIZE
-from ca.revocation.state import digest
-from ca.revocation.tree import is_tree
-from grants.decision import RevocationCheck
+from ca.revocation.lists import GRANT_ID_SIZE, digest, is_tree
+from ca.revocation.trust_status import Standing
+from grants.decision import Reach, RevocationCheck
 from grants.model import Permission, Right
-from grants.reach import Reach
 from grants.token import Verifier
 from rossec.master.rights.caller import OWN_DOMAIN
-from rossec.master.rights.delegation import discard
+from rossec.master.rights.renewals import discard
 
 GRACE: Final = 60  # seconds that a connection stands while revocations are stale
 MAX_PROOFS: Final = 16 * 1024  # of one foreign tree, and entries that wait for one

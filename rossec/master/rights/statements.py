@@ -3,33 +3,33 @@
 Without a list, or with an expired one, identities may still connect (one of them may deliver a
 list), but no grant is valid. Grants are stored per key, verified once, bounded in number and size.
 Those of a foreign domain are verified with its key, and count for names of that domain alone.
+
+Removing registrations that no valid grant covers any more. Pure.
+
+A grant may be revoked, expire, or belong to a revoked key; each registration is checked against the
+rights its node has *now*, so none of these cases needs state of its own. A parameter subscription
+is removed when nothing at or below its key is readable; each update is authorized again anyway.
 """
 
 import hashlib
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Final, NamedTuple
 
 from ca.certificates import Identity, TrustAnchor
-from ca.domains.aliases import REMOTE, is_alias, shown
-from ca.domains.anchors import Anchors
-from ca.domains.standing import Standing
+from ca.domains.trust import Anchors
 from ca.errors import CAError, HintedError, RenewalRefused, Revoked
-from ca.keys.signer import Signer
-from ca.names import MASTER
-from ca.revocation.state import Revocations, digest
+from ca.keys.signing import Signer
+from ca.names import MASTER, REMOTE, is_alias, shown
+from ca.revocation.lists import digest
+from ca.revocation.trust_status import Revocations, Standing
 from grants.errors import GrantError
-from grants.model import Grant
+from grants.model import Grant, Right
 from grants.token import Verifier, peek
-from rossec.master.rights.access_rules import is_authority
+from rossec.master.rights.access_rules import is_authority, may_subscribe
 from rossec.master.rights.caller import Caller, Peer
-from rossec.master.rights.delegation import Delegate, discard
 from rossec.master.rights.domain_trust import DomainTrust
-from rossec.master.rights.grant_holder import check_holder
-from rossec.master.rights.identity_renewals import IdentityRenewals, RenewalAnswer, Renewer
-from rossec.master.rights.list_in_force import ListInForce
-from rossec.master.rights.pertaining import entries_of, pertaining
-from rossec.master.rights.presented_grants import (
+from rossec.master.rights.held_grants import (
     FAILURE_WINDOW,
     MAX_HELD,
     NOT_EVALUATED,
@@ -38,7 +38,17 @@ from rossec.master.rights.presented_grants import (
     Presented,
     PresentedGrants,
     Renewed,
+    check_holder,
 )
+from rossec.master.rights.renewals import (
+    Delegate,
+    IdentityRenewals,
+    RenewalAnswer,
+    Renewer,
+    discard,
+)
+from rossec.master.rights.revocation_lists import ListInForce, entries_of, pertaining
+from rossec.master.state.registry import Event, Kind, NodeRef, Registry
 
 
 class TrustState(ListInForce):
@@ -341,3 +351,53 @@ def _refuse_foreigner(caller: Caller) -> None:
         raise RenewalRefused(
             "nothing is renewed for a node of another domain", "ask the authority for a new grant"
         )
+
+
+_REQUIRED_RIGHTS: Final = {
+    Kind.PUBLISHER: Right.PUBLISH,
+    Kind.SERVICE: Right.PROVIDE,
+}
+BATCH: Final = 64  # registrations checked in one step, which the loop waits for
+
+
+class EnforcementStep(NamedTuple):
+    """Some registrations of one node."""
+
+    node: NodeRef
+    kind: Kind
+    keys: tuple[str, ...]
+
+
+def enforcement_steps(registry: Registry) -> list[EnforcementStep]:
+    """All registrations, in steps; calls may be answered between two."""
+    return [
+        EnforcementStep(node, kind, keys[begin : begin + BATCH])
+        for node in registry.nodes()
+        for kind in Kind
+        for keys in (registry.keys_of(node.name, kind),)
+        for begin in range(0, len(keys), BATCH)
+    ]
+
+
+def enforce(
+    registry: Registry,
+    trust: TrustState,
+    step: EnforcementStep,
+    now: int,
+) -> list[Event]:
+    """Remove the registrations of `step` that no right covers; returns the events to deliver."""
+    if not registry.is_current(step.node):
+        return []
+    caller = trust.caller_of(step.node, now)
+    if caller is None:
+        return [*registry.remove_node(step.node.name)]
+    uncovered = [key for key in step.keys if not _is_authorized(caller, step.kind, key)]
+    return [event for key in uncovered for event in registry.remove(step.kind, key, caller.name)]
+
+
+def _is_authorized(caller: Caller, kind: Kind, key: str) -> bool:
+    if kind is Kind.PARAMETER:
+        return caller.may_some_below(Right.PARAM_GET, key.removesuffix("/") or "/")
+    if kind is Kind.SUBSCRIBER:
+        return may_subscribe(caller, key)
+    return caller.may(_REQUIRED_RIGHTS[kind], key)

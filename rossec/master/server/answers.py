@@ -1,33 +1,140 @@
 """Answering calls so that none delays the others for long: in turns, or in a coroutine. A shell.
 
 Nearly every call is answered within the callback that received it. A filtered query and a multicall
-may take many turns (`rossec.master.api.turns`); between two of them the loop answers other calls,
+may take many turns (`rossec.master.api.methods`); between two of them the loop answers other calls,
 and the caller's rights are evaluated again: results from before a revocation are discarded.
+
+What a peer may use of the master before a grant gives it any right here. A shell.
+
+A certificate costs a foreign authority nothing, and a node without grants has few calls to make:
+its bodies are small, and so is the number of its connections, of a foreign domain for all nodes
+without a right together. A grant is shown when one that the key has presented is valid now.
+
+A query for what was not wanted before waits until the other masters have answered. A shell.
+
+Facts travel by need, so the first query for a name would be answered with no although a site has
+it. It waits for the sites that are connected, and not long: a site that is slow delays nobody more
+than once in a minute, the time for which the name is wanted then.
 """
 
 import asyncio
+import contextlib
+from collections.abc import Awaitable
 from functools import partial
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, cast
 
 from ca.certificates import Identity
 from ca.errors import HintedError
-from rossec.master.api.deposit_calls import WATCH_GRANTS, is_empty
-from rossec.master.api.dispatch import MasterApi
-from rossec.master.api.methods import CallDenied
-from rossec.master.api.multicall import MULTICALL, Multicall
-from rossec.master.api.relay_calls import is_idle
-from rossec.master.api.renewal_calls import is_idle as has_no_renewal
-from rossec.master.api.site_calls import FOLLOW, UNCHANGED
-from rossec.master.api.turns import CallOutcome, TurnExpired, Turns, Work, advance
-from rossec.master.api.watch_calls import WATCH, is_unchanged
+from rossec.master.api.dispatch import MULTICALL, MasterApi, Multicall
+from rossec.master.api.graph_calls import WATCH, is_unchanged
+from rossec.master.api.methods import CallDenied, CallOutcome, TurnExpired, Turns, Work, advance
+from rossec.master.api.site_calls import FOLLOW, UNCHANGED, is_idle
+from rossec.master.api.statement_calls import WATCH_GRANTS, is_empty
+from rossec.master.api.statement_calls import is_idle as has_no_renewal
+from rossec.master.operation.config import MasterLimits
 from rossec.master.rights.caller import Caller
 from rossec.master.server.effects import Effects, MasterState
-from rossec.master.server.graph_changes import WATCH_WAIT
-from rossec.master.server.site_answers import ASKING, SiteAnswers
+from rossec.master.server.updates import WATCH_WAIT
+from rossec.master.state.imports import Imports
 from rossec.master.state.registry import NodeRef
-from rossec.net.rpc.turns import of_loop, source_of
-from rossec.ros.names import RELAY_DOORS, WATCH_RENEWALS
+from rossec.net.aio import SecureStream
+from rossec.net.rpc.calls import Dispatch
+from rossec.net.rpc.time_slices import of_loop, source_of
+from rossec.ros.names import PRESENT_GRANTS, RELAY_DOORS, WATCH_RENEWALS
 from rossec.ros.xmlrpc import Fault
+
+
+class Admission:
+    """Decides by the rights that `state` knows now, within `limits`."""
+
+    def __init__(self, state: MasterState, limits: MasterLimits) -> None:
+        self._state = state
+        self._limits = limits
+
+    def has_rights(self, peer: Identity) -> bool:
+        """Whether any grant of `peer` is valid now, or it is the authority or a listed master."""
+        try:
+            return self._state.trust.caller(peer, self._state.now()).has_rights
+        except HintedError:
+            return False
+
+    def body_bound(self, peer: Identity) -> int:
+        """How many bytes a call of `peer` may have now."""
+        if self.has_rights(peer):
+            return self._limits.body
+        return min(self._limits.body, self._limits.body_without_right)
+
+    def has_room_for(self, peer: Identity) -> bool:
+        """Whether one more connection is within the limits; a foreign authority has any key."""
+        source = source_of(peer)
+        peers = [stream.peer for stream in self._state.streams]
+        of_group = [other for other in peers if source_of(other).group == source.group]
+        if peer.is_foreign and len(of_group) >= self._limits.connections_per_domain:
+            return False
+        if not self._has_room_without_right(peer, of_group):
+            return False
+        of_key = sum(other.thumbprint == peer.thumbprint for other in of_group)
+        return of_key < self._limits.connections_per_identity
+
+    def _has_room_without_right(self, peer: Identity, of_group: list[Identity]) -> bool:
+        most = self._limits.connections_without_right
+        if len(of_group) < most or self.has_rights(peer):
+            return True
+        shown = {each.thumbprint: each for each in of_group}
+        shown = {key: each for key, each in shown.items() if self.has_rights(each)}
+        return sum(each.thumbprint not in shown for each in of_group) < most
+
+    def dispatch_unshown(
+        self,
+        stream: SecureStream[Identity],
+        dispatch: Dispatch[Identity],
+        method: str,
+        params: tuple[object, ...],
+        peer: Identity,
+    ) -> object:
+        """Answer a call of a peer without rights, which may present grants by it."""
+        value = dispatch(method, params, peer)
+        return self._presented(stream, value) if method == PRESENT_GRANTS else value
+
+    async def _presented(self, stream: SecureStream[Identity], value: object) -> object:
+        """From now on longer calls arrive, if a grant was shown."""
+        answer = await cast("Awaitable[object]", value) if isinstance(value, Awaitable) else value
+        if self.has_rights(stream.peer):
+            stream.raise_unit_limit()
+        return answer
+
+
+SITES_WAIT: Final = 1.0  # seconds
+ASKING: Final = frozenset(
+    {"lookupService", "lookupNode", "getSystemState", "getPublishedTopics", "getTopicTypes"}
+)
+"""The calls that wait; a subscriber is told of publishers later."""
+
+
+class SiteAnswers:
+    """The waiting queries."""
+
+    def __init__(self, imports: Imports) -> None:
+        self._imports = imports
+        self._settled: asyncio.Event | None = None  # while a query waits
+        imports.on_settled = self._wake
+
+    async def wait(self, longest: float = SITES_WAIT) -> None:
+        """Return when every connected site has answered what is wanted, or after `longest`."""
+        if self._imports.is_settled:
+            return
+        if self._settled is None:
+            self._settled = asyncio.Event()
+        settled = self._settled
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(longest):
+                await settled.wait()
+
+    def _wake(self) -> None:
+        if self._settled is not None:
+            self._settled.set()
+            self._settled = None
+
 
 RENEWALS_WAIT: Final = 20.0  # seconds; an answer without requests shows that the master is alive
 

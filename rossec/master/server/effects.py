@@ -3,24 +3,44 @@
 The cores return events; `deliver` maps each to its effect. Nothing is authorized here and nothing
 waits: `Updates` sends updates to nodes, `GraphChanges` notifies watchers. A new revocation list is
 enforced before the call that delivered it is answered, except for what would take too long.
+
+The denial log: one line for every right that a caller lacked, to learn a policy from.
+
+A shell. `rossec policy learn --from-log` reads it: callers of services and readers of parameters do
+not appear in the graph. Each line is written once, and their number is limited: an enrolled node
+chooses the names, and must not fill the disk with them. Each node has a quota that no other can
+use up, else one of them could keep the others out of the log.
+
+Refusals for the log and the audit: one line for each cause, in the words of `rossec explain`.
+
+A cause is a right that a node lacks on a name; names of one run of an anonymous node are the same
+cause as those of the next. It is logged once an hour, with the number of refusals left out. What
+every ROS program asks for by itself and works without is one cause for each node. Refusals for
+other reasons, such as an address of another node, are all logged. Pure.
 """
 
 import asyncio
 import logging
+import os
+from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
-from typing import Final
+from pathlib import Path
+from typing import Final, TypeAlias
 
 from ca.certificates import Identity
-from ca.domains.aliases import is_alias, shown
-from ca.domains.served import is_in_gateway
 from ca.errors import HintedError
-from ca.revocation.state import digest
+from ca.names import is_alias, is_in_gateway, shown
+from ca.revocation.lists import digest
+from grants.model import Right
+from grants.request import is_dispensable, needed_rule, own_form, rule_form
+from rossec import files
 from rossec.master.api.methods import (
     Administered,
     CallDenied,
+    CallOutcome,
     Denied,
     DomainsChanged,
     GrantsDeposited,
@@ -31,30 +51,124 @@ from rossec.master.api.methods import (
     RevocationsChanged,
     StopMaster,
 )
-from rossec.master.api.turns import CallOutcome
-from rossec.master.operation.denial_causes import BASICS, DenialCauses
-from rossec.master.operation.denial_limit import DENIALS
-from rossec.master.operation.denial_log import OnDenial
-from rossec.master.rights.alias_publishers import AliasPublishers
-from rossec.master.rights.caller import Peer
-from rossec.master.rights.enforce import enforce, steps
-from rossec.master.rights.recent_denials import RecentDenials
-from rossec.master.rights.statements import TrustState
-from rossec.master.server.deposit_file import DepositFile
-from rossec.master.server.dialer import SlaveDialer
-from rossec.master.server.grant_changes import GrantChanges
-from rossec.master.server.graph_changes import GraphChanges
-from rossec.master.server.parameter_file import ParameterFile
-from rossec.master.server.site_polls import SitePolls
-from rossec.master.server.updates import Updates
-from rossec.master.state.doors import Doors
+from rossec.master.operation.admin import DENIALS
+from rossec.master.rights.caller import Peer, RecentDenials
+from rossec.master.rights.publisher_views import AliasPublishers
+from rossec.master.rights.statements import TrustState, enforce, enforcement_steps
+from rossec.master.server.saved_state import DepositFile, ParameterFile
+from rossec.master.server.updates import GrantChanges, GraphChanges, SitePolls, SlaveDialer, Updates
+from rossec.master.state.forwarded_ports import Doors
 from rossec.master.state.graph import Graph
-from rossec.master.state.import_events import TypeContradicted
+from rossec.master.state.imported_facts import TypeContradicted
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.net.aio import SecureContext, SecureStream
+from rossec.peer_limits import printable
 from rossec.ros.names import DOMAINS_UPDATE, FOREIGN_UPDATE, REVOCATION_UPDATE
-from rossec.ros.text import printable
+
+LINES_PER_NODE: Final = 200  # lines of one node
+MAX_LINES: Final = 10_000  # of all nodes beyond their quotas
+
+OnDenial: TypeAlias = Callable[[int, str, Right, str], None]
+"""Called with `now`, the node, the right it lacks, and the name."""
+
+
+def ignore_denial(now: int, node: str, right: Right, name: str) -> None:
+    """Log nothing."""
+
+
+class DenialLog:
+    """Appends to the file `path`, which is created for its owner alone.
+
+    Raises:
+        PathRefused: another user owns it, as is possible in a directory such as /tmp.
+    """
+
+    def __init__(self, path: Path) -> None:
+        from grants.policy.learn import log_line  # noqa: PLC0415 - not loaded without this log
+
+        self._line = log_line
+        self._file = os.fdopen(files.append_own(path), "a", encoding="utf-8")
+        self._seen: set[tuple[str, Right, str]] = set()
+        self._lines_of_node: Counter[str] = Counter()
+        self._lines_beyond = 0
+
+    def __call__(self, now: int, node: str, right: Right, name: str) -> None:
+        """Write one line, unless it was written since the start or the limits are reached."""
+        denial = node, right, own_form(node, name)  # one run of an anonymous node is as the next
+        is_beyond = self._lines_of_node[node] >= LINES_PER_NODE
+        if denial in self._seen or (is_beyond and self._lines_beyond >= MAX_LINES):
+            return
+        self._seen.add(denial)
+        self._lines_of_node[node] += 1
+        self._lines_beyond += is_beyond
+        self._file.write(self._line(now, node, right, name) + "\n")
+        self._file.flush()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+LOGGED_FOR: Final = 3600  # seconds
+MAX_CAUSES: Final = 4096
+BASICS: Final = "do all that every ROS program asks for and works without, as "
+_NO_GRANT: Final = "no grant "
+
+_Cause = tuple[str, Right | None, str]
+
+
+@dataclass
+class _Logged:
+    at: int
+    left_out: int = 0
+
+
+class DenialCauses:
+    """The causes that were logged last."""
+
+    def __init__(self) -> None:
+        self._logged: OrderedDict[_Cause, _Logged] = OrderedDict()
+
+    def text(self, now: int, denied: CallDenied) -> str | None:
+        """What to log after the node and `may not`; None if the cause was logged before.
+
+        Of what every program works without it begins with `BASICS`: it is no warning.
+        """
+        if denied.missing is None:
+            return f"{denied.method}: {denied.status}"
+        right, name = denied.missing
+        own = own_form(denied.certified, name, wildcard=denied.wildcard)
+        reason = denied.status.partition(f" on {shown(name)}: ")[2]
+        if is_dispensable(right, own) and reason.startswith(_NO_GRANT):
+            return self._once(now, (denied.node, None, ""), _basics(right, own))
+        ruled = rule_form(denied.certified, name, wildcard=denied.wildcard)
+        words = _words(denied.node, right, shown(ruled), reason)
+        cause = (denied.node, right, own + reason[:80])
+        return self._once(now, cause, f"{right.label} {shown(ruled)} ({denied.method}): {words}")
+
+    def _once(self, now: int, cause: _Cause, text: str) -> str | None:
+        before = self._logged.get(cause)
+        if before is not None and 0 <= now - before.at < LOGGED_FOR:
+            before.left_out += 1
+            return None
+        self._logged[cause] = _Logged(now)
+        self._logged.move_to_end(cause)
+        if len(self._logged) > MAX_CAUSES:
+            self._logged.popitem(last=False)
+        left_out = before.left_out if before is not None else 0
+        return f"{text} ({left_out} more like this since it was logged last)" if left_out else text
+
+
+def _words(node: str, right: Right, name: str, reason: str) -> str:
+    if reason.startswith(_NO_GRANT):
+        return f"{needed_rule(node, [(right, name)])} would change it"
+    return reason
+
+
+def _basics(right: Right, own: str) -> str:
+    return f"{BASICS}{right.label} {own} and so on: basics: true in a policy would change it"
+
 
 _audit = logging.getLogger("rossec.audit")
 _denials = logging.getLogger(DENIALS)
@@ -268,7 +382,7 @@ class Effects:
 
     def enforcement(self) -> Iterator[None]:
         """Remove what is no longer authorized, some registrations in each step."""
-        for step in steps(self._state.registry):
+        for step in enforcement_steps(self._state.registry):
             for event in enforce(self._state.registry, self._state.trust, step, self._state.now()):
                 self.deliver(event)
             yield

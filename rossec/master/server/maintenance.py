@@ -2,20 +2,347 @@
 
 A round runs at every interval, and at once when a revocation list is delivered, for what was left
 to enforce. An exception in one round does not end the rounds.
+
+The lists of an authority on the master's host: read from its directory.
+
+A list that could not be delivered, as the master was not running or not reachable, would otherwise
+wait for a person, while the master keeps confirming the old one. The directory is read in each
+maintenance round; an invalid list is logged, and the list in force stays.
+
+The master's own identity while it runs: renewed where possible, reloaded when replaced. A shell.
+
+A master runs for months, its certificate is valid for one. So each maintenance round reloads a
+certificate that was installed (`rossec node install`) and has it renewed like that of any node, by
+the authority's service or by an intermediate here; while that does not succeed, it logs a warning.
+The key stays the same: nodes identify their master by it.
+
+Gateways that have died: noticed, so that subscribers do not wait for them. A shell.
+
+A gateway replaces the origin's publishers, so nobody else would notice. Each one that serves a
+topic is asked for its process id every 2 s, on one connection that stays: one small call, and the
+end of a process ends the connection at once. Without an answer for 5 s it is silent, and serves
+nothing until it answers again; where nobody listens at its address any more it is unregistered. A
+master where nothing is served asks nobody.
 """
 
 import asyncio
 import contextlib
+import errno
 import logging
 from collections.abc import Callable
-from typing import Final
+from typing import Final, TypeAlias
 
+from ca.certificates import Identity, renew_at, retry_delay, sign_renewal
+from ca.errors import HintedError
+from ca.names import is_in_gateway
+from ca.revocation.lists import is_tree
+from ca.svid import build_request
+from grants.model import format_time
+from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.clock import Setbacks
+from rossec.errors import AnswerRefused, ConfigurationError, RossecError
+from rossec.home import NodeHome
+from rossec.host.runner import TaskSet
 from rossec.master.api.methods import DomainsChanged, RevocationsChanged
+from rossec.master.rights.renewals import RenewalAnswer
+from rossec.master.rights.statements import TrustState
 from rossec.master.server.effects import Effects, MasterState
-from rossec.master.server.local_authority import SOURCE, LocalAuthority
-from rossec.master.server.parameter_file import ParameterFile
-from rossec.net.aio.tasks import TaskSet
+from rossec.master.server.saved_state import ParameterFile
+from rossec.master.state.registry import Kind, NodeRef
+from rossec.net.rpc.calls import RpcClient
+from rossec.peer_limits import printable
+from rossec.ros.xmlrpc import Fault
+
+SOURCE: Final = "the authority on this host"
+
+_log = logging.getLogger("rossec.master.nearby")
+
+FindRevocations: TypeAlias = Callable[[], tuple[bytes, bytes] | None]
+"""Returns the newest signed list or tree, and the entries of a tree; None: unchanged."""
+
+FindDomains: TypeAlias = Callable[[], bytes]
+"""Returns the newest signed list of domains; empty: unchanged, or there is none."""
+
+
+def no_authority() -> None:
+    """No authority is on this host."""
+
+
+def no_domains() -> bytes:
+    """No authority on this host has signed a list of domains."""
+    return b""
+
+
+class LocalAuthority:
+    """Reads the lists of a local authority.
+
+    Args:
+        find: reads the directory of the authority. Raises `HintedError` or `OSError`.
+        trust: accepts the lists.
+        find_domains: likewise.
+    """
+
+    def __init__(
+        self, find: FindRevocations, trust: TrustState, find_domains: FindDomains = no_domains
+    ) -> None:
+        self._find = find
+        self._trust = trust
+        self._find_domains = find_domains
+        self._last_warnings: dict[str, str] = {}  # by what was looked for
+
+    def has_newer_list(self, now: int) -> bool:
+        """Accept the list of the authority, if it is newer; returns whether it was."""
+        return self._take("list", lambda: self._newest(now))
+
+    def has_newer_domains(self) -> bool:
+        """As `has_newer_list`, for the list of domains."""
+        return self._take("list of domains", self._newest_domains)
+
+    def _take(self, what: str, accept: Callable[[], bool]) -> bool:
+        """What `accept` returns; a reason to refuse is logged once, although each round checks."""
+        try:
+            newer = accept()
+        except (HintedError, OSError) as error:
+            reason = printable(error)
+            if reason != self._last_warnings.get(what):
+                _log.warning("the %s of %s is not accepted: %s", what, SOURCE, reason)
+            self._last_warnings[what] = reason
+            return False
+        self._last_warnings.pop(what, None)
+        return newer
+
+    def _newest(self, now: int) -> bool:
+        found = self._find()
+        return found is not None and self._accept(*found, now)
+
+    def _newest_domains(self) -> bool:
+        data = self._find_domains()
+        return data != b"" and self._trust.update_domains(data)
+
+    def _accept(self, data: bytes, entries: bytes, now: int) -> bool:
+        if is_tree(data):
+            return self._trust.update_tree(data, entries, now)
+        return self._trust.update(data, now)
+
+
+_HOUR: Final = 3600
+_RETRY: Final = 600
+_GRACE: Final = 60  # seconds at most for the first answer
+_own_identity_log = logging.getLogger("rossec.master.own")
+
+Renew = Callable[[bytes, int], RenewalAnswer]
+"""Answers a renewal request with the new bundle, or with what is waited for."""
+
+
+class OwnIdentity:
+    """The credentials of the master; `check` keeps them current.
+
+    Raises:
+        CertificateRefused: the identity in `home` has expired, or is invalid.
+        ConfigurationError: there is no identity, or it is another node's.
+    """
+
+    def __init__(self, home: NodeHome, now: int) -> None:
+        self._home = home
+        self._identity = home.identity(now)
+        self._loaded_version = self._file_version()
+        self._next_attempt = self._next_warning = 0
+        self._csr = b""
+        self.renew: Renew | None = None
+        self.credentials = LiveCredentials(home.credentials())
+
+    def check(self, now: int) -> None:
+        """Reload a replaced identity, and renew one that is due; a failure is tried again."""
+        self._attempt(self._reload, now)
+        held = self._identity
+        if now >= max(self._next_attempt, renew_at(held.not_before, held.not_after)):
+            self._next_attempt = now + retry_delay(held.not_before, held.not_after, _RETRY)
+            self._attempt(self._renew, now)
+
+    def _attempt(self, action: Callable[[int], None], now: int) -> None:
+        try:
+            action(now)
+        except (HintedError, OSError) as error:
+            hint = f" ({error.hint})" if isinstance(error, HintedError) and error.hint else ""
+            _own_identity_log.warning("the master's own identity: %s%s", printable(error), hint)
+
+    def _reload(self, now: int) -> None:
+        version = self._file_version()
+        if version == self._loaded_version:
+            return
+        self._loaded_version = version
+        found = self._home.identity(now)
+        if found.thumbprint != self._identity.thumbprint:
+            raise ConfigurationError("the installed identity has another key", "restart the master")
+        self._replace(found)
+
+    def _replace(self, identity: Identity) -> None:
+        self.credentials.current = self._home.credentials()
+        self._identity, self._csr = identity, b""
+        self._next_attempt = self._next_warning = 0
+        _own_identity_log.info(
+            "the master's own identity is valid until %s", format_time(identity.not_after)
+        )
+
+    def _renew(self, now: int) -> None:
+        own, held = self.credentials.current, self._identity
+        if now > held.not_after or self.renew is None:
+            self._warn("", now)
+            return
+        self._csr = self._csr or build_request(own.signer, held.domain, held.name)
+        answer = self.renew(sign_renewal(own.signer, own.chain, self._csr, now), now)
+        if answer.bundle:
+            self._replace(self._home.install(answer.bundle, now))
+            self._loaded_version = self._file_version()
+            return
+        self._next_attempt = now + 1  # in the next round, or as soon as there is an answer
+        self._warn(f": {answer.status}", now)
+
+    def _warn(self, why: str, now: int) -> None:
+        """Once an hour, but not before a service that runs had time to answer.
+
+        Raises:
+            ConfigurationError: it is time.
+        """
+        held = self._identity
+        if not self._next_warning and why:
+            self._next_warning = now + retry_delay(held.not_before, held.not_after, _GRACE)
+        if now < self._next_warning:
+            return
+        self._next_warning = now + retry_delay(held.not_before, held.not_after, _HOUR)
+        verb, option = ("expires", "") if now <= held.not_after else ("expired", "--expired ")
+        raise ConfigurationError(
+            f"it {verb} {format_time(held.not_after)}, after which no node connects{why}",
+            f"rossec ca renew {option}{held.name}, then rossec node install FILE here; no restart",
+        )
+
+    def _file_version(self) -> tuple[int, int, int]:
+        found = (self._home.path / "node.pem").stat()
+        return found.st_ino, found.st_mtime_ns, found.st_size
+
+
+ASK_EVERY: Final = 2.0  # seconds
+RETRY_AFTER: Final = 1.0
+ANSWER_WITHIN: Final = 4.0
+SILENT_AFTER: Final = 5.0  # since the last answer
+_FAILURES: Final = 2  # at least: a master that was stopped itself has asked nobody
+
+_gateways_log = logging.getLogger("rossec.master.gateways")
+_audit = logging.getLogger("rossec.audit")
+
+
+class Gateways:
+    """Asks the gateways of `state` whether they live, from `start` to `close`."""
+
+    def __init__(self, state: MasterState, effects: Effects) -> None:
+        self._state = state
+        self._effects = effects
+        self._asked: set[NodeRef] = set()
+        self._tasks = TaskSet()
+
+    def __len__(self) -> int:
+        return len(self._asked)
+
+    def start(self) -> None:
+        """Ask those that register from now on."""
+        self._effects.on_served = self._served
+
+    async def close(self) -> None:
+        """Ask nobody any more."""
+        await self._tasks.close()
+
+    def _served(self, topic: str) -> None:
+        """The publishers of a served name have changed."""
+        for node in self._state.registry.registered_nodes(Kind.PUBLISHER, topic):
+            if node not in self._asked:
+                self._asked.add(node)
+                self._tasks.spawn(self._ask(node), f"asking {node.name}")
+
+    async def _ask(self, node: NodeRef) -> None:
+        """Ask a gateway while it serves something."""
+        client, loop = _Client(self._effects, self._state.name, node), asyncio.get_running_loop()
+        heard, failures = loop.time(), 0
+        try:
+            while self._topics(node):
+                error = await client.ask()
+                if error is None:
+                    heard, failures = loop.time(), 0
+                    self._note(node, silent=False)
+                else:
+                    failures += 1
+                    if failures >= _FAILURES and loop.time() - heard >= SILENT_AFTER:
+                        self._give_up(node, error)
+                await asyncio.sleep(RETRY_AFTER if failures else ASK_EVERY)
+        finally:
+            self._asked.discard(node)
+            await client.close()
+
+    def _give_up(self, node: NodeRef, error: Exception) -> None:
+        if not _is_refused(error):
+            self._note(node, silent=True)
+        elif self._state.registry.is_current(node):
+            _audit.warning("%s is unregistered: nobody listens at %s", node.name, node.uri)
+            for event in self._state.registry.remove_node(node.name):
+                self._effects.deliver(event)
+            self._state.notify()
+
+    def _note(self, node: NodeRef, *, silent: bool) -> None:
+        """Note whether a gateway answers, and let subscribers know if that is news."""
+        if not self._state.registry.set_silent(node, silent=silent):
+            return
+        _audit.warning("%s %s", node.name, "does not answer" if silent else "answers again")
+        for topic in self._topics(node):
+            changes = self._state.aliases.changes(topic, self._state.now())
+            self._effects.send_publishers(changes)
+        self._state.notify()
+
+    def _topics(self, node: NodeRef) -> list[str]:
+        """What a gateway serves: nothing when it is registered no more, or with another address."""
+        registry = self._state.registry
+        keys = registry.keys_of(node.name, Kind.PUBLISHER) if registry.is_current(node) else ()
+        return [key for key in keys if is_in_gateway(key)]
+
+
+class _Client:
+    """One connection to a gateway, made anew after each failure."""
+
+    def __init__(self, effects: Effects, master: str, node: NodeRef) -> None:
+        self._effects = effects
+        self._master = master
+        self._node = node
+        self._client: RpcClient | None = None
+
+    async def ask(self) -> Exception | None:
+        """Ask for the process id; returns why there is no answer."""
+        try:
+            async with asyncio.timeout(ANSWER_WITHIN):
+                if self._client is None or self._client.closed:
+                    self._client = await self._effects.dialer.dial(self._node)
+                await self._client.ask("getPid", self._master)
+        except (Fault, AnswerRefused):
+            return None  # whatever it answers
+        except (RossecError, OSError, TimeoutError) as error:
+            _gateways_log.info("%s does not answer: %s", self._node.name, printable(error))
+            await self.close()
+            return error
+        return None
+
+    async def close(self) -> None:
+        client, self._client = self._client, None
+        if client is not None:
+            with contextlib.suppress(RossecError, OSError, TimeoutError):
+                async with asyncio.timeout(ANSWER_WITHIN):
+                    await client.close()
+
+
+def _is_refused(error: BaseException | None) -> bool:
+    """Whether nobody listens at the address: the process is gone, not just out of reach."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno == errno.ECONNREFUSED:
+            return True
+        error = error.__cause__
+    return False
+
 
 _CLOCK_SET_BACK: Final = (
     "the host's clock went back: the master counts the seconds that have passed instead"
@@ -23,8 +350,7 @@ _CLOCK_SET_BACK: Final = (
 )
 
 _SAVE_PAUSE: Final = 1.0  # seconds between two times that parameters are saved, however many
-_log = logging.getLogger("rossec.master.upkeep")
-_audit = logging.getLogger("rossec.audit")
+_maintenance_log = logging.getLogger("rossec.master.upkeep")
 
 
 class Maintenance:
@@ -71,7 +397,7 @@ class Maintenance:
                 await self._run_once()
                 keep_views(self._connected_keys())
             except Exception:  # noqa: BLE001 - one failure must not end freshness and enforcement
-                _log.exception("maintenance failed; it is tried again")
+                _maintenance_log.exception("maintenance failed; it is tried again")
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(self._pause()):
                     await self._effects.list_changed.wait()
@@ -107,7 +433,7 @@ class Maintenance:
             try:
                 await file.save()
             except Exception:  # noqa: BLE001 - as above
-                _log.exception("parameters were not saved; it is tried again")
+                _maintenance_log.exception("parameters were not saved; it is tried again")
             await asyncio.sleep(min(_SAVE_PAUSE, self._interval))  # also after a failure
 
     async def _enforce(self) -> None:

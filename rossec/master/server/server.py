@@ -4,6 +4,8 @@ Decisions are elsewhere: access control authorizes calls, `TrustState` tells whi
 the registry returns events. All state is used in one event loop, and a call is answered without
 waiting for any peer, so no locks are needed. The effects of events are in `effects`, periodic work
 in `maintenance`, connections to nodes in `dialer`.
+
+Creating a master from the directory of its node.
 """
 
 import asyncio
@@ -11,6 +13,7 @@ import contextlib
 import logging
 import os
 import secrets
+import socket
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -18,50 +21,56 @@ from functools import partial
 from typing import Final
 
 from ca import svid
-from ca.certificates import Identity
-from ca.domains.aliases import shown
-from ca.errors import HintedError
+from ca.certificates import Identity, TrustAnchor
+from ca.errors import HintedError, RevocationRefused
+from ca.keys.signing import Signer
+from ca.names import shown
+from ca.revocation.lists import is_tree
+from ca.revocation.trust_status import Revocations
 from rossec.channel.edhoc.credentials import KnownCertificates, OwnCredential, Verify
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.channel.records import ChannelLimits
 from rossec.clock import time as host_time
-from rossec.master.api.dispatch import MasterApi
-from rossec.master.api.methods import StopMaster
+from rossec.home import NodeHome
+from rossec.host.addresses import is_near
+from rossec.master.api.dispatch import (
+    CONNECTION_SECONDS,
+    MasterApi,
+    RevokedCalls,
+    RevokedConnections,
+)
+from rossec.master.api.methods import StopMaster, Turns
 from rossec.master.api.parameter_calls import ParameterCalls
-from rossec.master.api.revoked_calls import CONNECTION_SECONDS, RevokedCalls, RevokedConnections
-from rossec.master.api.turns import Turns
-from rossec.master.operation.denial_limit import DENIALS
-from rossec.master.operation.denial_log import OnDenial, ignore_denial
-from rossec.master.operation.limits import MasterLimits
-from rossec.master.rights.deposits import Deposits
+from rossec.master.operation.admin import DENIALS
+from rossec.master.operation.config import MasterLimits
+from rossec.master.rights.domain_trust import DomainTrust
+from rossec.master.rights.held_grants import Deposits, verifier
+from rossec.master.rights.renewals import Delegate, Renewer
 from rossec.master.rights.statements import TrustState
-from rossec.master.server.admission import Admission
-from rossec.master.server.answers import CallAnswers
-from rossec.master.server.deposit_file import DepositFile
-from rossec.master.server.effects import Effects, MasterState
-from rossec.master.server.gateways import Gateways
-from rossec.master.server.grant_changes import WAIT, GrantChanges
-from rossec.master.server.local_authority import (
+from rossec.master.server.answers import Admission, CallAnswers
+from rossec.master.server.effects import Effects, MasterState, OnDenial, ignore_denial
+from rossec.master.server.maintenance import (
     FindDomains,
     FindRevocations,
+    Gateways,
     LocalAuthority,
+    Maintenance,
+    OwnIdentity,
     no_authority,
     no_domains,
 )
-from rossec.master.server.maintenance import Maintenance
-from rossec.master.server.parameter_file import ParameterFile
-from rossec.master.server.updates import MAX_CLOSING
-from rossec.master.state.mirrors import MirrorChange
+from rossec.master.server.saved_state import DepositFile, ListFile, ParameterFile
+from rossec.master.server.updates import MAX_CLOSING, WAIT, GrantChanges
+from rossec.master.state.imported_facts import Site
+from rossec.master.state.parameters import MirrorChange
 from rossec.master.state.registry import Kind, Registry
-from rossec.master.state.sites import Site
 from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, serve
-from rossec.net.bounds import UNSHOWN_UNIT
-from rossec.net.halfopen import HalfOpen, HalfOpenCount
-from rossec.net.host.relayed import is_near
-from rossec.net.rpc.client import serve_calls
-from rossec.ros.httpread import HEADERS_LIMIT
-from rossec.ros.names import MASTER
-from rossec.ros.text import printable
+from rossec.net.limits import UNSHOWN_UNIT, HalfOpen, HalfOpenCount
+from rossec.net.rpc.calls import serve_calls
+from rossec.peer_limits import printable
+from rossec.ros.http import HEADERS_LIMIT
+from rossec.ros.names import MASTER, is_loopback
+from rossec.saved_statements import DomainFiles, saved_revocations
 
 TIMESTAMP_EVERY: Final = 10.0  # seconds; a timestamp is valid for 30
 _LIMITS: Final = MasterLimits()
@@ -315,3 +324,154 @@ class MasterServer:
         finally:
             stream.abort("the identity is revoked")
             self._revoked_connections.release(keys)
+
+
+_log = logging.getLogger("rossec.master.start")
+
+
+def master_of(
+    home: NodeHome,
+    *,
+    host: str | None,
+    port: int,
+    newest: bytes | None,
+    now: int,
+    entries: bytes | None = None,
+    renewer: Renewer | None = None,
+    on_denial: OnDenial = ignore_denial,
+    limits: MasterLimits = _LIMITS,
+    suites: tuple[int, ...] = PRODUCTION,
+    find_revocations: FindRevocations = no_authority,
+    find_domains: FindDomains = no_domains,
+) -> MasterServer:
+    """The master whose identity is in `home`, not yet started.
+
+    Args:
+        host: address to advertise (ROS_HOSTNAME or ROS_IP), and to listen on alone when it is
+            loopback, as in ROS; None: this machine's name, and any address.
+        newest: a revocation list that may be newer than the one saved, from an authority on this
+            host; otherwise the master waits until one is published.
+        renewer: renews identities with an intermediate of this host; None: the authority's service
+            does, through the table of requests.
+        entries: where `newest` is a tree, its entries.
+        on_denial: called for every right that a caller lacks.
+        limits: limits on what one peer may use.
+        suites: the post-quantum policy (`rossec.channel.opening`).
+        find_revocations, find_domains: read what an authority on this host has signed.
+
+    Raises:
+        ConfigurationError: the node is not enrolled.
+        CertificateRefused: its identity has expired: no node would connect.
+        RevocationRefused: `newest` is not signed by the authority, or older than the one saved.
+        DomainsRefused: the saved list of domains is not the authority's.
+    """
+    anchor, own_identity, saved_list = home.anchor(), OwnIdentity(home, now), ListFile(home)
+    signer = own_identity.credentials.current.signer
+    trust = _trust(home, saved_list, signer, newest, entries, renewer, now)
+    own_key = home.identity(now).thumbprint
+    own_identity.renew = lambda request, at: trust.identities.ask(own_key, request, at, trust.check)
+    server = MasterServer(
+        own_identity.credentials,
+        trust.domains.anchors.verify,
+        trust,
+        name=home.name,
+        host=host if host is not None and is_loopback(host) else None,
+        port=port,
+        advertise=host or socket.gethostname(),
+        on_denial=on_denial,
+        parameter_file=ParameterFile(home.path / "parameters.journal"),
+        deposit_file=DepositFile(home.path / "deposits.journal", verifier(anchor, trust.check)),
+        limits=limits,
+        suites=suites,
+        check_own_identity=partial(_maintain, own_identity, saved_list),
+        find_revocations=find_revocations,
+        find_domains=find_domains,
+    )
+    trust.identities.on_answered = partial(_take_own, server, own_key)
+    return server
+
+
+def _take_own(server: MasterServer, own_key: bytes, answered: bytes) -> None:
+    """Have the master's own new identity taken at once."""
+    if answered == own_key:
+        server.effects.list_changed.set()
+
+
+def _trust(
+    home: NodeHome,
+    saved_list: ListFile,
+    signer: Signer,
+    newest: bytes | None,
+    entries: bytes | None,
+    renewer: Renewer | None,
+    now: int,
+) -> TrustState:
+    """What the authority has said, as far as this host knows; raises as `master_of`."""
+    anchor = home.anchor()
+    revocations = saved_revocations(home, anchor, now)
+    if newest is not None:
+        revocations.update(newest, now, saved_list.save)
+    delegate = Delegate(anchor, signer, home.save_delegation)
+    delegation = home.load_delegation()
+    if delegation is not None:
+        _load_delegation(delegate, delegation)
+    trust = TrustState(
+        anchor, signer, revocations, saved_list.save, delegate, saved_list.save_entries, renewer,
+        _domains(home, anchor, revocations, saved_list, now),
+    )  # fmt: skip
+    _load_entries(trust, revocations, (entries, home.load_entries()), now)
+    return trust
+
+
+def _domains(
+    home: NodeHome, anchor: TrustAnchor, own: Revocations, saved_list: ListFile, now: int
+) -> DomainTrust:
+    """The lists of foreign domains, and of what they revoked, as saved when the master stopped.
+
+    Raises:
+        DomainsRefused: the saved list is not the authority's.
+    """
+    saved = DomainFiles(home, anchor)
+    standing = saved.standing(saved.anchors(), own, now)
+
+    def load_foreign(domain: str) -> bytes | None:
+        try:
+            return saved.load_foreign(domain)
+        except (HintedError, OSError) as error:
+            _log.warning("the saved revocations of %s: %s", domain, printable(error))
+            return None
+
+    def save_foreign(domain: str, data: bytes) -> None:
+        listed = standing.anchors.listed_domain(domain)
+        if listed is not None:
+            saved_list.save_by(("of", domain), partial(saved.save_foreign, listed.anchor), data)
+
+    save = partial(saved_list.save_by, "domains", saved.save_domains)
+    return DomainTrust(standing, save, save_foreign, load_foreign)
+
+
+def _maintain(own_identity: OwnIdentity, saved_list: ListFile, now: int) -> None:
+    own_identity.check(now)
+    saved_list.retry()
+
+
+def _load_delegation(delegate: Delegate, data: bytes) -> None:
+    """A master with a new key starts all the same, without a valid delegation."""
+    try:
+        delegate.take(data)
+    except HintedError as error:
+        _log.warning("grants are not renewed: %s", error)
+
+
+def _load_entries(
+    trust: TrustState, revocations: Revocations, found: tuple[bytes | None, ...], now: int
+) -> None:
+    """Complete a tree with its entries: those of the authority or those saved."""
+    if not is_tree(revocations.data):
+        return
+    for entries in found:
+        if entries is not None:
+            with contextlib.suppress(RevocationRefused):
+                trust.update_tree(revocations.data, entries, now)
+                return
+    _log.warning("the entries of the revocation tree are missing: rossec ca publish")

@@ -4,21 +4,100 @@ Stock rosmaster shares three threads between all nodes, so three dead nodes dela
 (ros_comm#1555). Here each node has its own task, its own connection and its own deadline. Pending
 updates are coalesced: only the newest publisher list of a topic, the newest value of a parameter,
 the newest revocation list. So a slow node costs a bounded amount of memory.
+
+Connecting to a slave API: the peer must be the node that registered it. A shell.
+
+The only module from which the master connects to nodes. Nothing is sent to any other peer, and a
+node that registered the address of another is reported. What is called is up to the caller.
+
+Waiting for deposited grants: long polling for `rossec.watchGrants`. A shell.
+
+A node waits on a connection of its own, so the master needs no address of it: a new robot, which
+may register nothing yet, is notified like every other. Nothing is queued here; a call that waited
+is answered again from the table.
+
+Waiting for changes of the graph: long polling for `rossec.watchGraph`. A shell.
+
+A watcher waits on its own connection, so the master neither connects to it nor queues or retries
+anything. Changes in the `BATCH_DELAY` seconds after the first are sent in the same answer: the
+launch of a hundred nodes does not take a hundred answers.
+
+Waiting for changes of what is registered here: long polling for `rossec.followSite`. A shell.
+
+Only own registrations wake a follower, not imports: else each change in a mesh would be answered by
+every master to every other. A new call of a follower ends its one before, which waits with what was
+wanted then.
 """
 
 import asyncio
 import contextlib
 import logging
-from collections.abc import Awaitable, Callable, Collection
+from collections import deque
+from collections.abc import Awaitable, Callable, Collection, Iterable
 from typing import Final
 
-from rossec.errors import AnswerRefused, RossecError
-from rossec.master.state.parameter_values import encoded_size
+from ca.certificates import Identity
+from ca.names import shown
+from rossec.errors import AnswerRefused, CallerMismatch, RossecError
+from rossec.host.runner import TaskSet
+from rossec.master.state.parameters import encoded_size
 from rossec.master.state.registry import NodeRef
-from rossec.net.aio.tasks import TaskSet
-from rossec.net.rpc.client import RpcClient
-from rossec.ros.text import printable
+from rossec.net.aio import SecureContext, WireProtocol, connect
+from rossec.net.rpc.calls import RpcClient
+from rossec.peer_limits import printable
+from rossec.ros.names import parse_uri
 from rossec.ros.xmlrpc import Fault
+
+
+def is_node(peer: Identity, node: NodeRef) -> bool:
+    """Whether `peer` is the node that registered: a foreigner is registered under its alias."""
+    named = peer.name == node.name if peer.is_foreign else peer.covers(node.name)
+    return named and peer.thumbprint == node.thumbprint
+
+
+class SlaveDialer:
+    """Connects as the master; `probed` are the nodes that are being probed.
+
+    Args:
+        context: the master's own identity.
+        on_mismatch: called with the node and the other peer that answered at its address.
+    """
+
+    def __init__(
+        self,
+        context: SecureContext[Identity],
+        on_mismatch: Callable[[NodeRef, Identity], None],
+    ) -> None:
+        self._context = context
+        self._on_mismatch = on_mismatch
+        self.probed: Final[set[NodeRef]] = set()
+
+    async def dial(self, node: NodeRef) -> RpcClient:
+        """Connect to a slave API; the peer must be the node that registered it.
+
+        Raises:
+            CallerMismatch: it is another node.
+            RossecError, OSError: the node cannot be reached.
+        """
+        host, port = parse_uri(node.uri, "the slave API")
+        stream = await connect(host, port, self._context, WireProtocol.HTTP)
+        if not is_node(stream.peer, node):
+            stream.abort("not the node that was registered")
+            self._on_mismatch(node, stream.peer)
+            other, name = shown(stream.peer.name), shown(node.name)
+            raise CallerMismatch(f"{other} answers at the slave API of {name}")
+        return RpcClient(stream)
+
+    async def probe(self, node: NodeRef) -> None:
+        """Connect to `node` and disconnect: if another peer answers, that is reported."""
+        self.probed.add(node)
+        try:
+            with contextlib.suppress(RossecError, OSError, TimeoutError):
+                async with asyncio.timeout(CALL_DEADLINE):
+                    await (await self.dial(node)).close()
+        finally:
+            self.probed.discard(node)
+
 
 PENDING_LIMIT: Final = 1024
 PENDING_BYTES: Final = 8 * 1024 * 1024  # unless one update alone is larger
@@ -202,3 +281,160 @@ class Updates:
         clients, self._clients = self._clients, {}
         await asyncio.gather(*(tasks.close() for _, tasks in clients.values()))
         await self._closing.close()
+
+
+WAIT: Final = 60.0  # seconds; an answer without grants shows that the master is alive
+MAX_WAITING: Final = 64  # calls of one key: the nodes of a wildcard identity
+
+
+class GrantChanges:
+    """The waiting calls, by the key of the caller.
+
+    Args:
+        longest: seconds until a call is answered without a grant.
+    """
+
+    def __init__(self, longest: float = WAIT) -> None:
+        self._longest = longest
+        self._waiting: dict[bytes, deque[asyncio.Future[None]]] = {}
+
+    def __len__(self) -> int:
+        return sum(map(len, self._waiting.values()))
+
+    def notify(self, holders: Iterable[bytes]) -> None:
+        """There are new grants for these keys."""
+        for holder in holders:
+            for waiting in self._waiting.pop(holder, ()):
+                _end(waiting)
+
+    async def wait(self, holder: bytes) -> None:
+        """Return after the next grant for `holder`, or after `longest` seconds.
+
+        Of too many calls of one key the oldest returns: its connection may be gone.
+        """
+        waiting = asyncio.get_running_loop().create_future()
+        calls = self._waiting.setdefault(holder, deque())
+        calls.append(waiting)
+        if len(calls) > MAX_WAITING:
+            _end(calls.popleft())
+        try:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(self._longest):
+                    await waiting
+        finally:
+            self._discard(holder, waiting)
+
+    def _discard(self, holder: bytes, waiting: asyncio.Future[None]) -> None:
+        calls = self._waiting.get(holder)
+        if calls is not None:
+            with contextlib.suppress(ValueError):
+                calls.remove(waiting)
+            if not calls:
+                del self._waiting[holder]
+
+
+def _end(waiting: asyncio.Future[None]) -> None:
+    if not waiting.done():
+        waiting.set_result(None)
+
+
+WATCH_WAIT: Final = 5.0  # seconds; an answer without changes shows that the master is alive
+BATCH_DELAY: Final = 0.05
+
+
+class GraphChanges:
+    """Notifies all waiting calls of a change of the graph."""
+
+    def __init__(self) -> None:
+        self._version = -1
+        self._changed: asyncio.Event | None = None  # while a call waits
+
+    def notify(self, version: int | None = None) -> None:
+        """The graph has changed, unless its `version` is the one notified before."""
+        if version is None or version != self._version:
+            self._version = self._version if version is None else version
+            if self._changed is not None:
+                self._changed.set()
+                self._changed = None
+
+    def expect(self) -> asyncio.Event:
+        """What the next change from now on sets, to be waited for."""
+        if self._changed is None:
+            self._changed = asyncio.Event()
+        return self._changed
+
+    async def wait(self, longest: float, expected: asyncio.Event | None = None) -> None:
+        """Return soon after the next change, or after `longest` seconds.
+
+        `expected`: of `expect`; without it changes count from the first step of this coroutine.
+        """
+        changed = self.expect() if expected is None else expected
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(longest):
+                await changed.wait()
+                await asyncio.sleep(BATCH_DELAY)
+
+
+class SitePolls:
+    """The waiting calls, one for each key.
+
+    Args:
+        delay: seconds from a change to the answer, which has what changes meanwhile too.
+    """
+
+    def __init__(self, delay: float = BATCH_DELAY) -> None:
+        self._delay = delay
+        self._waiting: dict[bytes, asyncio.Event] = {}
+        self._version = -1
+        self._changes = 0
+        self._answered: dict[bytes, int] = {}  # the changes so far, of those that ask by `missed`
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def notify(self, version: int | None = None) -> None:
+        """The registrations have changed, unless their `version` was notified before.
+
+        None: the rights or the lists have changed.
+        """
+        if version != self._version or version is None:
+            self._version = self._version if version is None else version
+            self._changes += 1
+            for changed in self._waiting.values():
+                changed.set()
+
+    def supersede(self, follower: bytes) -> None:
+        """A new call of this key has come."""
+        before = self._waiting.pop(follower, None)
+        if before is not None:
+            before.set()
+
+    def missed(self, follower: bytes) -> bool:
+        """Whether anything has changed since this was last asked, or since its last wait."""
+        before = self._answered.get(follower)
+        self._answered[follower] = self._changes
+        return before != self._changes
+
+    def expect(self, follower: bytes) -> asyncio.Event:
+        """What the next change from now on sets, to be waited for."""
+        changed = self._waiting[follower] = asyncio.Event()
+        return changed
+
+    async def wait(
+        self, follower: bytes, longest: float, expected: asyncio.Event | None = None
+    ) -> None:
+        """Return soon after the next change, or after `longest` seconds.
+
+        `expected`: of `expect`; without it changes count from the first step of this coroutine.
+        """
+        changed = self.expect(follower) if expected is None else expected
+        try:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(longest):
+                    await changed.wait()
+                    await asyncio.sleep(self._delay)
+        finally:
+            if self._waiting.get(follower) is changed:
+                del self._waiting[follower]
+            if follower in self._answered:
+                self._answered[follower] = self._changes

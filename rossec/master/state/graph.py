@@ -2,16 +2,175 @@
 
 Imported nodes are aliases, so no name of a node occurs twice; a topic occurs once, with the nodes
 of all masters. What is yielded one by one is as of when it is yielded.
+
+Who published what, from when to when, for those who may know it only to a slot. Pure.
+
+They are told who published at the beginning of the slot of the master's clock that is now, so what
+they are told changes at the beginnings of slots alone (docs/spec/master.md). That is a function of
+spans of time, so nothing is kept for a receiver. Only the own registrations are noted; a span is in
+whole seconds, as slots are. What ended is kept for the longest slot, and bounded.
+
+What gateways serve now, of the own registrations and of other masters of the domain. Pure.
+
+A gateway is an ordinary publisher of served names (`ca.names`). One that does not answer
+the master serves nothing while that lasts: its registrations stay, `Registry.is_silent` says so.
+Those of other masters serve where none does here, and then one of them: from two a subscriber would
+get each message twice.
 """
 
-from collections.abc import Iterator
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Mapping
 from typing import Final, NamedTuple
 
-from ca.domains.aliases import is_alias
+from ca.errors import NameRefused
+from ca.names import alias_of_served, is_alias, is_in_gateway, served_name
+from grants.limits import MAX_SLOT
+from grants.model import Right
 from rossec.master.state.imports import Imports
-from rossec.master.state.publisher_log import PublisherLog
-from rossec.master.state.registry import ANY_TYPE, Kind, Registry
-from rossec.master.state.served_topics import ServedTopics
+from rossec.master.state.registry import ANY_TYPE, Kind, NodeRef, Registry
+
+MAX_ENDED: Final = 16  # of one topic
+MAX_TOPICS: Final = 512  # with publishers that have ended
+
+
+class Published(NamedTuple):
+    """A publisher of a topic, from the second `since` to the second `until`, both included."""
+
+    node: NodeRef
+    type: str
+    since: int
+    until: int | None = None
+
+
+def _nothing_cut(_node: NodeRef) -> bool:
+    return False
+
+
+class PublisherLog:
+    """The publishers of `registry`.
+
+    Attributes:
+        now: seconds since the epoch; set by whoever uses the log, before.
+    """
+
+    def __init__(self, registry: Registry) -> None:
+        self._registry = registry
+        self._current: dict[str, dict[NodeRef, Published]] = {}
+        self._ended: OrderedDict[str, list[Published]] = OrderedDict()
+        self.now = 0
+
+    def __len__(self) -> int:
+        return sum(map(len, (*self._current.values(), *self._ended.values())))
+
+    def note(self, topic: str, is_cut: Callable[[NodeRef], bool] = _nothing_cut) -> None:
+        """Note who publishes `topic` now; of one that is gone `is_cut` says whether it had to go.
+
+        What a revocation or the end of a right has ended is in no later answer.
+        """
+        nodes = self._registry.registered_nodes(Kind.PUBLISHER, topic)
+        known = self._current.get(topic, {})
+        for node in known.keys() - set(nodes):
+            published = known.pop(node)
+            if not is_cut(node):
+                self._keep(topic, published._replace(until=self.now))
+        type_name = self._registry.topic_type(topic)
+        for node in nodes:
+            known.setdefault(node, Published(node, type_name, self.now))
+        if known:
+            self._current[topic] = known
+        else:
+            self._current.pop(topic, None)
+
+    def at(self, topic: str, slot: int) -> list[Published]:
+        """Who published `topic` at the beginning of the slot of so many seconds that is now."""
+        self.note(topic)
+        begin = self.now - self.now % slot
+        ended = self._ended.get(topic, ())
+        found = [each for each in ended if each.until is not None and each.until >= begin]
+        found += self._current.get(topic, {}).values()
+        return [each for each in found if each.since < begin]
+
+    def ended_topics(self, name: str | None = None) -> Iterator[str]:
+        """The topics that somebody, or the node `name`, published within the longest slot."""
+        for topic, ended in tuple(self._ended.items()):
+            if name is None or any(each.node.name == name for each in ended):
+                yield topic
+
+    def topics(self) -> list[str]:
+        """All topics that are published, or were within the longest slot."""
+        return list({**self._current, **self._ended})
+
+    def _keep(self, topic: str, published: Published) -> None:
+        self._ended.setdefault(topic, []).append(published)
+        self._ended.move_to_end(topic)
+        oldest = self.now - MAX_SLOT
+        kept = [each for each in self._ended[topic] if (each.until or 0) >= oldest]
+        self._ended[topic] = kept[-MAX_ENDED:]
+        while len(self._ended) > MAX_TOPICS:
+            self._ended.popitem(last=False)
+
+
+class ServedTopics:
+    """Queries by alias."""
+
+    def __init__(self, registry: Registry, imports: Imports) -> None:
+        self._registry = registry
+        self._imports = imports
+        self._found = _Found((-1, -1), {})
+
+    def uris(self, alias: str) -> list[str]:
+        """The slave API URIs of the gateways that serve an alias."""
+        served = _served(alias)
+        if served is None or not self._is_taken(alias):
+            return []
+        nodes = self._registry.registered_nodes(Kind.PUBLISHER, served)
+        own = [node.uri for node in nodes if not self._registry.is_silent(node)]
+        return own or self._imports.publisher_uris(served)[:1]
+
+    def gateways(self) -> Mapping[str, tuple[str, ...]]:
+        """Every alias that is served, with the names of its gateways; empty without any."""
+        version = self._registry.version, self._imports.version
+        if self._found.version != version:
+            self._found = _Found(version, self._find())
+        return self._found.gateways
+
+    def topic_type(self, alias: str) -> str:
+        """The type of what is served of an alias, `*` while it is unknown."""
+        served = _served(alias)
+        if served is None:
+            return ANY_TYPE
+        own = self._registry.topic_type(served)
+        return self._imports.topic_type(served) if own == ANY_TYPE else own
+
+    def _find(self) -> dict[str, tuple[str, ...]]:
+        own, imported = self._registry.keys(Kind.PUBLISHER), self._imports.keys(Kind.PUBLISHER)
+        keys = dict.fromkeys(key for keys in (own, imported) for key in keys if is_in_gateway(key))
+        found = ((alias_of_served(key), self._names(key)) for key in keys)
+        served = ((alias, names) for alias, names in found if alias is not None and names)
+        return {alias: names for alias, names in served if self._is_taken(alias)}
+
+    def _is_taken(self, alias: str) -> bool:
+        """Whether the list of domains lets it be subscribed here at all, by whom ever."""
+        return self._imports.intake.gives(Right.SUBSCRIBE, alias)
+
+    def _names(self, served: str) -> tuple[str, ...]:
+        nodes = self._registry.registered_nodes(Kind.PUBLISHER, served)
+        own = tuple(node.name for node in nodes if not self._registry.is_silent(node))
+        return own or self._imports.nodes_of(Kind.PUBLISHER, served)[:1]
+
+
+class _Found(NamedTuple):
+    """The gateways by alias, and the versions of registry and imports that this was found in."""
+
+    version: tuple[int, int]
+    gateways: Mapping[str, tuple[str, ...]]
+
+
+def _served(alias: str) -> str | None:
+    try:
+        return served_name(alias)
+    except NameRefused:
+        return None
 
 
 class GraphNode(NamedTuple):

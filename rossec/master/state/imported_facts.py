@@ -3,21 +3,98 @@
 A site is another administration, or a master that may be taken over: what it says is checked as a
 node's registration is. A malformed fact refuses the site. A well-formed one that cannot be used
 here, for example with an address on this host, is stored without effect: it may be withdrawn later.
+
+The sites whose facts this master imports, and how their names are written here. Pure.
+
+A site is another master. Names of a foreign domain lie below its label; of another master of the
+own domain only the names of nodes do: topics and services of one domain are one namespace. The
+mapping itself is `ca.names`'s.
+
+The publishers of lost sites, for the local subscribers that are connected to them. Pure.
+
+A dead master ends nothing between nodes: they judge each other without it. Its names go, but a list
+of publishers without them would make subscribers disconnect. So a list keeps the addresses until
+the site has answered again, or is followed no longer.
+
+What happens to the facts of other masters, for subscribers, the audit and people. Pure.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from itertools import islice
 from typing import Final, NamedTuple, TypeAlias
 
-from ca.domains.aliases import is_alias
-from ca.domains.served import is_gateway, is_in_gateway
 from ca.errors import NameRefused
-from ca.names import check_name
+from ca.names import (
+    alias_of,
+    check_label,
+    check_name,
+    is_alias,
+    is_gateway,
+    is_in_gateway,
+    split_alias,
+)
 from rossec.errors import ImportRefused
-from rossec.master.state.addresses import Endpoint, endpoint, is_connectable, is_reachable_from_here
-from rossec.master.state.registry import Kind
-from rossec.master.state.sites import NODE, PROVIDER, TYPE, Site
+from rossec.master.state.registry import (
+    ANY_TYPE,
+    Endpoint,
+    Kind,
+    PublishersChanged,
+    Registry,
+    endpoint,
+    is_connectable,
+    is_reachable_from_here,
+)
+
+NODE: Final = "node"
+TYPE: Final = "type"
+PROVIDER: Final = "provider"
+
+
+class Site(NamedTuple):
+    """Another master.
+
+    Args:
+        label: what it is called here; unique.
+        domain: the label of its foreign domain; empty: of the own domain.
+        on_this_host: it is followed over loopback, so its loopback addresses are this host's.
+    """
+
+    label: str
+    domain: str = ""
+    on_this_host: bool = False
+
+    def check(self) -> "Site":
+        """The site, if its labels are valid; raises NameRefused."""
+        check_label(self.label)
+        if self.domain:
+            check_label(self.domain)
+        return self
+
+    @property
+    def namespace(self) -> str:
+        """The label in the aliases of its nodes."""
+        return self.domain or self.label
+
+    def node(self, name: str) -> str:
+        """The local name of a node of this site; raises NameRefused."""
+        return alias_of(self.namespace, name)
+
+    def key(self, name: str) -> str:
+        """The local name of a topic or service of this site; raises NameRefused."""
+        return alias_of(self.domain, name) if self.domain else check_name(name)
+
+    def origin(self, name: str) -> str | None:
+        """The name at this site of what is called `name` here; None: it is not of this site."""
+        try:
+            alias = split_alias(name)
+        except NameRefused:
+            return None
+        if alias is None:
+            return None if self.domain else name
+        return alias[1] if alias[0] == self.namespace else None
+
 
 FACTS_LIMIT: Final = 65_536  # of one site
 STEP: Final = 256  # facts that are taken over between two yields
@@ -26,7 +103,7 @@ _KINDS: Final = {kind.value: kind for kind in (Kind.PUBLISHER, Kind.SUBSCRIBER, 
 _SCHEMES: Final = {NODE: "http", PROVIDER: "rosrpc"}
 
 Fact: TypeAlias = tuple[str, str, str]
-"""Kind, name and value, as `rossec.master.api.watch_calls` has them; names are the origin's."""
+"""Kind, name and value, as `rossec.master.api.graph_calls` has them; names are the origin's."""
 
 
 class Address(NamedTuple):
@@ -195,3 +272,91 @@ def _remove_address(addresses: dict[str, Address], key: str, uri: str) -> None:
     held = addresses.get(key)
     if held is not None and held.uri == uri:  # else there is a newer one
         del addresses[key]
+
+
+class KeptPublishers:
+    """Addresses by site and topic."""
+
+    def __init__(self) -> None:
+        self._kept: dict[str, dict[str, Sequence[Address]]] = {}
+
+    def keep(self, label: str, topic: str, found: Sequence[Address]) -> None:
+        """Keep these of a topic, instead of those of the same site kept before."""
+        if found:
+            self._kept.setdefault(label, {})[topic] = found
+
+    def forget(self, label: str) -> None:
+        """Keep none of a site any more."""
+        self._kept.pop(label, None)
+
+    def topics(self, label: str) -> tuple[str, ...]:
+        """The topics of which publishers of a site are kept."""
+        return tuple(self._kept.get(label, ()))
+
+    def addresses(self, topic: str) -> list[Address]:
+        """The slave APIs of the kept publishers of a topic."""
+        return [each for kept in self._kept.values() for each in kept.get(topic, ())]
+
+
+MAX_REPORTED: Final = 1024  # contradictions of one site that are reported
+
+
+@dataclass(frozen=True)
+class TypeContradicted:
+    """A topic is not imported from a site, where it has another type than here."""
+
+    label: str
+    topic: str
+    type_here: str
+    type_there: str
+
+
+ImportEvent = PublishersChanged | TypeContradicted
+
+
+@dataclass(frozen=True)
+class SiteStatus:
+    """One site, for people; `topics` returns those with publishers or subscribers there."""
+
+    site: Site
+    facts: int
+    is_lost: bool
+    topics: Callable[[], list[str]]
+
+
+class Contradictions:
+    """The topics that a site gives another type than they have here: each is reported once."""
+
+    def __init__(self, registry: Registry) -> None:
+        self._registry = registry
+        self._reported: dict[str, set[str]] = {}
+
+    def forget(self, label: str) -> None:
+        """Forget what was reported of a site."""
+        self._reported.pop(label, None)
+
+    def report(self, held: SiteFacts, facts: Iterable[Fact]) -> list[TypeContradicted]:
+        """Those among `facts`, as far as not reported before."""
+        label, events = held.site.label, list[TypeContradicted]()
+        reported = self._reported.setdefault(label, set())
+        for kind, name, there in facts:
+            topic = held.local_key(name) if kind == TYPE else None
+            if topic is None or is_alias(topic):  # of an alias the origin's type counts
+                continue
+            here = self._registry.topic_type(topic)
+            if here in (ANY_TYPE, there) or topic in reported:
+                continue
+            if len(reported) < MAX_REPORTED:
+                reported.add(topic)
+                events.append(TypeContradicted(label, topic, here, there))
+        return events
+
+
+def finished(steps: Generator[None, None, list[ImportEvent]]) -> list[ImportEvent]:
+    """Take all steps at once; returns their events."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            events: list[ImportEvent] = end.value
+            return events

@@ -7,35 +7,142 @@ can arise. The master never calls an imported node.
 
 Names are local here, as `sites` says. What wins is decided when it is asked, so a fact that was
 hidden appears by itself when what hid it goes.
+
+What local nodes want of other masters: facts travel by need, as in the thesis (chapter 6). Pure.
+
+Wanted is what local nodes subscribe, and for a minute what they looked up; a tool that lists the
+graph wants everything for a minute. While a name is wanted its sites report changes, so a further
+lookup is answered at once, also with no.
+
+What is taken from foreign domains into the own graph, as the list of domains says. Pure.
+
+It is asked with every query, so another list counts at once, for what was imported before too. A
+right decides on what it is used for: `subscribe` on the addresses of a topic's publishers, `call`
+on that of a service, `param-get` on a mirrored parameter; to be seen in the graph, any right does.
 """
 
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping
+from contextlib import suppress
 from typing import Final
 
-from ca.domains.aliases import is_alias
-from ca.domains.served import alias_of_served
-from grants.model import Right
+from ca.errors import NameRefused
+from ca.names import REMOTE, alias_of_served, is_alias, served_name, split_alias
+from grants.decision import Reach
+from grants.model import ALL_RIGHTS, Right
 from rossec.errors import ImportRefused
-from rossec.master.state.demand import Demand
-from rossec.master.state.import_events import Contradictions, ImportEvent, SiteStatus, finished
 from rossec.master.state.imported_facts import (
     FACTS_LIMIT,
     Address,
+    Contradictions,
     Fact,
+    ImportEvent,
+    KeptPublishers,
+    Site,
     SiteFacts,
+    SiteStatus,
     checked,
+    finished,
     parts,
 )
-from rossec.master.state.intake import Intake
-from rossec.master.state.kept_publishers import KeptPublishers
-from rossec.master.state.mirrors import Mirrors
-from rossec.master.state.registry import (
-    ANY_TYPE,
-    Kind,
-    PublishersChanged,
-    Registry,
-)
-from rossec.master.state.sites import Site
+from rossec.master.state.parameters import Mirrors
+from rossec.master.state.registry import ANY_TYPE, Kind, PublishersChanged, Registry
+
+WANTED_SECONDS: Final = 60
+MAX_WANTED: Final = 4096  # names in one call; more is everything
+MAX_WANTED_BYTES: Final = 256 * 1024
+EVERYTHING: Final[tuple[str, ...]] = ()
+NOTHING: Final = ("",)  # the empty name matches nothing
+
+
+class Demand:
+    """The names that local nodes want, as local names.
+
+    Attributes:
+        version: grows when more is wanted than before.
+    """
+
+    def __init__(self, registry: Registry) -> None:
+        self.version = 0
+        self._registry = registry
+        self._asked: dict[str, int] = {}  # until when, the oldest first
+        self._everything_until = 0
+
+    def ask(self, name: str, now: int) -> None:
+        """A local node has looked up, or subscribed, `name`."""
+        if self._asked.pop(name, 0) <= now and not self._is_subscribed_by_others(name):
+            self.version += 1
+        self._asked[name] = now + WANTED_SECONDS
+        while len(self._asked) > MAX_WANTED:
+            del self._asked[next(iter(self._asked))]
+
+    def ask_everything(self, now: int) -> None:
+        """A local tool lists the graph."""
+        if self._everything_until <= now:
+            self.version += 1
+        self._everything_until = now + WANTED_SECONDS
+
+    def wanted(self, site: Site, now: int) -> tuple[str, ...]:
+        """What to ask a site for: its names, sorted; `EVERYTHING` or `NOTHING`."""
+        if now < self._everything_until:
+            return EVERYTHING
+        found = {name for name in map(site.origin, self._names(now)) if name is not None}
+        if len(found) > MAX_WANTED or sum(map(len, found)) > MAX_WANTED_BYTES:
+            return EVERYTHING
+        return tuple(sorted(found)) or NOTHING
+
+    def _names(self, now: int) -> Iterator[str]:
+        for name in self._registry.keys(Kind.SUBSCRIBER):
+            yield name
+            if is_alias(name):  # a gateway registered at another master of the domain serves it too
+                with suppress(NameRefused):
+                    yield served_name(name)
+        for name in [name for name, until in self._asked.items() if until <= now]:
+            del self._asked[name]
+        yield from self._asked
+
+    def _is_subscribed_by_others(self, name: str) -> bool:
+        return len(self._registry.registered_nodes(Kind.SUBSCRIBER, name)) > 1
+
+
+Rules = Callable[[str], Reach | None]
+"""What is taken from the foreign domain with a label, as names there; None: all it shows."""
+
+
+def everything(_label: str) -> None:
+    """No rule for any domain."""
+
+
+class Intake:
+    """The rules for all foreign domains.
+
+    Args:
+        rules: of one domain, as of now.
+    """
+
+    def __init__(self, rules: Rules = everything) -> None:
+        self.rules = rules
+
+    def shows(self, name: str) -> bool:
+        """Whether a topic, service or node of a foreign domain is taken; any other name is."""
+        return self.gives(ALL_RIGHTS, name)
+
+    def shows_node(self, alias: str, registered: Iterable[str]) -> bool:
+        """Whether a foreign node is taken: its name is, or one that it is registered for."""
+        return self.shows(alias) or any(map(self.shows, registered))
+
+    def gives(self, rights: Right, name: str) -> bool:
+        """Whether one of `rights` is taken on a name of a foreign domain; on any other it is."""
+        if not name.startswith(REMOTE):
+            return True
+        try:
+            found = split_alias(name)
+        except NameRefused:
+            return False
+        if found is None:
+            return True
+        reach = self.rules(found[0])
+        return reach is None or reach.covers_any(rights, found[1])
+
 
 MAX_REGISTERED: Final = 1024  # nodes of a site for one name; each update has all addresses
 

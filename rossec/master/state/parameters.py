@@ -1,20 +1,132 @@
 """The parameter tree, pure; semantics of stock rosmaster's paramserver.py.
 
 Values are XML-RPC values, a dict is a namespace. Keys arrive resolved. Rights are not decided here
-(`rossec.master.rights.parameter_trees`); `item` and `items_affected` say which parameters a call
+(`rossec.master.api.parameter_calls`); `item` and `items_affected` say which parameters a call
 reaches. Stricter than stock: a name inside a tree is one segment (stock stores `{"a/b": 1}` under a
 key that no call can read), and the depth is bounded by what can be encoded.
+
+The values of parameters: which are valid, and about how many bytes they take. Pure.
+
+Every accepted value must be encodable: in answers, in the journal and in updates to subscribers.
+XML-RPC has extensions (nil, long and big numbers) that a call can carry but no answer can: one such
+value would make every tree that contains it unreadable. Sizes approximate those of the answer.
+
+Parameters of other masters, read-only below `/remote/<label>`. Pure.
+
+Each has one writer, its origin, so there is no conflict and nothing circulates. `/` remains the own
+tree alone: a node that reads or sets it reaches no mirror.
 """
 
 from collections.abc import Collection, Iterator
 from copy import deepcopy
-from typing import Final, NamedTuple
+from datetime import datetime
+from itertools import accumulate
+from typing import Any, Final, NamedTuple, NoReturn
 
 from ca.errors import NameRefused
-from ca.names import check_name
-from rossec.master.state import parameter_values
-from rossec.master.state.parameter_values import DEPTH_LIMIT, Tree
+from ca.names import REMOTE, check_label, check_name, is_alias
+from rossec.errors import ImportRefused
+from rossec.master.state.imported_facts import Site
 from rossec.ros import names
+from rossec.ros.xmlrpc import EncodedList
+
+DEPTH_LIMIT: Final = 32
+_INTS: Final = range(-(2**31), 2**31)
+_SCALAR, _TEXT, _ARRAY, _STRUCT, _MEMBER = 28, 36, 52, 46, 34  # bytes of markup of each
+_SCALARS: Final = (bool, float, datetime)
+_FLAT: Final = frozenset({int, *_SCALARS})
+Tree = dict[str, object]
+
+
+def check_value(value: object, depth: int = DEPTH_LIMIT) -> None:
+    """Check that `value` is a valid parameter, or a tree of them, of at most `depth` levels.
+
+    Raises:
+        ValueError: it is too deep, a name in it is not one segment, or XML-RPC cannot encode it.
+    """
+    if depth < 0:
+        raise ValueError(f"parameters nested deeper than {DEPTH_LIMIT}")
+    if isinstance(value, dict):
+        for name, below in value.items():
+            if not _is_segment(name):
+                raise ValueError(f"{name!r} cannot be the name of a parameter in a tree")
+            check_value(below, depth - 1)
+    elif isinstance(value, list):
+        for item in value:
+            check_value(item, depth - 1)
+    elif not isinstance(value, str | bytes):
+        _check_scalar(value)
+
+
+def _is_segment(name: object) -> bool:
+    """Whether `name` is a valid key in a tree; XML-RPC also allows numbers as keys."""
+    if not isinstance(name, str) or not name or name.startswith(names.PRIVATE):
+        return False
+    return names.SEPARATOR not in name
+
+
+def encoded_size(value: object) -> int:
+    """About how many bytes `value` takes in an answer; for any value that a method returns."""
+    match value:
+        case EncodedList():
+            return len(value.text)
+        case str() | bytes():
+            return _TEXT + len(value)
+        case dict():
+            return _STRUCT + _MEMBER * len(value) + sum(map(len, value)) + _sizes(value.values())
+        case list() | tuple():
+            return _ARRAY + _sizes(value)
+        case _:
+            return _SCALAR
+
+
+def exceeds(value: object, limit: int) -> bool:
+    """Whether the `encoded_size` of a parameter exceeds `limit`; stops soon after it does."""
+    return any(limit < so_far for so_far in accumulate(_encoded_sizes(value)))
+
+
+def member_size(name: str, value: object) -> int:
+    """About how many bytes one member of a struct takes."""
+    return _MEMBER + len(name) + encoded_size(value)
+
+
+def _encoded_sizes(value: object) -> Iterator[int]:
+    """The summands of `encoded_size`, those of a namespace member by member."""
+    if not isinstance(value, dict):
+        yield encoded_size(value)
+        return
+    yield _STRUCT + _MEMBER * len(value) + sum(map(len, value))
+    if _flat_size(value.values()) is not None:
+        yield _sizes(value.values())
+        return
+    for below in value.values():
+        yield from _encoded_sizes(below)
+
+
+def _sizes(values: Collection[Any]) -> int:
+    flat = _flat_size(values)
+    return sum(map(encoded_size, values)) if flat is None else flat
+
+
+def _flat_size(values: Collection[Any]) -> int | None:
+    """The size of values of one kind, without a look at each in Python; None: of several kinds."""
+    kinds = set(map(type, values))
+    if kinds <= _FLAT:
+        return _SCALAR * len(values)
+    return _TEXT * len(values) + sum(map(len, values)) if kinds == {str} else None
+
+
+def _check_scalar(value: object) -> None:
+    if type(value) is int:
+        if value not in _INTS:
+            _refuse(f"the number {value}" if abs(value) < 1 << 70 else "a number this long")
+    elif type(value) not in _SCALARS:
+        _refuse("nil" if value is None else f"a {type(value).__name__}")
+
+
+def _refuse(what: str) -> NoReturn:
+    raise ValueError(f"XML-RPC cannot carry {what} in an answer")
+
 
 _NAME_SHOWN: Final = 80  # characters of a name in an error
 SIZE_LIMIT: Final = 64 * 1024 * 1024  # bytes of all parameters together
@@ -46,7 +158,7 @@ class Parameters:
 
     def __init__(self) -> None:
         self._top: Tree = {"": {}}  # the root has no name
-        self.size = parameter_values.encoded_size(self._top)
+        self.size = encoded_size(self._top)
 
     def get(self, key: str) -> object:
         """The value, or the tree, at `key`; a live reference.
@@ -78,13 +190,13 @@ class Parameters:
             TooLarge: all together would take more than `limit`.
         """
         segments = _segments(key)
-        parameter_values.check(value, DEPTH_LIMIT - len(segments))
+        check_value(value, DEPTH_LIMIT - len(segments))
         if not segments and not isinstance(value, dict):
             raise TypeError("cannot set root of parameter tree to non-dictionary")
         parent, name, new = self._insertion_point(["", *segments], value)
-        size = self.size + parameter_values.member_size(name, new)
+        size = self.size + member_size(name, new)
         if name in parent:
-            size -= parameter_values.member_size(name, parent[name])
+            size -= member_size(name, parent[name])
         if limit is not None and size > max(limit, self.size):
             raise TooLarge(size, limit)
         parent[name] = new
@@ -112,7 +224,7 @@ class Parameters:
         parent = self.get(head)
         if not isinstance(parent, dict) or last not in parent:
             raise ParameterMissing(key)
-        self.size -= parameter_values.member_size(last, parent.pop(last))
+        self.size -= member_size(last, parent.pop(last))
 
     def item(self, key: str) -> tuple[str, object]:
         """`key` and its value, or None: the item that a call on `key` reaches."""
@@ -223,3 +335,117 @@ def _descendants(key: str, value: Tree) -> Iterator[tuple[str, object]]:
         yield inner, below
         if isinstance(below, dict):
             yield from _descendants(inner, below)
+
+
+MIRROR_LIMIT: Final = 1024 * 1024  # bytes of the parameters of one site
+
+
+class MirrorChange(NamedTuple):
+    """A parameter, or a namespace, that has changed; value `{}`: it is gone."""
+
+    key: str
+    value: object
+
+
+class _Mirror(NamedTuple):
+    site: Site
+    parameters: Parameters
+
+
+class Mirrors:
+    """The parameters of all sites.
+
+    Args:
+        limit: bytes of the parameters of one site.
+    """
+
+    def __init__(self, limit: int = MIRROR_LIMIT) -> None:
+        self._limit = limit
+        self._mirrors: dict[str, _Mirror] = {}
+
+    def replace(self, site: Site, tree: dict[str, object]) -> list[MirrorChange]:
+        """Take over all that is mirrored of a site; returns what has changed.
+
+        Args:
+            tree: with the names of the origin, from its root.
+
+        Raises:
+            ImportRefused: invalid, or too large; what was mirrored before stays.
+        """
+        new = Parameters()
+        try:
+            check_names(names.SEPARATOR, tree)
+            new.set(names.SEPARATOR, tree, self._limit)
+        except TooLarge as error:
+            raise ImportRefused(
+                f"the parameters of site {site.label} take more than {self._limit} bytes",
+                "mirror fewer: `rossec federation param`",
+            ) from error
+        except (TypeError, ValueError) as error:
+            raise ImportRefused(f"parameters of site {site.label}: {error}") from error
+        if REMOTE[1:] in tree:
+            raise ImportRefused(f"site {site.label} names what it mirrors itself")
+        old = self._mirrors.get(site.check().label)
+        before = _root(old.parameters) if old is not None and old.site == site else {}
+        events = [] if old is None or old.site == site else self.drop(site.label)
+        self._mirrors[site.label] = _Mirror(site, new)
+        return [*events, *_changes(_namespace(site), before, _root(new))]
+
+    def drop(self, label: str) -> list[MirrorChange]:
+        """Forget what is mirrored of a site."""
+        held = self._mirrors.pop(label, None)
+        if held is None:
+            return []
+        return [*_changes(_namespace(held.site), _root(held.parameters), {})]
+
+    def item(self, key: str) -> tuple[str, object]:
+        """`key` and its value, or None: as `Parameters.item`, for keys below `/remote`."""
+        namespace, slash, rest = key.removeprefix(f"{REMOTE}/").partition(names.SEPARATOR)
+        for _, (site, parameters) in sorted(self._mirrors.items()):
+            if site.namespace == namespace and is_alias(key):
+                value = parameters.item(f"{slash}{rest}" or names.SEPARATOR)[1]
+                if value is not None:
+                    return key, value
+        return key, None
+
+    def items(self) -> Iterator[tuple[str, object]]:
+        """The tree of each namespace."""
+        for namespace in dict.fromkeys(held.site.namespace for held in self._mirrors.values()):
+            yield self.item(f"{REMOTE}/{namespace}")
+
+
+def refuse_mirror(key: str, value: object = None) -> None:
+    """Return if setting `key` to `value`, or unsetting it, reaches nothing below `/remote`.
+
+    Raises:
+        NameRefused: it does.
+    """
+    below_root = key == names.SEPARATOR and isinstance(value, dict) and REMOTE[1:] in value
+    if is_alias(key) or below_root:
+        raise NameRefused(
+            f"{REMOTE if below_root else key} stands for parameters of other masters, "
+            "which are only read here",
+            "set it at its own master",
+        )
+
+
+def _namespace(site: Site) -> str:
+    return f"{REMOTE}/{check_label(site.namespace)}"
+
+
+def _root(parameters: Parameters) -> dict[str, object]:
+    root = parameters.get(names.SEPARATOR)
+    return root if isinstance(root, dict) else {}
+
+
+def _changes(
+    key: str, before: dict[str, object], after: dict[str, object]
+) -> Iterator[MirrorChange]:
+    for name in dict.fromkeys((*before, *after)):
+        old, new, inner = before.get(name), after.get(name), f"{key}/{name}"
+        if old == new:
+            continue
+        if isinstance(old, dict) and isinstance(new, dict) and old and new:
+            yield from _changes(inner, old, new)
+        else:
+            yield MirrorChange(inner, {} if new is None else new)

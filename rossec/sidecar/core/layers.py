@@ -2,22 +2,324 @@
 
 A layer is a generator: it yields a command, is sent the event, and returns the outcome. Any
 exception of a layer closes its connection; errors fail closed.
+
+Endpoints and the two mapping tables for rewriting addresses. Pure.
+
+A program keeps its loopback port and gets a network port (ingress); a peer keeps its address and
+gets a loopback port (egress). A program's own URI is returned to it byte for byte: roscpp compares
+it so to recognize itself. An endpoint on this host is identified by its port, whatever host a
+program writes; programs get the host name by which they reach loopback.
+
+The commands a layer can yield, and nothing else.
+
+Programs are reached only at loopback ports, peers only through the secure channel: no command
+sends plaintext to another host.
+
+The events that answer a layer's commands, and nothing else.
+
+A layer is a generator: it yields commands and is sent one event for each. An event that does not
+fit the command is a bug of the shell; it ends the layer and its connection.
 """
 
-from collections.abc import Generator
-from dataclasses import dataclass, field
-from typing import TypeAlias, TypeVar
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final, NamedTuple, TypeAlias, TypeVar
 
 from ca.certificates import Identity
+from ca.errors import HintedError
+from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp, RossecError
 from rossec.participant.access import Access
 from rossec.participant.definitions import FindDefinition
-from rossec.participant.publisher_grace import PublisherGrace
-from rossec.participant.registrations import RegistrationTable
-from rossec.sidecar.core.commands import Command, OpenEgress, OpenIngress
-from rossec.sidecar.core.endpoints import Endpoint, EndpointMap, local_endpoint, parse_endpoint
-from rossec.sidecar.core.events import Event, NoAnswer, Opened, PeerAuthenticated
+from rossec.participant.registrations import PublisherGrace, RegistrationTable
+from rossec.ros.names import DOOR_PATH, is_door, parse_uri
+
+
+class Loopback(NamedTuple):
+    """The loopback address of programs and sidecar, and its host name in URIs."""
+
+    address: str
+    host: str
+
+
+LOOPBACK: Final = Loopback("127.0.0.1", "127.0.0.1")
+_SCHEMES: Final = {WireProtocol.HTTP: "http", WireProtocol.TCPROS: "rosrpc"}
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """A listening address, for XML-RPC (HTTP) or for topics and services (TCPROS).
+
+    Attributes:
+        via_slave_api: `port` is the slave API's; the topic port is requested from it.
+        door: a slave API behind a relay, which leads TCPROS connections to the same node.
+    """
+
+    protocol: WireProtocol
+    host: str
+    port: int
+    via_slave_api: bool = False
+    door: bool = False
+
+    @property
+    def uri(self) -> str:
+        """As in ROS: `http://host:port/` or `rosrpc://host:port`; a door's is `http://host:port/via`."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        end = "/" if self.protocol is WireProtocol.HTTP else ""
+        end = DOOR_PATH if self.door else end
+        return f"{_SCHEMES[self.protocol]}://{host}:{self.port}{end}"
+
+
+def local_endpoint(protocol: WireProtocol, port: int) -> Endpoint:
+    """The endpoint of a program on this host."""
+    return Endpoint(protocol, LOOPBACK.host, port)
+
+
+def topic_endpoint(api: Endpoint) -> Endpoint:
+    """The topic endpoint of a program; its slave API is asked for the port on each connection."""
+    return Endpoint(WireProtocol.TCPROS, api.host, api.port, via_slave_api=True)
+
+
+def parse_endpoint(uri: object, protocol: WireProtocol) -> Endpoint | None:
+    """The endpoint that a URI names; None: invalid, or of another protocol."""
+    head = f"{_SCHEMES[protocol]}://"
+    if not isinstance(uri, str) or not uri.startswith(head):
+        return None
+    try:
+        address = parse_uri("http://" + uri.removeprefix(head))
+    except HintedError:
+        return None
+    return Endpoint(protocol, *address, door=protocol is WireProtocol.HTTP and is_door(uri))
+
+
+class EndpointMap:
+    """The endpoint mapping of one identity.
+
+    Args:
+        host: where peers reach this host.
+        loopback_host: where programs reach it.
+    """
+
+    def __init__(self, host: str, loopback_host: str = LOOPBACK.host) -> None:
+        self.host = host
+        self._loopback_host = loopback_host
+        self._ingress: dict[Endpoint, Endpoint] = {}  # network -> loopback
+        self._egress: dict[int, Endpoint] = {}  # loopback port -> remote
+        self._own_uris: dict[Endpoint, str] = {}
+        self._apis: dict[Endpoint, Endpoint] = {}  # topics of a peer -> its slave API
+
+    def add_ingress(self, local: Endpoint, port: int) -> Endpoint:
+        """Map a network port to `local`; returns the endpoint for peers."""
+        network = Endpoint(local.protocol, self.host, port)
+        self._ingress[_casefolded(network)] = local
+        return network
+
+    def add_egress(self, remote: Endpoint, port: int) -> Endpoint:
+        """Map a loopback port to `remote`; returns the endpoint for programs."""
+        self._egress[port] = remote
+        return Endpoint(remote.protocol, self._loopback_host, port)
+
+    def remove_ingress(self, local: Endpoint, port: int) -> None:
+        """Forget the network port `port` for `local`."""
+        self._ingress.pop(_casefolded(Endpoint(local.protocol, self.host, port)), None)
+        self._own_uris.pop(local, None)
+
+    def remove_egress(self, port: int) -> None:
+        """Forget the loopback port `port`; a program may bind it later."""
+        remote = self._egress.pop(port, None)
+        if remote is not None:
+            self._apis.pop(remote, None)
+
+    def set_api(self, topics: Endpoint, api: Endpoint) -> None:
+        """The peer at `api` said that its topics are there."""
+        self._apis[topics] = api
+
+    def api_of(self, topics: Endpoint) -> Endpoint | None:
+        """The slave API of the peer whose topics are there; None: not known."""
+        return self._apis.get(topics)
+
+    def set_own_uri(self, local: Endpoint, uri: str) -> None:
+        """Store a program's own URI as the program writes it."""
+        self._own_uris[local] = uri
+
+    def own_uri(self, local: Endpoint) -> str:
+        """The program's own URI, byte for byte."""
+        return self._own_uris.get(local, replace(local, host=self._loopback_host).uri)
+
+    def network_of(self, local: Endpoint) -> Endpoint:
+        """Where peers reach `local`; without a port for it, an address that nothing registered."""
+        for network, program in self._ingress.items():
+            if program == local:
+                return network
+        return replace(local, host=self.host)
+
+    def program_at(self, network: Endpoint) -> Endpoint | None:
+        """The program of this identity at a network endpoint."""
+        return self._ingress.get(_casefolded(network))
+
+    def peer_at(self, local: Endpoint) -> Endpoint | None:
+        """The peer at a loopback endpoint."""
+        remote = self._egress.get(local.port)
+        return remote if remote is not None and remote.protocol is local.protocol else None
+
+
+def _casefolded(endpoint: Endpoint) -> Endpoint:
+    """Host names are case-insensitive, and a parsed URI is in lower case."""
+    return replace(endpoint, host=endpoint.host.lower())
+
+
+@dataclass(frozen=True)
+class OpenIngress:
+    """Open a network port for a program's endpoint; always the same port. -> Opened"""
+
+    local: Endpoint
+
+
+@dataclass(frozen=True)
+class OpenEgress:
+    """Open a loopback port for a peer's endpoint; always the same port. -> Opened
+
+    With `probe` it listens only if the peer answers; otherwise the port stays reserved and the
+    kernel refuses callers, as for a dead node.
+    """
+
+    remote: Endpoint
+    probe: bool = False
+
+
+@dataclass(frozen=True)
+class Suspend:
+    """The program at this endpoint has ended: refuse callers, keep the port. -> CommandDone"""
+
+    local: Endpoint
+
+
+@dataclass(frozen=True)
+class CallMaster:
+    """Call the secured master. -> Answered, NoAnswer"""
+
+    method: str
+    params: tuple[object, ...]
+
+
+@dataclass(frozen=True)
+class CallProgram:
+    """Call a program's slave API. -> Answered; NoAnswer"""
+
+    local: Endpoint
+    method: str
+    params: tuple[object, ...]
+
+
+@dataclass(frozen=True)
+class CallPeer:
+    """Call a peer's slave API, after presenting the grants for `right` on it.
+
+    -> Answered; RawResponse if not `parse`; NoAnswer
+    """
+
+    remote: Endpoint
+    method: str
+    params: tuple[object, ...]
+    right: Right | None = None
+    parse: bool = True
+
+
+@dataclass(frozen=True)
+class AuthenticatePeer:
+    """Connect to a peer, whose identity decides on the call or header that follows.
+
+    The next `CallPeer` or `ConnectPeer` there uses this connection. -> PeerAuthenticated, NoAnswer
+    """
+
+    remote: Endpoint
+
+
+@dataclass(frozen=True)
+class Probe:
+    """Check whether the program still listens. -> CommandDone, NoAnswer"""
+
+    local: Endpoint
+
+
+@dataclass(frozen=True)
+class ConnectProgram:
+    """Connect to a program for TCPROS and send this header. -> HeaderArrived, NoAnswer"""
+
+    local: Endpoint
+    fields: Mapping[str, bytes]
+
+
+@dataclass(frozen=True)
+class ConnectPeer:
+    """Connect to a peer for TCPROS and send this header. -> HeaderArrived, NoAnswer"""
+
+    remote: Endpoint
+    fields: Mapping[str, bytes]
+
+
+Request = (
+    CallMaster | CallProgram | CallPeer | AuthenticatePeer | Probe | ConnectProgram | ConnectPeer
+)
+Command = OpenIngress | OpenEgress | Suspend | Request
+
+
+@dataclass(frozen=True)
+class Opened:
+    """The port that was opened: on the network for `OpenIngress`, on loopback for `OpenEgress`."""
+
+    port: int
+
+
+@dataclass(frozen=True)
+class Answered:
+    """An XML-RPC call returned this value; `peer`: the identity of a peer that answered."""
+
+    value: object
+    peer: Identity | None = None
+
+
+@dataclass(frozen=True)
+class PeerAuthenticated:
+    """A peer is connected, with this identity."""
+
+    peer: Identity
+
+
+@dataclass(frozen=True)
+class RawResponse:
+    """An unparsed XML-RPC response, to be forwarded unchanged."""
+
+    body: bytes
+
+
+@dataclass(frozen=True)
+class HeaderArrived:
+    """The connection header that the other end answered with, at `now`.
+
+    `peer` is the identity of a peer; None for a program of this host.
+    """
+
+    fields: Mapping[str, bytes]
+    peer: Identity | None
+    now: int
+
+
+@dataclass(frozen=True)
+class NoAnswer:
+    """No answer. `dead`: nothing listens there any more, as opposed to slow or broken."""
+
+    reason: str
+    dead: bool = False
+
+
+@dataclass(frozen=True)
+class CommandDone:
+    """The command was executed; it has no result."""
+
+
+Event = Opened | Answered | PeerAuthenticated | RawResponse | HeaderArrived | NoAnswer | CommandDone
 
 Outcome = TypeVar("Outcome")
 Layer: TypeAlias = Generator[Command, Event, Outcome]

@@ -3,34 +3,61 @@
 The table says where a call carries an address: the program's slave API, its service, or one in the
 answer. A method that is not in it is not forwarded. Elements of a multicall are handled as single
 calls. Registrations are stored, to be made again later (`registrations`).
+
+The stored registrations of programs, made again, and publisher updates for them. Pure layers.
+
+For a restarted master, for topics whose connection ended, for rights that are new, and for
+publishers that the master did not name again within their grace period.
+
+Topics whose connection ended, and when to resubscribe. Pure.
+
+rospy drops a connection that ended until it gets a publisherUpdate; the sidecar sends one once it
+holds a grant again. The delay doubles while connections keep ending soon (exponential backoff).
 """
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final
+from typing import Final, TypeAlias
 
-from grants.basics import is_dispensable
-from grants.missing_rights import missing_right
+from grants.model import Right
+from grants.request import is_dispensable, missing_right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
-from rossec.participant.caller_names import (
+from rossec.participant.handshakes import offer_refusal
+from rossec.participant.registrations import (
+    REGISTERS,
     RELATIVE_NAME,
     SEARCH,
+    UNREGISTERS,
+    Call,
     not_found,
     resolve_params,
     search_places,
     search_result,
     searched_key,
 )
-from rossec.participant.registrations import REGISTERS, UNREGISTERS
-from rossec.participant.remote_names import offer_refusal
 from rossec.participant.slave_api import without_caller
-from rossec.ros.text import printable
+from rossec.peer_limits import printable
+from rossec.ros.names import MASTER
 from rossec.ros.xmlrpc import Fault
-from rossec.sidecar.core.commands import CallMaster
-from rossec.sidecar.core.endpoints import Endpoint, local_endpoint, parse_endpoint
-from rossec.sidecar.core.events import Answered, NoAnswer
-from rossec.sidecar.core.layers import AgentState, Layer, Program, UnexpectedEvent, own_endpoint
+from rossec.sidecar.core.layers import (
+    AgentState,
+    Answered,
+    CallMaster,
+    CallProgram,
+    Endpoint,
+    Event,
+    Layer,
+    NoAnswer,
+    Probe,
+    Program,
+    Suspend,
+    UnexpectedEvent,
+    local_endpoint,
+    own_endpoint,
+    parse_endpoint,
+)
 
 MULTICALL: Final = "system.multicall"
 MULTICALL_LIMIT: Final = 4096
@@ -295,3 +322,127 @@ def _not_covered(agent: AgentState, caller: str) -> str:
             f" nodes too, with a key of its own: rossec node request {name} --anonymous"
         )
     return f"{told} start it with __name:={name.rpartition('/')[2]}, or with an identity of its own"
+
+
+_RIGHTS: Final = {
+    "registerPublisher": Right.PUBLISH, SUBSCRIBE: Right.SUBSCRIBE, "registerService": Right.PROVIDE
+}  # fmt: skip
+
+
+Holds: TypeAlias = Callable[[Right, str], bool]
+"""Whether this identity has a right on a name now; without it the master would only refuse."""
+
+
+def restore(agent: AgentState, holds: Holds) -> Layer[None]:
+    """Make every registration again with a restarted master, except those of dead programs.
+
+    A dead program could replace a new one of the same name, which the master would shut down. One
+    that was refused before is made if this identity `holds` the right now.
+    """
+    for own_api, program in tuple(agent.programs.items()):
+        if (yield from _is_gone(agent, own_api, (yield Probe(own_api)))):
+            continue
+        refused = program.registrations.refused()
+        calls = [call for call in program.registrations if call not in refused]
+        for method, params in (*calls, *_allowed(refused, holds)):
+            yield from _register_again(agent, own_api, method, params)
+
+
+def resubscribe(agent: AgentState, topic: str) -> Layer[None]:
+    """Send the publishers of `topic` to its subscribers again: rospy needs it to reconnect."""
+    for own_api, program in tuple(agent.programs.items()):
+        params = program.registrations.find(SUBSCRIBE, topic)
+        if params is not None:
+            yield from _register_again(agent, own_api, SUBSCRIBE, params)
+
+
+def rights_changed(agent: AgentState, holds: Holds) -> Layer[None]:
+    """Make the registrations again that may have been refused or removed for lack of a right."""
+    for own_api, program in tuple(agent.programs.items()):
+        wanted = _allowed(program.registrations, holds)
+        if wanted and not (yield from _is_gone(agent, own_api, (yield Probe(own_api)))):
+            for method, params in wanted:
+                yield from _register_again(agent, own_api, method, params)
+
+
+def _allowed(calls: Iterable[Call], holds: Holds) -> list[Call]:
+    """Those of `calls` that this identity has the right to."""
+    return [
+        (method, params)
+        for method, params in calls
+        if method in _RIGHTS and holds(_RIGHTS[method], str(params[RELATIVE_NAME[method]]))
+    ]
+
+
+def _register_again(
+    agent: AgentState, own_api: Endpoint, method: str, params: tuple[object, ...]
+) -> Layer[None]:
+    event = yield CallMaster(method, params)
+    program = agent.programs.get(own_api)
+    match event:
+        case Answered(value=[1, _, _]) if program is not None:
+            program.registrations.record(method, params)
+        case _:
+            pass
+    match event:
+        case Answered(value=[1, _, value]) if method == SUBSCRIBE:
+            topic = str(params[RELATIVE_NAME[SUBSCRIBE]])
+            publishers = agent.followed_publishers(topic, value)
+            yield from _update_publishers(agent, own_api, topic, publishers)
+        case NoAnswer(reason=reason):
+            raise HangUp(reason)
+        case _:
+            pass
+
+
+def drop_expired_publishers(agent: AgentState) -> Layer[None]:
+    """Update the subscribers of topics whose publishers the master did not name again in time."""
+    for topic in agent.publisher_grace.expired_topics():
+        for own_api, program in tuple(agent.programs.items()):
+            if program.registrations.find(SUBSCRIBE, topic) is not None:
+                publishers = agent.publisher_grace.to_follow(topic)
+                yield from _update_publishers(agent, own_api, topic, publishers)
+
+
+def _update_publishers(
+    agent: AgentState, own_api: Endpoint, topic: str, publishers: list[str]
+) -> Layer[None]:
+    """Send a publisherUpdate to a program that may have ended."""
+    uris = yield from agent.egress_uris(publishers, own_api)
+    yield from _is_gone(
+        agent, own_api, (yield CallProgram(own_api, "publisherUpdate", (MASTER, topic, uris)))
+    )
+
+
+def _is_gone(agent: AgentState, own_api: Endpoint, event: Event) -> Layer[bool]:
+    if isinstance(event, NoAnswer) and event.dead:
+        agent.forget(own_api)
+        yield Suspend(own_api)
+        return True
+    return False
+
+
+FIRST_DELAY: Final = 1.0
+MAX_DELAY: Final = 32.0
+
+
+class ResubscribeQueue:
+    """The topics of one identity to resubscribe; times are seconds of one clock."""
+
+    def __init__(self) -> None:
+        self._due: dict[str, float] = {}
+        self._delays: dict[str, float] = {}
+
+    def add(self, topic: str, began: float, now: float) -> None:
+        """A connection for `topic`, made at `began`, has ended."""
+        lasted = now - began > MAX_DELAY
+        delay = FIRST_DELAY if lasted else self._delays.get(topic, FIRST_DELAY)
+        self._due[topic] = now + delay
+        self._delays[topic] = min(2 * delay, MAX_DELAY)
+
+    def take_due(self, now: float, may_subscribe: Callable[[str], bool]) -> list[str]:
+        """The topics that are due; one without a grant waits until there is one."""
+        due = [topic for topic, at in self._due.items() if at <= now and may_subscribe(topic)]
+        for topic in due:
+            del self._due[topic]
+        return due

@@ -3,8 +3,7 @@ from typing import Any
 
 import pytest
 
-from ca.approvals.approval import Approval, ApprovalVerifier
-from ca.approvals.assertion import Assertion
+from ca.approvals.passkeys import Approval, ApprovalVerifier, Assertion
 from ca.approvals.statement import LIFETIME, Grant, Kind
 from ca.errors import (
     ApprovalOutdated,

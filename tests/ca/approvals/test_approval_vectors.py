@@ -2,9 +2,7 @@
 
 import json
 
-from ca.approvals.approval import Approval, ApprovalVerifier
-from ca.approvals.assertion import Assertion
-from ca.approvals.registration import Registration, register
+from ca.approvals.passkeys import Approval, ApprovalVerifier, Assertion, Registration, register
 from ca.approvals.statement import Kind, Statement
 from tests.support.approving import WHATS, state
 from tests.vectors.make_approvals import CREATION, FILE, GRANT, vectors

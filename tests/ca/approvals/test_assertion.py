@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ca.approvals.assertion import Assertion, counter_of, verify
+from ca.approvals.passkeys import Assertion, counter_of, verify
 from ca.errors import (
     ApprovalRefused,
     AssertionForged,

@@ -3,7 +3,7 @@ import hashlib
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ca.approvals.challenges import Challenge, Purpose
+from ca.approvals.passkeys import Challenge, Purpose
 from ca.approvals.statement import Kind
 from ca.encoding import encode
 from tests.support.approving import WHATS, state

@@ -5,9 +5,10 @@ from typing import Any
 
 import pytest
 
-from ca.approvals.challenges import Challenge, Purpose
-from ca.approvals.registration import (
+from ca.approvals.passkeys import (
     MAX_ATTESTATION,
+    Challenge,
+    Purpose,
     Registration,
     check_passkey_name,
     register,

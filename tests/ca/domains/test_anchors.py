@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from ca.authority import Authority
-from ca.certificates import Identity, build_request
-from ca.domains.anchors import Anchors
+from ca.certificates import Identity, build_intermediate_request
+from ca.domains.trust import Anchors
 from ca.errors import (
     CertificateExpired,
     CertificateRefused,
@@ -14,9 +14,8 @@ from ca.errors import (
     ForeignCertificate,
     NotAdmitted,
 )
-from ca.intermediates import build_intermediate_request
-from ca.keys.publickey import to_coordinates
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner, to_coordinates
+from ca.svid import build_request
 from tests.support.domains import domains, foreign
 from tests.support.pki import DAY, NOW, Draft, Site, draft_leaf, leaf_extensions, new_signer
 

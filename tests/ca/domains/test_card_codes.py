@@ -2,8 +2,8 @@ import json
 
 import pytest
 
-from ca.domains.card_codes import card_code, check_code
 from ca.enrollment import qr
+from ca.enrollment.qr import card_code, check_code
 from ca.errors import CardRefused, CodeRefused
 from tests.vectors.make_domains import FILE
 

@@ -2,16 +2,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ca.domains.aliases import alias_of, is_alias
-from ca.domains.served import (
+from ca.errors import NameRefused
+from ca.names import (
     GATEWAY,
+    alias_of,
     alias_of_served,
+    is_alias,
     is_gateway,
     is_in_gateway,
     is_served,
     served_name,
 )
-from ca.errors import NameRefused
 from tests.ca.domains.test_aliases import LABELS, NAMES
 
 

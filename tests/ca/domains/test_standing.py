@@ -2,8 +2,7 @@ from typing import Any
 
 import pytest
 
-from ca.domains.anchors import Anchors
-from ca.domains.standing import MAX_DELEGATES, Standing
+from ca.domains.trust import Anchors
 from ca.errors import (
     CertificateRefused,
     ClocksDisagree,
@@ -13,8 +12,8 @@ from ca.errors import (
     Revoked,
     RollbackRefused,
 )
-from ca.keys.publickey import thumbprint, to_coordinates
-from ca.revocation.state import SKEW, Revocations
+from ca.keys.signing import thumbprint, to_coordinates
+from ca.revocation.trust_status import MAX_DELEGATES, SKEW, Revocations, Standing
 from tests.support.domains import Pair, SomeNode, domains, foreign, revoked, revoked_tree
 from tests.support.pki import DAY, NOW, Site
 

@@ -1,19 +1,17 @@
 import pytest
 
-from ca.enrollment import join_transcript
-from ca.enrollment.join_authority import (
-    TABLE,
-    WITHOUT_MESSAGE,
+from ca.enrollment import invitation
+from ca.enrollment.join import (
+    AUTHORITY_TABLE,
+    AUTHORITY_WITHOUT_MESSAGE,
     AuthorityJoin,
     AuthorityJoinState,
-    LiveIdentity,
-)
-from ca.enrollment.join_messages import (
     Claim,
     Hello,
     Issued,
     Join,
     JoinMessage,
+    LiveIdentity,
     Named,
     Refused,
     RefuseReason,
@@ -49,8 +47,8 @@ def test_the_authority_shows_itself_and_hands_the_request_on() -> None:
     welcome = read(sent)
     assert isinstance(welcome, Welcome)
     assert (welcome.nonce, welcome.chain, welcome.root) == (OWN, (b"leaf",), b"root")
-    agreed = join_transcript.transcript(ID, NONCE, OWN, [b"leaf"], b"root")
-    join_transcript.check_live(welcome.statement, SIGNER.public_key, agreed)
+    agreed = invitation.transcript(ID, NONCE, OWN, [b"leaf"], b"root")
+    invitation.check_live(welcome.statement, SIGNER.public_key, agreed)
     assert core.receive(write(MESSAGES[2])) is None
     request = core.request
     assert (request.invitation, request.transcript) == (ID, agreed)
@@ -67,7 +65,7 @@ def test_what_is_not_in_the_table_ends_the_session(
     begin: tuple[JoinMessage, ...], message: JoinMessage
 ) -> None:
     core = session(*begin)
-    if (core.state, type(message)) in TABLE:
+    if (core.state, type(message)) in AUTHORITY_TABLE:
         return
     with pytest.raises(EnrollmentMessageRefused, match="unexpected"):
         core.receive(write(message))
@@ -135,6 +133,6 @@ def test_a_nonce_has_its_size() -> None:
 
 
 def test_every_state_is_reached() -> None:
-    reached = {follower for _, followers in TABLE.values() for follower in followers}
-    reached |= {after for _, after, _ in WITHOUT_MESSAGE} | {AuthorityJoinState.GREETING}
+    reached = {follower for _, followers in AUTHORITY_TABLE.values() for follower in followers}
+    reached |= {after for _, after, _ in AUTHORITY_WITHOUT_MESSAGE} | {AuthorityJoinState.GREETING}
     assert reached == set(AuthorityJoinState)

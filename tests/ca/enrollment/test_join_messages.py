@@ -2,7 +2,7 @@ import pytest
 
 from ca.encoding import encode
 from ca.enrollment import messages
-from ca.enrollment.join_messages import (
+from ca.enrollment.join import (
     Claim,
     Hello,
     Issued,

@@ -5,16 +5,21 @@ from pathlib import Path
 
 import pytest
 
-from ca.certificates import build_request
 from ca.enrollment.invitation import InvitationCode
-from ca.enrollment.join_authority import AuthorityJoin, AuthorityJoinState, LiveIdentity
-from ca.enrollment.join_messages import (
+from ca.enrollment.join import (
+    NODE_TABLE,
+    NODE_WITHOUT_MESSAGE,
+    AuthorityJoin,
+    AuthorityJoinState,
     Claim,
     Hello,
     Issued,
     Join,
     JoinMessage,
+    LiveIdentity,
     Named,
+    NodeJoin,
+    NodeJoinState,
     Refused,
     RefuseReason,
     Waiting,
@@ -23,7 +28,6 @@ from ca.enrollment.join_messages import (
     read,
     write,
 )
-from ca.enrollment.join_node import TABLE, WITHOUT_MESSAGE, NodeJoin, NodeJoinState
 from ca.errors import (
     EnrollmentMessageRefused,
     EnrollmentOver,
@@ -36,7 +40,8 @@ from ca.errors import (
     OfferRefused,
     RequestRefused,
 )
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner
+from ca.svid import build_request
 from tests.support.joining import fresh
 from tests.support.pki import NOW, Site, new_signer
 
@@ -288,7 +293,7 @@ def test_metadata_may_come_with_the_request_alone() -> None:
 def test_what_is_not_in_the_table_ends_the_session(
     state: NodeJoinState, message: JoinMessage
 ) -> None:
-    if (state, type(message)) in TABLE:
+    if (state, type(message)) in NODE_TABLE:
         return
     node = NodeJoin(CODE, fresh())
     node.state = state
@@ -327,6 +332,6 @@ def test_the_states_are_those_of_the_specification() -> None:
 
 
 def test_every_state_is_reached() -> None:
-    reached = {follower for _, followers in TABLE.values() for follower in followers}
-    reached |= {after for _, after, _ in WITHOUT_MESSAGE} | {NodeJoinState.GREETING}
+    reached = {follower for _, followers in NODE_TABLE.values() for follower in followers}
+    reached |= {after for _, after, _ in NODE_WITHOUT_MESSAGE} | {NodeJoinState.GREETING}
     assert reached == set(NodeJoinState)

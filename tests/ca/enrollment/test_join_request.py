@@ -2,9 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from ca.enrollment.invitation import InvitationCode
-from ca.enrollment.join_request import MAX_SIZE, JoinRequest
-from ca.enrollment.join_transcript import sign_proof
+from ca.enrollment.invitation import MAX_REQUEST_SIZE, InvitationCode, JoinRequest, sign_proof
 from ca.errors import EnrollmentMessageRefused, JoinRefused
 from tests.support.pki import NOW
 
@@ -52,7 +50,7 @@ def test_what_is_cut_short_is_refused_or_not_proved() -> None:
 @pytest.mark.parametrize(
     "data",
     [
-        bytes(MAX_SIZE + 1),
+        bytes(MAX_REQUEST_SIZE + 1),
         bytes(64) + (513).to_bytes(2) + bytes(3) + bytes(513),
         bytes(64) + b"\0\0\2\0\0" + b"/\xff",
         bytes(64) + b"\0\0\0" + (4097).to_bytes(2) + bytes(4097),

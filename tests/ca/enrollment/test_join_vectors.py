@@ -4,11 +4,11 @@ import json
 from hashlib import sha256
 
 from ca.certificates import TrustAnchor
-from ca.enrollment import invitation, join_transcript, ndef
-from ca.enrollment.join_claim import JoinClaim
-from ca.enrollment.join_messages import Claim, Issued, Join, Named, Welcome, read, write
-from ca.enrollment.join_node import NodeJoin
-from ca.enrollment.join_request import JoinRequest
+from ca.enrollment import invitation
+from ca.enrollment import invitation as join_transcript
+from ca.enrollment import invitation as ndef
+from ca.enrollment.invitation import JoinClaim, JoinRequest
+from ca.enrollment.join import Claim, Issued, Join, Named, NodeJoin, Welcome, read, write
 from tests.vectors.make_join import FILE
 
 V = json.loads(FILE.read_text())

@@ -14,10 +14,15 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from ca.enrollment import qr, transcript
-from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
+from ca.enrollment import qr, sides
 from ca.enrollment.messages import Offer, read, write
-from ca.enrollment.node import NodeEnrollment, NodeState, Pending
+from ca.enrollment.sides import (
+    AuthorityEnrollment,
+    AuthorityState,
+    NodeEnrollment,
+    NodeState,
+    Pending,
+)
 from ca.errors import CAError
 from tests.support.enrolling import ADDRESS, Robot, fresh
 from tests.support.pki import NOW, Site
@@ -101,9 +106,9 @@ class Enrollments(RuleBasedStateMachine):
         if fresh_start:
             self.node = self.new_node()
         nonce = fresh()
-        agreed = transcript.transcript(ROBOT.csr, [FORGED], MALLORY.root, nonce)
+        agreed = sides.transcript(ROBOT.csr, [FORGED], MALLORY.root, nonce)
         secret = qr.parse(self.node.code(ADDRESS)).secret
-        tag = transcript.tag(secret, agreed) if secret and self.thief else b""
+        tag = sides.tag(secret, agreed) if secret and self.thief else b""
         self.deliver("node", write(Offer((FORGED,), MALLORY.root, nonce, tag)))
 
     @rule(to=st.sampled_from(["node", "authority"]), pick=PICK)
@@ -145,7 +150,7 @@ class Enrollments(RuleBasedStateMachine):
         if self.authority.state is AuthorityState.ENROLLED:
             offer = read(self.offer)
             assert isinstance(offer, Offer)
-            agreed = transcript.transcript(ROBOT.csr, offer.chain, offer.root, offer.nonce)
+            agreed = sides.transcript(ROBOT.csr, offer.chain, offer.root, offer.nonce)
             assert agreed in {pending.transcript for pending in self.trusted}
 
     @invariant()

@@ -1,7 +1,6 @@
 import pytest
 
-from ca.certificates import build_request
-from ca.enrollment import qr, transcript
+from ca.enrollment import qr, sides
 from ca.enrollment.messages import (
     Abort,
     Acknowledgement,
@@ -11,13 +10,7 @@ from ca.enrollment.messages import (
     read,
     write,
 )
-from ca.enrollment.node import (
-    MAX_BAD_DIGITS,
-    MAX_BAD_TAGS,
-    TABLE,
-    NodeEnrollment,
-    NodeState,
-)
+from ca.enrollment.sides import MAX_BAD_DIGITS, MAX_BAD_TAGS, NODE_TABLE, NodeEnrollment, NodeState
 from ca.errors import (
     ConflictingOffer,
     DigitsRefused,
@@ -29,6 +22,7 @@ from ca.errors import (
     OfferRefused,
     RequestRefused,
 )
+from ca.svid import build_request
 from tests.support.enrolling import ADDRESS, WINDOW, Robot, acknowledged, fresh, offered, scanned
 from tests.support.pki import NOW, Site, new_signer
 
@@ -307,10 +301,10 @@ WITHOUT_MESSAGE = {NodeState.CONFIRMED, NodeState.ENROLLED, NodeState.OVER}
 
 
 def test_the_table_names_methods_that_exist() -> None:
-    assert all(callable(getattr(NodeEnrollment, method)) for method, _ in TABLE.values())
-    reached = {end for _, ends in TABLE.values() for end in ends}
+    assert all(callable(getattr(NodeEnrollment, method)) for method, _ in NODE_TABLE.values())
+    reached = {end for _, ends in NODE_TABLE.values() for end in ends}
     assert reached | WITHOUT_MESSAGE == set(NodeState)
-    assert not any(begin is NodeState.OVER for begin, _ in TABLE)
+    assert not any(begin is NodeState.OVER for begin, _ in NODE_TABLE)
 
 
 def test_the_digits_depend_on_what_the_node_reveals_last() -> None:
@@ -322,4 +316,4 @@ def test_the_digits_depend_on_what_the_node_reveals_last() -> None:
     second.receive(offer, NOW)
     assert first.pending.transcript == second.pending.transcript
     assert first.pending.digits != second.pending.digits
-    assert transcript.group_digits(first.pending.digits)[3] == " "
+    assert sides.group_digits(first.pending.digits)[3] == " "

@@ -4,7 +4,7 @@ import hmac
 import pytest
 
 from ca.encoding import encode
-from ca.enrollment import transcript as t
+from ca.enrollment import sides as t
 from ca.errors import AcknowledgementRefused
 from tests.support.pki import new_signer
 

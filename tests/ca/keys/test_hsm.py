@@ -15,10 +15,10 @@ from pkcs11 import Attribute, KeyType
 from pkcs11.util.ec import encode_named_curve_parameters
 
 from ca.authority import Authority, create_root
-from ca.certificates import build_request
-from ca.cose import Profile
 from ca.errors import KeyRefused, TokenRefused
-from ca.keys.hsm import DEFAULT_MODULE, KeyUri, TokenSigner, _session
+from ca.keys.private_keys import DEFAULT_MODULE, KeyUri, TokenSigner, _session
+from ca.keys.signing import Profile
+from ca.svid import build_request
 from tests.support.pki import NOW, new_signer
 from tests.support.token import MODULE, PIN, softhsm
 
@@ -125,12 +125,14 @@ def test_a_token_that_was_pulled_out(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(TokenRefused, match="the token does not sign: DeviceRemoved"):
         signer.sign(b"message")
     with monkeypatch.context() as patched:
-        patched.setattr("ca.keys.hsm._log_in", Mock(side_effect=pkcs11.exceptions.DeviceError()))
+        patched.setattr(
+            "ca.keys.private_keys._log_in", Mock(side_effect=pkcs11.exceptions.DeviceError())
+        )
         with pytest.raises(TokenRefused, match="the token home cannot be opened: DeviceError"):
             TokenSigner.open(fresh(), PIN)
     session = failing(create_domain_parameters=pkcs11.exceptions.MechanismInvalid())
     session.get_objects.return_value = []
-    monkeypatch.setattr("ca.keys.hsm._session", lambda *_: session)
+    monkeypatch.setattr("ca.keys.private_keys._session", lambda *_: session)
     with pytest.raises(TokenRefused, match="cannot generate a P-256 key: MechanismInvalid"):
         TokenSigner.create(fresh(), PIN)
 

@@ -2,7 +2,7 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec, ed25519
 
 from ca.errors import KeyRefused
-from ca.keys.publickey import (
+from ca.keys.signing import (
     from_coordinates,
     require_p256,
     thumbprint,

@@ -4,13 +4,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from ca.errors import RevocationRefused, RevocationsStale, Revoked, RollbackRefused
-from ca.revocation.state import (
-    MAX_AGE,
-    SKEW,
-    RevocationList,
-    Revocations,
-    sign_list,
-)
+from ca.revocation.lists import MAX_AGE, RevocationList, sign_list
+from ca.revocation.trust_status import SKEW, Revocations
 from tests.ca.revocation.signed_lists import (
     KEY,
     LIFE,

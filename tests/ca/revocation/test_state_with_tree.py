@@ -3,15 +3,17 @@
 import pytest
 
 from ca.errors import RevocationRefused, RevocationsStale, Revoked
-from ca.revocation.state import (
+from ca.revocation.lists import (
     MAX_AGE,
     RevocationList,
-    Revocations,
+    RevocationTree,
     Timestamp,
+    TreeEntries,
     digest,
     sign_list,
+    sign_tree,
 )
-from ca.revocation.tree import RevocationTree, TreeEntries, sign_tree
+from ca.revocation.trust_status import Revocations
 from tests.ca.revocation.signed_lists import (
     SIGNER,
 )
@@ -95,7 +97,7 @@ def test_a_list_after_a_tree_says_it_all_again() -> None:
 
 
 def test_what_is_remembered_of_a_tree_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ca.revocation.state.MAX_PROOFS", 2)
+    monkeypatch.setattr("ca.revocation.trust_status.MAX_PROOFS", 2)
     state = with_tree()
     for n in (2, 3, 5):
         with pytest.raises(RevocationsStale):

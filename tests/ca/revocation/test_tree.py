@@ -10,20 +10,21 @@ from hypothesis import strategies as st
 
 from ca.encoding import decode, encode
 from ca.errors import RevocationRefused
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
-from ca.revocation.lists import RevocationList, sign_list
-from ca.revocation.merkle import EMPTY_ROOT
-from ca.revocation.tree import (
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
+from ca.revocation.lists import (
     MAX_LEAVES,
     TREE,
+    RevocationList,
     RevocationTree,
     TreeEntries,
     is_revoked,
     is_tree,
     open_tree,
+    sign_list,
     sign_tree,
 )
+from ca.revocation.merkle import EMPTY_ROOT
 
 CA = KeySigner(generate())
 ENTRIES = frozenset(hashlib.sha256(bytes([n])).digest()[: 16 if n % 2 else 32] for n in range(21))

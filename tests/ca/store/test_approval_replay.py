@@ -8,15 +8,13 @@ from typing import Any
 
 import pytest
 
-from ca.approvals.approval import Approval
-from ca.approvals.registration import to_approve
+from ca.approvals.passkeys import Approval, to_approve
 from ca.approvals.statement import Grant, Kind
 from ca.errors import LogDamaged
-from ca.store import schema
-from ca.store.approval_replay import RESTORED, replay_approvals
-from ca.store.approvals import ApprovalState
-from ca.store.log_entries import digest_of
+from ca.store import database
+from ca.store.log import RESTORED, ApprovalState, replay_approvals
 from ca.store.record import Store
+from ca.store.values import digest_of
 from tests.support import passkeys
 from tests.support.approving import NOW, WHATS, approve, registered, state, touch
 from tests.support.pki import new_signer
@@ -39,11 +37,11 @@ def audited(store: Store) -> None:
 
 def write(store: Store, what: str, row: tuple[Any, ...]) -> None:
     """A row and its log entry, as who owns the file could write them."""
-    table, _ = schema.LOGGED_TABLES[what]
+    table, _ = database.LOGGED_TABLES[what]
     marks = ", ".join("?" * len(row))
     with store.transaction() as db:
         db.execute(f"INSERT INTO {table} VALUES ({marks})", row)
-        schema.append_entry(db, NOW, what, "", "", digest_of(row))
+        database.append_entry(db, NOW, what, "", "", digest_of(row))
 
 
 def test_what_was_done_in_order_is_accepted(store: Store) -> None:

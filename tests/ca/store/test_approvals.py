@@ -16,8 +16,7 @@ from ca.errors import (
     StatementRefused,
     StoreError,
 )
-from ca.store.approval_replay import RESTORED
-from ca.store.approvals import ApprovalEnd, ApprovalState
+from ca.store.log import RESTORED, ApprovalEnd, ApprovalState
 from ca.store.record import Store
 from tests.support import passkeys
 from tests.support.approving import NOW, WHATS, approve, registered, state, touch

@@ -13,9 +13,8 @@ import pytest
 
 from ca.errors import RecordUnusable, StoreError
 from ca.store import database as module
-from ca.store import schema
-from ca.store.database import Database
-from ca.store.schema import append_entry
+from ca.store import database as schema
+from ca.store.database import Database, append_entry
 
 NOW = 1_800_000_000
 

@@ -6,7 +6,7 @@ import pytest
 
 from ca.errors import KeyChanged, RenewalRefused, StoreError
 from ca.store.record import Store
-from ca.store.rows import CertificateRow
+from ca.store.values import CertificateRow
 from tests.support.pki import DAY, NOW
 
 OLD, NEW, THIRD = (bytes([number]) * 32 for number in range(3))

@@ -3,7 +3,7 @@ import itertools
 import pytest
 
 from ca.errors import RequestClosed
-from ca.store.lifecycle import DAY, OPEN, RETENTION, TRANSITIONS, RequestRow, RequestState, advance
+from ca.store.values import DAY, OPEN, RETENTION, TRANSITIONS, RequestRow, RequestState, advance
 
 NOW = 1_800_000_000
 WAYS = {

@@ -8,13 +8,11 @@ from pathlib import Path
 import pytest
 
 from ca.errors import LogDamaged, StoreError
-from ca.requests import build_request, check_request
 from ca.revocation.merkle import EMPTY_ROOT
-from ca.store import requests as request_record
-from ca.store.lifecycle import DAY
-from ca.store.log_entries import extend_peaks, sign_head
+from ca.store import identities as request_record
 from ca.store.record import Store
-from ca.store.rows import CertificateRow, GrantRow
+from ca.store.values import DAY, CertificateRow, GrantRow, extend_peaks, sign_head
+from ca.svid import build_request, check_request
 from tests.support.pki import NOW, new_signer
 
 KEY = new_signer()
@@ -142,7 +140,7 @@ def test_a_forbidden_transition_in_the_log_is_found(store: Store, path: Path) ->
     for what in ("issued", "approved", "collected", "pending"):
         with closing(Store.create(path.with_name(what))) as other:
             with other.database.transaction() as db:
-                from ca.store.schema import append_entry
+                from ca.store.database import append_entry
 
                 append_entry(db, NOW, what, "/a", "", b"d" * 32)
             if what in {"issued", "approved"}:

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from ca.certificates import build_request
 from ca.errors import KeyChanged, NameCovered, StoreError
 from ca.store.record import CertificateRow, GrantRow, Store
+from ca.svid import build_request
 from tests.support import approving
 from tests.support.pki import Site, new_signer
 

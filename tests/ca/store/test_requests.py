@@ -5,11 +5,10 @@ from pathlib import Path
 import pytest
 
 from ca.errors import KeyChanged, NameContested, NameCovered, RequestClosed, StoreError
-from ca.requests import IdentityRequest, build_request, check_request
-from ca.store import requests as request_record
-from ca.store.lifecycle import DAY, RequestState
+from ca.store import identities as request_record
 from ca.store.record import Store
-from ca.store.rows import CertificateRow
+from ca.store.values import DAY, CertificateRow, RequestState
+from ca.svid import IdentityRequest, build_request, check_request
 from tests.support.pki import NOW, new_signer
 
 

@@ -1,8 +1,8 @@
 from ca.authority import Authority
-from ca.certificates import build_request
-from ca.intermediates import build_intermediate_request
-from ca.keys.publickey import thumbprint
-from ca.store.rows import CertificateRow
+from ca.certificates import build_intermediate_request
+from ca.keys.signing import thumbprint
+from ca.store.values import CertificateRow
+from ca.svid import build_request
 from tests.support.pki import DAY, NOW, Site, new_signer
 
 SITE, HOST = Site.create(), new_signer()

@@ -6,14 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from ca.cose import Profile
 from ca.errors import LogDamaged
-from ca.keys.publickey import thumbprint
-from ca.store.log_entries import digest_of
+from ca.keys.signing import Profile, thumbprint
+from ca.store.database import append_entry
 from ca.store.record import Store
-from ca.store.schema import append_entry
-from ca.store.things import ThingRow
-from ca.things.statement import sign_statement
+from ca.store.signed_statements import ThingRow
+from ca.store.values import digest_of
+from ca.things.constrained_nodes import sign_statement
 from tests.support.things import FAN, LAMP, add_thing, again, row_of
 from tests.vectors.make_things import HOME, NOW, OTHER
 

@@ -9,9 +9,8 @@ import pytest
 
 from ca.errors import StoreError, ThingChanged, ThingUnknown
 from ca.store.record import Store
-from ca.store.things import check_apart
-from ca.things.credentials import ThingKey, ThingSecret
-from ca.things.statement import ThingStatement
+from ca.store.signed_statements import check_things_apart
+from ca.things.constrained_nodes import ThingKey, ThingSecret, ThingStatement
 from tests.support.things import BORDER, FAN, LAMP, add_thing, again, elsewhere
 from tests.vectors.make_things import NOW, OTHER, SECRET
 
@@ -109,7 +108,7 @@ def test_a_kid_may_be_used_at_each_border_router(store: Store) -> None:
     same_kid = replace(FAN, credential=ThingKey.of(OTHER.public_key, LAMP.credential.kid))
     add_thing(store, LAMP)
     add_thing(store, elsewhere(same_kid, 4), border="/attic")
-    check_apart(LAMP, elsewhere(same_kid, 4))
+    check_things_apart(LAMP, elsewhere(same_kid, 4))
 
 
 def test_what_has_ended_is_in_nobodys_way(store: Store) -> None:

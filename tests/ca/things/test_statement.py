@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ca.errors import CAError, NameRefused, ThingOutdated, ThingRefused
-from ca.things import statement as module
-from ca.things.credentials import ThingSecret
-from ca.things.statement import (
+from ca.things import constrained_nodes as module
+from ca.things.constrained_nodes import (
     THING,
+    ThingSecret,
     check_thing_name,
     open_statement,
     peek_statement,

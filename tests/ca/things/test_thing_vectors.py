@@ -5,9 +5,8 @@ import json
 import pytest
 
 from ca.errors import CAError
-from ca.keys.publickey import from_coordinates
-from ca.things.credentials import ThingKey, read_ccs
-from ca.things.statement import open_statement, statement_id
+from ca.keys.signing import from_coordinates
+from ca.things.constrained_nodes import ThingKey, open_statement, read_ccs, statement_id
 from tests.vectors.make_things import FILE, STATEMENTS, vectors
 
 V = json.loads(FILE.read_text())

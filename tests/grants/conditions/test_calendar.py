@@ -2,7 +2,7 @@
 
 import pytest
 
-from grants.conditions.calendar import FIELDS, clock_field, parse_timestamp
+from grants.conditions.compile import FIELDS, clock_field, parse_timestamp
 from grants.errors import ConditionRefused
 
 EXPECTED = {

@@ -2,7 +2,7 @@
 
 import pytest
 
-from grants.conditions.fields import fields_read, reads
+from grants.conditions.syntax import fields_read, reads
 
 
 @pytest.mark.parametrize(

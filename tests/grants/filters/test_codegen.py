@@ -5,15 +5,17 @@ import struct
 import pytest
 
 from grants.errors import DefinitionRefused
-from grants.filters.codegen import (
+from grants.filters.layout import (
     LAYOUT_ERRORS,
     MAX_LOOPS,
+    Array,
     Cursor,
     SourceWriter,
+    Text,
+    Type,
     expression,
     layout_mismatch,
 )
-from grants.filters.layout import Array, Text, Type
 from tests.grants.messages import LAYOUT, layout, text
 
 

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from grants.filters.codegen import LAYOUT_ERRORS
-from grants.filters.fixed_arrays import table_rewriter
-from grants.filters.layout import PRIMITIVES, Array, Struct
-from grants.filters.lazy_numpy import Vector
-from grants.filters.treatments import (
+from grants.filters.coarsening import Vector
+from grants.filters.layout import LAYOUT_ERRORS, PRIMITIVES, Array, Struct
+from grants.filters.message_rewriter import table_rewriter
+from grants.filters.operators import (
     ArrayTreatment,
     Constant,
     FieldTreatment,

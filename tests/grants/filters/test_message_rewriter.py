@@ -5,11 +5,10 @@ from typing import Any
 
 import pytest
 
-from grants.filters.codegen import LAYOUT_ERRORS
 from grants.filters.compile import compile_filter
-from grants.filters.layout import PRIMITIVES, Array, Struct, Text
+from grants.filters.layout import LAYOUT_ERRORS, PRIMITIVES, Array, Struct, Text
 from grants.filters.message_rewriter import generate
-from grants.filters.treatments import (
+from grants.filters.operators import (
     ArrayTreatment,
     Constant,
     ContentTreatment,

@@ -10,8 +10,7 @@ import pytest
 from grants.errors import FilterRefused
 from grants.filters.compile import compile_filter
 from grants.filters.layout import PRIMITIVES, Array, Struct, Text
-from grants.filters.operators import OPERATORS, treatment_for
-from grants.filters.treatments import DESCEND, Constant, Numbers
+from grants.filters.operators import DESCEND, OPERATORS, Constant, Numbers, treatment_for
 from grants.model import FilterRule, filter_rules
 from tests.grants.messages import layout, text
 

@@ -5,8 +5,8 @@ import pytest
 from grants.errors import FilterRefused
 from grants.filters.layout import PRIMITIVES, Primitive, Text
 from grants.filters.operators import OPERATORS
-from grants.filters.passing import _OPERATORS, Passing, Through, passing, size_of
 from grants.model import filter_rules
+from grants.policy.assertion_check import _OPERATORS, Passing, Through, passing, size_of
 
 FLOAT, BYTE, SHORT = (PRIMITIVES[name] for name in ("float64", "uint8", "int16"))
 SQUARE, CORNERED = "0 0, 4 3", "0 0, 4 0, 0 4"

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from grants.errors import FilterRefused, MessageRefused
+from grants.filters.coarsening import PIXEL_SIZES, pixelation
 from grants.filters.compile import compile_filter
 from grants.filters.layout import Layout, parse
-from grants.filters.pictures import PIXEL_SIZES, pixelation
 from grants.model import filter_rules
 from tests.grants.messages import SEPARATOR, layout, seeded_random, text
 

@@ -8,7 +8,7 @@ import pytest
 
 from grants.errors import FilterRefused, MessageRefused
 from grants.filters.compile import compile_filter
-from grants.filters.positions import rooms
+from grants.filters.operators import rooms
 from grants.model import filter_rules
 from tests.grants.messages import layout
 

@@ -10,8 +10,8 @@ import pytest
 
 from grants.decision import Decision
 from grants.errors import FilterRefused, MessageRefused
+from grants.filters.compile import PRESETS, preset
 from grants.filters.layout import Layout, parse
-from grants.filters.presets import PRESETS, preset
 from grants.guard import Guard
 from grants.model import Restriction, Right, filter_rules
 from rossec.participant.message_types import message_type

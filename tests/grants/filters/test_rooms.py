@@ -8,9 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from grants.common_state import HysteresisState
 from grants.errors import FilterRefused
-from grants.filters.rooms import Room, read_plan, snap_rows, snapping
+from grants.filters.coarsening import HysteresisState, Room, read_plan, snap_rows, snapping
 
 FLAT = {"bath": "4 0, 6 2", "hall": "4 2, 6 2, 6 5, 0 5, 0 4, 4 4", "kitchen": "0 0, 4 4"}
 PLAN = read_plan(FLAT)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from grants.errors import FilterRefused, MessageRefused
 from grants.filters.compile import compile_filter
-from grants.filters.sorting import sorting
+from grants.filters.operators import sorting
 from grants.model import filter_rules
 from tests.grants.messages import layout, text
 

@@ -5,10 +5,9 @@ import struct
 import pytest
 
 from grants.filters import message_rewriter
-from grants.filters.codegen import LAYOUT_ERRORS
-from grants.filters.layout import PRIMITIVES, Array, Struct, Text
-from grants.filters.message_rewriter import generate
-from grants.filters.treatments import (
+from grants.filters.layout import LAYOUT_ERRORS, PRIMITIVES, Array, Struct, Text
+from grants.filters.message_rewriter import generate, preserves_sizes
+from grants.filters.operators import (
     ArrayTreatment,
     Constant,
     ContentTreatment,
@@ -18,7 +17,6 @@ from grants.filters.treatments import (
     Numbers,
     StructTreatment,
 )
-from grants.filters.variable_arrays import preserves_sizes
 from tests.grants.messages import seeded_random, text
 
 INT = PRIMITIVES["int32"]

@@ -13,9 +13,8 @@ from grants.filters.layout import Layout, parse
 from grants.model import Right
 from grants.policy.lint import lint
 from grants.policy.lint_findings import Finding, Suggestion
-from grants.policy.mistakes import Mistakes
 from grants.policy.model import Policy
-from grants.policy.source import Part, YamlMapping, YamlScalar, read_source
+from grants.policy.source import Mistakes, Part, YamlMapping, YamlScalar, read_source
 from tests.grants.policy.policies import definition, policy
 
 TYPES = {

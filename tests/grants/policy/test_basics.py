@@ -2,13 +2,13 @@
 
 import pytest
 
-from grants.basics import BASICS, TRANSFORMS
 from grants.model import Right
-from grants.policy.basics import ID, is_basics
 from grants.policy.decision import Decider
 from grants.policy.lint import lint
 from grants.policy.model import DAY, Subject
+from grants.policy.rules import ID, is_basics
 from grants.policy.wanted import WantedState
+from grants.request import BASICS, TRANSFORMS
 from rossec.authority.policyfile import layout_of
 from tests.grants.policy.policies import HEADER, mistakes, node, policy, rules
 

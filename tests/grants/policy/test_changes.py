@@ -3,8 +3,8 @@
 import pytest
 
 from grants.model import FilterRule, Permission, Restriction, Right
-from grants.policy.changes import Before, Change, Kind, change_of, kept, withdrawn
 from grants.policy.decision import Decider
+from grants.policy.difference import Before, Change, Kind, change_of, kept, withdrawn
 from grants.policy.model import DAY, Effect, PolicyRule
 from grants.policy.wanted import WantedRight
 from tests.grants.policy.policies import node, rules

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ca.errors import NameRefused, PatternRefused
-from ca.patterns import covers
+from ca.names import pattern_covers
 from grants.errors import GrantError, PolicyRefused
 from grants.model import ALL_RIGHTS, Right
 from grants.policy.decision import Decider, restriction_lines, span
@@ -98,7 +98,7 @@ def test_nothing_is_allowed_that_no_allowing_rule_names(
 def test_a_right_on_a_pattern_is_a_right_on_each_of_its_names(
     of: Policy, asking: Subject, asked: Right, about: str, inside: str
 ) -> None:
-    if covers(about, inside) and decide(of, asking, asked, about):
+    if pattern_covers(about, inside) and decide(of, asking, asked, about):
         assert decide(of, asking, asked, inside)
 
 

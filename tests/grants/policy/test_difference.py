@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from grants.decision import authorize
 from grants.errors import GrantMissing
 from grants.model import Grant, Permission, Right, merge
-from grants.policy.changes import Kind
 from grants.policy.decision import Decider
 from grants.policy.difference import (
     MAX_GRANTS,
     MAX_PRESENTED,
+    Kind,
     Moment,
     NodeDifference,
     RecordedGrant,

@@ -12,9 +12,8 @@ from grants.policy.difference import (
     RecordedGrant,
     difference,
 )
-from grants.policy.drafts import drafts
 from grants.policy.model import Policy
-from grants.policy.wanted import WantedState, rule_ids
+from grants.policy.wanted import WantedState, drafts, rule_ids
 from tests.grants.policy.policies import node, rules
 
 NOW: Final = 1_800_000_000

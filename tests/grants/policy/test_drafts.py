@@ -9,8 +9,8 @@ from grants.document import open_grant, sign
 from grants.errors import PolicyRefused
 from grants.model import Draft, FilterRule, Restriction, Right
 from grants.policy.decision import Decider, Verdict
-from grants.policy.drafts import approve, approximate, drafts, limit, permissions, plan, shorten
 from grants.policy.model import DAY, HOUR, Effect, Policy, Subject
+from grants.policy.wanted import approve, approximate, drafts, limit, permissions, plan, shorten
 from grants.request import RequestedRight
 from tests.grants.authority import CA, NOW
 from tests.grants.policy.policies import HEADER, decide, node, rules

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from grants.errors import PolicyRefused
-from grants.policy import editing
-from grants.policy.editing import NewRule, add_rules, empty, free_id
+from grants.policy import learn
+from grants.policy.learn import NewRule, add_rules, empty, free_id
 from tests.grants.policy.policies import policy
 
 TEXT = """# The flat.
@@ -130,7 +130,7 @@ def test_a_text_in_a_condition_keeps_its_spaces() -> None:
 
 
 def test_a_rewriting_that_changes_anything_else_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(editing, "_add_types", lambda data, _: data.update(robot="other"))
+    monkeypatch.setattr(learn, "_add_types", lambda data, _: data.update(robot="other"))
     with pytest.raises(PolicyRefused, match="nothing was written") as error:
         add_rules(KINDS % "none", [rule(types={})])
     assert error.value.hint == "add the rules by hand: allow for /b (two)"

@@ -12,10 +12,8 @@ from grants.model import Right
 from grants.policy.decision import Decider
 from grants.policy.lint import lint
 from grants.policy.model import DAY, HOUR, Effect
+from grants.policy.privacy import Trial, level_lines, shown
 from grants.policy.read import load
-from grants.policy.shown import lines as level_lines
-from grants.policy.shown import shown
-from grants.policy.trial import Trial
 from tests.grants.policy.policies import definition, node
 
 FOLDER = Path(__file__).parents[3] / "examples" / "policies"

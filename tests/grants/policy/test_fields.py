@@ -3,7 +3,7 @@
 import pytest
 
 from grants.filters.layout import parse
-from grants.policy.fields import (
+from grants.policy.restrictions import (
     check_condition,
     check_fields,
     check_preset,
@@ -11,8 +11,7 @@ from grants.policy.fields import (
     read_fields,
     suggest_field,
 )
-from grants.policy.mistakes import Mistakes
-from grants.policy.source import YamlMapping, YamlScalar, YamlSequence, read_source
+from grants.policy.source import Mistakes, YamlMapping, YamlScalar, YamlSequence, read_source
 from tests.grants.policy.policies import definition
 
 POSE = parse("geometry_msgs/PoseStamped", definition("geometry_msgs/PoseStamped"))

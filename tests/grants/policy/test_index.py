@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ca.patterns import covers
+from ca.names import pattern_covers
 from grants.model import ALL_RIGHTS, Right
-from grants.policy.index import Index, hits
+from grants.policy.decision import Index, hits
 from grants.policy.model import (
     Clause,
     Defaults,
@@ -61,7 +61,7 @@ def test_an_exact_subscription_is_found_by_covering_patterns_alone(
     policy: Policy, asking: Subject, about: str
 ) -> None:
     for _, found in Index(policy).find(asking, Right.SUBSCRIBE, about):
-        assert covers(found.pattern, about)
+        assert pattern_covers(found.pattern, about)
 
 
 def test_a_right_without_clauses_finds_nothing() -> None:

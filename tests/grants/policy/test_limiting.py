@@ -2,9 +2,8 @@
 
 import pytest
 
-from grants.policy.limiting import Limit, read_limit
-from grants.policy.mistakes import Mistakes
-from grants.policy.source import read_source
+from grants.policy.restrictions import Limit, read_limit
+from grants.policy.source import Mistakes, read_source
 
 
 def read(text: str, topics: list[str] | None = None) -> tuple[Limit, list[tuple[str, str]]]:

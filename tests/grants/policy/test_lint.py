@@ -6,10 +6,12 @@ from pathlib import Path
 import pytest
 
 from grants.errors import GrantError, PolicyRefused
-from grants.filters.presets import PRESETS
-from grants.policy.lint import ADVICE, CHECKS, Finding, lint, sample_subject
+from grants.filters.compile import PRESETS
+from grants.policy.lint import CHECKS, lint
+from grants.policy.lint_findings import ADVICE, Finding
+from grants.policy.lint_views import sample_subject
 from grants.policy.model import SubjectPattern
-from grants.vocabulary.words import LEVELS
+from grants.vocabulary.contents import LEVELS
 from tests.grants.policy.lint_cases import TYPES, applied, codes, findings, layout_of, text_of
 from tests.grants.policy.lint_leaks import HOME, Leak
 from tests.grants.policy.lint_leaks import LEAKS as OF_FIELDS

@@ -3,8 +3,8 @@
 import pytest
 
 from grants.filters.layout import parse
-from grants.policy.lint_facts import Aspect, aspects, conventional, is_known
-from grants.vocabulary.describe import describe
+from grants.policy.lint_views import Aspect, aspects, conventional, is_known
+from grants.vocabulary.contents import describe
 from tests.grants.policy.lint_cases import TYPES, layout_of
 
 OWN = "float32 x\nfloat32 y\nfloat32 theta\nfloat32 linear_velocity\nstring x_name\nfloat32[] lat"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from grants.policy.lint_related import RELATED
+from grants.policy.lint_topics import RELATED
 from tests.grants.policy.lint_cases import codes, findings, messages, text_of
 from tests.grants.policy.lint_leaks import COARSE, HASHED, PERSONAL, SECOND, also, filtered
 from tests.grants.policy.lint_leaks_related import KEPT

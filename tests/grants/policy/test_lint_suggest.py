@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from grants.errors import GrantError, PolicyRefused
 from grants.filters.compile import compile_filter
 from grants.model import FilterRule
-from grants.policy.lint_facts import aspects
-from grants.policy.lint_suggest import closing, coarsening, fits, limiting, replacing, written
+from grants.policy.lint_findings import closing, coarsening, fits, limiting, replacing, written
+from grants.policy.lint_views import aspects
 from grants.policy.privacy import leaf_paths
-from grants.vocabulary.describe import describe
+from grants.vocabulary.contents import describe
 from tests.grants.policy.lint_cases import TYPES, applied, findings, layout_of, text_of
 from tests.grants.policy.lint_leaks import COARSE, also, filtered
 from tests.grants.policy.policies import policy

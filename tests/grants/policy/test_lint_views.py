@@ -3,8 +3,8 @@
 import pytest
 
 from grants.model import FilterRule
-from grants.policy.lint_facts import Aspect
 from grants.policy.lint_views import (
+    Aspect,
     Precision,
     Scene,
     View,

@@ -3,8 +3,7 @@
 import pytest
 
 from grants.errors import PolicyRefused
-from grants.policy.mistakes import MAX_MISTAKES, Mistakes, suggest
-from grants.policy.source import YamlScalar
+from grants.policy.source import MAX_MISTAKES, Mistakes, YamlScalar, suggest
 
 
 def test_all_mistakes_are_raised_in_the_order_of_the_file() -> None:

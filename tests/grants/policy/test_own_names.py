@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from ca.errors import NameRefused, PatternRefused
 from ca.names import covers as identity_covers
-from ca.patterns import covers, covers_tree
+from ca.names import covers_tree, pattern_covers
 from grants.model import ALL_RIGHTS, Right
 from grants.policy.decision import Decider
 from grants.policy.model import (
@@ -18,7 +18,7 @@ from grants.policy.model import (
     Subject,
     SubjectPattern,
 )
-from grants.policy.own_names import (
+from grants.policy.names import (
     NODE,
     any_node,
     check_rule_pattern,
@@ -140,7 +140,7 @@ def test_it_never_covers_a_name_that_is_not_at_or_below_the_node(
     if covers_tree(pattern, name):
         assert identity_covers(node, own, wildcard=tail)
         assert any_node(NODE + rest) in ("/**", "/**" + rest)
-    if covers(pattern, name):
+    if pattern_covers(pattern, name):
         assert own_form(name, node, tail=tail) == NODE + name[len(own) :]
 
 

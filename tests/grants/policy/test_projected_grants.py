@@ -1,6 +1,6 @@
 from grants.policy.model import Subject
-from grants.policy.projected_grants import projected_for_names, projected_grants
 from grants.policy.read import load
+from grants.policy.wanted import projected_for_names, projected_grants
 from tests.grants.policy.policies import HEATING, OTHER_KEY, definition, policy, rules
 
 

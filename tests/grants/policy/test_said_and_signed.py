@@ -9,16 +9,14 @@ from dataclasses import replace
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from grants.decision import authorize
+from grants.decision import Reach, authorize
 from grants.errors import GrantMissing
 from grants.model import MESSAGE_RIGHTS, TREE_RIGHTS, Grant, Restriction, Right
 from grants.policy.assertion_check import check_tests
 from grants.policy.assertions import Assertion, Claim, Says
 from grants.policy.decision import Decider
-from grants.policy.in_force import in_force
 from grants.policy.model import Clause, Effect, Policy, PolicyRule, Subject
-from grants.policy.wanted import WantedState
-from grants.reach import Reach
+from grants.policy.wanted import WantedState, in_force
 from rossec.authority.policyfile import layout_of
 from tests.grants.policy.test_index import KEYS, name, of, own, pattern, right, subject, who
 

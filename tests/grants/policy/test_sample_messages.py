@@ -5,7 +5,7 @@ import struct
 import pytest
 
 from grants.errors import MessageRefused
-from grants.policy.sample_messages import Value, below, leaves, read_back, serialize
+from grants.policy.assertions import Value, below, leaves, read_back, serialize
 from rossec.authority.policyfile import layout_of
 from rossec.participant.message_types import message_type, type_names
 

@@ -13,9 +13,9 @@ from grants.decision import Decision
 from grants.errors import GrantError
 from grants.guard import Guard
 from grants.model import Restriction, Right, filter_rules
+from grants.policy.assertion_check import Sight
 from grants.policy.decision import Decider, Verdict
 from grants.policy.model import Clause, Effect
-from grants.policy.sight import Sight
 from rossec.authority.policyfile import layout_of
 from tests.grants.policy.policies import node, policy
 

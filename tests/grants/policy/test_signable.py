@@ -4,7 +4,7 @@ import pytest
 
 from grants.errors import PolicyRefused
 from grants.model import FilterRule, Permission, Restriction, Right
-from grants.policy.signable import MAX_ENTRIES, divide, why_unsignable
+from grants.policy.restrictions import MAX_ENTRIES, divide, why_unsignable
 from tests.grants.policy.policies import HEADER, mistakes, policy
 
 

@@ -6,11 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from grants import yaml_text
 from grants.errors import PolicyRefused
 from grants.policy import source
-from grants.policy.mistakes import Mistakes
-from grants.policy.source import YamlMapping, YamlScalar, YamlSequence, read_source
+from grants.policy import source as yaml_text
+from grants.policy.source import Mistakes, YamlMapping, YamlScalar, YamlSequence, read_source
 
 
 def read(text: str) -> object:

@@ -4,7 +4,7 @@ import pytest
 
 from grants.model import Right
 from grants.policy.model import Subject
-from grants.policy.subjects import MAX_MEMBERS
+from grants.policy.rules import MAX_MEMBERS
 from tests.grants.policy.policies import HEADER, HEATING, HEATING_KEY, decide, mistakes, node, rules
 
 HEAD = f"""{HEADER}identities:

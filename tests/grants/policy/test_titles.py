@@ -6,11 +6,10 @@ from grants.errors import PolicyRefused
 from grants.filters.layout import Layout
 from grants.model import Right
 from grants.policy.decision import Decider
-from grants.policy.editing import NewRule, add_rules
+from grants.policy.learn import NewRule, add_rules
 from grants.policy.lint import lint
 from grants.policy.model import Policy, Subject
-from grants.policy.read import load
-from grants.policy.titles import MAX_TITLE, flaw_of
+from grants.policy.read import MAX_TITLE, flaw_of, load
 
 HEAD = "rossec: 1\nrobot: r\ngroups: {lamps: [/lamp1, /lamp2, '/hall/*']}\nrules: []\n"
 

@@ -6,8 +6,8 @@ import pytest
 
 from grants.filters.layout import parse
 from grants.model import Right
-from grants.policy import trial as module
-from grants.policy.trial import Trial
+from grants.policy import privacy as module
+from grants.policy.privacy import Trial
 from tests.grants.policy.policies import HEADER, decide, definition, node, rules
 
 STRING = parse("std_msgs/String", definition("std_msgs/String"))

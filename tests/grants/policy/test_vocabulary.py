@@ -3,11 +3,9 @@
 import pytest
 
 from grants.filters.layout import Layout, parse
-from grants.policy.mistakes import Mistakes
-from grants.policy.source import YamlMapping, YamlScalar, read_source
-from grants.policy.vocabulary import SAYABLE, Vocabulary, read_rooms, read_vocabulary
-from grants.vocabulary.contents import Content
-from grants.vocabulary.words import DataWord
+from grants.policy.model import SAYABLE, Vocabulary, read_rooms, read_vocabulary
+from grants.policy.source import Mistakes, YamlMapping, YamlScalar, read_source
+from grants.vocabulary.contents import Content, DataWord
 from tests.grants.policy.policies import definition
 
 TYPES = {"/door": "std_msgs/Bool", "/bed": "acme_msgs/Bed", "/rooms/*/lamp": "std_msgs/Bool"}

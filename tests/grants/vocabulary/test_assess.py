@@ -4,12 +4,11 @@ import math
 
 import pytest
 
-from grants.filters.presets import preset
+from grants.filters.compile import preset
 from grants.model import Restriction, filter_rules
 from grants.vocabulary.assess import Seen, assess
-from grants.vocabulary.describe import describe
-from grants.vocabulary.resolve import resolve
-from grants.vocabulary.words import EXACT, LEVELS, NO, DataWord
+from grants.vocabulary.contents import EXACT, LEVELS, NO, DataWord, describe
+from grants.vocabulary.levels import resolve
 from tests.grants.vocabulary.layouts import STANDARD, layout_of
 
 ODOMETRY = "nav_msgs/Odometry"

@@ -1,9 +1,7 @@
 """A type described by what its fields are, at any depth."""
 
 from grants.filters.layout import Layout, parse
-from grants.vocabulary.contents import Content
-from grants.vocabulary.describe import Description, describe
-from grants.vocabulary.words import DataWord
+from grants.vocabulary.contents import Content, DataWord, Description, describe
 from tests.grants.messages import SEPARATOR
 from tests.grants.vocabulary.layouts import layout_of
 

@@ -8,11 +8,18 @@ from hypothesis import strategies as st
 
 from grants.errors import FilterRefused
 from grants.filters.layout import parse
-from grants.vocabulary.contents import FRAMES, TIMES, Content
-from grants.vocabulary.describe import FieldContent, describe
-from grants.vocabulary.levels import level_of
-from grants.vocabulary.resolve import Levels, Resolved, resolve
-from grants.vocabulary.words import EXACT, LEVELS, NO, DataWord
+from grants.vocabulary.contents import (
+    EXACT,
+    FRAMES,
+    LEVELS,
+    NO,
+    TIMES,
+    Content,
+    DataWord,
+    FieldContent,
+    describe,
+)
+from grants.vocabulary.levels import Levels, Resolved, level_of, resolve
 from tests.grants.vocabulary.layouts import STANDARD, layout_of
 from tests.grants.vocabulary.made import Maker, through
 

@@ -11,12 +11,15 @@ from grants.errors import FilterRefused
 from grants.filters.layout import parse
 from grants.model import FilterRule, Restriction
 from grants.vocabulary.assess import assess
-from grants.vocabulary.contents import Content
-from grants.vocabulary.describe import describe
-from grants.vocabulary.levels import Treatment
-from grants.vocabulary.resolve import resolve
-from grants.vocabulary.rooms import OPERATOR, in_rooms, plan_treatment, smallest
-from grants.vocabulary.words import DataWord
+from grants.vocabulary.contents import Content, DataWord, describe
+from grants.vocabulary.levels import (
+    OPERATOR,
+    Treatment,
+    in_rooms,
+    plan_treatment,
+    resolve,
+    smallest,
+)
 from tests.grants.vocabulary.layouts import layout_of
 from tests.grants.vocabulary.made import NOW, Maker, guard_of
 

@@ -4,9 +4,8 @@ import math
 
 import pytest
 
-from grants.vocabulary.assess import Seen
-from grants.vocabulary.sentences import HIDDEN, SAID, TOPICS, details, seen, sentence
-from grants.vocabulary.words import EXACT, LEVELS, NO, DataWord
+from grants.vocabulary.assess import HIDDEN, SAID, TOPICS, Seen, details, seen, sentence
+from grants.vocabulary.contents import EXACT, LEVELS, NO, DataWord
 
 P, M, PICTURE = DataWord.POSITION, DataWord.MOVEMENT, DataWord.IMAGE
 

@@ -8,7 +8,7 @@ import pytest
 
 from ca.errors import HintedError, RecordUnusable, SignatureError, StoreError
 from grants.errors import GrantForged
-from grants.filters.presets import PRESETS
+from grants.filters.compile import PRESETS
 from grants.model import Right
 from grants.policy.model import Subject
 from grants.request import GrantRequest, RequestedRight, sign_request

@@ -16,14 +16,13 @@ from ca.errors import (
     RevocationRefused,
     StoreError,
 )
-from ca.revocation.state import open_list
-from ca.revocation.tree import TreeEntries, is_tree
+from ca.revocation.lists import TreeEntries, is_tree, open_list
 from rossec import files
 from rossec.authority import backup as backups
 from rossec.authority.backup import back_up, restore
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import invite
-from rossec.authority.keyservice.lock import LOCK, service_lock
+from rossec.authority.keyservice.client import LOCK, service_lock
 from rossec.errors import ConfigurationError
 from tests.support import approving, passkeys
 from tests.support.commands import PASSPHRASE, Shell, refused

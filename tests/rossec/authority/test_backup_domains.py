@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.domains.anchors import Anchors
-from ca.domains.lists import DomainList, ForeignDomain
+from ca.domains.trust import Anchors, DomainList, ForeignDomain
 from ca.errors import DomainsRefused
 from rossec.authority.backup import Restored, back_up, restore
 from rossec.authority.home import AuthorityHome
@@ -50,7 +49,7 @@ def content(home: AuthorityHome) -> tuple[DomainList, list[ForeignDomain]]:
 
 @pytest.fixture
 def trusting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Trusting:
-    monkeypatch.setattr("ca.keys.pbes2._N", 16)  # the passphrase is not under test
+    monkeypatch.setattr("ca.keys.passphrases._N", 16)  # the passphrase is not under test
     return Trusting(tmp_path)
 
 
@@ -98,7 +97,7 @@ def test_an_older_or_foreign_list_is_refused(trusting: Trusting) -> None:
 def test_a_record_that_never_had_domains_signs_no_list(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ca.keys.pbes2._N", 16)
+    monkeypatch.setattr("ca.keys.passphrases._N", 16)
     home = AuthorityHome.create(tmp_path / "home", "home", PASSPHRASE, NOW)
     done = restore(tmp_path / "new", back_up(home, PASSPHRASE), PASSPHRASE, NOW)
     assert (done.ended_domains, done.home.domain_list()) == (0, None)

@@ -7,13 +7,13 @@ import pytest
 
 from rossec.authority.backup import back_up, restore
 from rossec.authority.service import AuthorityService
-from rossec.authority.thing_records import IN_FORCE, REVOKED
+from rossec.authority.signing import IN_FORCE, REVOKED
 from tests.support.thingoffice import DAY, LAMP, PASSPHRASE, Office
 
 
 @pytest.fixture
 def office(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Office:
-    monkeypatch.setattr("ca.keys.pbes2._N", 16)  # the passphrase is not under test
+    monkeypatch.setattr("ca.keys.passphrases._N", 16)  # the passphrase is not under test
     return Office(tmp_path / "old")
 
 

@@ -8,17 +8,16 @@ from typing import Any
 import pytest
 
 from ca.certificates import to_pem
-from ca.domains.anchors import Anchors
-from ca.domains.cards import open_card
-from ca.domains.lists import DomainList, ForeignDomain, open_domains
-from ca.domains.standing import Standing
+from ca.domains.trust import Anchors, DomainList, ForeignDomain, open_card, open_domains
 from ca.errors import CardRefused, CertificateRefused, DomainsRefused, DomainUnknown, StoreError
-from ca.revocation.state import Revocations, open_list
+from ca.revocation.lists import open_list
+from ca.revocation.trust_status import Revocations, Standing
 from grants import document
 from grants.model import Draft, Permission, Right
 from rossec.authority.domain_operations import check_label_free, find_row, living_grants
+from rossec.authority.grant_operations import MasterCall
 from rossec.authority.home import AuthorityHome
-from rossec.authority.service import AuthorityService, MasterCall
+from rossec.authority.service import AuthorityService
 from rossec.errors import AuthorityLocked, ConfigurationError, NotDelivered
 from rossec.home import NodeHome
 from tests.rossec.participant.test_connections import table
@@ -70,7 +69,7 @@ class Office:
 
 @pytest.fixture
 def office(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Office:
-    monkeypatch.setattr("ca.keys.pbes2._N", 16)  # the passphrase is not under test
+    monkeypatch.setattr("ca.keys.passphrases._N", 16)  # the passphrase is not under test
     return Office(tmp_path / "home")
 
 

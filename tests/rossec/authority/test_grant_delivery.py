@@ -6,12 +6,11 @@ from typing import Any
 
 import pytest
 
-from ca.revocation.state import open_statement
+from ca.revocation.trust_status import open_statement
 from grants import document
 from grants.model import Draft, Permission, Right
-from rossec.authority import grant_delivery as module
-from rossec.authority.grant_delivery import RefusedDeposit, require_delivered
-from rossec.authority.master_call import MasterCall
+from rossec.authority import grant_operations as module
+from rossec.authority.grant_operations import MasterCall, RefusedDeposit, require_delivered
 from rossec.authority.service import AuthorityService
 from rossec.errors import NotDelivered
 from rossec.home import NodeHome
@@ -78,7 +77,7 @@ class Delivering(Office):
 
 @pytest.fixture
 def office(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Delivering:
-    monkeypatch.setattr("ca.keys.pbes2._N", 16)  # the passphrase is not under test
+    monkeypatch.setattr("ca.keys.passphrases._N", 16)  # the passphrase is not under test
     return Delivering(tmp_path / "office")
 
 

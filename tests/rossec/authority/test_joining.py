@@ -3,12 +3,12 @@ from pathlib import Path
 
 import pytest
 
-from ca.enrollment.join_messages import Refused, RefuseReason, Waiting, WaitReason
-from ca.enrollment.join_transcript import sign_proof
+from ca.enrollment.invitation import sign_proof
+from ca.enrollment.join import Refused, RefuseReason, Waiting, WaitReason
 from ca.errors import RecordUnusable
-from ca.requests import check_request
-from ca.store.lifecycle import RequestState
-from rossec.authority.joining import MAX_WAITING, allowed_pattern, join, join_locked
+from ca.store.values import RequestState
+from ca.svid import check_request
+from rossec.authority.invitations import MAX_WAITING, allowed_pattern, join, join_locked
 from tests.support.joining import HOUR, JoinSite, asked, issued, refusal
 from tests.support.pki import NOW, new_signer
 
@@ -177,7 +177,7 @@ def test_the_requests_that_wait_are_bounded(home: JoinSite) -> None:
 
 
 def test_the_record_is_full_of_requests(home: JoinSite, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ca.store.requests.MAX_OPEN", 0)
+    monkeypatch.setattr("ca.store.identities.MAX_OPEN", 0)
     code = home.invite()
     assert refusal(home.join(code)) is RefuseReason.BUSY
     assert uses(home, code.id) == []

@@ -4,9 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from ca.domains.lists import open_domains
-from ca.revocation.state import open_list
-from ca.revocation.tree import TreeEntries, is_tree, open_tree
+from ca.domains.trust import open_domains
+from ca.revocation.lists import TreeEntries, is_tree, open_list, open_tree
 from rossec.authority.home import AuthorityHome
 from rossec.authority.local_list import LocalList
 from rossec.errors import NotWritten

@@ -7,8 +7,7 @@ import pytest
 from ca.errors import StoreError
 from grants import document
 from grants.model import Draft, Permission, Right
-from rossec.authority.opt_out import add_denial, revoke_shown
-from rossec.authority.policyfile import PolicyFile
+from rossec.authority.policyfile import PolicyFile, add_denial, revoke_shown
 from rossec.authority.signing import SigningAuthority
 from rossec.errors import ConfigurationError
 from tests.support.site import Site

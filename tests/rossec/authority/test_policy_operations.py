@@ -8,13 +8,14 @@ from pathlib import Path
 import pytest
 
 from ca.errors import HintedError
-from ca.revocation.state import open_statement
+from ca.revocation.trust_status import open_statement
 from grants import document
 from grants.model import Right
 from grants.request import GrantRequest, RequestedRight, sign_request
+from rossec.authority.grant_operations import MasterCall
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile, read_policy
-from rossec.authority.service import AuthorityService, MasterCall
+from rossec.authority.service import AuthorityService
 from rossec.errors import ConfigurationError, NotDelivered
 from rossec.home import NodeHome
 
@@ -98,7 +99,7 @@ class Office:
 
 @pytest.fixture
 def office(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Office]:
-    monkeypatch.setattr("ca.keys.pbes2._N", 16)  # the passphrase is not under test
+    monkeypatch.setattr("ca.keys.passphrases._N", 16)  # the passphrase is not under test
     made = Office(tmp_path / "office")
     with closing(made.service):
         yield made

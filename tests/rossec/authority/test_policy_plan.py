@@ -9,9 +9,8 @@ from ca.revocation.lists import MAX_ENTRIES
 from grants import document
 from grants.model import Draft, Grant, Permission, Right
 from grants.policy.difference import Moment
-from rossec.authority import policy_plan as module
-from rossec.authority.policy_plan import PlanOptions, PolicyPlan, make_plan
-from rossec.authority.policyfile import PolicyFile
+from rossec.authority import policyfile as module
+from rossec.authority.policyfile import PlanOptions, PolicyFile, PolicyPlan, make_plan
 from rossec.authority.signing import SKEW
 from rossec.home import NodeHome
 from tests.support.site import DAY, Site

@@ -4,13 +4,12 @@ from pathlib import Path
 import pytest
 
 from ca.authority import Authority
-from ca.certificates import build_request, check_request, from_pem, to_pem
+from ca.certificates import build_intermediate_request, from_pem, sign_renewal, to_pem
 from ca.errors import KeyChanged, RenewalRefused, RequestClosed, Revoked, StoreError
-from ca.intermediates import build_intermediate_request
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
-from ca.renewal import sign_renewal
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
 from ca.store.record import Store
+from ca.svid import build_request, check_request
 from rossec.authority.home import OWN_LIFETIME, AuthorityHome
 from rossec.authority.renewals import (
     INTERMEDIATE_LIFETIME,

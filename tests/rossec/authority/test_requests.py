@@ -7,7 +7,7 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.errors import StoreError
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner
 from ca.store.database import Database
 from ca.store.record import Store
 from grants.model import Right

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from ca.errors import BackupRefused, DomainsRefused, RevocationRefused
-from ca.revocation.state import Revocations
+from ca.revocation.trust_status import Revocations
 from rossec.authority import restored_lists
 from rossec.authority.restored_lists import NewerLists
 from rossec.authority.signing import SigningAuthority

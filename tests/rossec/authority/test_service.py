@@ -7,22 +7,22 @@ from pathlib import Path
 
 import pytest
 
-from ca.certificates import check_request, from_pem
+from ca.certificates import build_intermediate_request, from_pem
 from ca.errors import KeyChanged, PassphraseRefused, RequestClosed, StoreError
-from ca.intermediates import build_intermediate_request
-from ca.keys import key_files
-from ca.keys.signer import KeySigner
+from ca.keys import private_keys
+from ca.keys.signing import KeySigner
 from ca.revocation.lists import open_list
-from ca.store.lifecycle import RequestState
-from ca.store.log_entries import open_head
+from ca.store.values import RequestState, open_head
+from ca.svid import check_request
 from grants import document
 from grants.errors import GrantForged
 from grants.model import Permission, Right
 from grants.renewal import MIN_TICKET, open_delegation
 from grants.request import GrantRequest, RequestedRight, sign_request
+from rossec.authority.grant_operations import MasterCall
 from rossec.authority.home import OWN_LIFETIME, AuthorityHome
 from rossec.authority.policyfile import PolicyFile
-from rossec.authority.service import AuthorityService, MasterCall
+from rossec.authority.service import AuthorityService
 from rossec.errors import AuthorityLocked, ConfigurationError, NotDelivered
 from rossec.home import NodeHome
 from rossec.ros.names import MASTER
@@ -98,7 +98,7 @@ class Office:
 
 @pytest.fixture
 def office(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Office:
-    monkeypatch.setattr("ca.keys.pbes2._N", 16)  # the passphrase is not under test
+    monkeypatch.setattr("ca.keys.passphrases._N", 16)  # the passphrase is not under test
     return Office(tmp_path / "office")
 
 
@@ -196,7 +196,7 @@ def test_identities_are_renewed(office: Office) -> None:
 
 
 def test_an_intermediate_is_signed_and_its_identities_imported(office: Office) -> None:
-    request = build_intermediate_request(KeySigner(key_files.generate()), "home")
+    request = build_intermediate_request(KeySigner(private_keys.generate()), "home")
     name, bundle = office.service.sign_intermediate(request, may_enroll=True, lifetime=DAY)
     assert name.startswith("intermediate/")
     assert len(from_pem(bundle)) == 2

@@ -4,12 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from ca.certificates import build_request, check_request, from_pem
+from ca.certificates import from_pem
 from ca.errors import RequestClosed, StoreError
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
-from ca.revocation.state import RevocationList, open_list, open_statement
-from ca.revocation.tree import is_tree, open_tree
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
+from ca.revocation.lists import RevocationList, is_tree, open_list, open_tree
+from ca.revocation.trust_status import open_statement
+from ca.svid import build_request, check_request
 from grants import document
 from grants.model import Draft, Permission, Right
 from grants.renewal import open_delegation

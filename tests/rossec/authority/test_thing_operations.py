@@ -6,14 +6,13 @@ from pathlib import Path
 import pytest
 
 from ca.errors import StoreError, ThingChanged, ThingRefused, ThingUnknown
-from ca.things.credentials import ThingSecret
-from ca.things.statement import open_statement
-from rossec.authority import thing_records
-from rossec.authority.list_contents import required_entries
-from rossec.authority.thing_operations import ThingOrder
+from ca.things.constrained_nodes import ThingSecret, open_statement
+from rossec.authority import signing
+from rossec.authority.service import ThingOrder
+from rossec.authority.signing import required_entries
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.saved_things import ThingFiles
+from rossec.saved_statements import ThingFiles
 from tests.support.thingoffice import ATTIC, BORDER, DAY, LAMP, Office
 
 
@@ -31,7 +30,7 @@ def test_a_thing_is_stated_for_one_border_router(office: Office) -> None:
     assert found.expires == office.now + DAY
     assert (signed.bundle, signed.revoked) == (b"", 0)
     assert [(each.row.name, each.state) for each in office.service.things()] == [
-        (LAMP, thing_records.IN_FORCE)
+        (LAMP, signing.IN_FORCE)
     ]
     office.service.unlock().store.log.audit(key)
 
@@ -106,9 +105,9 @@ def test_a_renewal_states_the_same_again(office: Office) -> None:
     assert renewed.statement.expires == office.now + 2 * DAY
     assert renewed.revoked == 0
     states = [each.state for each in office.service.things()]
-    assert states == [thing_records.RENEWED, thing_records.IN_FORCE]
+    assert states == [signing.RENEWED, signing.IN_FORCE]
     office.now += 3 * DAY
-    assert office.service.things()[-1].state == thing_records.EXPIRED
+    assert office.service.things()[-1].state == signing.EXPIRED
     again = office.service.renew_thing(LAMP, DAY)
     assert again.statement.credential == office.order.credential
     with pytest.raises(ThingUnknown):

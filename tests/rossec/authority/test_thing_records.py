@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from ca.errors import ThingUnknown
-from rossec.authority.console.removals import keys_of
-from rossec.authority.thing_records import (
+from rossec.authority.console.grant_requests import keys_of
+from rossec.authority.signing import (
     EXPIRED,
     IN_FORCE,
     OTHER_KEY,

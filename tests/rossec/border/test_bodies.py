@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 from ca.encoding import Value, encode
 from grants.filters.layout import Layout, parse
-from rossec.border.bodies import from_ros, to_ros
-from rossec.border.links import CBOR_BODY, ROS_BODY
-from rossec.border.quotas import MAX_BODY
+from rossec.border.conversations import MAX_BODY
+from rossec.border.resources import CBOR_BODY, ROS_BODY, from_ros, to_ros
 from rossec.errors import BodyRefused
 from rossec.node import message_type
 

@@ -10,10 +10,10 @@ from aiocoap.numbers import codes
 from ca.encoding import encode
 from grants.model import Right
 from rossec.border.bridge import ThingBridge
-from rossec.border.links import read_links
-from rossec.border.requests import Answer, OnAnswer, Request
+from rossec.border.endpoint import Answer, OnAnswer, Request
+from rossec.border.resources import read_links
 from rossec.errors import ServiceFailed, ThingUnreachable
-from rossec.net.aio.tasks import TaskSet
+from rossec.host.runner import TaskSet
 from tests.rossec.border.test_thing_node import thing_node
 from tests.support.border import LAMP, TEMPERATURE
 from tests.support.site import Site

@@ -8,9 +8,8 @@ from typing import Any
 import pytest
 from aiocoap.numbers import codes
 
-from rossec.border import wire
-from rossec.border.contexts import OscoreContext, name_context, unprotected
-from rossec.border.wire import Message
+from rossec.border import messages
+from rossec.border.messages import Message, OscoreContext, name_context, unprotected
 
 SECRET = bytes.fromhex("0102030405060708090a0b0c0d0e0f10")
 SALT = bytes.fromhex("9e7ca92223786340")
@@ -63,14 +62,14 @@ def test_a_protected_request(
     """C.4, C.5 and C.6; the last names its context as `rederivation` does."""
     client, server = context(sender, recipient, **changes), context(recipient, sender, **changes)
     client.sender_sequence_number = 20
-    plain = wire.read(bytes.fromhex(REQUEST))
+    plain = messages.read(bytes.fromhex(REQUEST))
     request = Message(code=plain.code, uri_host=plain.opt.uri_host, uri_path=plain.opt.uri_path)
     sealed, _ = client.seal(request)
     if "id_context" in changes:
         name_context(sealed, ID_CONTEXT)
     sealed.mtype, sealed.mid, sealed.token = plain.mtype, plain.mid, plain.token
-    assert wire.write(sealed).hex() == expected
-    received = wire.read(bytes.fromhex(expected))
+    assert messages.write(sealed).hex() == expected
+    received = messages.read(bytes.fromhex(expected))
     assert unprotected(received) == (sender, changes.get("id_context"))
     opened, _ = server.open(received)
     assert (opened.code, opened.opt.uri_path) == (codes.GET, ("tv1",))
@@ -88,12 +87,12 @@ def test_a_protected_answer(reused: bool, expected: str) -> None:
     client, server = context(b"", b"\x01"), context(b"\x01", b"")
     client.sender_sequence_number = 20
     sealed, identifier = client.seal(Message(code=codes.GET, uri_path=("tv1",)))
-    sealed.mtype, sealed.mid, sealed.token = wire.CON, 1, b""
-    _, asked = server.open(wire.read(wire.write(sealed)))
+    sealed.mtype, sealed.mid, sealed.token = messages.CON, 1, b""
+    _, asked = server.open(messages.read(messages.write(sealed)))
     asked.can_reuse_nonce = reused
-    plain = wire.read(bytes.fromhex(ANSWER))
+    plain = messages.read(bytes.fromhex(ANSWER))
     answer, _ = server.seal(Message(code=plain.code, payload=plain.payload), asked)
     answer.mtype, answer.mid, answer.token = plain.mtype, plain.mid, plain.token
-    assert wire.write(answer).hex() == expected
-    opened, _ = client.open(wire.read(bytes.fromhex(expected)), identifier)
+    assert messages.write(answer).hex() == expected
+    opened, _ = client.open(messages.read(bytes.fromhex(expected)), identifier)
     assert (opened.code, opened.payload) == (codes.CONTENT, b"Hello World!")

@@ -1,6 +1,6 @@
 """Datagrams of strangers: nobody's many keep out another's one."""
 
-from rossec.border.intake import BURST, OF_ALL, OF_HOST, OF_PORT, RATE, Intake
+from rossec.border.conversations import BURST, OF_ALL, OF_HOST, OF_PORT, RATE, Intake
 
 THING = ("::7", 5683, 0, 0)
 

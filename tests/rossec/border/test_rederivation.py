@@ -4,14 +4,14 @@ import aiocoap
 import pytest
 
 from ca.encoding import encode
-from rossec.border import wire
-from rossec.border.contexts import OscoreContext
-from rossec.border.rederivation import (
+from rossec.border import messages
+from rossec.border.messages import (
     LIFETIME,
     MAX_ID1,
     NONCE_SIZE,
     R2_SIZE,
     Challenges,
+    OscoreContext,
     border_context,
     is_in,
     thing_context,
@@ -61,12 +61,12 @@ def test_a_challenge_is_of_one_thing_and_one_process() -> None:
 def test_both_sides_derive_the_same_from_the_same() -> None:
     border, thing = (make(KEY, KID, bytes(8)) for make in (border_context, thing_context))
     sealed, _ = thing.seal(aiocoap.Message(code=aiocoap.POST, payload=b"here"))
-    sealed.mtype, sealed.mid, sealed.token = wire.CON, 1, b""
-    data = wire.write(sealed)
-    assert border.open(wire.read(data))[0].payload == b"here"
+    sealed.mtype, sealed.mid, sealed.token = messages.CON, 1, b""
+    data = messages.write(sealed)
+    assert border.open(messages.read(data))[0].payload == b"here"
     for other in (border_context(KEY, KID, bytes(9)), border_context(bytes(16), KID, bytes(8))):
         with pytest.raises(DatagramRefused):
-            other.open(wire.read(data))
+            other.open(messages.read(data))
 
 
 def test_a_challenge_is_answered_once_and_only_the_newest() -> None:

@@ -8,13 +8,10 @@ import pytest
 from aiocoap.numbers import codes
 from aiocoap.optiontypes import BlockOption
 
-from rossec.border import requests, wire
-from rossec.border.contexts import OscoreContext
-from rossec.border.conversations import Conversation
-from rossec.border.quotas import MAX_BLOCK, MAX_BODY, MESSAGE_BURST
-from rossec.border.requests import DEADLINE, Answer, Request, Requests
-from rossec.border.timers import Timers
-from rossec.border.transmissions import MAX_RETRANSMIT, Transmissions
+from rossec.border import endpoint, messages
+from rossec.border.conversations import MAX_BLOCK, MAX_BODY, MESSAGE_BURST, Conversation
+from rossec.border.endpoint import DEADLINE, Answer, Request, Requests
+from rossec.border.messages import MAX_RETRANSMIT, OscoreContext, Timers, Transmissions
 from rossec.errors import DatagramRefused, ThingUnreachable
 
 THING = ("::1", 5683, 0, 0)
@@ -44,7 +41,7 @@ class Line:
         """The last request: as it was sent, opened (once), and what an answer is bound to."""
         data = self.sent[-1]
         if data not in self.opened:
-            self.opened[data] = (wire.read(data), *self.thing.open(wire.read(data)))
+            self.opened[data] = (messages.read(data), *self.thing.open(messages.read(data)))
         return self.opened[data]
 
     def seal(
@@ -58,8 +55,8 @@ class Line:
         answer, _ = self.thing.seal(message, identifier)
         if message.opt.observe is not None:
             answer.opt.observe = message.opt.observe
-        answer.token, answer.mtype, answer.mid = sealed.token, wire.NON, 7
-        return wire.read(wire.write(answer))
+        answer.token, answer.mtype, answer.mid = sealed.token, messages.NON, 7
+        return messages.read(messages.write(answer))
 
     def take(self, message: aiocoap.Message) -> None:
         found = self.open.find(message, THING)
@@ -81,7 +78,7 @@ def test_a_request_and_its_answer(line: Line) -> None:
     line.ask(codes.PUT, body=b"on", format=60)
     sealed, opened, identifier = line.asked()
     assert (opened.code, opened.opt.uri_path, opened.payload) == (codes.PUT, ("t",), b"on")
-    assert (int(opened.opt.content_format), sealed.mtype) == (60, wire.CON)
+    assert (int(opened.opt.content_format), sealed.mtype) == (60, messages.CON)
     line.take(line.seal(sealed, identifier, codes.CHANGED))
     assert line.answers == [Answer(codes.CHANGED, None, b"")]
     assert (len(line.open), line.conversation.tokens, len(line.timers)) == (0, set(), 0)
@@ -155,16 +152,16 @@ def test_more_states_than_its_rate_are_dropped(line: Line) -> None:
 
 def test_an_unprotected_answer_ends_nothing_and_is_asked_again(line: Line) -> None:
     line.ask()
-    for tries in range(requests.RETRIES + 2):
+    for tries in range(endpoint.RETRIES + 2):
         sealed, _, _ = line.asked()
         plain = aiocoap.Message(code=codes.UNAUTHORIZED)
-        plain.token, plain.mtype, plain.mid = sealed.token, wire.ACK, sealed.mid
+        plain.token, plain.mtype, plain.mid = sealed.token, messages.ACK, sealed.mid
         for _ in range(2):
             with pytest.raises(DatagramRefused):
-                line.take(wire.read(wire.write(plain)))
+                line.take(messages.read(messages.write(plain)))
         assert line.answers == []
-        line.timers.run(requests.RETRY * 2**tries)
-    assert len({bytes(wire.read(data).token) for data in line.sent}) == 1 + requests.RETRIES
+        line.timers.run(endpoint.RETRY * 2**tries)
+    assert len({bytes(messages.read(data).token) for data in line.sent}) == 1 + endpoint.RETRIES
     line.reply(b"20")
     assert [each.body for each in line.answers if isinstance(each, Answer)] == [b"20"]
 
@@ -174,15 +171,15 @@ def test_a_thing_that_learns_its_context_late_is_not_left_to_repetitions(line: L
     answered: set[int] = set()
     line.ask()
     while not line.answers and line.now < DEADLINE:
-        sealed = wire.read(line.sent[-1])
-        mid = wire.number_of(sealed)
+        sealed = messages.read(line.sent[-1])
+        mid = messages.number_of(sealed)
         if mid not in answered and line.now >= 10:  # what told it its context was lost twice
             line.reply(b"20")
         elif mid not in answered:
             plain = aiocoap.Message(code=codes.UNAUTHORIZED)
-            plain.token, plain.mtype, plain.mid = sealed.token, wire.ACK, mid
+            plain.token, plain.mtype, plain.mid = sealed.token, messages.ACK, mid
             with pytest.raises(DatagramRefused):
-                line.take(wire.read(wire.write(plain)))
+                line.take(messages.read(messages.write(plain)))
         answered.add(mid)
         line.now += 0.25
         line.timers.run(line.now)

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from ca.revocation.state import MAX_AGE, Revocations, Timestamp, digest, open_list
-from ca.things.credentials import ThingKey, ThingSecret
-from ca.things.statement import ThingStatement, sign_statement
-from rossec.border.roster import Roster
-from rossec.saved_things import ThingFiles
+from ca.revocation.lists import MAX_AGE, Timestamp, digest, open_list
+from ca.revocation.trust_status import Revocations
+from ca.things.constrained_nodes import ThingKey, ThingSecret, ThingStatement, sign_statement
+from rossec.border.bridge import Roster
+from rossec.saved_statements import ThingFiles
 from tests.support.pki import new_signer
 from tests.support.site import Site
 from tests.support.things import again

@@ -8,8 +8,7 @@ import pytest
 
 from ca.certificates import Identity
 from rossec import clock
-from rossec.border.shared import SharedIdentity
-from rossec.border.thing_node import ThingNode
+from rossec.border.constrained_node import SharedIdentity, ThingNode
 from rossec.errors import ConfigurationError
 from rossec.node import Node
 from tests.support.border import LAMP

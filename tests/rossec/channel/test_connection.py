@@ -13,7 +13,7 @@ from rossec.errors import (
     LimitExceeded,
     RecordForged,
 )
-from rossec.progress import STEP, WINDOW
+from rossec.peer_limits import STEP, WINDOW
 from tests.support.wire import (
     NOW,
     End,

@@ -16,7 +16,7 @@ from rossec.channel.negotiation import (
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import MAX_GRANTS, ChannelLimits, Frame, header
 from rossec.errors import IdentityExpired, LimitExceeded, ProtocolViolation
-from rossec.participant.token_opening import MAX_PRESENTED
+from rossec.participant.access import MAX_PRESENTED
 from tests.support.wire import (
     ALICE,
     BOB,

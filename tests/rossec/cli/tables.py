@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import click
 
-from rossec.cli.shared.lazy import LazyCommand, LazyGroup
+from rossec.cli.shared.context import LazyCommand, LazyGroup
 
 
 def check_table(group: click.Command) -> None:

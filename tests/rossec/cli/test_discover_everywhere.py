@@ -167,7 +167,7 @@ FORBIDDEN: Final = {
 }  # fmt: skip
 CONNECTS_NOT: Final = {
     "rossec/cli/completion/sources.py": "finds the names that were kept for this value",
-    "rossec/cli/shared/system_state.py": "keeps names for completion by this value",
+    "rossec/cli/ros/graph.py": "keeps names for completion by this value",
     "rossec/cli/manual/pages.py": "explains it",
 }
 READ_IT: Final = {"RelayMember", "BorderRouter"}  # ROS_MASTER_URI, from their argument

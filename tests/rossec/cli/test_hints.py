@@ -16,7 +16,7 @@ import click
 import pytest
 
 from rossec.cli.main import rossec
-from rossec.cli.shared.lazy import LazyCommand
+from rossec.cli.shared.context import LazyCommand
 from tests.rossec.cli.tables import all_commands
 
 ROOT: Final = Path(__file__).parents[3]

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from rossec.cli.shared import results
+from rossec.cli.shared import options as results
 from tests.rossec.cli.walk import commands, options
 
 ROOT: Final = Path(__file__).parents[3]

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import click
 
 from rossec.cli.main import rossec
-from rossec.cli.shared.lazy import LazyCommand
+from rossec.cli.shared.context import LazyCommand
 
 
 def commands(

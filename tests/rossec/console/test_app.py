@@ -7,7 +7,7 @@ from starlette.testclient import TestClient
 
 from ca.errors import HintedError
 from rossec.console.app import create_app, show_error, status_of
-from rossec.console.routing import PUBLIC, Page
+from rossec.console.rendering import PUBLIC, Page
 from rossec.errors import AuthorityLocked, HttpRefused, KeyServiceFailed
 from tests.support.consolepages import ORIGIN, Browser
 

@@ -7,12 +7,10 @@ from typing import Any
 import pytest
 
 from ca.errors import EnrollmentOver, HintedError, NameRefused, PatternRefused
-from rossec.authority.console.messages import PREPARED
-from rossec.authority.console.views import GrantQuestion, IdentityRequestView, Outcome
-from rossec.console import approving
-from rossec.console.approving import DAY, Act, carried_out, certificate_request, read
-from rossec.console.enrollment import Enrollment
-from rossec.console.made_codes import MadeCodes
+from rossec.authority.console.messages import PREPARED, GrantQuestion, IdentityRequestView, Outcome
+from rossec.console import approvals
+from rossec.console.approvals import DAY, Act, MadeCodes, carried_out, certificate_request, read
+from rossec.console.enrollments import Enrollment
 from rossec.errors import EnrollmentUnknown, FormRefused
 
 QUESTION = "q" * 22
@@ -122,7 +120,7 @@ async def test_a_form_becomes_the_arguments_of_its_kind(
 
 
 def test_every_kind_of_the_service_has_a_form() -> None:
-    assert approving.READERS.keys() == PREPARED.keys()
+    assert approvals.READERS.keys() == PREPARED.keys()
     assert {kind for kind, *_ in GIVEN} == PREPARED.keys()
 
 

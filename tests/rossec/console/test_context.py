@@ -3,7 +3,7 @@
 import pytest
 
 from rossec.console.context import ConsoleContext
-from rossec.console.settings import Settings
+from rossec.console.server.control import Settings
 from tests.support.consolepages import ORIGIN, Browser, MemoryClient
 from tests.support.consoleservice import FakeHome
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from rossec.authority.console.views import ListStanding
-from rossec.console.endings import STALE, Endings, Heard
+from rossec.authority.console.messages import ListStanding
+from rossec.console.matrix import STALE, Endings, Heard
 
 ASKED = 1_800_000_000
 DONE = ListStanding(1, 4, True, True, 3, 3)

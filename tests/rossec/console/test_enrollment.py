@@ -7,18 +7,10 @@ import pytest
 
 from ca.certificates import to_pem
 from ca.enrollment import qr
-from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
-from ca.enrollment.node import Pending
+from ca.enrollment.sides import AuthorityEnrollment, AuthorityState, Pending
 from ca.errors import EnrollmentExpired, EnrollmentOver
-from rossec.authority.console.views import IdentityRequestView, NodeView, Outcome
-from rossec.console.enrollment import (
-    DIFFERED,
-    REJECTED,
-    Destination,
-    Enrollment,
-    Known,
-    Stage,
-)
+from rossec.authority.console.messages import IdentityRequestView, NodeView, Outcome
+from rossec.console.enrollments import DIFFERED, REJECTED, Destination, Enrollment, Known, Stage
 from rossec.errors import KeyServiceFailed
 from tests.support.enrolling import NAME, Robot, WaitingRobot, clock
 from tests.support.pki import Site
@@ -126,7 +118,7 @@ async def test_a_node_with_a_tail_of_anonymous_nodes_can_be_added() -> None:
 async def test_the_identity_is_delivered_when_the_key_is_unlocked(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("rossec.console.enrollment.POLL", 0.0)
+    monkeypatch.setattr("rossec.console.enrollments.POLL", 0.0)
     with WaitingRobot(Robot()) as robot:
         adding = Adding(robot, Service())
         await adding.found.fetch()
@@ -215,7 +207,7 @@ async def test_a_node_that_never_answers_is_not_waited_for_forever(
     async def never(*_: object) -> None:
         raise TimeoutError
 
-    monkeypatch.setattr("rossec.console.enrollment.deliver", never)
+    monkeypatch.setattr("rossec.console.enrollments.deliver", never)
     with WaitingRobot(Robot()) as robot:
         adding = Adding(robot, Service())
         await adding.found.fetch()

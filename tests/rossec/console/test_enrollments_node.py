@@ -14,10 +14,9 @@ import pytest
 
 from ca.certificates import TrustAnchor, from_pem
 from ca.enrollment import qr
-from rossec.console.enrollment import Known, Stage
-from rossec.console.enrollments import Enrollments
-from rossec.console.scanning.client import ScannerClient
-from rossec.console.scanning.supervisor import ScannerSupervisor
+from rossec.console.enrollments import Enrollments, Known, Stage
+from rossec.console.server.supervisor import ScannerSupervisor
+from rossec.console.server.web import ScannerClient
 from tests.rossec.console.test_enrollment import SITE, Adding, Service, node, waiting
 from tests.rossec.console.test_enrollments import Changes
 from tests.support.enrolling import clock

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 from starlette.requests import Request
 
-from rossec.console.forms import (
+from rossec.console.rendering import (
     bytes_field,
     from_base64url,
     read_form,

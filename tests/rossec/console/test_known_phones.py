@@ -2,9 +2,8 @@
 
 import pytest
 
-from rossec.authority.console.views import PhoneView
-from rossec.console.known_phones import KEPT, KnownPhones
-from rossec.console.sessions import Session
+from rossec.authority.console.messages import PhoneView
+from rossec.console.sessions import KEPT, KnownPhones, Session
 from rossec.errors import KeyServiceFailed
 
 ANN = PhoneView(b"1", "Ann's phone", 100, 0, "", "")

@@ -1,8 +1,7 @@
 """Who sees what, from grants and the graph."""
 
 from grants.model import Restriction
-from rossec.console.endings import Heard
-from rossec.console.matrix import Access, Cell, build, held_grants, publishers_of
+from rossec.console.matrix import Access, Cell, Heard, build, held_grants, publishers_of
 from tests.support.consolehome import COARSE, HOUR, NOW, POSE, FakeHome, demo, sees, sends
 
 

@@ -5,10 +5,10 @@ import re
 import pytest
 
 from grants.policy.privacy import ReceiverAccess
-from rossec.authority.console.views import GrantQuestion, PolicyName
-from rossec.console.names import NONE, Names
-from rossec.console.pages.privacy import write
-from rossec.console.report import topics
+from rossec.authority.console.messages import GrantQuestion, PolicyName
+from rossec.console.matrix import topics
+from rossec.console.pages.visibility import write
+from rossec.console.words import NONE, Names
 from rossec.errors import KeyServiceRefused
 from rossec.participant.host_types import layout_of
 from tests.support.consolehome import NOW, POSE, as_service, demo

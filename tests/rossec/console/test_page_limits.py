@@ -6,8 +6,8 @@ from html import unescape
 import pytest
 
 from ca.encoding import encode
-from rossec.authority.console.views import AskedRight, DenialView, EventView, GrantQuestion
-from rossec.console.forms import to_base64url
+from rossec.authority.console.messages import AskedRight, DenialView, EventView, GrantQuestion
+from rossec.console.rendering import to_base64url
 from tests.support.consolehome import (
     HOSTILE,
     NOW,

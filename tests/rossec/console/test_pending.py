@@ -2,8 +2,7 @@
 
 import pytest
 
-from rossec.console.approving import Act
-from rossec.console.pending import MAX_PENDING, PendingActs
+from rossec.console.approvals import MAX_PENDING, Act, PendingActs
 from rossec.errors import HttpRefused
 
 ACT = Act("passkey", [b"a"], "/phones")

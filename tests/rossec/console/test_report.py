@@ -3,8 +3,7 @@
 from grants.filters.layout import Layout, parse
 from grants.model import Restriction, filter_rules
 from grants.policy.privacy import ReceiverAccess
-from rossec.console.endings import Heard
-from rossec.console.report import held_accesses, topics
+from rossec.console.matrix import Heard, held_accesses, topics
 from rossec.console.words import day
 from rossec.participant.message_types import message_type
 from tests.support.consolehome import COARSE, NOW, POSE, demo, sees

@@ -5,8 +5,8 @@ import pkgutil
 from starlette.responses import Response
 
 from rossec.console import pages
-from rossec.console.routes import ROUTES
-from rossec.console.routing import MAX_BODY, SESSION, Page, PageTable, for_looking
+from rossec.console.app import ROUTES
+from rossec.console.rendering import MAX_BODY, SESSION, Page, PageTable, for_looking
 
 
 async def nothing(*_: object) -> Response:

@@ -4,7 +4,7 @@ import pytest
 
 from grants.errors import RestrictionMismatch
 from grants.model import Restriction, filter_rules
-from rossec.console import made_up
+from rossec.console import samples
 from rossec.console.samples import Recorded, as_mapping, see, try_see
 from rossec.errors import MessageError
 from rossec.participant.message_types import message_type
@@ -12,7 +12,7 @@ from tests.support.consolehome import COARSE, POSE
 
 
 def recorded(kind: str = POSE) -> Recorded:
-    found = made_up.recorded("/robot/pose", kind)
+    found = samples.recorded("/robot/pose", kind)
     assert found is not None
     return found
 

@@ -3,11 +3,11 @@
 import pytest
 
 from ca.approvals.statement import Kind
-from ca.store.lifecycle import RequestState
-from ca.store.schema import LOGGED_TABLES
+from ca.store.database import LOGGED_TABLES
+from ca.store.values import RequestState
 from grants.model import Right
-from rossec.authority.console.views import AskedRight, DenialView, EventView, GrantQuestion
-from rossec.console.endings import Heard
+from rossec.authority.console.messages import AskedRight, DenialView, EventView, GrantQuestion
+from rossec.console.matrix import Heard
 from rossec.console.sentences import (
     APPROVED,
     KINDS,

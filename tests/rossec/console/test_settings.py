@@ -1,6 +1,6 @@
 """A console's settings, and what follows from them."""
 
-from rossec.console.settings import Settings, read_settings, write_settings
+from rossec.console.server.control import Settings, read_settings, write_settings
 
 OWN = Settings("home", ("http://localhost:7411",), users=frozenset({2, 1}))
 

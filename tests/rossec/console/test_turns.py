@@ -2,7 +2,7 @@
 
 import pytest
 
-from rossec.console.turns import MAX_WAITING, Turns
+from rossec.console.sessions import MAX_WAITING, Turns
 from rossec.errors import HttpRefused
 
 

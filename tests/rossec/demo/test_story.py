@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from rossec.demo import steps, trying
+from rossec.demo import steps
+from rossec.demo import steps as trying
 from rossec.demo.environment import DemoEnvironment, DemoFailed, Report, StepPrinter
-from rossec.demo.story import begin_story
+from rossec.demo.steps import begin_story
 
 
 class Started:

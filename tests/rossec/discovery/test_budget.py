@@ -1,6 +1,6 @@
 import pytest
 
-from rossec.discovery.budget import MAX_SOURCES, MAX_VERIFIED, Budget
+from rossec.discovery.announcement import MAX_SOURCES, MAX_VERIFIED, Budget
 from rossec.errors import AnnouncementRefused
 
 

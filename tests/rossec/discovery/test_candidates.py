@@ -1,7 +1,13 @@
 import pytest
 
-from rossec.discovery.announcement import Announcement, sign
-from rossec.discovery.candidates import MAX_CANDIDATES, Candidate, Candidates, DatagramSource
+from rossec.discovery.announcement import (
+    MAX_CANDIDATES,
+    Announcement,
+    Candidate,
+    Candidates,
+    DatagramSource,
+    sign,
+)
 from rossec.errors import AnnouncementRefused
 from tests.rossec.discovery.conftest import NOW, Make
 from tests.support.site import Site

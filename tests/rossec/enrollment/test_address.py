@@ -2,8 +2,8 @@ import socket
 
 import pytest
 
-from rossec.enrollment import address
 from rossec.errors import ConfigurationError
+from rossec.host import addresses
 
 
 @pytest.mark.parametrize(
@@ -20,8 +20,8 @@ from rossec.errors import ConfigurationError
     ],
 )
 def test_what_people_type(text: str, host: str, port: int) -> None:
-    assert address.split(text) == (host, port)
-    assert address.split(address.join(host, port)) == (host, port)
+    assert addresses.split(text) == (host, port)
+    assert addresses.split(addresses.join(host, port)) == (host, port)
 
 
 @pytest.mark.parametrize(
@@ -32,18 +32,18 @@ def test_what_people_type(text: str, host: str, port: int) -> None:
 )  # fmt: skip
 def test_invalid_addresses_are_refused(text: str) -> None:
     with pytest.raises(ConfigurationError, match="is not an address of a node") as caught:
-        address.split(text)
+        addresses.split(text)
     assert "192.168.1.7:11317" in caught.value.hint
 
 
 def test_this_host_has_addresses(monkeypatch: pytest.MonkeyPatch) -> None:
-    for found in address.own_addresses():
+    for found in addresses.own_addresses():
         family = socket.AF_INET6 if ":" in found else socket.AF_INET
         assert socket.inet_pton(family, found)
-    monkeypatch.setattr(address, "_towards", lambda family, where: "")
-    assert address.own_addresses() == ["127.0.0.1", "::1"]
-    monkeypatch.setattr(address, "_towards", lambda family, where: "192.168.1.7")
-    assert address.own_addresses()[0] == "192.168.1.7"
+    monkeypatch.setattr(addresses, "_towards", lambda family, where: "")
+    assert addresses.own_addresses() == ["127.0.0.1", "::1"]
+    monkeypatch.setattr(addresses, "_towards", lambda family, where: "192.168.1.7")
+    assert addresses.own_addresses()[0] == "192.168.1.7"
 
 
 def test_a_family_that_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -51,4 +51,4 @@ def test_a_family_that_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
         raise OSError("no such family")
 
     monkeypatch.setattr(socket, "socket", missing)
-    assert address.own_addresses() == ["127.0.0.1", "::1"]
+    assert addresses.own_addresses() == ["127.0.0.1", "::1"]

@@ -5,15 +5,15 @@ from pathlib import Path
 
 import pytest
 
-from ca.enrollment.invitation import InvitationCode
-from ca.enrollment.join_claim import JoinClaim
-from ca.enrollment.join_messages import (
+from ca.enrollment.invitation import InvitationCode, JoinClaim, JoinRequest
+from ca.enrollment.join import (
     Hello,
     Issued,
     JoinAnswer,
     JoinMessage,
     NameAnswer,
     Named,
+    NodeJoin,
     Refused,
     RefuseReason,
     Waiting,
@@ -22,13 +22,11 @@ from ca.enrollment.join_messages import (
     read,
     write,
 )
-from ca.enrollment.join_node import NodeJoin
-from ca.enrollment.join_request import JoinRequest
 from ca.enrollment.messages import frame
 from ca.errors import RecordUnusable
-from rossec.enrollment import wire
-from rossec.enrollment.join_server import MAX_OF_INVITATION, Admit, JoinServer
-from rossec.net.halfopen import HalfOpen
+from rossec.enrollment import sessions
+from rossec.enrollment.join import MAX_OF_INVITATION, Admit, JoinServer
+from rossec.net.limits import HalfOpen
 from tests.support.joining import JoinSite, asked, fresh, issued
 from tests.support.pki import NOW
 
@@ -43,7 +41,7 @@ class Peer:
 
     async def next(self) -> JoinMessage:
         async with asyncio.timeout(20):
-            return read(await wire.receive(self.reader))
+            return read(await sessions.receive(self.reader))
 
     async def is_closed(self) -> bool:
         with suppress(ConnectionResetError):
@@ -52,14 +50,14 @@ class Peer:
         return True
 
     def says(self, message: bytes) -> None:
-        wire.send(self.writer, message)
+        sessions.send(self.writer, message)
 
     async def proves(self, code: InvitationCode, csr: bytes) -> None:
         """Up to the request, whose answer is not read."""
         core = NodeJoin(code, fresh())
         self.says(core.hello())
         async with asyncio.timeout(20):
-            core.receive(await wire.receive(self.reader), NOW)
+            core.receive(await sessions.receive(self.reader), NOW)
         self.says(core.join(csr))
 
 
@@ -193,7 +191,7 @@ async def test_the_decisions_of_one_invitation_are_bounded_and_the_others_wait(
 async def test_a_decision_that_takes_too_long(
     home: JoinSite, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rossec.enrollment.join_server.DECISION", 0.05)
+    monkeypatch.setattr("rossec.enrollment.join.DECISION", 0.05)
     server = JoinServer(home.identity, Gate().admit)
     async with home.serving(server), connected(server) as peer:
         await peer.proves(home.invite(), asked("/fleet/a"))
@@ -240,7 +238,7 @@ async def claimed(peer: Peer, code: InvitationCode, metadata: bytes = NODE) -> N
     core = NodeJoin(code, fresh())
     peer.says(core.hello())
     async with asyncio.timeout(20):
-        core.receive(await wire.receive(peer.reader), NOW)
+        core.receive(await sessions.receive(peer.reader), NOW)
     peer.says(core.claim(metadata))
     return core
 

@@ -5,9 +5,14 @@ from contextlib import asynccontextmanager, suppress
 import pytest
 
 from ca.enrollment import qr
-from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
 from ca.enrollment.messages import Abort, Fetch, Message, Reason, frame, read, write
-from ca.enrollment.node import NodeEnrollment, NodeState, Pending
+from ca.enrollment.sides import (
+    AuthorityEnrollment,
+    AuthorityState,
+    NodeEnrollment,
+    NodeState,
+    Pending,
+)
 from ca.errors import (
     ConflictingOffer,
     DigitsRefused,
@@ -15,8 +20,8 @@ from ca.errors import (
     EnrollmentLocked,
     EnrollmentOver,
 )
-from rossec.enrollment import wire
-from rossec.enrollment.node import WaitingNode
+from rossec.enrollment import sessions
+from rossec.enrollment.enroll import WaitingNode
 from tests.support.enrolling import WINDOW, Robot, fresh
 from tests.support.pki import NOW, Site
 
@@ -40,7 +45,7 @@ class Caller:
 
     async def read_until(self) -> Message:
         async with asyncio.timeout(20):
-            return read(await wire.receive(self.reader))
+            return read(await sessions.receive(self.reader))
 
     async def is_left(self) -> bool:
         with suppress(ConnectionResetError):
@@ -49,11 +54,11 @@ class Caller:
         return True
 
     def says(self, message: bytes) -> None:
-        wire.send(self.writer, message)
+        sessions.send(self.writer, message)
 
     async def answers(self, core: AuthorityEnrollment) -> None:
         async with asyncio.timeout(20):
-            core.receive(await wire.receive(self.reader), NOW)
+            core.receive(await sessions.receive(self.reader), NOW)
 
 
 class Stage:

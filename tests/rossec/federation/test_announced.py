@@ -4,10 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from rossec.discovery.announcement import Announcement, sign
-from rossec.discovery.candidates import Candidates, DatagramSource
-from rossec.federation import announced
-from rossec.federation.announced import AnnouncedMasters
+from rossec.discovery.announcement import Announcement, Candidates, DatagramSource, sign
+from rossec.federation import mesh
+from rossec.federation.mesh import AnnouncedMasters
 from rossec.federation.settings import SiteSettings
 from tests.support.site import Site
 
@@ -80,7 +79,7 @@ def test_one_that_is_not_heard_any_more_goes(
     masters = AnnouncedMasters(site.enroll("/master/hall"), candidates)
     hear("/master", 0)
     assert masters.sites()
-    monkeypatch.setattr(announced, "SILENT", 0.0)
+    monkeypatch.setattr(mesh, "SILENT", 0.0)
     assert masters.sites(), "its facts may stay"
-    monkeypatch.setattr(announced, "LOST_FOR", 0.0)
+    monkeypatch.setattr(mesh, "LOST_FOR", 0.0)
     assert masters.sites() == ()

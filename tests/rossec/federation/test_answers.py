@@ -3,8 +3,8 @@ from typing import Any
 import pytest
 
 from rossec.errors import AnswerMalformed
-from rossec.federation import answers
-from rossec.federation.answers import MAX_PARTS, SiteCursor
+from rossec.federation import site_state
+from rossec.federation.site_state import MAX_PARTS, SiteCursor
 
 NODE = ["node", "/robot", "http://robot:1/"]
 PUBLISHER = ["publisher", "/pose", "/robot"]
@@ -112,7 +112,7 @@ def test_an_answer_has_an_end() -> None:
 
 
 def test_the_facts_of_an_answer_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(answers, "MAX_GATHERED", 3)
+    monkeypatch.setattr(site_state, "MAX_GATHERED", 3)
     cursor = SiteCursor()
     assert cursor.take(answer(whole=True, more=True, added=[NODE, PUBLISHER])) is None
     with pytest.raises(AnswerMalformed, match="more than 3 facts"):
@@ -128,7 +128,7 @@ def test_parts_that_whole_makes_void_are_counted(monkeypatch: pytest.MonkeyPatch
         cursor.take(answer(whole=True, more=True, added=[NODE]))
     assert cursor.params == ("", 0)
     assert cursor.take(answer(whole=True, added=[NODE])) is not None
-    monkeypatch.setattr(answers, "MAX_GATHERED", 3)
+    monkeypatch.setattr(site_state, "MAX_GATHERED", 3)
     for _ in range(3):
         assert cursor.take(answer(whole=True, more=True, added=[NODE])) is None
     with pytest.raises(AnswerMalformed, match="more than 3 facts"):

@@ -3,9 +3,8 @@
 import pytest
 
 from rossec.errors import ImportRefused
-from rossec.federation.answers import SiteChange
-from rossec.federation.door_facts import DoorFacts
-from rossec.master.state.doors import NODE, SERVICE, Door, Target
+from rossec.federation.site_state import DoorFacts, SiteChange
+from rossec.master.state.forwarded_ports import NODE, SERVICE, Door, Target
 from rossec.master.state.imported_facts import FACTS_LIMIT, Fact
 
 ROBOT, CLOCK = Target("office", NODE, "/robot"), Target("office", SERVICE, "/clock")

@@ -3,11 +3,11 @@ from pathlib import Path
 
 import pytest
 
-from ca.revocation.state import digest
+from ca.revocation.lists import digest
 from rossec.errors import AnswerMalformed, AnswerRefused
 from rossec.federation import exchange
-from rossec.federation.own import OwnMaster
-from rossec.net.rpc.client import RpcClient
+from rossec.federation.exchange import OwnMaster
+from rossec.net.rpc.calls import RpcClient
 from rossec.ros.xmlrpc import Fault
 from tests.support.masters import Master, domain_list, masters
 from tests.support.site import Site

@@ -8,15 +8,14 @@ from typing import Any
 
 import pytest
 
-from ca.domains.lists import ForeignDomain, NameRights
+from ca.domains.trust import ForeignDomain, NameRights
 from grants.model import Right
 from rossec.errors import AnswerMalformed, SiteRefused
-from rossec.federation import foreign, mirroring
-from rossec.federation.foreign import APART
-from rossec.federation.own import OwnMaster
+from rossec.federation import exchange
+from rossec.federation.exchange import APART, OwnMaster
 from rossec.federation.settings import SiteSettings
 from rossec.master.server.effects import Effects
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from tests.support.masters import Master, domain_list, masters
 from tests.support.site import DAY, Site
 from tests.support.witness import until
@@ -97,7 +96,7 @@ async def test_only_what_is_taken_from_it_comes_and_another_list_counts_at_once(
 async def test_parameters_are_mirrored_as_far_as_they_are_taken(
     pair: list[Master], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mirroring, "EVERY", 0.1)
+    monkeypatch.setattr(exchange, "EVERY", 0.1)
     here, there = pair
     key = here.site.identity("/master").thumbprint
     for name in ("/rounds/speed", "/rounds/key"):
@@ -171,7 +170,7 @@ async def test_a_domain_that_is_removed_is_followed_no_longer(pair: list[Master]
 async def test_a_master_that_shows_nothing_is_asked_once_and_heard(
     pair: list[Master], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(foreign, "LONGEST_FOREIGN", 0.2)
+    monkeypatch.setattr(exchange, "LONGEST_FOREIGN", 0.2)
     here, there = pair
     await here.register("/rounds/robot3", "/rounds/pose", 4711)
     there.want()
@@ -218,7 +217,7 @@ async def test_who_is_refused_without_a_reason_is_told_what_to_ask(pair: list[Ma
 async def test_proofs_of_its_tree_are_fetched(
     pair: list[Master], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(foreign, "EVERY", 0.1)
+    monkeypatch.setattr(exchange, "EVERY", 0.1)
     monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
     here, there = pair
     here.follow(there.as_site("h", "h"))
@@ -251,14 +250,14 @@ async def test_an_answer_without_revocations_is_an_error(
     pair: list[Master], answer: object
 ) -> None:
     here, there = pair
-    peer, lists = there.site.identity("/master"), foreign.ForeignLists(own_of(here), "h")
+    peer, lists = there.site.identity("/master"), exchange.ForeignLists(own_of(here), "h")
     with pytest.raises(AnswerMalformed):
         await lists.greet(OtherMaster(answer), peer)
 
 
 async def test_nothing_is_asked_for_a_domain_that_is_not_listed(pair: list[Master]) -> None:
     here, there = pair
-    peer, lists = there.site.identity("/master"), foreign.ForeignLists(own_of(here), "clinic")
+    peer, lists = there.site.identity("/master"), exchange.ForeignLists(own_of(here), "clinic")
     with pytest.raises(SiteRefused, match="not a domain that is trusted"):
         await lists.keep_fresh(OtherMaster([b"", b""]), peer, b"")
 

@@ -6,13 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from rossec.federation.announced import AnnouncedMasters
-from rossec.federation.config import FederationConfig
 from rossec.federation.follower import FollowedSite
-from rossec.federation.settings import SiteSettings
-from rossec.federation.site_file import FILE, SiteFile
-from rossec.federation.start import mesh_of
-from rossec.master.state.doors import SILENCE, Report, Way
+from rossec.federation.mesh import AnnouncedMasters, mesh_of
+from rossec.federation.settings import FILE, FederationConfig, SiteFile, SiteSettings
+from rossec.master.state.forwarded_ports import SILENCE, Report, Way
 from tests.support.masters import Master, masters
 from tests.support.site import Site
 from tests.support.witness import until

@@ -1,7 +1,6 @@
 from pathlib import Path
 
-from rossec.federation.chains import Chains
-from rossec.federation.own import OwnMaster
+from rossec.federation.exchange import Chains, OwnMaster
 from tests.support.masters import masters
 from tests.support.site import Site
 

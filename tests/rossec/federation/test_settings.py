@@ -13,7 +13,7 @@ from rossec.federation.settings import (
     read_sites,
     write_sites,
 )
-from rossec.master.state.sites import Site
+from rossec.master.state.imported_facts import Site
 
 KITCHEN = SiteSettings("kitchen", "http://kitchen:11311/", "/master/kitchen")
 OFFICE = SiteSettings("office", "", "/master/office", via="ward")

@@ -7,12 +7,11 @@ from pathlib import Path
 import pytest
 
 from rossec.errors import IdentityRefused, RelayRefused, RossecError, SiteRefused
-from rossec.federation import via
-from rossec.federation.own import OwnMaster
+from rossec.federation import follower
+from rossec.federation.exchange import OwnMaster
+from rossec.federation.follower import SiteConnections, SiteDoors
 from rossec.federation.settings import SiteSettings
-from rossec.federation.site_connection import SiteConnections
-from rossec.federation.via import SiteDoors
-from rossec.master.state.doors import Door, Report, Target, Way
+from rossec.master.state.forwarded_ports import Door, Report, Target, Way
 from tests.support.masters import Master, masters
 from tests.support.relaying import StraightRelay, relayed
 from tests.support.site import Site
@@ -90,7 +89,7 @@ async def test_a_site_is_reached_at_its_door(
         with pytest.raises(RossecError):  # there is no such master
             async with dialled.connections(wrong).open():
                 pass
-    monkeypatch.setattr(via, "DOOR_WAIT", 0.05)
+    monkeypatch.setattr(follower, "DOOR_WAIT", 0.05)
     dialled.own.state.doors.expire(dialled.own.state.now() + 100)
     with pytest.raises(RelayRefused, match="no relay of this site knows"):
         async with dialled.connections(settings).open():

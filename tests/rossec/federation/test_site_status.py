@@ -1,8 +1,7 @@
 """What is told of a site."""
 
 from rossec.federation.settings import SiteSettings
-from rossec.federation.site_status import NAMED, site_status
-from rossec.federation.states import Event, SiteState
+from rossec.federation.site_state import NAMED, Event, SiteState, site_status
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import Registry
 

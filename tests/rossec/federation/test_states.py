@@ -1,7 +1,7 @@
 import pytest
 
 from rossec.errors import FederationError
-from rossec.federation.states import (
+from rossec.federation.site_state import (
     LONGEST_PAUSE,
     LOST_FOR,
     TABLE,

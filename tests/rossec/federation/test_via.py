@@ -9,14 +9,14 @@ from typing import Any
 
 import pytest
 
-from ca.domains.lists import ForeignDomain
+from ca.domains.trust import ForeignDomain
 from rossec.errors import RelayRefused
-from rossec.federation import via
-from rossec.federation.answers import SiteChange
+from rossec.federation import follower
+from rossec.federation.follower import SiteDoors
 from rossec.federation.settings import SiteSettings
-from rossec.federation.via import SiteDoors
-from rossec.master.state.doors import MASTER, NODE, Door, Doors, Report, Target, Way
-from rossec.ros.settings import is_door
+from rossec.federation.site_state import SiteChange
+from rossec.master.state.forwarded_ports import MASTER, NODE, Door, Doors, Report, Target, Way
+from rossec.ros.names import is_door
 from tests.support.masters import Master, domain_list, masters
 from tests.support.relaying import StraightRelay, relayed
 from tests.support.site import DAY, Site
@@ -93,7 +93,7 @@ async def test_a_relay_that_is_started_again_opens_other_doors(pair: Pair) -> No
 async def test_without_a_relay_it_is_said_what_is_missing(
     pair: Pair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(via, "DOOR_WAIT", 0.2)
+    monkeypatch.setattr(follower, "DOOR_WAIT", 0.2)
     pair.hall.follow(OFFICE)
     await until(lambda: pair.state["error"])
     assert pair.state["error"] == "no relay of this site knows a peer office"
@@ -199,7 +199,7 @@ async def test_the_masters_door_is_waited_for() -> None:
 
 
 async def test_a_relay_that_opens_no_door_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(via, "DOOR_WAIT", 0.01)
+    monkeypatch.setattr(follower, "DOOR_WAIT", 0.01)
     doorless = Doorless()
     doorless.report()
     with pytest.raises(RelayRefused, match="opens no door for /master/office of office"):
@@ -209,7 +209,7 @@ async def test_a_relay_that_opens_no_door_is_named(monkeypatch: pytest.MonkeyPat
 async def test_facts_are_shown_without_doors_that_do_not_come(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(via, "NODES_WAIT", 0.01)
+    monkeypatch.setattr(follower, "NODES_WAIT", 0.01)
     doorless = Doorless()
     doorless.report()
     shown = await doorless.site.take(SiteChange(FACTS, frozenset(), True, b"", b""))
@@ -224,7 +224,7 @@ async def test_facts_are_shown_without_doors_that_do_not_come(
 async def test_more_than_there_are_doors_is_said_once(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(via, "NODES_WAIT", 0.01)
+    monkeypatch.setattr(follower, "NODES_WAIT", 0.01)
     doorless = Doorless(limit=1)
     for _ in range(2):
         await doorless.site.take(SiteChange(FACTS, frozenset(), True, b"", b""))

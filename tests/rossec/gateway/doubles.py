@@ -5,13 +5,11 @@ from types import SimpleNamespace
 from typing import Any
 
 from rossec.errors import AnswerRefused
-from rossec.gateway.rules import TopicRule
-from rossec.gateway.selection import Candidate
-from rossec.node.publisher import Publisher
-from rossec.node.raw_publisher import RawPublisher
-from rossec.node.raw_subscriber import RawReceiver, RawSource
+from rossec.gateway.rules import Candidate, TopicRule
+from rossec.node.publisher import Publisher, RawPublisher
+from rossec.node.subscriber import RawReceiver, RawSource
 from rossec.participant.definitions import Definition
-from rossec.participant.wishes import NO_WISHES, Wishes
+from rossec.participant.delivery import NO_WISHES, Wishes
 
 STRING = Definition("std_msgs/String", "992ce8a1687cec8c8bd883ec73ca41d1", "string data\n")
 INT8 = Definition("std_msgs/Int8", "27ffa0c9c4b8fb8492252bcad9e5c57b", "int8 data\n")

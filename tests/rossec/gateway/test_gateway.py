@@ -12,12 +12,10 @@ from grants.model import Right
 from rossec.errors import AnswerRefused
 from rossec.gateway import gateway as module
 from rossec.gateway.gateway import Gateway, Obstacle, status
-from rossec.gateway.rules import rule
-from rossec.gateway.sources import TypeChanged
-from rossec.participant.graph_view import METHOD
-from rossec.participant.retry import Retry
-from rossec.participant.wire_names import possible_names
-from rossec.participant.wishes import Wishes
+from rossec.gateway.rules import TypeChanged, rule
+from rossec.participant.access import possible_names
+from rossec.participant.delivery import Wishes
+from rossec.participant.registrations import WATCH_GRAPH, Retry
 from tests.rossec.gateway.doubles import INT8, Topics, source
 from tests.support.witness import until
 
@@ -82,7 +80,7 @@ class Master:
     async def ask(self, method: str, _caller: str, *_: object) -> object:
         await asyncio.sleep(0)
         node = self.node
-        if method != METHOD:
+        if method != WATCH_GRAPH:
             return 0
         with contextlib.suppress(AssertionError):
             await until(lambda: self.told != node.version or node.out_of_reach, within=0.2)

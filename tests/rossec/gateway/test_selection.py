@@ -4,10 +4,9 @@ from collections.abc import Iterable, Iterator
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rossec.gateway.rules import TopicRule, rule
-from rossec.gateway.selection import BATCH, Candidate, Observed, chosen, observing
-from rossec.participant.graph_view import Fact
-from rossec.participant.wishes import Wishes
+from rossec.gateway.rules import BATCH, Candidate, Observed, TopicRule, chosen, observing, rule
+from rossec.participant.delivery import Wishes
+from rossec.participant.registrations import Fact
 
 RULES = (rule("ada", "/robot/**", Wishes()), rule("ben", "/**", Wishes(rate=1)))
 

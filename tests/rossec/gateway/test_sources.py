@@ -1,8 +1,8 @@
 import pytest
 
 from rossec.errors import ConnectionHeaderRefused
-from rossec.gateway.sources import Sources, TypeChanged, same_type
-from rossec.node.raw_subscriber import RawSource
+from rossec.gateway.rules import Sources, TypeChanged, same_type
+from rossec.node.subscriber import RawSource
 from rossec.participant.definitions import Definition
 
 MD5 = "992ce8a1687cec8c8bd883ec73ca41d1"

@@ -1,7 +1,7 @@
 import pytest
 
 from rossec.errors import GatewayError
-from rossec.gateway.states import (
+from rossec.gateway.rules import (
     FIRST_PAUSE,
     LINGER,
     LONGEST_PAUSE,

@@ -7,13 +7,11 @@ from collections.abc import AsyncIterator
 import pytest
 
 from rossec.errors import AnswerRefused, ConnectionHeaderRefused, NodeShutdown
-from rossec.gateway import states
-from rossec.gateway.selection import Candidate
-from rossec.gateway.sources import TypeChanged
-from rossec.gateway.states import Phase
-from rossec.gateway.topic import ServedTopic
-from rossec.node.raw_subscriber import RawSource
-from rossec.participant.wishes import Wishes
+from rossec.gateway import rules
+from rossec.gateway.gateway import ServedTopic
+from rossec.gateway.rules import Candidate, Phase, TypeChanged
+from rossec.node.subscriber import RawSource
+from rossec.participant.delivery import Wishes
 from tests.rossec.gateway.doubles import (
     INT8,
     STRING,
@@ -63,8 +61,8 @@ async def served(given: Candidate | None = None) -> AsyncIterator[Served]:
 
 @pytest.fixture(autouse=True)
 def brief(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(states, "LINGER", 0.2)
-    monkeypatch.setattr(states, "FIRST_PAUSE", 0.05)
+    monkeypatch.setattr(rules, "LINGER", 0.2)
+    monkeypatch.setattr(rules, "FIRST_PAUSE", 0.05)
 
 
 async def test_many_subscribers_here_are_one_at_the_origin() -> None:

@@ -3,7 +3,7 @@ import socket
 import pytest
 
 from rossec.errors import ConfigurationError
-from rossec.inprocess.addresses import bracketed, for_family, parse_rosrpc
+from rossec.inprocess.sockets import bracketed, for_family, parse_rosrpc
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from grants.model import Right
-from rossec.master.rights import list_in_force
+from rossec.master.rights import revocation_lists
 from rossec.master.state.registry import Kind
 from tests.rossec.participant.test_identity_renewal import BEGIN, LIFE, below
 from tests.support.blocked import BlockedNodes
@@ -86,7 +86,9 @@ async def test_connections_end_when_the_list_is_not_confirmed(
         publisher.publish(publisher.create(data="hello"))
         async with program(environment(site, tmp_path), HASTY) as listener:
             await listener.read_until("HEARD hello")
-            monkeypatch.setattr(list_in_force, "MAX_AGE", 1)  # of what the master says from now on
+            monkeypatch.setattr(
+                revocation_lists, "MAX_AGE", 1
+            )  # of what the master says from now on
             await robot._membership.session.call("rossec.updateRevocations", site.revoke(bytes(32)))
             await listener.read_until("UPDATED")
             assert site.master is not None

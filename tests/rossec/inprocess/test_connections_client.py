@@ -14,7 +14,7 @@ import pytest_asyncio
 from grants.model import Right
 from rossec.channel.opening import REFUSAL
 from rossec.participant.access import FIELD
-from rossec.ros import header
+from rossec.ros import tcpros
 from tests.support.attacker import HOST, call, credentials
 from tests.support.fleet import Program, entitle, environment, program
 from tests.support.lamp import BOOL, only, switch
@@ -64,15 +64,15 @@ class PlainService:
         caller.settimeout(10)
         length = caller.recv(4, socket.MSG_WAITALL)
         size = int.from_bytes(length, "little")
-        if size > header.HEADER_LIMIT:
-            caller.sendall(header.error_header("a plain node"))
+        if size > tcpros.HEADER_LIMIT:
+            caller.sendall(tcpros.error_header("a plain node"))
             return
         if not length:
             return
         self.headers.append(caller.recv(size, socket.MSG_WAITALL))
-        caller.sendall(header.encode({"callerid": "/plain", "md5sum": "*", "type": BOOL}))
+        caller.sendall(tcpros.encode({"callerid": "/plain", "md5sum": "*", "type": BOOL}))
         caller.recv(5, socket.MSG_WAITALL)
-        caller.sendall(b"\1" + header.frame(b"\1" + header.frame(b"in clear")))
+        caller.sendall(b"\1" + tcpros.frame(b"\1" + tcpros.frame(b"in clear")))
 
     def close(self) -> None:
         self.server.shutdown(socket.SHUT_RDWR)
@@ -157,7 +157,7 @@ def answer_to_plain(porter: Program, topic: str) -> bytes:
     fields = {"topic": topic, "md5sum": "*", "type": "*", "callerid": "/x"}
     with socket.create_connection((HOST, port)) as caller:
         caller.settimeout(20)
-        caller.sendall(header.encode(fields))
+        caller.sendall(tcpros.encode(fields))
         return caller.recv(1 << 16)
 
 

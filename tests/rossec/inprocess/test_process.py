@@ -9,16 +9,15 @@ from typing import Any
 import pytest
 
 from ca.certificates import Identity
-from ca.revocation.state import Timestamp, digest, open_list, sign_timestamp
+from ca.revocation.lists import Timestamp, digest, open_list, sign_timestamp
 from grants.decision import Decision
 from grants.model import Right
 from rossec.errors import ChannelClosed, ConfigurationError, PlainPeer
-from rossec.inprocess.allow_plain import PlainPeers
 from rossec.inprocess.identity import LocalIdentity
-from rossec.inprocess.process import RosConnection, SecuredProcess
-from rossec.inprocess.reporting import Reporter
+from rossec.inprocess.options import PlainPeers
+from rossec.inprocess.process import Reporter, RosConnection, SecuredProcess
 from rossec.participant.authorized import AuthorizedConnection
-from rossec.ros.settings import parse_uri
+from rossec.ros.names import parse_uri
 from tests.support.ports import free_port
 from tests.support.site import Site
 from tests.support.witness import until

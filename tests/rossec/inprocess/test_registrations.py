@@ -2,8 +2,8 @@ import time
 
 import pytest
 
-from rossec.inprocess.registrations import Registrations
-from rossec.participant.publisher_grace import GRACE
+from rossec.inprocess.process import Registrations
+from rossec.participant.registrations import GRACE
 
 ME = "/robot"
 SUBSCRIBE = ("registerSubscriber", (ME, "/t", "std_msgs/String", "http://me/"))

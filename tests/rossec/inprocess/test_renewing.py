@@ -3,8 +3,7 @@
 from typing import Any
 
 from rossec.channel.negotiation import GrantsPresented
-from rossec.inprocess.identity import LocalIdentity
-from rossec.inprocess.renewing import Renewing
+from rossec.inprocess.identity import LocalIdentity, Renewing
 from rossec.inprocess.sockets import RosSocket
 from tests.rossec.inprocess.socket_pair import connected
 

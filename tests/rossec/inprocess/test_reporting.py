@@ -4,7 +4,7 @@ import threading
 import pytest
 
 from rossec.errors import ConfigurationError
-from rossec.inprocess.reporting import LogBridge, Reporter
+from rossec.inprocess.process import LogBridge, Reporter
 from tests.rossec.net.test_forks import in_child
 
 
@@ -29,7 +29,7 @@ def test_a_failure_after_a_success_is_logged_again() -> None:
 
 
 def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rossec.inprocess.reporting.REMEMBERED", 2)
+    monkeypatch.setattr("rossec.inprocess.process.REMEMBERED", 2)
     written: list[str] = []
     reporter = Reporter(written.append)
     for text in ("a", "b", "c", "a"):

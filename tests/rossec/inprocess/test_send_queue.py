@@ -11,7 +11,7 @@ from tests.support.witness import until
 
 pytestmark = pytest.mark.ros
 
-send_queue = pytest.importorskip("rossec.inprocess.send_queue")
+send_queue = pytest.importorskip("rossec.inprocess.publishing")
 exceptions = pytest.importorskip("rospy.exceptions")
 
 

@@ -5,8 +5,7 @@ import contextlib
 from rossec.errors import ChannelError
 from rossec.inprocess.identity import LocalIdentity
 from rossec.inprocess.sockets import RosSocket
-from rossec.ros.framing import Framing
-from rossec.ros.header import FrameReader
+from rossec.ros.tcpros import FrameReader, Framing
 from tests.rossec.inprocess.socket_pair import connected
 from tests.support.secure_sockets import background
 

@@ -6,17 +6,16 @@ from typing import Any
 
 import pytest
 
-from rossec.net.bounds import UNSENT
-from rossec.participant import deflating
-from rossec.participant.deflating import LARGE, deflated
-from rossec.participant.wishes import NO_WISHES, Wishes
+from rossec.net.limits import UNSENT
+from rossec.participant import delivery
+from rossec.participant.delivery import LARGE, NO_WISHES, Wishes, deflated
 from tests.support.rosconnection import transport
 from tests.support.witness import until
 
 pytestmark = pytest.mark.ros
 
-send_queue = pytest.importorskip("rossec.inprocess.send_queue")
-wish_queue = pytest.importorskip("rossec.inprocess.wish_queue")
+send_queue = pytest.importorskip("rossec.inprocess.publishing")
+wish_queue = pytest.importorskip("rossec.inprocess.publishing")
 
 
 def connection(wishes: Wishes) -> Any:
@@ -92,7 +91,7 @@ async def test_a_message_is_deflated_once_for_all(
         calls.append(pieces)
         return deflated(pieces)
 
-    monkeypatch.setattr(deflating, "deflated", count)
+    monkeypatch.setattr(delivery, "deflated", count)
     many = [connection(Wishes(deflate=True)) for _ in range(3)]
     queues = [wish_queue.queue_for(made, 10) for made in many]
     for made in many:

@@ -6,11 +6,10 @@ from threading import Lock, Thread
 import pytest
 
 from rossec.errors import XmlRpcRefused
-from rossec.inprocess.xmlrpc_server import _load, in_steps
-from rossec.net.bounds import UNSHOWN_BODY
-from rossec.ros.callclient import CallClient
-from rossec.ros.callserver import CallServer
-from rossec.ros.httpread import Oversized
+from rossec.inprocess.xmlrpc_calls import _load, in_steps
+from rossec.net.limits import UNSHOWN_BODY
+from rossec.ros.calls import CallClient, CallServer
+from rossec.ros.http import Oversized
 
 
 def steps(seen: list[str], name: str) -> Generator[None, None, str]:

@@ -4,17 +4,15 @@ from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
+from grants.decision import Reach
 from grants.errors import GrantError, GrantMissing
 from grants.model import Permission, Right
-from grants.reach import Reach
-from rossec.master.api.dispatch import MasterApi
-from rossec.master.api.methods import MasterEvent
-from rossec.master.api.multicall import MULTICALL, Multicall
-from rossec.master.api.turns import CallOutcome, TurnExpired, Work, advance
+from rossec.master.api.dispatch import MULTICALL, MasterApi, Multicall
+from rossec.master.api.methods import CallOutcome, MasterEvent, TurnExpired, Work, advance
 from rossec.master.rights.caller import Caller, Peer
-from rossec.master.rights.held_lists import HeldLists, ListStanding
-from rossec.master.rights.identity_renewals import RenewalAnswer
-from rossec.master.rights.presented_grants import Presented, Renewed
+from rossec.master.rights.held_grants import Presented, Renewed
+from rossec.master.rights.renewals import RenewalAnswer
+from rossec.master.rights.revocation_lists import HeldLists, ListStanding
 from rossec.master.rights.statements import TrustState
 
 ALL = Right(255)

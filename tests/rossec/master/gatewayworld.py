@@ -3,7 +3,7 @@
 from typing import Any
 
 from grants.model import Right
-from rossec.master.state.sites import Site
+from rossec.master.state.imported_facts import Site
 from tests.rossec.master.visiting import VisitWorld
 from tests.rossec.master.world import SlaveNode, T, until
 

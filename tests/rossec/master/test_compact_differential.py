@@ -21,10 +21,8 @@ from rossec.master.api.methods import MasterEvent
 from rossec.master.rights.access_rules import RULES
 from rossec.master.rights.caller import Caller
 from rossec.master.state.registry import Registry
-from rossec.net.rpc.client import RpcClient
-from rossec.ros.callclient import CallClient, value_in
-from rossec.ros.callserver import CallServer
-from rossec.ros.methodnumbers import METHODS
+from rossec.net.rpc.calls import RpcClient
+from rossec.ros.calls import METHODS, CallClient, CallServer, value_in
 from rossec.ros.names import SETTLE_RENEWALS, WATCH_RENEWALS
 from rossec.ros.xmlrpc import Fault
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything

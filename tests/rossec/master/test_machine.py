@@ -19,11 +19,10 @@ from grants.model import Right
 from grants.token import unpack
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.rights.caller import VISIBILITY_RIGHTS
-from rossec.master.rights.delegation import Delegate
-from rossec.master.rights.enforce import enforce, steps
-from rossec.master.rights.statements import TrustState
+from rossec.master.rights.renewals import Delegate
+from rossec.master.rights.statements import TrustState, enforce, enforcement_steps
 from rossec.master.state.registry import Kind, NodeRef, PublishersChanged, Registry, ShutdownNode
-from rossec.participant.graph_view import GraphView
+from rossec.participant.registrations import GraphView
 from tests.rossec.master.fakes import call_api
 from tests.support.authority import EnrolledNode, Site
 
@@ -263,7 +262,7 @@ class Master(RuleBasedStateMachine):
         """A list arrives and is enforced, as the server does at once and every ten seconds."""
         self.site.now = self.now
         self.trust.update(self.site.revoke(*self.revoked, lifetime=1000 * HOUR), self.now)
-        for step in steps(self.registry):
+        for step in enforcement_steps(self.registry):
             for event in enforce(self.registry, self.trust, step, self.now):
                 assert isinstance(event, PublishersChanged)
                 assert not self.who(event.subscribers) & self.dead

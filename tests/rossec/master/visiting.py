@@ -4,11 +4,11 @@ from contextlib import AsyncExitStack
 from itertools import count
 from typing import Any, Final
 
-from ca.domains.lists import DomainList, ForeignDomain, sign_domains
-from ca.keys.publickey import to_coordinates
-from ca.revocation.state import Timestamp, digest, open_list, sign_timestamp
+from ca.domains.trust import DomainList, ForeignDomain, sign_domains
+from ca.keys.signing import to_coordinates
+from ca.revocation.lists import Timestamp, digest, open_list, sign_timestamp
 from grants.model import Right
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from tests.rossec.master.world import SlaveNode, World
 from tests.support.authority import DAY, EnrolledNode, Site
 

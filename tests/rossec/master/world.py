@@ -10,12 +10,12 @@ import pytest
 from ca.certificates import Identity
 from grants.model import Right
 from rossec.errors import RossecError
-from rossec.master.api.turns import Turns
+from rossec.master.api.methods import Turns
 from rossec.master.rights.statements import TrustState
 from rossec.master.server.server import MasterServer
 from rossec.net.aio import SecureStream, WireProtocol, connect, serve
-from rossec.net.rpc.client import RpcClient, serve_calls
-from rossec.ros.settings import parse_uri
+from rossec.net.rpc.calls import RpcClient, serve_calls
+from rossec.ros.names import parse_uri
 from tests.support.authority import EnrolledNode, Site
 from tests.support.contexts import unlimited
 

@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree
 
-from rossec.namespace.launch_edit import NamedNode, NameOf, apply, edits, named
-from rossec.namespace.launch_scan import scan
-from rossec.naming.metadata import Kind
+from rossec.namespace.launch_file import NamedNode, NameOf, apply, edits, named, scan
+from rossec.naming.requests import Kind
 
 FIGURES: Final = Path(__file__).parent / "launch"
 NS: Final = 'xmlns:ns="urn:schemas-tum-de:vmi:ns"'

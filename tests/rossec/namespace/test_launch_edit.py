@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rossec.errors import MetadataRefused, NameUndefined
-from rossec.naming.metadata import Kind
+from rossec.naming.requests import Kind
 from tests.rossec.namespace.launch_texts import launch, node, simple, topic, transform
 
 WORDS = st.text("abcdefghij", min_size=1, max_size=8)

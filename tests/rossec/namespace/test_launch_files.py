@@ -3,9 +3,9 @@ from pathlib import Path
 import pytest
 
 from rossec import files
+from rossec.cli.namespace import names
+from rossec.cli.namespace.names import MAX_FILES, read
 from rossec.errors import ConfigurationError, MetadataRefused, NotWritten
-from rossec.namespace import launch_files
-from rossec.namespace.launch_files import MAX_FILES, read
 from tests.rossec.namespace.launch_texts import launch, node, simple, topic
 
 
@@ -151,6 +151,6 @@ def test_not_too_many_files(source: Path) -> None:
 
 
 def test_the_limit_is_that_of_metadata(source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(launch_files, "MAX_INPUT", 10)
+    monkeypatch.setattr(names, "MAX_INPUT", 10)
     with pytest.raises(ConfigurationError, match="10"):
         read(source, source.with_name("out.launch"), simple)

@@ -1,8 +1,8 @@
 import pytest
 
 from rossec.errors import MetadataRefused
-from rossec.namespace.launch_scan import MAX_DEPTH, scan
-from rossec.naming.metadata import Kind
+from rossec.namespace.launch_file import MAX_DEPTH, scan
+from rossec.naming.requests import Kind
 from tests.rossec.namespace.launch_texts import FIGURES, NS, launch, node, topic
 
 FIGURE = (FIGURES / "phones.launch").read_bytes()

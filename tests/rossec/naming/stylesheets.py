@@ -1,11 +1,10 @@
 """Rules for tests."""
 
-from rossec.naming import shipped
-from rossec.naming.frames import NameRequest
-from rossec.naming.metadata import Kind
+from rossec.naming import rule_runner
+from rossec.naming.requests import Kind, NameRequest
 
-RULES = shipped.rules()
-PHONE = shipped.example("phone.xml")
+RULES = rule_runner.shipped_rules()
+PHONE = rule_runner.shipped_example("phone.xml")
 NODE = (Kind.NODE, "")
 
 

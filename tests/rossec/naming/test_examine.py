@@ -5,11 +5,10 @@ import sys
 import pytest
 
 from rossec.errors import RulesNotConfined
-from rossec.naming import frames
-from rossec.naming.child_process import RuleProcess
+from rossec.naming import requests
 from rossec.naming.examine import Covered, Finding, Report, examine
-from rossec.naming.metadata import Kind
-from rossec.naming.runner import RuleRunner
+from rossec.naming.requests import Kind
+from rossec.naming.rule_runner import RuleProcess, RuleRunner
 from tests.rossec.naming.stylesheets import PHONE, RULES, gives, sheet
 
 LAMP = b"""<node>
@@ -73,7 +72,7 @@ async def test_where_no_rules_can_be_applied_nothing_is_reported() -> None:
 
 
 def unconfined() -> RuleProcess:
-    said = frames.frame(frames.write_error(RulesNotConfined("no seccomp")))
+    said = requests.frame(requests.write_error(RulesNotConfined("no seccomp")))
     return RuleProcess.start([sys.executable, "-I", "-c", f"import os; os.write(1, {said!r})"])
 
 

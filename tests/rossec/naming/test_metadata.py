@@ -3,12 +3,12 @@
 import pytest
 
 from rossec.errors import MetadataRefused
-from rossec.naming import shipped
-from rossec.naming.metadata import MAX_ENTRIES, Entry, Kind, Metadata, check_query, read
+from rossec.naming import rule_runner
+from rossec.naming.requests import MAX_ENTRIES, Entry, Kind, Metadata, check_query, read
 
 
 def test_the_metadata_of_the_thesis_are_read() -> None:
-    assert read(shipped.example("phone.xml")) == Metadata(
+    assert read(rule_runner.shipped_example("phone.xml")) == Metadata(
         "schneider", "htc_desire", "smartphones",
         (
             Entry(Kind.TOPIC, "accelerometer", "sensor", None, mobile=True),
@@ -31,7 +31,7 @@ def test_everything_may_be_missing_and_others_may_stand_beside() -> None:
 
 
 def test_a_name_can_be_asked_for_the_node_and_everything_it_has() -> None:
-    assert list(read(shipped.example("phone.xml")).queries()) == [
+    assert list(read(rule_runner.shipped_example("phone.xml")).queries()) == [
         (Kind.NODE, ""), (Kind.TOPIC, "accelerometer"), (Kind.TOPIC, "temperature"),
     ]  # fmt: skip
 

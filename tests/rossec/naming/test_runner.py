@@ -18,11 +18,9 @@ from rossec.errors import (
     RulesNotConfined,
     RulesRefused,
 )
-from rossec.naming import frames, runner
-from rossec.naming.child_process import RuleProcess
-from rossec.naming.documents import MAX_INPUT
-from rossec.naming.metadata import Kind
-from rossec.naming.runner import RuleRunner, require_extra
+from rossec.naming import requests, rule_runner
+from rossec.naming.requests import MAX_INPUT, Kind
+from rossec.naming.rule_runner import RuleProcess, RuleRunner, require_extra
 from tests.rossec.naming.stylesheets import NODE, PHONE, RULES, gives, sheet
 from tests.support.witness import until
 
@@ -209,7 +207,7 @@ async def test_a_request_that_ends_after_the_runner_ends_its_process() -> None:
 
 
 async def test_a_process_that_is_not_confined_gives_no_names() -> None:
-    text = f"import os; os.write(1, {frames.frame(encode([5, 'no seccomp', '']))!r})"
+    text = f"import os; os.write(1, {requests.frame(encode([5, 'no seccomp', '']))!r})"
     with pytest.raises(RulesNotConfined, match="no seccomp"):
         async with RuleRunner(RULES, start=lambda: program(text)):
             pass
@@ -217,7 +215,7 @@ async def test_a_process_that_is_not_confined_gives_no_names() -> None:
 
 async def test_a_process_that_was_taken_over_gives_no_other_names_than_rules() -> None:
     """It may lie about a name; it cannot make one that is none, or a reserved one."""
-    said = [frames.READY, encode([0, []]), encode([0, [[0, "/master"]]])]
+    said = [requests.READY, encode([0, []]), encode([0, [[0, "/master"]]])]
     text = (
         "import os\n"
         f"for said in {said!r}:\n"
@@ -234,4 +232,4 @@ def test_without_the_library_it_says_what_to_install() -> None:
     with pytest.raises(NamesExtraMissing, match="need lxml2, which is not") as caught:
         require_extra("lxml2")
     assert caught.value.hint == "install the extra: pip install 'rossec[names]'"
-    assert runner.LIBRARY == "lxml"
+    assert rule_runner.LIBRARY == "lxml"

@@ -7,10 +7,9 @@ from hypothesis import strategies as st
 
 from ca.names import check_name
 from rossec.errors import RossecError
-from rossec.naming import frames
-from rossec.naming.metadata import Kind
-from rossec.naming.proposed import RESERVED
-from rossec.naming.runner import RuleRunner
+from rossec.naming import requests
+from rossec.naming.requests import RESERVED, Kind
+from rossec.naming.rule_runner import RuleRunner
 from tests.rossec.naming.stylesheets import NODE, RULES
 
 TEXT = st.text(st.characters(codec="utf-8"), max_size=20)
@@ -30,7 +29,7 @@ def written(fields: list[tuple[str, str]], topics: list[tuple[str, str, str]]) -
     return f"<node>{text}</node>".encode()
 
 
-async def results(rules: RuleRunner, document: bytes, names: list[str]) -> list[frames.Result]:
+async def results(rules: RuleRunner, document: bytes, names: list[str]) -> list[requests.Result]:
     try:
         return await rules.names(document, [NODE, *((Kind.TOPIC, name) for name in names)])
     except RossecError as error:

@@ -4,15 +4,15 @@ import pytest
 from lxml import etree
 
 from rossec.errors import RulesRefused
-from rossec.naming import shipped
-from rossec.naming.scan import scan
+from rossec.naming import rule_runner
+from rossec.naming.xslt import scan
 from tests.rossec.naming.stylesheets import gives, sheet
 
 EXSLT = 'xmlns:x="http://exslt.org/{}"'
 
 
 def test_the_shipped_rules_pass() -> None:
-    scan(etree.fromstring(shipped.rules()))
+    scan(etree.fromstring(rule_runner.shipped_rules()))
 
 
 @pytest.mark.parametrize(

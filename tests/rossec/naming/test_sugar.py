@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from lxml import etree
 
 from rossec.errors import RulesRefused
-from rossec.naming.sugar import XSLT, expand
+from rossec.naming.xslt import XSLT, expand
 from tests.rossec.naming.stylesheets import sheet
 
 

@@ -11,21 +11,22 @@ from rossec.errors import (
     RulesExceeded,
     RulesRefused,
 )
-from rossec.naming import frames, shipped, xslt
-from rossec.naming.frames import NameRequest
-from rossec.naming.metadata import Kind
+from rossec.naming import requests, rule_runner, xslt
+from rossec.naming.requests import Kind, NameRequest
 from tests.rossec.naming.stylesheets import NODE, PHONE, RULES, gives, request, sheet
 
 
-def only(asked: NameRequest) -> frames.Result:
+def only(asked: NameRequest) -> requests.Result:
     """The one result of a request; what refuses all of it is raised."""
-    (result,) = frames.read_names(xslt.answer(asked), 1)
+    (result,) = requests.read_names(xslt.answer(asked), 1)
     return result
 
 
-def names(document: bytes, *queries: tuple[Kind, str], rules: bytes = RULES) -> list[frames.Result]:
+def names(
+    document: bytes, *queries: tuple[Kind, str], rules: bytes = RULES
+) -> list[requests.Result]:
     body = xslt.answer(NameRequest(rules, document, queries))
-    return frames.read_names(body, len(queries))
+    return requests.read_names(body, len(queries))
 
 
 def test_the_names_of_the_thesis() -> None:
@@ -128,9 +129,9 @@ def test_metadata_that_are_none_are_refused(document: bytes) -> None:
 
 
 def test_rules_alone_are_compiled() -> None:
-    assert frames.read_names(xslt.answer(NameRequest(RULES, b"")), 0) == []
+    assert requests.read_names(xslt.answer(NameRequest(RULES, b"")), 0) == []
     with pytest.raises(RulesRefused):
-        frames.read_names(xslt.answer(NameRequest(b"<a/>", b"")), 0)
+        requests.read_names(xslt.answer(NameRequest(b"<a/>", b"")), 0)
 
 
 def test_no_memory_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -169,4 +170,6 @@ def test_nothing_is_opened_even_by_rules_that_were_not_scanned(
 
 
 def test_the_shipped_example_is_the_print() -> None:
-    assert shipped.example("phone.xml").startswith(b'<?xml version="1.0" encoding="ISO-8859-1"?>')
+    assert rule_runner.shipped_example("phone.xml").startswith(
+        b'<?xml version="1.0" encoding="ISO-8859-1"?>'
+    )

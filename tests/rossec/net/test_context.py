@@ -13,8 +13,8 @@ from rossec.channel.edhoc.suites import POST_QUANTUM
 from rossec.channel.negotiation import Authenticated
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HandshakeFailed, IdentityRefused, LimitExceeded, PlainPeer
-from rossec.net.bounds import ACCEPTED, DIALLED, PREAUTH_LIMIT
 from rossec.net.context import SecureContext
+from rossec.net.limits import ACCEPTED, DIALLED, PREAUTH_LIMIT
 from tests.support.wire import ALICE, BOB, NOW, FakeIdentity, Wire, node, peers, trust, wire
 
 Context = SecureContext[FakeIdentity]

@@ -9,7 +9,7 @@ import pytest
 
 from rossec.errors import ChannelClosed
 from rossec.net.aio import connect, serve
-from rossec.net.forks import forget_in_children
+from rossec.net.context import forget_in_children
 from tests.support.contexts import context
 from tests.support.listener import SecureListener
 from tests.support.secure_sockets import dial, make_listener, pair

@@ -4,7 +4,7 @@ import gc
 from collections.abc import Sequence
 
 from rossec.channel.edhoc.credentials import Credentials, LiveCredentials
-from rossec.net.open_streams import OpenStreams
+from rossec.net.context import OpenStreams
 from tests.support.contexts import context
 from tests.support.wire import ALICE, renewed, renews
 

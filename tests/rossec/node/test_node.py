@@ -17,7 +17,7 @@ from rossec.errors import (
     RossecError,
 )
 from rossec.node import Node
-from rossec.participant.master_session import MasterSession
+from rossec.participant.membership import MasterSession
 from tests.support.poses import POSE, first, pose, tell_master
 from tests.support.site import DAY, HOUR, Site
 from tests.support.witness import until

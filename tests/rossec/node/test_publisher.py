@@ -9,12 +9,11 @@ import pytest
 from grants.errors import MessageRefused
 from grants.filters import layout
 from rossec.errors import ChannelClosed, ConfigurationError, NodeShutdown
-from rossec.node.publisher import Publisher
-from rossec.node.wish_queue import WishQueue
-from rossec.participant.limit_memory import memory_scope
+from rossec.node.publisher import Publisher, WishQueue
+from rossec.participant.authorized import memory_scope
+from rossec.participant.delivery import Wishes
+from rossec.participant.handshakes import TopicEndpoint
 from rossec.participant.message_types import message_type
-from rossec.participant.topic_handshake import TopicEndpoint
-from rossec.participant.wishes import Wishes
 
 STRING = message_type("std_msgs/String")
 

@@ -9,8 +9,9 @@ from grants.errors import DefinitionRefused
 from grants.model import Restriction, Right, filter_rules
 from grants.token import peek
 from rossec.errors import ConfigurationError, NodeShutdown
-from rossec.node import Node, Subscriber, raw_publisher
-from rossec.node.raw_publisher import RawPublisher
+from rossec.node import Node, Subscriber
+from rossec.node import publisher as publisher_module
+from rossec.node.publisher import RawPublisher
 from rossec.participant.definitions import Definition, from_header
 from rossec.participant.message_types import message_type
 from tests.support.site import Site
@@ -100,7 +101,7 @@ async def test_a_right_that_ends_while_a_handshake_waits_is_worth_nothing(site: 
 async def test_a_handshake_does_not_wait_for_ever(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(raw_publisher, "PATIENCE", 0.05)
+    monkeypatch.setattr(publisher_module, "PATIENCE", 0.05)
     site.publish("/box", "/said")
     site.subscribe("/viewer", "/said")
     async with site.node("/box") as box, site.node("/viewer") as viewer:

@@ -7,7 +7,7 @@ import pytest
 
 from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ConnectionHeaderRefused
-from rossec.node.raw_subscriber import RawSource, claimed
+from rossec.node.subscriber import RawSource, claimed
 from rossec.participant.definitions import Definition
 from rossec.participant.message_types import message_type
 from tests.support.site import Site

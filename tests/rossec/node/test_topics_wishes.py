@@ -7,11 +7,11 @@ import pytest
 
 from grants.model import Restriction, filter_rules
 from rossec.errors import ConfigurationError, ConnectionHeaderRefused
-from rossec.node import Node, Publisher, listener
+from rossec.node import Node, Publisher, node
 from rossec.node import subscriber as subscribing
-from rossec.node.wish_queue import WishQueue
-from rossec.participant import topic_handshake
-from rossec.participant.wishes import NO_WISHES, Wishes
+from rossec.node.publisher import WishQueue
+from rossec.participant import handshakes
+from rossec.participant.delivery import NO_WISHES, Wishes
 from tests.support.site import Site
 from tests.support.witness import until
 
@@ -86,7 +86,7 @@ async def test_a_rate_is_kept_by_the_publisher(site: Site) -> None:
 
 
 async def test_an_older_publisher_ignores_them(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(listener, "requested_wishes", lambda _: NO_WISHES)
+    monkeypatch.setattr(node, "requested_wishes", lambda _: NO_WISHES)
     robot, viewer = prepare(site)
     async with robot, viewer:
         publisher = await publishing(robot)
@@ -101,7 +101,7 @@ async def test_an_older_publisher_ignores_them(site: Site, monkeypatch: pytest.M
 async def test_a_publisher_that_does_what_was_not_asked_is_refused(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(listener, "requested_wishes", lambda _: Wishes(deflate=True))
+    monkeypatch.setattr(node, "requested_wishes", lambda _: Wishes(deflate=True))
     robot, viewer = prepare(site)
     async with robot, viewer:
         await publishing(robot)
@@ -112,7 +112,7 @@ async def test_a_publisher_that_does_what_was_not_asked_is_refused(
 
 
 async def test_a_malformed_wish_is_refused(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
-    written = topic_handshake.subscriber_header
+    written = handshakes.subscriber_header
 
     def forged(*arguments: Any) -> dict[str, bytes]:
         return {**written(*arguments), "rossec_rate": b"1e9"}

@@ -10,12 +10,10 @@ from typing import Any
 import pytest
 
 from rossec.errors import ChannelClosed
-from rossec.node import wish_queue
-from rossec.node.subscriber_queue import Pieces
-from rossec.node.wish_queue import WishQueue
-from rossec.participant import deflating
-from rossec.participant.deflating import LARGE, SharedDeflation, deflated
-from rossec.participant.wishes import Wishes
+from rossec.node import publisher
+from rossec.node.publisher import Pieces, WishQueue
+from rossec.participant import delivery
+from rossec.participant.delivery import LARGE, SharedDeflation, Wishes, deflated
 from tests.support.witness import until
 
 
@@ -62,7 +60,7 @@ def framed(content: bytes) -> bytes:
 
 async def test_the_rate_takes_messages_away(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 0.0
-    monkeypatch.setattr(wish_queue, "monotonic", lambda: now)
+    monkeypatch.setattr(publisher, "monotonic", lambda: now)
     stream = Stream()
     async with running(stream, Wishes(1.0), size=100) as queue:
         for number in range(100):
@@ -116,7 +114,7 @@ async def test_a_message_that_is_replaced_is_never_deflated(
         seen.append(b"".join(pieces))
         return deflated(pieces)
 
-    monkeypatch.setattr(deflating, "deflated", count)
+    monkeypatch.setattr(delivery, "deflated", count)
     stream = Stream()
     stream.line.clear()
     async with running(stream, Wishes(newest=True, deflate=True)) as queue:

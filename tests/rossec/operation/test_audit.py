@@ -10,15 +10,16 @@ from pathlib import Path
 import pytest
 
 from rossec.errors import ConfigurationError
-from rossec.operation.audit import (
+from rossec.host.audit import (
+    FIRST,
     LEFT_OUT,
     AuditFile,
     Entry,
+    check_beginning,
     read_entries,
     verify,
     with_hash,
 )
-from rossec.operation.audit_mark import FIRST, check_beginning
 from tests.support.pki import new_signer
 
 

@@ -2,10 +2,9 @@
 
 import pytest
 
-from ca.keys.publickey import thumbprint
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner, thumbprint
 from rossec.errors import ConfigurationError
-from rossec.operation.audit_mark import FIRST, Entry, check_beginning, mark
+from rossec.host.audit import FIRST, Entry, check_beginning, mark
 from tests.support.pki import new_signer
 
 BEFORE = "ab" * 32

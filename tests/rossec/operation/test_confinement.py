@@ -9,15 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from rossec.operation import landlock
-from rossec.operation.confinement import confine_files, confine_processes
+from rossec.host import sandbox
+from rossec.host.confinement import confine_files, confine_processes
 
 # A confined process can write no file, so it records no coverage.
 UNMEASURED = {key: value for key, value in os.environ.items() if not key.startswith("COVERAGE")}
 
 CONFINED = """
 import os, sys, threading
-from rossec.operation.confinement import confine_processes
+from rossec.host.confinement import confine_processes
 if os.getuid() == 0:
     os.setuid(65534)
 executor = confine_processes()
@@ -60,7 +60,7 @@ def test_a_kernel_that_cannot_confine_files_is_reported(
     def refuse(_: object) -> None:
         raise OSError("no Landlock")
 
-    monkeypatch.setattr(landlock, "read_only", refuse)
+    monkeypatch.setattr(sandbox, "read_only", refuse)
     confine_files([tmp_path])
     assert "can read the files of its user: no Landlock" in caplog.text
 
@@ -68,7 +68,7 @@ def test_a_kernel_that_cannot_confine_files_is_reported(
 FILES = """
 import sys
 from pathlib import Path
-from rossec.operation.confinement import confine_files
+from rossec.host.confinement import confine_files
 own = Path(sys.argv[1])
 confine_files([own])
 assert (own / "node.key").read_bytes()

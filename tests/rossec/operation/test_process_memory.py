@@ -9,7 +9,7 @@ import pytest
 
 PROGRAM = """
 import ctypes, os, resource, subprocess, sys
-from rossec.operation.process_memory import is_protected, protect_memory
+from rossec.host.sandbox import is_protected, protect_memory
 assert not is_protected()
 protect_memory()
 assert is_protected()
@@ -44,7 +44,7 @@ def test_protection_is_for_the_whole_process() -> None:
 
 
 def test_a_kernel_that_refuses_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    from rossec.operation import process_memory
+    from rossec.host import sandbox as process_memory
 
     class Refusing:
         def prctl(self, *_: int) -> int:

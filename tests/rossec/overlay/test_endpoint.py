@@ -17,20 +17,25 @@ from rossec.errors import (
     PeerRefused,
 )
 from rossec.net.aio import serve
-from rossec.net.halfopen import HalfOpen, HalfOpenCount
+from rossec.net.limits import HalfOpen, HalfOpenCount
 from rossec.overlay import endpoint as endpoint_module
-from rossec.overlay.endpoint import OPENS_PER_SECOND, LinkListener, dial_link
+from rossec.overlay.endpoint import (
+    OPENS_PER_SECOND,
+    LinkListener,
+    dial_link,
+    idle_round_trip,
+    stats_of,
+)
 from rossec.overlay.link_frames import (
     HEAD,
     OPEN_SIZE,
     Kind,
     head,
+    is_mailbox,
     kind_of,
     return_address,
     split_return_address,
 )
-from rossec.overlay.link_transport import idle_round_trip, stats_of
-from rossec.overlay.mailboxes import is_mailbox
 from tests.support.contexts import context
 from tests.support.frame_carriers import MemoryCarrier
 from tests.support.overlay import carrier, router, until

@@ -3,10 +3,9 @@
 import pytest
 
 from rossec.errors import LinkEnded
-from rossec.overlay.link import Link
+from rossec.overlay.link import Link, LinkState
 from rossec.overlay.link_frames import HEAD, OPEN_SIZE, Kind
-from rossec.overlay.link_states import LinkState
-from rossec.overlay.link_timing import KEEPALIVE, SILENCE
+from rossec.overlay.link_halves import KEEPALIVE, SILENCE
 from tests.support.linknet import ID, REPLY, LinkNetwork, opened
 
 

@@ -4,10 +4,9 @@ import pytest
 
 from rossec.errors import LinkEnded
 from rossec.overlay import link_frames
-from rossec.overlay.link import Link
+from rossec.overlay.link import Link, LinkState
 from rossec.overlay.link_frames import Kind
-from rossec.overlay.link_states import LinkState
-from rossec.overlay.link_timing import LINGER, SILENCE
+from rossec.overlay.link_halves import LINGER, SILENCE
 from tests.support.linknet import ID, REPLY, frame, opened
 
 

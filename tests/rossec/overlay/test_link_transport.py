@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from rossec.overlay import link_transport as link_transport_module
+from rossec.overlay import endpoint as link_transport_module
+from rossec.overlay.endpoint import LinkTransport
 from rossec.overlay.link import Link
 from rossec.overlay.link_frames import Kind, kind_of
-from rossec.overlay.link_transport import LinkTransport
 from tests.support.frame_carriers import MemoryCarrier
 from tests.support.overlay import until
 

@@ -8,7 +8,7 @@ from rossec.errors import LinkEnded
 from rossec.overlay import link_frames
 from rossec.overlay.link import AMPLIFICATION, Link
 from rossec.overlay.link_frames import HEAD, OPEN_SIZE, Kind, refusal
-from rossec.overlay.link_timing import KEEPALIVE, SILENCE
+from rossec.overlay.link_halves import KEEPALIVE, SILENCE
 from tests.support.linknet import REPLY, LinkNetwork, frame, opened
 
 

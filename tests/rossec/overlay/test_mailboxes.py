@@ -2,7 +2,7 @@
 
 import pytest
 
-from rossec.overlay.mailboxes import is_mailbox, is_seat, mailbox
+from rossec.overlay.link_frames import is_mailbox, is_seat, mailbox
 
 BOX = bytes(range(16))
 KEY = "rossec/1/home/000102030405060708090a0b0c0d0e0f"

@@ -8,13 +8,13 @@ import pytest
 
 from ca.certificates import Identity
 from rossec.errors import RelayRefused, StreamRefused
-from rossec.master.state.doors import Door, Target, Way
+from rossec.host.runner import TaskSet
+from rossec.master.state.forwarded_ports import Door, Target, Way
 from rossec.master.state.registry import NodeRef
 from rossec.net.aio import SecureStream, WireProtocol, connect
-from rossec.net.aio.tasks import TaskSet
-from rossec.net.rpc import client as rpc_client
-from rossec.overlay import master_link
-from rossec.overlay.master_link import MasterLink
+from rossec.net.rpc import calls as rpc_client
+from rossec.overlay import masters
+from rossec.overlay.masters import MasterLink
 from rossec.ros.xmlrpc import Fault
 from tests.rossec.master.world import World, until
 from tests.support.contexts import unlimited
@@ -188,7 +188,7 @@ async def test_a_master_that_knows_no_relays_is_reported(
         raise Fault(1, f'method "{method}" is not supported')
 
     monkeypatch.setattr(rpc_client.RpcClient, "ask", unknown)
-    monkeypatch.setattr(master_link, "OLD_MASTER", 0.01)
+    monkeypatch.setattr(masters, "OLD_MASTER", 0.01)
     tasks.spawn(relay.link.run(), "link")
     await until(lambda: "it is older than this relay, update it" in relay.link.error)
     await until(lambda: relay.dialled > 1)

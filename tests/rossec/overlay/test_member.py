@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from ca.certificates import Identity
-from ca.domains.anchors import Anchors
+from ca.domains.trust import Anchors
 from ca.errors import CAError, NotAdmitted, RevocationsStale, Revoked
 from rossec.errors import ChannelClosed, ConfigurationError
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect, serve
-from rossec.overlay.member import RelayMember
+from rossec.overlay.masters import RelayMember
 from tests.support.relayedsites import RelayedSite, Wires, tell
 from tests.support.witness import until
 

@@ -3,36 +3,34 @@
 import pytest
 
 from rossec.errors import StreamRefused
+from rossec.overlay.mux import FIRST as WINDOW
 from rossec.overlay.mux import (
     FOR_ONE_NAME,
     LAST_STREAM,
+    MAX_DATA,
+    MOST,
+    NODE,
+    SERVICE,
     STREAMS,
     YOUNG,
     YOUNG_SECONDS,
-    Mux,
-    Opened,
-    Refused,
-    Role,
-)
-from rossec.overlay.mux_units import (
-    MAX_DATA,
-    NODE,
-    SERVICE,
     Credit,
     Data,
     End,
+    Mux,
+    Opened,
+    Refused,
     Reset,
-    Target,
+    Role,
+    StreamTarget,
     credit_unit,
     data_head,
     end_unit,
     open_unit,
     reset_unit,
 )
-from rossec.overlay.stream_window import FIRST as WINDOW
-from rossec.overlay.stream_window import MOST
 
-ROBOT = Target(NODE, "/robot")
+ROBOT = StreamTarget(NODE, "/robot")
 
 
 def pair() -> tuple[Mux, Mux]:
@@ -57,7 +55,7 @@ def fill(called: Mux, count: int, now: float = 0.0, first: int = 0) -> list[obje
     return [
         event
         for number in range(first, first + count)
-        for event in called.receive(open_unit(number, Target(NODE, f"/n{number}")), now)
+        for event in called.receive(open_unit(number, StreamTarget(NODE, f"/n{number}")), now)
     ]
 
 
@@ -167,7 +165,7 @@ def test_only_the_caller_opens() -> None:
 def test_new_streams_are_few_until_they_grow_old_or_end() -> None:
     called = Mux(Role.CALLED)
     assert all(isinstance(event, Opened) for event in fill(called, YOUNG))
-    refused = Target(NODE, f"/n{YOUNG}")
+    refused = StreamTarget(NODE, f"/n{YOUNG}")
     assert fill(called, 1, first=YOUNG) == [Refused(YOUNG, refused, reset_unit(YOUNG))]
     assert YOUNG not in called
     called.connected(3)
@@ -210,7 +208,7 @@ def test_a_stream_whose_target_answered_twice_is_not_new() -> None:
 def test_the_caller_waits_longer_than_the_other_side_counts() -> None:
     caller, _ = pair()
     for number in range(YOUNG):
-        caller.open(Target(NODE, f"/n{number}"), 0)
+        caller.open(StreamTarget(NODE, f"/n{number}"), 0)
     assert caller.crowded(ROBOT, YOUNG_SECONDS + 0.1) == "32 streams are new"
     with pytest.raises(StreamRefused, match=f"{YOUNG} streams are new"):
         caller.open(ROBOT, YOUNG_SECONDS + 0.1)
@@ -227,10 +225,10 @@ def test_streams_are_bounded_and_those_to_one_name() -> None:
     with pytest.raises(StreamRefused, match=f"{FOR_ONE_NAME} streams to it"):
         caller.open(ROBOT, now)
     for number in range(STREAMS - FOR_ONE_NAME):
-        caller.open(Target(SERVICE, f"/s{number}"), now)
+        caller.open(StreamTarget(SERVICE, f"/s{number}"), now)
         now += 1
     with pytest.raises(StreamRefused, match=f"{STREAMS} streams are open"):
-        caller.open(Target(SERVICE, "/other"), now)
+        caller.open(StreamTarget(SERVICE, "/other"), now)
     caller.reset(0)
     assert caller.crowded(ROBOT, now + 100) == ""
 

@@ -10,11 +10,9 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from rossec.overlay.mux import Mux, Opened, Refused, Role
-from rossec.overlay.mux_units import MAX_DATA, NODE, Data, Target
-from rossec.overlay.stream_window import MOST
+from rossec.overlay.mux import MAX_DATA, MOST, NODE, Data, Mux, Opened, Refused, Role, StreamTarget
 
-ROBOT = Target(NODE, "/robot")
+ROBOT = StreamTarget(NODE, "/robot")
 
 
 class BothSides(RuleBasedStateMachine):

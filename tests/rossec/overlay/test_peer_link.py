@@ -11,10 +11,9 @@ import pytest
 from ca.certificates import Identity
 from rossec.errors import ChannelError, HandshakeTimeout, PeerUnreachable, RelayRefused
 from rossec.net.aio import SecureStream, WireProtocol, connect, serve
-from rossec.overlay.mux import Role
-from rossec.overlay.mux_units import NODE, Target
-from rossec.overlay.peer_link import IDLE_FOR, LinkState, PeerLink
-from rossec.overlay.peers import Peer
+from rossec.overlay.documents import Peer
+from rossec.overlay.mux import NODE, Role, StreamTarget
+from rossec.overlay.relay import IDLE_FOR, LinkState, PeerLink
 from rossec.overlay.streams import Streams
 from tests.support.contexts import context
 from tests.support.relays import echo, program, to_port
@@ -22,7 +21,7 @@ from tests.support.wire import ALICE, BOB
 from tests.support.witness import until
 
 PEER = Peer("office", "0" * 32, "office", "/relay", "rossec/1/office/" + "a" * 32)
-ROBOT = Target(NODE, "/robot")
+ROBOT = StreamTarget(NODE, "/robot")
 
 
 class FarRelay:

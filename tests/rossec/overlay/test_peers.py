@@ -8,7 +8,14 @@ import pytest
 
 from ca.certificates import Identity
 from rossec.errors import ConfigurationError, RelayRefused
-from rossec.overlay.peers import MAX_FILE, MAX_PEERS, Peer, checked_peers, read_peers, write_peers
+from rossec.overlay.documents import (
+    MAX_PEERS,
+    MAX_PEERS_FILE,
+    Peer,
+    checked_peers,
+    read_peers,
+    write_peers,
+)
 from tests.support.domains import Pair, SomeNode
 
 KEY = "rossec/1/office/" + "a" * 32
@@ -49,7 +56,7 @@ def test_another_file_is_refused(data: bytes) -> None:
     with pytest.raises(ConfigurationError, match=r"^overlay\.json: th"):
         read_peers(data, "overlay.json")
     with pytest.raises(ConfigurationError, match="at most 65536 bytes"):
-        read_peers(b" " * (MAX_FILE + 1), "overlay.json")
+        read_peers(b" " * (MAX_PEERS_FILE + 1), "overlay.json")
     with pytest.raises(ConfigurationError, match="not a list of peers"):
         read_peers(b'{"rossec-overlay": 1, "peers": {}}', "overlay.json")
     with pytest.raises(ConfigurationError, match="not JSON"):

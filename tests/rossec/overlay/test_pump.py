@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator
 import pytest
 
 from rossec.errors import StreamRefused
-from rossec.overlay.pump import Pump
+from rossec.overlay.streams import Pump
 from tests.support.relays import tcp_pair
 
 

@@ -11,7 +11,7 @@ from grants.model import Right
 from rossec.errors import ChannelError
 from rossec.federation.settings import SiteSettings
 from rossec.net.aio import SecureStream, WireProtocol
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from tests.support.relayedsites import RelayedSite, tell, two_sites
 from tests.support.trust import accept, share
 from tests.support.witness import until

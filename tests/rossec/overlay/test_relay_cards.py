@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from rossec.errors import RelayRefused
-from rossec.overlay.relay_cards import MAX_CARD, RelayCard
+from rossec.overlay.documents import MAX_CARD, RelayCard
 
 KEY = "rossec/1/office/" + "a" * 32
 CARD = RelayCard("office.example", "/relay", KEY)

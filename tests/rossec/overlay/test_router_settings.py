@@ -7,11 +7,11 @@ from rossec.errors import ConfigurationError
 from rossec.overlay.router_settings import (
     RouterFiles,
     RouterSettings,
+    Seats,
     is_wildcard,
     nested,
     zenoh_settings,
 )
-from rossec.overlay.seats import Seats
 
 FILES = RouterFiles(Path("/r/users"), Path("/r/a.pem"), Path("/r/key"), Path("/r/cert"))
 SEATS = Seats("r" * 43).add("home", "h" * 43)

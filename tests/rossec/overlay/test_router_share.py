@@ -4,9 +4,8 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from rossec.errors import ConfigurationError
-from rossec.overlay.router_share import Share
-from rossec.overlay.router_tls import RouterAuthority, key_pem
-from rossec.overlay.seats import Seats
+from rossec.overlay.router_settings import Seats
+from rossec.overlay.router_tls import RouterAuthority, Share, key_pem
 from tests.support.pki import NOW
 
 

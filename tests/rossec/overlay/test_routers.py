@@ -4,14 +4,14 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from rossec.errors import ConfigurationError
-from rossec.overlay.router_tls import RouterAuthority
-from rossec.overlay.routers import (
+from rossec.overlay.documents import (
     Routers,
     check_locator,
     check_password,
     check_seat,
     is_encrypted,
 )
+from rossec.overlay.router_tls import RouterAuthority
 from tests.support.pki import NOW
 
 PASSWORD = "A" * 43

@@ -3,7 +3,7 @@ import json
 import pytest
 
 from rossec.errors import ConfigurationError
-from rossec.overlay.seats import MAX_SEATS, ROUTER_USER, Seats, open_access_control
+from rossec.overlay.router_settings import MAX_SEATS, ROUTER_USER, Seats, open_access_control
 
 ROUTER = "r" * 43
 HOME = "h" * 43

@@ -5,8 +5,8 @@ import time
 
 import pytest
 
-from rossec.overlay import send_queue as send_queue_module
-from rossec.overlay.send_queue import MOST_WAITING, SendQueue
+from rossec.overlay import zenoh_carrier as send_queue_module
+from rossec.overlay.zenoh_carrier import MOST_WAITING, SendQueue
 
 
 class Uplink:

@@ -10,17 +10,9 @@ import pytest
 
 from rossec.errors import ChannelError, LinkCrowded, StreamRefused
 from rossec.overlay import streams as module
-from rossec.overlay.mux import YOUNG, Role
-from rossec.overlay.mux_units import (
-    SERVICE,
-    Target,
-    data_head,
-    end_unit,
-    open_unit,
-)
-from rossec.overlay.pump import Pump
-from rossec.overlay.stream_window import FIRST as WINDOW
-from rossec.overlay.streams import Streams
+from rossec.overlay.mux import FIRST as WINDOW
+from rossec.overlay.mux import SERVICE, YOUNG, Role, StreamTarget, data_head, end_unit, open_unit
+from rossec.overlay.streams import Pump, Streams
 from tests.support.relays import (
     ROBOT,
     Ends,
@@ -87,7 +79,7 @@ async def test_a_reset_is_passed_on_as_a_reset() -> None:
 async def test_a_target_that_cannot_be_reached_resets_the_connection(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    async def refuse(target: Target, _: Pump) -> socket.socket:
+    async def refuse(target: StreamTarget, _: Pump) -> socket.socket:
         raise ConnectionRefusedError(f"nobody is at {target}")
 
     async with linked(refuse) as link, carried(link.caller) as (reader, writer):
@@ -104,13 +96,13 @@ async def test_a_crash_of_the_called_side_ends_its_stream_alone(
     async with program(echo) as port:
         reach = to_port(port)
 
-        async def dial(target: Target, pump: Pump) -> socket.socket:
+        async def dial(target: StreamTarget, pump: Pump) -> socket.socket:
             if target.kind == SERVICE:
                 raise ZeroDivisionError
             return await reach(target, pump)
 
         async with linked(dial) as link, carried(link.caller) as one:
-            async with carried(link.caller, Target(SERVICE, "/sum")) as (reader, _):
+            async with carried(link.caller, StreamTarget(SERVICE, "/sum")) as (reader, _):
                 with pytest.raises(ConnectionResetError):
                     await reader.read()
             assert await ask(one, b"still here") == b"still here"
@@ -122,7 +114,7 @@ async def test_what_comes_before_the_target_is_connected_is_kept() -> None:
     async with program(echo) as port:
         reach = to_port(port)
 
-        async def slowly(target: Target, pump: Pump) -> socket.socket:
+        async def slowly(target: StreamTarget, pump: Pump) -> socket.socket:
             assert await pump.first_bytes(lambda first: first[:5] if len(first) > 4 else None)
             await go.wait()
             return await reach(target, pump)

@@ -10,9 +10,17 @@ import pytest
 from rossec.channel.records import Bytes
 from rossec.errors import ChannelError, ConnectionTruncated
 from rossec.overlay import streams as module
-from rossec.overlay.mux import Role
-from rossec.overlay.mux_units import MAX_DATA, Credit, Data, Unit, data_head, read_units
-from rossec.overlay.stream_window import FIRST, MOST
+from rossec.overlay.mux import (
+    FIRST,
+    MAX_DATA,
+    MOST,
+    Credit,
+    Data,
+    Role,
+    Unit,
+    data_head,
+    read_units,
+)
 from rossec.overlay.streams import Streams
 from tests.support.relays import ROBOT, tcp_pair
 

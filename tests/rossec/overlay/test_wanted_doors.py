@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from rossec.errors import AnswerMalformed
-from rossec.master.state.doors import MAX_DOORS, Door, Target
-from rossec.overlay.wanted_doors import REPORTED_AT_ONCE, Orders, WantedDoors
+from rossec.master.state.forwarded_ports import MAX_DOORS, Door, Target
+from rossec.overlay.wanted_ports import REPORTED_AT_ONCE, Orders, WantedDoors
 
 ROBOT, ARM = Target("office", "node", "/robot"), Target("office", "node", "/arm")
 AT = Door("127.0.0.1", 7001)

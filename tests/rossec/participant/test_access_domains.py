@@ -2,11 +2,11 @@
 
 import pytest
 
-from ca.domains.anchors import Anchors
-from ca.domains.standing import Standing
+from ca.domains.trust import Anchors
 from ca.encoding import Value, encode
 from ca.errors import NameRefused, NotAdmitted, RevocationsStale, Revoked
-from ca.keys.publickey import thumbprint
+from ca.keys.signing import thumbprint
+from ca.revocation.trust_status import Standing
 from grants.decision import Decision
 from grants.errors import GrantError, GrantForged, GrantMissing, GrantNotHeld, GrantRevoked
 from grants.model import Right

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from ca.domains.standing import Standing
-from ca.revocation.state import Revocations, Timestamp, digest
+from ca.revocation.lists import Timestamp, digest
+from ca.revocation.trust_status import Revocations, Standing
 from rossec.clock import Clock
 from rossec.participant.authorized import STALE_GRACE, AuthorizedConnection
 from tests.support.domains import alone

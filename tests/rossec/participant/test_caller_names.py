@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from rossec.master.state.parameters import Parameters, search_candidates
-from rossec.participant.caller_names import (
+from rossec.participant.registrations import (
     not_found,
     resolve_params,
     search_places,

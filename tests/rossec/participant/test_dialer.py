@@ -14,10 +14,9 @@ from rossec.errors import (
     IdentityRefused,
 )
 from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, serve
-from rossec.net.aio.accepted import Handler
-from rossec.net.rpc.client import RpcClient, serve_calls
-from rossec.participant.dialer import Dialer
-from rossec.participant.own_addresses import OwnAddresses
+from rossec.net.aio.server import Handler
+from rossec.net.rpc.calls import RpcClient, serve_calls
+from rossec.participant.connections import Dialer, OwnAddresses
 from rossec.ros.xmlrpc import Fault
 from tests.support.doors import door
 from tests.support.site import Site

@@ -5,16 +5,16 @@ from typing import Any
 
 import pytest
 
-from ca.domains.standing import Standing
 from ca.errors import DomainsRefused, NotAdmitted, RevocationsStale, Revoked, RollbackRefused
-from ca.revocation.state import digest
+from ca.revocation.lists import digest
+from ca.revocation.trust_status import Standing
 from rossec.clock import Clock
 from rossec.errors import AnswerMalformed, AnswerRefused, RossecError
 from rossec.home import NodeHome
-from rossec.participant.domain_updates import DomainUpdates
+from rossec.participant.master_updates import DomainUpdates
 from rossec.ros.names import DOMAINS, FOREIGN_PROOFS, FOREIGN_REVOCATIONS, UPDATE_DOMAINS
 from rossec.ros.xmlrpc import Fault
-from rossec.saved_domains import DomainFiles
+from rossec.saved_statements import DomainFiles
 from tests.support.domains import Pair, SomeNode, domains, foreign, revoked, revoked_tree
 from tests.support.pki import NOW
 

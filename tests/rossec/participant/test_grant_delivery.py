@@ -14,18 +14,18 @@ from grants import document
 from grants.model import Draft, Permission, Right
 from rossec.errors import AnswerMalformed, AnswerRefused, RossecError
 from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, connect, serve
-from rossec.net.rpc.client import serve_calls
-from rossec.participant import grant_delivery as module
+from rossec.net.rpc.calls import serve_calls
+from rossec.participant import master_updates as module
 from rossec.participant.access import Access
-from rossec.participant.grant_delivery import (
+from rossec.participant.master_updates import (
     FETCH,
     MAX_ANSWERS,
     MAX_KNOWN,
     WATCH,
     GrantDelivery,
+    GrantDirectory,
     GrantWatch,
 )
-from rossec.participant.grant_directory import GrantDirectory
 from rossec.participant.membership import LoadedIdentity
 from rossec.ros.names import MASTER
 from rossec.ros.xmlrpc import Fault

@@ -8,24 +8,18 @@ from typing import Any
 import pytest
 
 from ca.errors import RevocationRefused, RevocationsStale, Revoked
-from ca.keys.signer import KeySigner
-from ca.revocation.state import (
-    RevocationList,
-    Revocations,
-    Timestamp,
-    digest,
-    sign_list,
-    sign_timestamp,
-)
+from ca.keys.signing import KeySigner
+from ca.revocation.lists import RevocationList, Timestamp, digest, sign_list, sign_timestamp
+from ca.revocation.trust_status import Revocations
 from grants.errors import GrantError, GrantMissing
 from grants.model import Right
 from grants.renewal import MIN_TICKET, Delegation, sign_delegation
 from rossec.errors import AnswerMalformed
-from rossec.master.rights.delegation import Delegate
+from rossec.master.rights.renewals import Delegate
 from rossec.participant.access import Access
-from rossec.participant.grant_renewal import (
-    MAX_PER_CALL,
-    RETRY,
+from rossec.participant.renewals import (
+    GRANT_RETRY,
+    MAX_GRANTS_PER_CALL,
     MasterCall,
     Renewals,
     due_at,
@@ -108,8 +102,8 @@ def test_a_grant_is_due_at_about_two_thirds_of_its_lifetime(world: World) -> Non
     assert 0.55 * HOUR <= due_at(held) - world.now <= 0.77 * HOUR
     assert world.renewals.due(due_at(held) - 1) == []
     assert world.renewals.due(due_at(held)) == [held]
-    assert world.renewals.due(due_at(held) + RETRY - 1) == []
-    assert world.renewals.due(due_at(held) + RETRY) == [held]
+    assert world.renewals.due(due_at(held) + GRANT_RETRY - 1) == []
+    assert world.renewals.due(due_at(held) + GRANT_RETRY) == [held]
 
 
 def test_a_refused_grant_is_requested_again_before_it_expires(world: World) -> None:
@@ -121,8 +115,8 @@ def test_a_refused_grant_is_requested_again_before_it_expires(world: World) -> N
     assert len(asked) >= 4
     assert max(late - early for early, late in pairwise(asked)) <= 7
     assert world.renewals.due(world.now + 60) == [held]  # expired: the longest pause
-    assert world.renewals.due(world.now + 60 + RETRY - 1) == []
-    assert world.renewals.due(world.now + 60 + RETRY) == [held]
+    assert world.renewals.due(world.now + 60 + GRANT_RETRY - 1) == []
+    assert world.renewals.due(world.now + 60 + GRANT_RETRY) == [held]
 
 
 async def test_with_tickets_of_a_minute_a_node_always_holds_a_valid_one(world: World) -> None:
@@ -162,15 +156,15 @@ async def test_a_new_epoch_makes_all_renewed_grants_due(world: World) -> None:
     world.revocations.update(data, world.now + HOUR)
     world.revocations.confirm(stamp, world.now + HOUR)
     assert await renew(world.answer, world.renewals, world.now + HOUR + 2) == 1
-    assert world.renewals.due(world.now + HOUR + 3 * RETRY) == []
+    assert world.renewals.due(world.now + HOUR + 3 * GRANT_RETRY) == []
 
 
 def test_a_call_renews_a_limited_number_of_grants_the_first_to_expire_first(world: World) -> None:
-    for n in range(MAX_PER_CALL + 1):
+    for n in range(MAX_GRANTS_PER_CALL + 1):
         world.hold(lifetime=HOUR + n)
     due = world.renewals.due(world.now + 2 * HOUR)
     assert [held.grant.expires - world.now for held in due] == [
-        HOUR + n for n in range(MAX_PER_CALL)
+        HOUR + n for n in range(MAX_GRANTS_PER_CALL)
     ]
     assert len(world.renewals.due(world.now + 2 * HOUR)) == 1
 
@@ -185,7 +179,7 @@ async def test_an_expired_grant_is_renewed(world: World) -> None:
     assert token != data
     [held] = world.access.held_grants()
     assert (held.original, held.since) == (data, now)
-    assert await renew(world.answer, world.renewals, now + RETRY) == 0
+    assert await renew(world.answer, world.renewals, now + GRANT_RETRY) == 0
     decision = world.access.authorize(
         world.node.identity,
         world.access.present(Right.PUBLISH, "/t", now),

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from rossec.errors import AnswerMalformed
-from rossec.participant.graph_view import GraphView
+from rossec.participant.registrations import GraphView
 
 A, B = ["publisher", "/t", "/a"], ["publisher", "/t", "/b"]
 

@@ -11,7 +11,7 @@ import pytest
 
 from ca.certificates import Identity
 from ca.errors import CAError, RevocationsStale
-from ca.revocation.state import Timestamp, digest, open_list, sign_timestamp
+from ca.revocation.lists import Timestamp, digest, open_list, sign_timestamp
 from grants.model import Right
 from rossec import clock
 from rossec.errors import AnswerRefused, ConfigurationError, RossecError
@@ -19,11 +19,10 @@ from rossec.home import NodeHome
 from rossec.net.aio import SecureStream
 from rossec.net.context import SecureContext
 from rossec.participant.access import Access
-from rossec.participant.dialer import Dialer
+from rossec.participant.connections import Dialer
 from rossec.participant.membership import LoadedIdentity, Membership
-from rossec.participant.publisher_grace import PublisherGrace
-from rossec.ros.names import MASTER
-from rossec.ros.settings import parse_uri
+from rossec.participant.registrations import PublisherGrace
+from rossec.ros.names import MASTER, parse_uri
 from rossec.ros.xmlrpc import Fault
 from tests.rossec.participant.test_identity_renewal import BEGIN, LIFE, below
 from tests.support.site import DAY, HOUR, Site

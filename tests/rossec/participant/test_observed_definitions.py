@@ -14,11 +14,11 @@ from rossec.participant.definitions import (
     Definition,
     definition_fields,
     forwarded_definition,
+    guard_for,
     receiver_definition,
     sender_definition,
 )
 from rossec.participant.message_types import message_type
-from rossec.participant.topic_guard import guard_for
 
 OBSERVED: Final = Path(__file__).parents[2] / "vectors" / "observed"
 STAMPED: Final = message_type("geometry_msgs/PoseStamped")

@@ -7,7 +7,7 @@ import pytest
 
 from rossec import clock
 from rossec.clock import Clock
-from rossec.participant.publisher_grace import GRACE, PublisherGrace
+from rossec.participant.registrations import GRACE, PublisherGrace
 from tests.support.site import Site
 
 A, B, C = "http://a/", "http://b/", "http://c/"

@@ -14,9 +14,8 @@ from rossec import clock
 from rossec.channel.negotiation import GrantsPresented, IdentityRenewed, RenewalRefused
 from rossec.clock import Clock
 from rossec.errors import ConnectionHeaderRefused, IdentityRefused
-from rossec.participant import renewed_grants
-from rossec.participant.authorized import AuthorizedConnection
-from rossec.participant.renewed_grants import PACE, RenewedGrants
+from rossec.participant import authorized
+from rossec.participant.authorized import PACE, AuthorizedConnection, RenewedGrants
 
 NOW = 1_800_000_000
 
@@ -209,7 +208,7 @@ def test_one_key_is_not_judged_for_ever(grants: RenewedGrants, access: Access) -
 def test_budgets_that_are_full_again_are_forgotten(
     grants: RenewedGrants, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(renewed_grants, "_PEERS", 4)
+    monkeypatch.setattr(authorized, "_PEERS", 4)
     now = [NOW]
     monkeypatch.setattr(clock, "now", lambda: now[0])
     for number in range(20):

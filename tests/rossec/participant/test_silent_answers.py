@@ -2,7 +2,7 @@
 
 import pytest
 
-from rossec.participant.silent_answers import nothing_shown, shows_nothing, unheard_refusal
+from rossec.participant.registrations import nothing_shown, shows_nothing, unheard_refusal
 
 ILLEGAL = [-1, "ERROR: parameter [key] contains illegal chars", 0]
 

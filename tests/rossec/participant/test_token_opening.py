@@ -7,8 +7,7 @@ import pytest
 
 from ca.encoding import encode
 from ca.errors import Revoked
-from ca.keys.publickey import thumbprint, to_coordinates
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner, thumbprint, to_coordinates
 from grants.document import grant_id
 from grants.errors import (
     GrantError,
@@ -21,8 +20,8 @@ from grants.errors import (
 from grants.model import Grant, Right
 from grants.renewal import Delegation, Ticket, sign_delegation, sign_ticket
 from grants.token import pack
-from rossec.participant import token_opening
-from rossec.participant.token_opening import TokenOpener
+from rossec.participant import access
+from rossec.participant.access import TokenOpener
 from tests.support.domains import Pair, SomeNode, domains, foreign, grant
 from tests.support.pki import DAY, NOW, Site
 
@@ -121,7 +120,7 @@ def test_an_entry_is_checked_on_each_list_that_counts(pair: Pair) -> None:
 def test_a_token_is_verified_once_and_few_are_remembered(
     pair: Pair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(token_opening, "CACHE_SIZE", 2)
+    monkeypatch.setattr(access, "CACHE_SIZE", 2)
     opener, peer = TokenOpener(pair.standing), pair.own_master.identity
     opened: list[bytes] = []
     verify = opener.open

@@ -8,9 +8,8 @@ import pytest
 from grants.errors import RestrictionMismatch
 from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ConnectionHeaderRefused
-from rossec.participant.definitions import Definition
-from rossec.participant.limit_memory import memory_scope
-from rossec.participant.topic_guard import guard_for
+from rossec.participant.authorized import memory_scope
+from rossec.participant.definitions import Definition, guard_for
 from tests.rossec.sidecar.agent_setup import AgentSetup
 from tests.support.site import Site
 

@@ -4,7 +4,7 @@ import pytest
 
 from rossec.errors import MessageError
 from rossec.node import message_type, service_type
-from rossec.participant.type_packages import unknown_type, what_to_install
+from rossec.participant.definitions import unknown_type, what_to_install
 
 KNOWN = ["geometry_msgs/Pose", "geometry_msgs/PoseStamped", "sensor_msgs/LaserScan"]
 

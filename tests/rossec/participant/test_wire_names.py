@@ -5,12 +5,7 @@ import pytest
 from ca.certificates import Identity
 from ca.errors import NameRefused
 from ca.names import MAX_NAME
-from rossec.participant.wire_names import (
-    granted_name,
-    is_own_gateway,
-    possible_names,
-    wire_name,
-)
+from rossec.participant.access import granted_name, is_own_gateway, possible_names, wire_name
 from tests.support.pki import NOW, Site
 
 ALIAS, ORIGIN, SERVED = "/remote/hospital/ward/pose", "/ward/pose", "/gateway/hospital/ward/pose"

@@ -8,7 +8,7 @@ import pytest
 
 from grants.model import Restriction, filter_rules
 from rossec.errors import ConfigurationError, ConnectionHeaderRefused
-from rossec.participant.wishes import (
+from rossec.participant.delivery import (
     NO_WISHES,
     Wishes,
     carried_out,
@@ -16,7 +16,7 @@ from rossec.participant.wishes import (
     taken_wishes,
     without_wishes,
 )
-from rossec.ros import header
+from rossec.ros import tcpros
 
 ALL = Wishes(2.5, newest=True, deflate=True)
 FIELDS = {"rossec_rate": b"2.500", "rossec_newest": b"1", "rossec_deflate": b"1"}
@@ -24,7 +24,7 @@ FIELDS = {"rossec_rate": b"2.500", "rossec_newest": b"1", "rossec_deflate": b"1"
 
 def test_a_header_says_them_and_is_read_back() -> None:
     assert ALL.fields == FIELDS
-    assert requested_wishes(header.decode(header.encode(ALL.fields)[4:])) == ALL
+    assert requested_wishes(tcpros.decode(tcpros.encode(ALL.fields)[4:])) == ALL
     for wishes in (Wishes(0.001), Wishes(10_000), Wishes(newest=True), Wishes(deflate=True)):
         assert requested_wishes({"topic": b"/t", **wishes.fields}) == wishes
         assert bool(wishes)

@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rossec.errors import CompactRefused
-from rossec.ros.compactread import MALFORMED, Reader
-from rossec.ros.compactwrite import ARRAY, encoded
+from rossec.ros.compact_values import ARRAY, MALFORMED, Reader, encoded
 from rossec.ros.xmlrpc import dump_call, load_call, run_out
 from tests.rossec.ros.test_compactwrite import ENCODINGS
 from tests.rossec.ros.values import VALUES, shape

@@ -10,8 +10,15 @@ import pytest
 from hypothesis import given
 
 from rossec.ros import xmlrpc as calls
-from rossec.ros.compactwrite import Pieces, encode_ahead, encoded, number, put, text
-from rossec.ros.xmlwrite import EncodedList
+from rossec.ros.compact_values import (
+    Pieces,
+    encode_ahead,
+    encoded,
+    encoded_number,
+    encoded_text,
+    put,
+)
+from rossec.ros.xmlrpc import EncodedList
 from tests.rossec.ros.values import VALUES
 
 TIME = "a10071" + b"20261123T09:08:07".hex()
@@ -107,10 +114,10 @@ def test_a_list_is_encoded_ahead_and_counted() -> None:
 
 
 def test_numbers_and_texts_alone() -> None:
-    assert number(-25) == b"\x38\x18"
-    assert text("a") == b"aa"
+    assert encoded_number(-25) == b"\x38\x18"
+    assert encoded_text("a") == b"aa"
     with pytest.raises(OverflowError):
-        number(2**31)
+        encoded_number(2**31)
 
 
 @given(VALUES)

@@ -3,7 +3,7 @@
 import pytest
 
 from rossec.errors import HttpRefused
-from rossec.ros.httpread import DROP_LIMIT, HEADERS_LIMIT, Oversized, Reader
+from rossec.ros.http import DROP_LIMIT, HEADERS_LIMIT, Oversized, Reader
 
 HEAD = b"POST / HTTP/1.1\r\nContent-Length: 5"
 

@@ -3,7 +3,7 @@
 import pytest
 
 from rossec.errors import ConfigurationError
-from rossec.ros.settings import Settings, build_uri, is_loopback, parse_uri, read
+from rossec.ros.names import Settings, build_uri, is_loopback, parse_uri, read
 
 
 def settings(*argv: str, **environ: str) -> Settings:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from rossec.errors import XmlRpcRefused
 from rossec.ros import xmlrpc
-from rossec.ros.xmlscan import scan
+from rossec.ros.xmlrpc import scan
 
 values = st.recursive(
     st.booleans()

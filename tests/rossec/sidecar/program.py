@@ -8,15 +8,14 @@ from collections.abc import AsyncIterator, Collection
 from typing import Self
 
 from rossec.channel.opening import WireProtocol
-from rossec.net.aio.dial import dial
-from rossec.net.rpc.client import RpcClient, serve_calls
-from rossec.participant.header_fields import Fields
-from rossec.ros import header
-from rossec.ros.settings import parse_uri, read
+from rossec.net.aio.client import dial
+from rossec.net.rpc.calls import RpcClient, serve_calls
+from rossec.participant.handshakes import Fields
+from rossec.ros import tcpros
+from rossec.ros.names import parse_uri, read
 from rossec.sidecar.callers import Callers
-from rossec.sidecar.core.endpoints import Endpoint, parse_endpoint
-from rossec.sidecar.loopback_port import LoopbackPort
-from rossec.sidecar.plain_stream import PlainStream
+from rossec.sidecar.core.layers import Endpoint, parse_endpoint
+from rossec.sidecar.loopback_port import LoopbackPort, PlainStream
 from rossec.sidecar.pump import split_header
 from rossec.sidecar.server import Sidecar
 from tests.support.site import Site
@@ -79,7 +78,7 @@ class Program:
     async def connect(self, endpoint: Endpoint, fields: Fields) -> tuple[PlainStream, Fields]:
         """Connect for TCPROS; the stream and the header of the answer."""
         stream = PlainStream(await dial(endpoint.host, endpoint.port, 10))
-        await stream.send(header.encode(fields | {"callerid": self.name.encode()}))
+        await stream.send(tcpros.encode(fields | {"callerid": self.name.encode()}))
         answer, _ = await split_header(stream)
         return stream, answer
 
@@ -120,7 +119,7 @@ class Program:
             "type": self.kind, "md5sum": self.md5sum, "message_definition": self.definition,
             "callerid": self.name.encode(), **({"latching": b"1"} if self.latching else {}),
         }  # fmt: skip
-        await stream.send(header.encode(answer))
+        await stream.send(tcpros.encode(answer))
         self.connections.append(stream)
         self.connected.set()
         with contextlib.suppress(Exception):

@@ -10,7 +10,7 @@ from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.clock import Clock
 from rossec.errors import HangUp, RossecError
-from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
+from rossec.sidecar.core.layers import Endpoint, local_endpoint
 from tests.rossec.sidecar.program import Program, sidecar, string_message
 from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, receive_bytes, wait_closed
 from tests.support.site import Site

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from rossec.errors import PeerUserRefused
-from rossec.net.host import peeruid
+from rossec.host import local_sockets
 from rossec.sidecar.callers import Callers
 from tests.rossec.sidecar.child_programs import programs
 
@@ -79,7 +79,7 @@ async def test_only_the_listener_of_the_same_address_is_checked() -> None:
 
 async def test_users_of_another_user_namespace_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """They all appear as one user, even if that is the allowed one."""
-    monkeypatch.setattr(peeruid, "is_known", lambda user: user != os.getuid())
+    monkeypatch.setattr(local_sockets, "is_known", lambda user: user != os.getuid())
     with (
         socket.create_server(("127.0.0.1", 0)) as server,
         pytest.raises(PeerUserRefused),

@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 
 from rossec.channel.opening import WireProtocol
-from rossec.sidecar import connection_cache
-from rossec.sidecar.connection_cache import ConnectionCache
-from rossec.sidecar.core.endpoints import Endpoint
+from rossec.sidecar import server
+from rossec.sidecar.core.layers import Endpoint
+from rossec.sidecar.server import ConnectionCache
 from tests.support.witness import until
 
 ENDPOINT = Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)
@@ -47,7 +47,7 @@ async def test_an_older_connection_is_closed() -> None:
 async def test_a_cached_connection_is_closed_after_its_lifetime(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(connection_cache, "LIFETIME", 0.0)
+    monkeypatch.setattr(server, "LIFETIME", 0.0)
     cache, one, other = ConnectionCache(), FakeClient(), FakeClient()
     cache.put(ENDPOINT, _as(one))
     await until(lambda: one.closed)

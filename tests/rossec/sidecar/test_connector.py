@@ -10,7 +10,7 @@ from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
 from rossec.net.aio import SecureStream
 from rossec.sidecar import loopback_port
-from rossec.sidecar.core.endpoints import Endpoint
+from rossec.sidecar.core.layers import Endpoint
 from rossec.sidecar.loopback_port import free_port
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar
@@ -39,7 +39,7 @@ async def start_agent(running: Sidecar, name: str) -> None:
 async def test_a_revoked_peer_is_refused_before_anything_is_sent(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rossec.participant.master_session.HEARTBEAT", 0.5)
+    monkeypatch.setattr("rossec.participant.membership.HEARTBEAT", 0.5)
     async with site.running(), sidecar(site) as running:
         robot, viewer = running._agent_for("/robot"), running._agent_for("/viewer")
         await start_agent(running, "/robot")

@@ -8,12 +8,12 @@ import pytest
 from grants.model import Restriction, Right, filter_rules
 from rossec.channel.opening import WireProtocol
 from rossec.errors import RossecError
-from rossec.net.aio.dial import dial
-from rossec.ros import header
-from rossec.ros.settings import parse_uri
+from rossec.net.aio.client import dial
+from rossec.ros import tcpros
+from rossec.ros.names import parse_uri
 from rossec.sidecar import egress as module
-from rossec.sidecar.core.endpoints import Endpoint, parse_endpoint
-from rossec.sidecar.plain_stream import PlainStream
+from rossec.sidecar.core.layers import Endpoint, parse_endpoint
+from rossec.sidecar.loopback_port import PlainStream
 from tests.rossec.sidecar.program import string_message
 from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, receive_bytes, wait_closed
 from tests.support.aliasforms import behind_a_sidecar
@@ -87,7 +87,7 @@ async def test_a_program_without_a_header_in_time_is_disconnected(
     endpoint = await provide(pair)
     monkeypatch.setattr(module, "HEADER_DEADLINE", 0.05)
     stream = PlainStream(await dial(endpoint.host, endpoint.port, 10))
-    await stream.send(header.encode({"service": b"/say"})[:6])
+    await stream.send(tcpros.encode({"service": b"/say"})[:6])
     await wait_closed(stream)
     assert "a connection to " in caplog.text
 
@@ -99,7 +99,7 @@ async def test_a_peer_that_is_gone_hangs_up(
     endpoint = await provide(pair)
     await pair.talker_sidecar.close()
     stream = PlainStream(await dial(endpoint.host, endpoint.port, 10))
-    await stream.send(header.encode({"service": b"/say", "md5sum": b"*", "callerid": b"/listener"}))
+    await stream.send(tcpros.encode({"service": b"/say", "md5sum": b"*", "callerid": b"/listener"}))
     await wait_closed(stream)
     await until(lambda: "no connection to " in caplog.text)
 

@@ -12,34 +12,33 @@ from ca.certificates import Identity
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import PeerUnreachable
+from rossec.host.local_sockets import Holder
 from rossec.net.aio import SecureStream, connect, serve
-from rossec.net.host.peeruid import Holder
-from rossec.net.rpc.client import serve_calls
-from rossec.ros import header
+from rossec.net.rpc.calls import serve_calls
+from rossec.ros import tcpros
 from rossec.ros.xmlrpc import Fault
 from rossec.sidecar import executor as executor_module
-from rossec.sidecar.core.commands import (
+from rossec.sidecar.core.layers import (
+    Answered,
     AuthenticatePeer,
     CallMaster,
     CallPeer,
     CallProgram,
+    CommandDone,
     ConnectPeer,
     ConnectProgram,
-    OpenEgress,
-    Probe,
-)
-from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
-from rossec.sidecar.core.events import (
-    Answered,
-    CommandDone,
+    Endpoint,
     Event,
     HeaderArrived,
+    Layer,
     NoAnswer,
     Opened,
+    OpenEgress,
     PeerAuthenticated,
+    Probe,
     RawResponse,
+    local_endpoint,
 )
-from rossec.sidecar.core.layers import Layer
 from rossec.sidecar.executor import CommandExecutor, SlaveApiClient, run_layer
 from rossec.sidecar.pump import split_header
 from tests.rossec.sidecar.program import ANY_CALLER, STRING, Program
@@ -244,7 +243,7 @@ class PeerNode(FakeServices):
 
     async def serve_topic(self, stream: Stream) -> None:
         fields, _ = await split_header(stream)  # type: ignore[arg-type]
-        await stream.send(header.encode({**fields, "type": b"x"}) + b"more")
+        await stream.send(tcpros.encode({**fields, "type": b"x"}) + b"more")
         await stream.receive()
 
     async def dial(self, remote: Endpoint) -> Any:

@@ -8,15 +8,19 @@ import pytest
 from rossec.channel.opening import WireProtocol
 from rossec.errors import PeerUnreachable
 from rossec.net.aio import serve
-from rossec.sidecar.core.commands import (
+from rossec.sidecar.core.layers import (
     AuthenticatePeer,
     CallPeer,
+    CommandDone,
     ConnectPeer,
+    Event,
+    Layer,
+    NoAnswer,
+    Opened,
     OpenIngress,
+    PeerAuthenticated,
     Suspend,
 )
-from rossec.sidecar.core.events import CommandDone, Event, NoAnswer, Opened, PeerAuthenticated
-from rossec.sidecar.core.layers import Layer
 from rossec.sidecar.executor import run_layer
 from tests.rossec.sidecar.test_executor import (
     PEER,

@@ -7,12 +7,11 @@ import socket
 import pytest
 
 from rossec.errors import ChannelClosed, ConfigurationError
-from rossec.net.aio.dial import dial
+from rossec.net.aio.client import dial
 from rossec.sidecar import loopback_port
 from rossec.sidecar.callers import Callers
-from rossec.sidecar.core.endpoints import LOOPBACK, Loopback
-from rossec.sidecar.loopback_port import LoopbackPort, bind_loopback
-from rossec.sidecar.plain_stream import PlainStream
+from rossec.sidecar.core.layers import LOOPBACK, Loopback
+from rossec.sidecar.loopback_port import LoopbackPort, PlainStream, bind_loopback
 
 ANY_CALLER = Callers({os.getuid()})
 

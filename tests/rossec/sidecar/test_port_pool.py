@@ -4,8 +4,8 @@ import pytest
 
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ConfigurationError
-from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
-from rossec.sidecar.port_pool import PortPool
+from rossec.sidecar.core.layers import Endpoint, local_endpoint
+from rossec.sidecar.loopback_port import PortPool
 
 
 @dataclass

@@ -5,10 +5,10 @@ import socket
 
 import pytest
 
-from grants.missing_rights import MissingRight, missing_right
 from grants.model import Right
+from grants.request import MissingRight, missing_right
 from rossec.errors import PeerUnreachable
-from rossec.sidecar.refusals import SAID_FOR, MissingRights, RefusalLog, Said
+from rossec.sidecar.egress import SAID_FOR, MissingRights, RefusalLog, Said
 from tests.support.witness import until
 
 NO_GOAL = (

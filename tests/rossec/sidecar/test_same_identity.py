@@ -6,7 +6,7 @@ import pytest
 
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
-from rossec.sidecar.core.endpoints import parse_endpoint
+from rossec.sidecar.core.layers import parse_endpoint
 from tests.rossec.sidecar.program import Program, sidecar, string_message
 from tests.support.site import Site
 

@@ -17,8 +17,7 @@ from ca.errors import (
     StoreError,
 )
 from rossec.authority.console.access import Access
-from rossec.authority.console.records import from_value, many
-from rossec.authority.console.views import LoginChallenge, PhoneView, Proposal
+from rossec.authority.console.messages import LoginChallenge, PhoneView, Proposal, from_value, many
 from rossec.errors import KeyServiceRefused, PhoneCodeRefused
 from tests.support.consolework import ConsoleWork, ask
 from tests.support.passkeys import ORIGIN, RP_ID, Assertion, Passkey

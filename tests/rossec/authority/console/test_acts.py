@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.authority.console.acts import Approved, Immediate, tried
+from rossec.authority.console.approving import Approved, Immediate, tried
 from tests.support.consoleacts import Acts
 
 

@@ -4,9 +4,9 @@ from functools import partial
 
 import pytest
 
-from ca.approvals.challenges import Challenge, Purpose
+from ca.approvals.passkeys import Challenge, Purpose
 from ca.errors import OtherChallenge
-from rossec.authority.console.challenges import LIFETIME, MAX_USED, Challenges
+from rossec.authority.console.phone_codes import CHALLENGE_LIFETIME, MAX_USED, Challenges
 
 NOW = 1_800_000_000
 
@@ -21,7 +21,7 @@ def test_a_challenge_is_used_once_and_for_its_purpose() -> None:
     with pytest.raises(OtherChallenge):
         challenges.open(Purpose.PASSKEY, challenge.id)
     assert challenges.open(Purpose.LOGIN, challenge.id) == challenge
-    assert challenge.until == NOW + LIFETIME
+    assert challenge.until == NOW + CHALLENGE_LIFETIME
     challenges.use(challenge)
     for again in (
         lambda: challenges.open(Purpose.LOGIN, challenge.id),
@@ -35,7 +35,7 @@ def test_a_challenge_ends() -> None:
     time = [0.0]
     challenges = Challenges(lambda: time[0])
     challenge = make(challenges, Purpose.LOGIN)
-    time[0] += LIFETIME
+    time[0] += CHALLENGE_LIFETIME
     with pytest.raises(OtherChallenge, match="took too long"):
         challenges.open(Purpose.LOGIN, challenge.id)
 
@@ -75,6 +75,6 @@ def test_what_was_used_is_remembered_until_its_end_and_no_more_than_that() -> No
         challenges.use(each)
     with pytest.raises(OtherChallenge):
         challenges.use(made[-1])
-    time[0] += LIFETIME
+    time[0] += CHALLENGE_LIFETIME
     challenges.use(make(challenges, Purpose.LOGIN))
     assert len(challenges) == 1

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from grants.claims import read_scope
-from grants.document import peek
+from grants.document import peek, read_scope
 from rossec.authority.console import client as module
-from rossec.authority.console import messages, views
+from rossec.authority.console import messages
+from rossec.authority.console import messages as views
 from rossec.authority.console.client import Assertion, ConsoleClient, Registration
 from rossec.errors import AuthorityLocked, KeyMessageRefused, KeyServiceFailed, PeerUserRefused
 from tests.support.consoleservice import FakeHome, fake_service

@@ -7,12 +7,16 @@ from pathlib import Path
 import pytest
 
 from rossec.authority.console import messages
-from rossec.authority.console.admission import ConsolePeers
 from rossec.authority.console.client import ConsoleClient
-from rossec.authority.console.console_socket import ConsolePlace, ConsoleSocket, place
-from rossec.authority.console.service import ConsoleService
+from rossec.authority.console.serving import (
+    ConsolePeers,
+    ConsolePlace,
+    ConsoleService,
+    ConsoleSocket,
+    place,
+)
 from rossec.errors import ConfigurationError, PeerUserRefused
-from rossec.net.host.peeruid import UnixPeer
+from rossec.host.local_sockets import UnixPeer
 from tests.support.consoleservice import FakeHome
 
 OTHER = pwd.getpwnam("nobody")

@@ -8,14 +8,13 @@ import pytest
 from ca.approvals.statement import Kind
 from ca.encoding import Value, decode, encode
 from ca.errors import StoreError
-from grants import claims, document
+from grants import document
+from grants import document as claims
 from grants.document import GRANT
 from grants.model import ID_SIZE
-from rossec.authority.console.grant_acts import Answer
-from rossec.authority.console.questions import Questions
-from rossec.authority.console.reading import Reading
-from rossec.authority.console.records import many
-from rossec.authority.console.views import ApprovalView, GrantQuestion
+from rossec.authority.console.grant_requests import Answer, Questions
+from rossec.authority.console.messages import ApprovalView, GrantQuestion, many
+from rossec.authority.console.queries import Reading
 from rossec.authority.requests import GrantRequestStore
 from rossec.errors import ConfigurationError, KeyServiceRefused
 from tests.support.consoleacts import DAY, POLICY, Acts
@@ -73,7 +72,7 @@ def test_what_was_given_is_told_by_its_claims(acts: Acts) -> None:
     outcome = acts.approve("grant", acts.ask("/map"), "coarse-position", 3600)
     match decode(outcome.data):
         case [bytes(body)]:
-            found = claims.read(body, bytes(ID_SIZE))
+            found = claims.read_claims(body, bytes(ID_SIZE))
         case _:
             raise AssertionError(outcome.data)
     assert (found.subject, found.expires) == ("/map", acts.now + 3600)

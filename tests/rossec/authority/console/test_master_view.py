@@ -8,13 +8,12 @@ from typing import Any
 
 import pytest
 
-from rossec.authority.console import master_view as module
-from rossec.authority.console.master_view import DENIALS, FRESH, PERIOD, STANDING, MasterView
-from rossec.authority.console.records import from_value, many
-from rossec.authority.console.views import DenialView, FactView, ListStanding
-from rossec.authority.master_call import MasterCall
+from rossec.authority.console import queries as module
+from rossec.authority.console.messages import DenialView, FactView, ListStanding, from_value, many
+from rossec.authority.console.queries import DENIALS, FRESH, PERIOD, STANDING, MasterView
+from rossec.authority.grant_operations import MasterCall
 from rossec.errors import NotDelivered
-from rossec.participant.graph_view import METHOD as WATCH
+from rossec.participant.registrations import WATCH_GRAPH as WATCH
 from tests.support.consoleacts import Acts
 
 POSE = ["publisher", "/pose", "/robot"]

@@ -3,7 +3,7 @@
 import pytest
 
 from ca.errors import PasskeyRefused
-from rossec.authority.console.origins import check_page
+from rossec.authority.console.messages import check_page
 
 
 @pytest.mark.parametrize(

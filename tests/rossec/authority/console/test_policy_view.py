@@ -6,9 +6,8 @@ from pathlib import Path
 import pytest
 
 from grants.model import Right
-from rossec.authority.console.policy_view import PolicyLook
-from rossec.authority.console.records import from_value
-from rossec.authority.console.views import PolicyRight, PolicyView
+from rossec.authority.console.messages import PolicyRight, PolicyView, from_value
+from rossec.authority.console.queries import PolicyLook
 from tests.support.consolework import ConsoleWork, ask
 
 POLICY = """rossec: 1

@@ -5,15 +5,19 @@ from pathlib import Path
 import pytest
 
 from ca.errors import HintedError, StoreError
-from grants.claims import read_scope
+from grants.document import read_scope
 from grants.errors import PolicyRefused
 from grants.model import Right
 from grants.request import RequestedRight
 from rossec.authority.approvals import ApprovalQueue
-from rossec.authority.console.questions import MAX_SECONDS, Questions, changed_by, pending_of
-from rossec.authority.console.records import many
-from rossec.authority.console.removals import Removals
-from rossec.authority.console.views import AskedRight, GrantQuestion, QuestionAnswer
+from rossec.authority.console.grant_requests import (
+    MAX_SECONDS,
+    Questions,
+    Removals,
+    changed_by,
+    pending_of,
+)
+from rossec.authority.console.messages import AskedRight, GrantQuestion, QuestionAnswer, many
 from rossec.authority.policyfile import PolicyFile
 from rossec.errors import ConfigurationError, KeyServiceRefused
 from tests.support.consolework import NOW, ConsoleWork, ask

@@ -5,18 +5,14 @@ from typing import NamedTuple
 
 import pytest
 
-from ca.approvals.approval import Approval
-from ca.approvals.assertion import Assertion
+from ca.approvals.passkeys import Approval, Assertion
 from ca.approvals.statement import Invitation, Kind, NewPasskey
 from ca.encoding import Value
-from ca.store.approvals import ApprovalState
+from ca.store.log import ApprovalState
 from grants.document import peek
 from rossec.authority import invitations
-from rossec.authority.console import reading as module
-from rossec.authority.console.reading import KEPT, MAX_APPROVALS, MAX_EVENTS, Reading, bounded
-from rossec.authority.console.records import from_value, many
-from rossec.authority.console.sentences import sentence
-from rossec.authority.console.views import (
+from rossec.authority.console import queries as module
+from rossec.authority.console.messages import (
     ApprovalView,
     EventView,
     GrantView,
@@ -24,7 +20,11 @@ from rossec.authority.console.views import (
     InvitationView,
     NodeView,
     PhoneView,
+    from_value,
+    many,
+    sentence,
 )
+from rossec.authority.console.queries import KEPT, MAX_APPROVALS, MAX_EVENTS, Reading, bounded
 from rossec.home import NodeHome
 from tests.support import approving, passkeys
 from tests.support.consolework import NOW, ConsoleWork, ask

@@ -6,9 +6,9 @@ import pytest
 
 from ca.enrollment.invitation import parse
 from ca.errors import HintedError, OtherOrigin, PasskeyUnknown, PatternRefused
-from rossec.authority.console.proposals import LIFETIME
-from rossec.authority.console.record_acts import CODES_KEPT, MAX_CODES
-from rossec.authority.console.views import Proposal
+from rossec.authority.console.approved_acts import CODES_KEPT, MAX_CODES
+from rossec.authority.console.messages import Proposal
+from rossec.authority.console.phone_codes import PROPOSAL_LIFETIME
 from rossec.errors import ConfigurationError, KeyServiceRefused
 from rossec.ros.names import MASTER
 from tests.support.approving import registered
@@ -45,7 +45,7 @@ def test_a_second_phone_is_added_by_the_first(acts: Acts) -> None:
 
 def test_another_proposal_than_the_approved_one_is_not_added(acts: Acts) -> None:
     prepared = acts.prepare("passkey", propose(acts, Passkey()).id)
-    acts.elapsed += LIFETIME - 1
+    acts.elapsed += PROPOSAL_LIFETIME - 1
     propose(acts, Passkey(), "Eve's phone")
     acts.elapsed += 1
     with pytest.raises(HintedError):

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import pytest
 
 from ca.encoding import Value, decode, encode
-from rossec.authority.console import views
-from rossec.authority.console.records import from_value, many, to_value
+from rossec.authority.console import messages
+from rossec.authority.console.messages import from_value, many, to_value
 from rossec.errors import KeyMessageRefused
 from tests.support.consoleservice import FakeHome
 
@@ -75,5 +75,7 @@ def test_every_view_survives_its_encoding() -> None:
         assert from_value(type(view), decode(encode(to_value(view)))) == view
     shown = {type(view).__name__ for view in found}
     assert (
-        {"NodeView", "GrantQuestion", "PolicyView", "ListStanding"} <= shown <= vars(views).keys()
+        {"NodeView", "GrantQuestion", "PolicyView", "ListStanding"}
+        <= shown
+        <= vars(messages).keys()
     )

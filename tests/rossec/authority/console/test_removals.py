@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from ca.errors import HintedError, InvitationRefused, PasskeyUnknown, RequestClosed, StoreError
-from ca.revocation.state import RevocationList, open_statement
-from rossec.authority.console.removals import MAX_REASON, UNSIGNED
-from rossec.authority.invitations import invite
-from rossec.authority.joining import source
+from ca.revocation.lists import RevocationList
+from ca.revocation.trust_status import open_statement
+from rossec.authority.console.grant_requests import MAX_REASON, UNSIGNED
+from rossec.authority.invitations import invite, source
 from rossec.authority.requests import GrantRequestStore
 from rossec.errors import ConfigurationError, KeyServiceRefused
 from rossec.ros.names import MASTER

@@ -4,9 +4,8 @@ import pytest
 
 from ca.approvals.statement import Enroll, Grant, Kind
 from ca.encoding import encode
-from grants.claims import from_draft
-from grants.document import peek
-from rossec.authority.console.sentences import sentence
+from grants.document import from_draft, peek
+from rossec.authority.console.messages import sentence
 from rossec.clock import format_time
 from tests.support.approving import WHATS, state
 from tests.support.consoleservice import FakeHome

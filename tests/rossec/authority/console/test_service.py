@@ -8,9 +8,9 @@ import pytest
 
 from ca.encoding import Value
 from rossec.authority.console import messages
-from rossec.authority.console.service import ConsoleService
-from rossec.authority.keyservice.caller import Caller
+from rossec.authority.console.serving import ConsoleService
 from rossec.authority.keyservice.messages import Request
+from rossec.authority.keyservice.process import Caller
 from rossec.errors import KeyServiceRefused
 
 CALLER = Caller(1, 2, "rossec console")

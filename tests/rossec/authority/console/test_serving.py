@@ -7,12 +7,10 @@ import pytest
 
 from rossec.authority.console import serving as module
 from rossec.authority.console.client import ConsoleClient, Registration
-from rossec.authority.console.console_socket import ConsolePlace
-from rossec.authority.console.records import from_value
-from rossec.authority.console.serving import Console, Deliveries
-from rossec.authority.console.views import Status
-from rossec.authority.keyservice.caller import Caller
+from rossec.authority.console.messages import Status, from_value
+from rossec.authority.console.serving import Console, ConsolePlace, Deliveries
 from rossec.authority.keyservice.messages import Request
+from rossec.authority.keyservice.process import Caller
 from rossec.errors import KeyServiceRefused, NotDelivered
 from tests.support.consolework import ConsoleWork
 from tests.support.passkeys import ORIGIN, RP_ID, Passkey

@@ -4,12 +4,8 @@ import pytest
 
 from ca.approvals.statement import Enroll, Kind, RevokeMaster, Statement
 from ca.errors import ApprovalOutdated
-from rossec.authority.console import owners
-from rossec.authority.console.statements import (
-    MAX_OF_KIND,
-    PreparedStatement,
-    Statements,
-)
+from rossec.authority.console import messages
+from rossec.authority.console.approving import MAX_OF_KIND, PreparedStatement, Statements
 from rossec.errors import KeyServiceRefused
 from tests.support.approving import NOW, WHATS, state
 
@@ -72,7 +68,7 @@ def test_there_are_few_of_each_kind_and_the_oldest_goes(statements: Statements) 
 
 @pytest.mark.attack("looker-floods")
 def test_whoever_only_looks_ends_nothing_of_a_phone(statements: Statements) -> None:
-    phone, looker = owners.of_phone("Anna's"), owners.of_looker(b"1")
+    phone, looker = messages.of_phone("Anna's"), messages.of_looker(b"1")
     first = add(statements, 1, owner=phone)
     for number in range(2, 200):
         add(statements, number, owner=looker)

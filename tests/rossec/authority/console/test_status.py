@@ -3,9 +3,8 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from rossec.authority.console.records import from_value
-from rossec.authority.console.status import StatusLook
-from rossec.authority.console.views import Status
+from rossec.authority.console.messages import Status, from_value
+from rossec.authority.console.serving import StatusLook
 from tests.support import approving
 from tests.support.consolework import NOW, ConsoleWork, ask
 

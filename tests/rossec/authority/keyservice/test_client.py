@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from ca.errors import PassphraseRefused
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice import client as module
 from rossec.authority.keyservice import messages

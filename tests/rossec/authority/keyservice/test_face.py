@@ -10,20 +10,20 @@ from pathlib import Path
 import pytest
 
 from ca.encoding import Value
-from ca.enrollment.join_claim import JoinClaim
-from ca.enrollment.join_messages import Named, Refused, RefuseReason, Waiting, WaitReason, write
+from ca.enrollment.invitation import JoinClaim
+from ca.enrollment.join import Named, Refused, RefuseReason, Waiting, WaitReason, write
 from ca.errors import JoinBusy, JoinRefused
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import invite
-from rossec.authority.keyservice import face as module
-from rossec.authority.keyservice.face import Face, main
+from rossec.authority.keyservice import front_end as module
+from rossec.authority.keyservice.front_end import Face, main
 from rossec.authority.keyservice.inner_channel import Handler, InnerChannel
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.clock import now
-from rossec.enrollment.join_node import ask_name, join
+from rossec.enrollment.join import ask_name, join
 from rossec.errors import KeyServiceRefused
 from rossec.home import NodeHome
-from rossec.operation import landlock
+from rossec.host import sandbox
 from tests.support.commands import PASSPHRASE
 from tests.support.joining import asked
 from tests.support.ports import free_port
@@ -165,7 +165,7 @@ async def test_the_process_is_confined_before_it_serves(
         return ThreadPoolExecutor(1)
 
     monkeypatch.setattr(module, "protect_memory", lambda: done.append("memory"))
-    monkeypatch.setattr(landlock, "read_only", lambda paths: done.append(paths[0]))
+    monkeypatch.setattr(sandbox, "read_only", lambda paths: done.append(paths[0]))
     monkeypatch.setattr(module, "confine_processes", confine)
     node = home.node()
     served = Served(face_of(node, ""))

@@ -11,11 +11,11 @@ import pytest
 
 from ca.encoding import Value
 from rossec.authority.home import AuthorityHome
-from rossec.authority.keyservice import face_process as module
-from rossec.authority.keyservice.face_process import FaceOptions, FaceProcess
+from rossec.authority.keyservice import process as module
+from rossec.authority.keyservice.process import FaceOptions, FaceProcess
 from rossec.clock import now
 from rossec.errors import ConfigurationError, KeyServiceRefused, PeerUserRefused
-from rossec.net.host.peeruid import UnixPeer
+from rossec.host.local_sockets import UnixPeer
 from tests.support.commands import PASSPHRASE
 from tests.support.ports import free_port
 from tests.support.witness import until
@@ -60,7 +60,7 @@ async def test_it_listens_and_is_refused_at_the_socket(home: AuthorityHome) -> N
     async with running(face):
         assert await face.started() == port == face.port
         (process,) = children() - before
-        assert b"rossec.authority.keyservice.face" in command_of(process)
+        assert b"rossec.authority.keyservice.front_end" in command_of(process)
         with pytest.raises(PeerUserRefused, match="network process"):
             face.admit(UnixPeer(process, os.getuid()))
         face.admit(UnixPeer(os.getpid(), os.getuid()))

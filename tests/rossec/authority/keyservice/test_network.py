@@ -8,19 +8,19 @@ from typing import cast
 import pytest
 
 from ca.encoding import Value
-from ca.enrollment.join_messages import Issued, Named, Refused, RefuseReason, read
+from ca.enrollment.join import Issued, Named, Refused, RefuseReason, read
 from ca.errors import EncodingError
+from rossec.authority.grant_operations import MasterCall
+from rossec.authority.keyservice import network
 from rossec.authority.keyservice import network as module
-from rossec.authority.keyservice import rounds
-from rossec.authority.keyservice.face_process import FaceProcess
 from rossec.authority.keyservice.inner_channel import Handler
 from rossec.authority.keyservice.network import NetworkWork
+from rossec.authority.keyservice.process import FaceProcess
 from rossec.authority.keyservice.work import AuthorityWork
-from rossec.authority.master_call import MasterCall
 from rossec.clock import now
 from rossec.errors import KeyServiceRefused, NotDelivered, RulesRefused
 from rossec.home import NodeHome
-from rossec.naming import shipped
+from rossec.naming import rule_runner
 from tests.rossec.authority.keyservice.test_work import POLICY, Working
 from tests.support.witness import until
 
@@ -115,7 +115,7 @@ async def test_the_policy_is_applied_once_to_all_who_joined_meanwhile(
 
 
 async def test_rounds_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rounds, "ROUND", 0.01)
+    monkeypatch.setattr(network, "ROUND", 0.01)
     playing = Playing(tmp_path, applies=True)
     playing.working.work.join(playing.working.request(playing.working.invite()))
     running = asyncio.ensure_future(playing.network.run())
@@ -127,7 +127,7 @@ async def test_rounds_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 async def test_a_round_that_crashes_is_not_the_last(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(rounds, "ROUND", 0.01)
+    monkeypatch.setattr(network, "ROUND", 0.01)
     crashed: list[int] = []
 
     def crash(_: AuthorityWork) -> None:
@@ -206,7 +206,7 @@ async def test_an_answer_that_is_waited_for_and_fails_stops_no_other_call(
     await asyncio.gather(running, return_exceptions=True)
 
 
-RULES = shipped.rules()
+RULES = rule_runner.shipped_rules()
 METADATA = b"<node><group>fleet</group><name>a</name></node>"
 
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import pytest
 
-from rossec.authority.keyservice import rounds as module
-from rossec.authority.keyservice.rounds import Rounds
+from rossec.authority.keyservice import network as module
+from rossec.authority.keyservice.network import Rounds
 from tests.support.witness import until
 
 

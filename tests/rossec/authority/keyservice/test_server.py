@@ -9,12 +9,11 @@ import pytest
 
 from ca.encoding import Value
 from rossec.authority.keyservice import messages
-from rossec.authority.keyservice import server as module
-from rossec.authority.keyservice.caller import Caller
+from rossec.authority.keyservice import process as module
 from rossec.authority.keyservice.messages import Request, write_request
-from rossec.authority.keyservice.server import KeyServer, SocketRules
+from rossec.authority.keyservice.process import Caller, KeyServer, SocketRules
 from rossec.errors import ConfigurationError, KeyMessageRefused, KeyServiceRefused, PeerUserRefused
-from rossec.net.host.peeruid import UnixPeer
+from rossec.host.local_sockets import UnixPeer
 
 STATUS = write_request(Request("status"))
 

@@ -7,19 +7,25 @@ from pathlib import Path
 import pytest
 
 from ca.certificates import from_pem
-from ca.enrollment.invitation import InvitationCode
-from ca.enrollment.join_authority import AuthorityJoin, LiveIdentity
-from ca.enrollment.join_claim import JoinClaim
-from ca.enrollment.join_messages import Issued, Refused, RefuseReason, Waiting, WaitReason, read
-from ca.enrollment.join_node import NodeJoin
-from ca.enrollment.join_request import JoinRequest
+from ca.enrollment.invitation import InvitationCode, JoinClaim, JoinRequest
+from ca.enrollment.join import (
+    AuthorityJoin,
+    Issued,
+    LiveIdentity,
+    NodeJoin,
+    Refused,
+    RefuseReason,
+    Waiting,
+    WaitReason,
+    read,
+)
 from ca.errors import EnrollmentMessageRefused, StoreError
+from rossec.authority.grant_operations import MasterCall
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import invite
 from rossec.authority.keyservice.operations import KeyOperations
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.keyservice.work import AuthorityWork
-from rossec.authority.master_call import MasterCall
 from rossec.authority.service import AuthorityService
 from rossec.errors import NotDelivered
 from rossec.home import NodeHome

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from ca.revocation.state import open_statement
-from rossec.authority.master_call import MasterCall
+from ca.revocation.trust_status import open_statement
+from rossec.authority.grant_operations import MasterCall
 from tests.rossec.authority.keyservice.test_work import Working
 
 LIST = "rossec.updateRevocations"

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from ca.certificates import build_request
-from ca.renewal import sign_renewal
+from ca.certificates import sign_renewal
+from ca.svid import build_request
 from rossec.home import NodeHome
 from tests.rossec.authority.keyservice.test_work import DAY, NOW, SECRET, Working
 

@@ -5,8 +5,9 @@ import sys
 import click
 import pytest
 
-from rossec.cli.border import serve, show_demo
-from rossec.cli.border.group import border
+from rossec.cli import demo
+from rossec.cli.border import serve
+from rossec.cli.servers import border
 from tests.rossec.cli.tables import check_table
 from tests.support.commands import Shell, refused
 
@@ -33,7 +34,7 @@ def test_without_a_verb_it_runs(empty: Shell, monkeypatch: pytest.MonkeyPatch) -
 
 def test_the_demonstration(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[click.Context] = []
-    monkeypatch.setattr(show_demo, "show_demo", shown.append)
+    monkeypatch.setattr(demo, "show_demo", shown.append)
     assert empty("border", "--demo").code == 0
     assert len(shown) == 1
 

@@ -7,12 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from ca.things.credentials import ThingKey, ThingSecret
-from ca.things.statement import ThingStatement, sign_statement
+from ca.things.constrained_nodes import ThingKey, ThingSecret, ThingStatement, sign_statement
 from rossec import clock
-from rossec.border import status
+from rossec.border import border_router
 from rossec.home import NodeHome
-from rossec.saved_things import ThingFiles
+from rossec.saved_statements import ThingFiles
 from tests.support.commands import Shell, refused
 from tests.support.pki import new_signer
 from tests.support.site import Site
@@ -69,7 +68,7 @@ def test_what_a_running_router_does(router: Shell) -> None:
     refused(router("border", "status"), "no border router runs here", "rossec border")
     there = {"there": True, "offered": 1, "resources": 2, "received": 9, "refused": 1,
              "over_rate": 3}  # fmt: skip
-    status.write(router.node("/border"), {
+    border_router.write_status(router.node("/border"), {
         "at": clock.now(), "address": ["::", 5683],
         "counts": {"datagrams": 20, "refused": 2, "over_budget": 0, "handshakes": 1,
                    "derivations": 2},
@@ -91,8 +90,8 @@ def test_it_needs_an_identity_and_for_some_the_extra(
     empty: Shell, router: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     refused(router("border", "list", "--as", "/attic"), "/attic has no ca.pem")
-    monkeypatch.setitem(sys.modules, "rossec.border.status", None)
-    monkeypatch.delattr("rossec.border.status", raising=False)
+    monkeypatch.setitem(sys.modules, "rossec.border.border_router", None)
+    monkeypatch.delattr("rossec.border.border_router", raising=False)
     refused(router("border", "status"), "not installed", "rossec[constrained]")
 
 

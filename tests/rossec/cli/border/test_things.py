@@ -4,10 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from ca.things.credentials import ThingKey, ThingSecret, read_description
-from ca.things.secret_codes import parse_secret
+from ca.things.constrained_nodes import ThingKey, ThingSecret, parse_secret, read_description
 from rossec.home import NodeHome
-from rossec.saved_things import ThingFiles
+from rossec.saved_statements import ThingFiles
 from tests.support.commands import Shell, refused
 from tests.support.pki import new_signer
 

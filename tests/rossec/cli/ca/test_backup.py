@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.revocation.tree import is_tree
+from ca.revocation.lists import is_tree
 from rossec.authority.backup import Restored
 from rossec.authority.home import AuthorityHome
 from rossec.cli.ca.backup import _say_what_differs

@@ -5,7 +5,7 @@ import pytest
 
 from ca.certificates import from_pem
 from ca.enrollment import qr
-from ca.store.lifecycle import RequestState
+from ca.store.values import RequestState
 from rossec.authority.home import AuthorityHome
 from tests.support.commands import Said, Shell, refused
 from tests.support.enrolling import Robot, WaitingRobot

@@ -1,7 +1,7 @@
 import click
 import pytest
 
-from rossec.cli.ca.group import ca, intermediate, invitations, log
+from rossec.cli.nouns import ca, intermediate, invitations, log
 from tests.rossec.cli.tables import check_table
 from tests.support.commands import Shell, refused
 

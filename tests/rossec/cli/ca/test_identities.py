@@ -134,7 +134,7 @@ def test_an_expired_own_node_is_reported_and_renewed_by_refresh(
     shell: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     late = int(time.time()) + OWN_LIFETIME + 86400
-    for module in ("rossec.cli.ca.revocation", "rossec.cli.shared.service"):
+    for module in ("rossec.cli.ca.identities", "rossec.cli.shared.service"):
         monkeypatch.setattr(f"{module}.now", lambda: late)
     unlocked = AuthorityHome.at(shell.root).unlock(shell.secret.read_text().strip())
     unlocked.sign_list(late)

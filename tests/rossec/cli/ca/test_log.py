@@ -4,7 +4,7 @@ import sqlite3
 from contextlib import closing
 
 from ca.revocation.merkle import verify_consistency, verify_inclusion
-from ca.store.log_entries import open_head
+from ca.store.values import open_head
 from rossec.authority.home import AuthorityHome
 from tests.support.commands import Shell, refused
 

@@ -7,7 +7,7 @@ from rossec import clock
 from rossec.authority.home import OWN_LIFETIME, AuthorityHome
 from rossec.authority.service import AuthorityService
 from rossec.home import NodeHome
-from rossec.master.server.start import master_of
+from rossec.master.server.server import master_of
 from tests.rossec.cli.ca.record import key_of, listed
 from tests.support.commands import Shell, refused
 

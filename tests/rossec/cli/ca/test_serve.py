@@ -14,10 +14,9 @@ import pytest
 
 from rossec.authority.console.client import ConsoleClient
 from rossec.authority.home import AUDIT_FILE, AuthorityHome
-from rossec.authority.keyservice.client import KeyServiceClient
-from rossec.authority.keyservice.lock import service_lock
+from rossec.authority.keyservice.client import KeyServiceClient, service_lock
 from rossec.cli.ca import serve as module
-from rossec.operation.audit import read_entries, verify
+from rossec.host.audit import read_entries, verify
 from tests.support.commands import Said, Shell, refused
 from tests.support.ports import free_port
 

@@ -4,8 +4,7 @@ import click
 import pytest
 from click.shell_completion import ShellComplete
 
-from rossec.cli.completion.lookup import completed
-from rossec.cli.completion.outline_table import OutlineTable
+from rossec.cli.completion.shells import OutlineTable, completed
 from rossec.cli.shared.context import Environment
 
 

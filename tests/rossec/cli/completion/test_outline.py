@@ -5,7 +5,7 @@ import click
 import pytest
 from click.shell_completion import CompletionItem, ShellComplete
 
-from rossec.cli.completion.outline import command_of, outline_of
+from rossec.cli.completion.values import command_of, outline_of
 
 
 @click.command(context_settings={"allow_interspersed_args": False})

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from rossec.cli.completion.outline import Outline
-from rossec.cli.completion.outline_table import OutlineTable
+from rossec.cli.completion.shells import OutlineTable
+from rossec.cli.completion.values import Outline
 
 OUTLINE: Outline = {"params": [], "interspersed": True, "unknown": False}
 

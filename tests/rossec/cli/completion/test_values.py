@@ -3,11 +3,10 @@ from operator import methodcaller
 import click
 import pytest
 
-from rossec.cli.completion.outline import outline_of
 from rossec.cli.completion.sources import Sources
-from rossec.cli.completion.values import ARGUMENTS, FREE, KINDS, OPTIONS, kinds_of
+from rossec.cli.completion.values import ARGUMENTS, FREE, KINDS, OPTIONS, kinds_of, outline_of
 from rossec.cli.main import rossec
-from rossec.cli.shared.lazy import LazyCommand
+from rossec.cli.shared.context import LazyCommand
 from tests.rossec.cli.tables import all_commands
 
 LEAVES = {

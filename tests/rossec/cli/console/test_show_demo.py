@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from rossec.cli.console import show_demo
+from rossec.cli import demo
 from rossec.demo.environment import DemoEnvironment, DemoFailed
-from rossec.demo.trying import WaitingNode
+from rossec.demo.steps import WaitingNode
 from tests.support.commands import Shell, refused
 
 
@@ -34,8 +34,8 @@ def play(monkeypatch: pytest.MonkeyPatch, ends: bool) -> list[Path]:
         other = DemoEnvironment(demo.root / "fridge", demo.printer, {}, demo.run)
         return WaitingNode("ROSSEC:CODE", other)
 
-    monkeypatch.setattr(show_demo, "show_code", show_code)
-    monkeypatch.setattr(show_demo, "begin_story", begin_story)
+    monkeypatch.setattr(demo, "show_code", show_code)
+    monkeypatch.setattr(demo, "begin_story", begin_story)
     monkeypatch.setattr(DemoEnvironment, "until_one_ends", until_one_ends)
     return roots
 

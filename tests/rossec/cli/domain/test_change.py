@@ -4,7 +4,7 @@ import secrets
 
 import pytest
 
-from ca.revocation.state import open_list
+from ca.revocation.lists import open_list
 from grants import document
 from grants.model import Draft, Permission, Right
 from rossec import clock

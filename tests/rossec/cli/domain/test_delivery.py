@@ -5,16 +5,15 @@ import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
-from ca.domains.lists import DomainList, open_domains
+from ca.domains.trust import DomainList, open_domains
+from rossec.authority.grant_operations import MasterCall
 from rossec.authority.home import AuthorityHome
-from rossec.authority.master_call import MasterCall
 from rossec.authority.service import AuthorityService
-from rossec.cli.domain.delivery import publish_domains
+from rossec.cli.domain.trust import publish_domains
 from rossec.cli.shared.context import Environment
 from rossec.cli.shared.service import call_master
 from rossec.home import NodeHome
-from rossec.master.server.server import MasterServer
-from rossec.master.server.start import master_of
+from rossec.master.server.server import MasterServer, master_of
 from tests.rossec.cli.domain.sites import Neighbours
 from tests.support.commands import Said, Shell
 

@@ -1,4 +1,4 @@
-from rossec.cli.domain.group import domain
+from rossec.cli.nouns import domain
 from tests.rossec.cli.tables import check_table
 from tests.support.commands import Shell, refused
 

@@ -1,4 +1,4 @@
-from rossec.cli.federation.group import federation
+from rossec.cli.nouns import federation
 from tests.rossec.cli.tables import check_table
 
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from ca.domains.lists import ForeignDomain
-from rossec.federation.site_file import FILE, SiteFile
+from ca.domains.trust import ForeignDomain
+from rossec.federation.settings import FILE, SiteFile
 from tests.support.commands import Shell, refused
 from tests.support.masters import domain_list
 from tests.support.site import DAY, Site

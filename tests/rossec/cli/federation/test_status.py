@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from rossec.cli.master.admin import ADMIN_SOCKET
+from rossec.cli.status import ADMIN_SOCKET
 from rossec.master.operation.admin import AdminPort
 from tests.support.commands import Shell, refused
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rossec.cli.gateway.group import gateway
+from rossec.cli.servers import gateway
 from tests.rossec.cli.tables import check_table
 from tests.support.commands import Shell, refused
 

@@ -15,7 +15,7 @@ from grants.model import Right
 from rossec.cli.gateway import serve
 from rossec.cli.shared.context import Environment
 from rossec.errors import ConfigurationError, MasterNotFound
-from rossec.ros.settings import parse_uri
+from rossec.ros.names import parse_uri
 from tests.support.commands import Shell, refused
 from tests.support.discovered import Searches
 from tests.support.site import Site
@@ -144,7 +144,7 @@ def test_a_gateway_waits_for_a_master_that_is_not_announced_yet(
             raise ConfigurationError("enough")
         return await Searches.discover(searches, *given, **more)
 
-    monkeypatch.setattr("rossec.discovery.choose.discover_master", end_after_the_third)
+    monkeypatch.setattr("rossec.discovery.local_links.discover_master", end_after_the_third)
     environ = {**site.environ, "ROS_MASTER_URI": "discover:"}
     with pytest.raises(ConfigurationError, match="enough"):
         serve.run(Environment(environ), (), as_json=False)

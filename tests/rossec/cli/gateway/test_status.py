@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from rossec.cli.gateway import status as module
-from rossec.cli.shared import status_watch
+from rossec.cli import status
+from rossec.cli import status as module
 from rossec.master.operation.admin import AdminPort
 from tests.support.commands import Shell, refused
 from tests.support.site import Site
@@ -97,7 +97,7 @@ def test_a_graph_that_is_not_known_and_nothing_served(near: Shell) -> None:
 
 
 def test_it_is_shown_again_when_it_changes(near: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(status_watch, "PERIOD", 0.01)
+    monkeypatch.setattr(status, "PERIOD", 0.01)
     answers = [{**TOLD, "skipped_count": count} for count in (2, 2, 3)]
     with answering(near.node("/gateway") / module.ADMIN_SOCKET, lambda: answers.pop(0)):
         said = near("gateway", "status", "--watch")

@@ -12,8 +12,7 @@ import pytest
 
 from rossec.authority.home import AuthorityHome
 from rossec.home import NodeHome
-from rossec.master.server.server import MasterServer
-from rossec.master.server.start import master_of
+from rossec.master.server.server import MasterServer, master_of
 from rossec.node import Node
 from tests.rossec.cli.domain.sites import Neighbours
 from tests.support.commands import Said, Shell, refused
@@ -157,7 +156,7 @@ async def test_a_master_in_another_home_gets_the_list_with_the_first_grant(robot
 async def test_a_grant_that_the_master_refuses_is_no_success(
     robot: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rossec.master.rights.deposits.MAX_HELD", 0)
+    monkeypatch.setattr("rossec.master.rights.held_grants.MAX_HELD", 0)
     shutil.move(robot.node("/robot"), robot.root / "elsewhere")
     async with running_master(robot) as master:
         sign = ("grant", "sign", "/robot", "--publish", "/p", "--json", "--master", master.uri)

@@ -1,7 +1,7 @@
 import click
 import pytest
 
-from rossec.cli.grant.group import grant
+from rossec.cli.nouns import grant
 from tests.rossec.cli.tables import check_table
 
 

@@ -8,9 +8,9 @@ from click.testing import CliRunner
 
 from ca.errors import PatternRefused
 from grants.errors import FilterRefused
-from grants.filters.presets import PRESETS
+from grants.filters.compile import PRESETS
 from grants.model import Permission, Restriction, Right, filter_rules
-from rossec.cli.grant.permission_options import (
+from rossec.cli.grant.sign import (
     for_node,
     own_pattern,
     permissions,

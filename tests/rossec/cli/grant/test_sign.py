@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from grants.filters.presets import PRESETS
+from grants.filters.compile import PRESETS
 from tests.support.commands import Shell, refused
 
 POSE = ("--type", "geometry_msgs/PoseStamped")

@@ -4,9 +4,8 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.encoding import Value, encode
-from ca.keys.signer import KeySigner
-from grants.claims import issuer_uri
-from grants.document import GRANT
+from ca.keys.signing import KeySigner
+from grants.document import GRANT, issuer_uri
 from tests.support.commands import Shell, refused
 
 

@@ -3,9 +3,9 @@ from pathlib import Path
 
 import pytest
 
-from rossec.cli.completion.outline_table import OutlineTable
+from rossec.cli.completion.shells import OutlineTable
 from rossec.cli.main import rossec
-from rossec.cli.manual.made import make
+from rossec.cli.manual.pages import make
 from tests.rossec.cli.tables import all_commands
 
 

@@ -6,8 +6,7 @@ import click
 import pytest
 
 from rossec.cli.main import rossec
-from rossec.cli.manual.pages import pages
-from rossec.cli.manual.roff import escape
+from rossec.cli.manual.pages import escape, pages
 from tests.rossec.cli.tables import all_commands
 
 PAGES = pages(rossec, "1.2")

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from rossec.authority.home import AuthorityHome
-from rossec.operation.audit import AuditFile
-from rossec.operation.audit_log import audit_written
+from rossec.host.audit import AuditFile, audit_written
 from tests.support.commands import PASSPHRASE, Shell, refused
 
 

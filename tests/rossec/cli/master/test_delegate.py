@@ -8,7 +8,7 @@ import pytest
 
 from rossec.authority.home import AuthorityHome
 from rossec.home import NodeHome
-from rossec.master.server.start import master_of
+from rossec.master.server.server import master_of
 from tests.support.commands import Shell, refused
 
 NOBODY = ("--master", "http://127.0.0.1:1")

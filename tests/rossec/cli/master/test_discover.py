@@ -4,9 +4,8 @@ from collections import deque
 
 import pytest
 
-from rossec.cli.master import discover
-from rossec.discovery.announcement import Announcement
-from rossec.discovery.candidates import Candidate, DatagramSource
+from rossec.cli.ros import graph
+from rossec.discovery.announcement import Announcement, Candidate, DatagramSource
 from tests.support.commands import Shell, refused
 
 
@@ -20,7 +19,7 @@ def found(monkeypatch: pytest.MonkeyPatch) -> Candidate:
     async def masters(*_: object) -> list[Candidate]:
         return [one]
 
-    monkeypatch.setattr(discover, "masters", masters)
+    monkeypatch.setattr(graph, "masters", masters)
     return one
 
 

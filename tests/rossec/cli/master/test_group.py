@@ -4,7 +4,7 @@ import click
 import pytest
 
 from rossec.cli.master import serve
-from rossec.cli.master.group import master
+from rossec.cli.servers import master
 from tests.rossec.cli.tables import check_table
 from tests.support.commands import Shell
 

@@ -7,7 +7,7 @@ import pytest
 
 from grants.document import sign
 from grants.model import Permission, Right
-from rossec.cli.namespace import check as module
+from rossec.cli.namespace import serve as module
 from tests.grants.authority import CA, draft
 from tests.rossec.naming.stylesheets import PHONE, RULES, gives
 from tests.support.commands import Shell, refused

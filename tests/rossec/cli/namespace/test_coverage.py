@@ -7,9 +7,9 @@ import pytest
 from grants.document import sign
 from grants.model import Permission, Right
 from rossec.authority.policyfile import parse_policy
-from rossec.cli.namespace.coverage import Coverage, read_grants
+from rossec.cli.namespace.serve import Coverage, read_grants
 from rossec.errors import ConfigurationError
-from rossec.naming.metadata import Kind
+from rossec.naming.requests import Kind
 from tests.grants.authority import CA, draft, granted
 
 POLICY = """rossec: 1

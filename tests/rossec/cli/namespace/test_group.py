@@ -1,6 +1,6 @@
 """The group `rossec namespace`."""
 
-from rossec.cli.namespace.group import namespace
+from rossec.cli.nouns import namespace
 from tests.rossec.cli.tables import check_table
 
 

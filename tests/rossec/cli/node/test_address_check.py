@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.cli.node.address_check import check_node_addresses, check_own_address
-from rossec.cli.node.master_check import check_master
+from rossec.cli.node.doctor import check_master, check_node_addresses, check_own_address
 from rossec.cli.shared.context import Environment
 from rossec.errors import ConfigurationError
 from tests.support.attacker import call, credentials

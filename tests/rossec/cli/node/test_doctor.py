@@ -9,11 +9,10 @@ from pathlib import Path
 import pytest
 
 from ca.authority import Authority
-from ca.certificates import Identity, to_pem
-from ca.intermediates import build_intermediate_request
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner, Signer
-from ca.revocation.state import Timestamp, sign_timestamp
+from ca.certificates import Identity, build_intermediate_request, to_pem
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner, Signer
+from ca.revocation.lists import Timestamp, sign_timestamp
 from grants import document
 from grants.model import Right
 from rossec.authority.home import AuthorityHome
@@ -288,7 +287,7 @@ async def test_a_clock_that_is_off_is_the_one_fault(
     async with Site(tmp_path / "site").running() as site:
         site.publish("/robot", "/x")
         site.publish("/arm", "/x")
-        monkeypatch.setattr("rossec.master.rights.list_in_force.sign_timestamp", shifted)
+        monkeypatch.setattr("rossec.master.rights.revocation_lists.sign_timestamp", shifted)
         words = ["doctor", "/robot", "/arm"]
         assert await asyncio.to_thread(run, words, dict(site.environ)) == 1
         lines = capsys.readouterr().out.splitlines()

@@ -6,12 +6,13 @@ import pytest
 
 from ca.certificates import from_pem
 from ca.enrollment import qr
-from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
+from ca.enrollment.sides import AuthorityEnrollment, AuthorityState
 from ca.errors import HintedError
 from rossec.cli.main import run
-from rossec.enrollment import address, control
-from rossec.enrollment.scan import code_in
+from rossec.enrollment import enroll
+from rossec.enrollment.enroll import code_in
 from rossec.home import NodeHome
+from rossec.host import addresses
 from tests.rossec.cli.node.operators import SITE, Operator, after
 from tests.support.commands import Shell, refused
 from tests.support.enrolling import clock
@@ -163,7 +164,7 @@ def test_a_second_enrollment_of_one_node_is_refused(empty: Shell) -> None:
 
     def second() -> None:
         try:
-            asyncio.run(control.serve(empty.node("/robot"), lambda _: {}))
+            asyncio.run(enroll.serve(empty.node("/robot"), lambda _: {}))
         except HintedError:
             codes.append(1)
         os.kill(os.getpid(), 15)
@@ -194,11 +195,11 @@ def test_the_code_has_the_configured_or_own_address(
 
     where, _ = shown(ROS_IP="192.168.7.7")
     assert where.startswith("192.168.7.7:")
-    monkeypatch.setattr(address, "own_addresses", lambda: ["10.0.0.7", "fd00::7"])
+    monkeypatch.setattr(addresses, "own_addresses", lambda: ["10.0.0.7", "fd00::7"])
     where, err = shown()
     assert where.startswith("10.0.0.7:")
     assert "other addresses of this host, for --address: fd00::7" in err
-    monkeypatch.setattr(address, "own_addresses", lambda: ["10.0.0.7"])
+    monkeypatch.setattr(addresses, "own_addresses", lambda: ["10.0.0.7"])
     _, err = shown()
     assert "other addresses" not in err
 

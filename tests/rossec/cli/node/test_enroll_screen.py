@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from rossec.cli.node.enroll_screen import confirms
-from rossec.enrollment import address
+from rossec.cli.node.enroll import confirms
+from rossec.host import addresses
 from tests.rossec.cli.node.operators import Operator, after, typist
 from tests.support.commands import Shell, refused
 
@@ -18,7 +18,7 @@ def keyboard(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     written, screen = os.openpty()
     with os.fdopen(screen) as stdin:
         monkeypatch.setattr("sys.stdin", stdin)
-        monkeypatch.setattr("rossec.cli.node.enroll_screen.is_live", lambda: True)
+        monkeypatch.setattr("rossec.cli.node.enroll.is_live", lambda: True)
         yield written
     os.close(written)
 
@@ -46,7 +46,7 @@ def test_refused_connections_are_reported_up_to_a_limit(empty: Shell) -> None:
     def knock(operator: Operator, digits: str) -> None:
         assert operator.core is not None
         for _ in range(12):
-            with socket.create_connection(address.split(operator.core._code.address)) as stranger:
+            with socket.create_connection(addresses.split(operator.core._code.address)) as stranger:
                 stranger.sendall(b"GET / HTTP/1.1\r\n\r\n")
                 while stranger.recv(100):
                     pass

@@ -1,7 +1,7 @@
 import click
 import pytest
 
-from rossec.cli.node.group import node
+from rossec.cli.nouns import node
 from tests.rossec.cli.tables import check_table
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from ca.enrollment import qr
-from rossec.enrollment.scan import code_in
+from rossec.enrollment.enroll import code_in
 from tests.rossec.naming.stylesheets import gives
 from tests.support.commands import Shell, refused
 

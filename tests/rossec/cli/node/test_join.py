@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from ca.enrollment import invitation
-from ca.enrollment.join_messages import Refused, RefuseReason, Waiting, WaitReason
+from ca.enrollment.join import Refused, RefuseReason, Waiting, WaitReason
 from ca.errors import CertificateExpired
-from rossec.cli.node import join as module
+from rossec.cli.node import enroll as module
 from rossec.home import NodeHome
-from rossec.naming import shipped
+from rossec.naming import rule_runner
 from tests.support.commands import PASSPHRASE, Shell, refused
 from tests.support.joining import JoinPort
 
@@ -255,7 +255,7 @@ def meta(tmp_path: Path) -> Path:
 def test_the_name_is_that_of_the_authority_s_rules(
     shell: Shell, pasted: Pasted, meta: Path
 ) -> None:
-    with JoinPort(shell.root, PASSPHRASE, shipped.rules()) as port:
+    with JoinPort(shell.root, PASSPHRASE, rule_runner.shipped_rules()) as port:
         code = invited(shell, port, "/lamps/**")
         for answer in ("/lamps/ann/desk is enrolled until ", "/lamps/ann/desk is enrolled already"):
             pasted(code)
@@ -266,7 +266,7 @@ def test_the_name_is_that_of_the_authority_s_rules(
 
 
 def test_what_the_rules_do_not_give_is_refused(shell: Shell, pasted: Pasted, meta: Path) -> None:
-    with JoinPort(shell.root, PASSPHRASE, shipped.rules()) as port:
+    with JoinPort(shell.root, PASSPHRASE, rule_runner.shipped_rules()) as port:
         pasted(invited(shell, port, "/cameras/**"))
         refused(shell("node", "join", "--meta", str(meta)), "the invitation does not allow")
         meta.write_bytes(b"<node>")

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from rossec.authority.home import AuthorityHome
-from rossec.cli.node.known_revocations import known_revocations
+from rossec.cli.node.doctor import known_revocations
 from rossec.home import NodeHome
 from rossec.ros.names import MASTER
 from tests.support.site import Site

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ca.errors import HintedError
-from ca.revocation.state import SKEW
+from ca.revocation.trust_status import SKEW
 from grants.token import peek
-from rossec.cli.node.master_check import check_master, describe_offset
+from rossec.cli.node.doctor import check_master, describe_offset
 from rossec.cli.shared.context import Environment
 from rossec.errors import ConfigurationError
 from tests.support.attacker import call, credentials

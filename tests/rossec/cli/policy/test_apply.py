@@ -12,7 +12,7 @@ from grants import document
 from grants.model import Right
 from rossec.authority.home import AuthorityHome
 from rossec.home import NodeHome
-from rossec.master.server.start import master_of
+from rossec.master.server.server import master_of
 from rossec.node import Node
 from tests.support.commands import Said, Shell, refused
 

@@ -1,7 +1,7 @@
 import click
 import pytest
 
-from rossec.cli.policy.group import policy, privacy
+from rossec.cli.nouns import policy, privacy
 from tests.rossec.cli.tables import check_table
 from tests.support.commands import Shell, refused
 

@@ -8,7 +8,7 @@ import pytest
 from grants.model import Right
 from grants.policy.learn import Observation, log_line
 from rossec.authority.policyfile import PolicyFile
-from rossec.cli.policy import learn as module
+from rossec.cli.policy import apply as module
 from rossec.cli.shared.context import Environment
 from tests.grants.policy.policies import SMALL
 from tests.support.commands import Shell, refused

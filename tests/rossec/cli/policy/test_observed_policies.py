@@ -6,17 +6,16 @@ from typing import Final
 
 import pytest
 
-from ca.keys import key_files
-from ca.keys.signer import KeySigner
+from ca.keys import private_keys
+from ca.keys.signing import KeySigner
 from grants import document
 from grants.decision import authorize
 from grants.filters.layout import parse
-from grants.guard import Guard
-from grants.memory import Memory
+from grants.guard import Guard, Memory
 from grants.model import Draft, Grant, Right
 from grants.policy.decision import Decider
-from grants.policy.drafts import drafts
 from grants.policy.model import Subject
+from grants.policy.wanted import drafts
 from rossec.authority.policyfile import layout_of, parse_policy
 from rossec.participant.message_types import message_type
 from tests.support.commands import Shell, refused
@@ -62,7 +61,7 @@ def test_too_fast_arrives_as_the_limit() -> None:
 
 
 def granted(draft: Draft) -> Grant:
-    return document.peek(document.sign(KeySigner(key_files.generate()), draft))
+    return document.peek(document.sign(KeySigner(private_keys.generate()), draft))
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """The group `rossec relay`."""
 
-from rossec.cli.relay.group import relay
+from rossec.cli.servers import relay
 from tests.rossec.cli.tables import check_table
 from tests.support.commands import Shell, refused
 

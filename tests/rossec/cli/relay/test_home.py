@@ -1,7 +1,7 @@
 """Which list of domains the commands of a relay go by."""
 
-from ca.domains.lists import ForeignDomain
-from rossec.cli.relay.home import known_domains, relay_files
+from ca.domains.trust import ForeignDomain
+from rossec.cli.relay.sites import known_domains, relay_files
 from rossec.cli.shared.context import Environment
 from tests.support.commands import Shell
 from tests.support.masters import domain_list

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from ca.domains.lists import ForeignDomain
-from rossec.overlay.relay_files import RelayFiles
-from rossec.overlay.routers import Routers
+from ca.domains.trust import ForeignDomain
+from rossec.overlay.documents import Routers
+from rossec.overlay.homes import RelayFiles
 from tests.support.commands import Said, Shell, refused
 from tests.support.masters import domain_list
 from tests.support.site import DAY, Site

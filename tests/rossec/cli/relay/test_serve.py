@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.overlay.routers import OPEN_SEAT, Routers
+from rossec.overlay.documents import OPEN_SEAT, Routers
 from tests.support.commands import Shell, refused
 from tests.support.overlay import router
 from tests.support.ports import free_port

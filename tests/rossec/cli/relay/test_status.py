@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from rossec.cli.relay.home import ADMIN_SOCKET
+from rossec.cli.relay.sites import RELAY_SOCKET
 from rossec.master.operation.admin import AdminPort
 from tests.support.commands import Shell
 from tests.support.site import Site
@@ -59,7 +59,7 @@ class SpeakingRelay:
 
 @pytest.fixture
 def relay(shell: Shell) -> Iterator[SpeakingRelay]:
-    answering = SpeakingRelay(shell.node("/relay") / ADMIN_SOCKET, BASE)
+    answering = SpeakingRelay(shell.node("/relay") / RELAY_SOCKET, BASE)
     yield answering
     answering.close()
 

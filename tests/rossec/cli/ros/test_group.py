@@ -1,7 +1,7 @@
 import click
 import pytest
 
-from rossec.cli.ros.group import param, service, topic
+from rossec.cli.nouns import param, service, topic
 from tests.rossec.cli.tables import check_table
 
 

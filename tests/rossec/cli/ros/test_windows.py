@@ -2,7 +2,7 @@
 
 import pytest
 
-from rossec.cli.ros.windows import RateWindow, SizeWindow
+from rossec.cli.shared.messages import RateWindow, SizeWindow
 
 
 def test_a_steady_rate() -> None:

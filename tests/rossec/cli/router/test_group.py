@@ -2,7 +2,7 @@ import json
 
 import pytest
 
-from rossec.cli.router.group import router, seats
+from rossec.cli.servers import router, seats
 from tests.rossec.cli.tables import check_table
 from tests.support.commands import Shell, refused
 

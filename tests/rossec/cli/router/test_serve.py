@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from rossec.overlay.routers import Routers
+from rossec.overlay.documents import Routers
 from rossec.overlay.zenoh_carrier import Carrier
 from tests.support.commands import Shell, refused
 from tests.support.ports import free_port

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from ca.errors import RecordUnusable, StoreError
-from rossec.cli.shared.batch import Batch, unique
+from rossec.cli.shared.options import Batch, unique
 from rossec.errors import ConfigurationError
 
 PATH = Path("a.csr")

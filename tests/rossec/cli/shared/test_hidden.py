@@ -9,11 +9,11 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from rossec.cli.shared import hidden
+from rossec.cli.shared import passphrase
 
 PROGRAM = """
 import sys
-from rossec.cli.shared.hidden import can_hide, read_lines
+from rossec.cli.shared.passphrase import can_hide, read_lines
 assert can_hide()
 found = read_lines("paste", lambda text: "".join(text.split()).endswith("END"))
 print("GOT", "".join(found.split()), flush=True)
@@ -92,7 +92,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     def opened(path: str, flags: int) -> int:
         return os.dup(inner) if path == "/dev/tty" else plain(path, flags)
 
-    monkeypatch.setattr("rossec.cli.shared.hidden.os.open", opened)
+    monkeypatch.setattr("rossec.cli.shared.passphrase.os.open", opened)
     yield outer
     os.close(outer)
     os.close(inner)
@@ -109,8 +109,8 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
 )
 def test_lines_are_taken_until_the_code_is_whole(terminal: int, typed: bytes, taken: str) -> None:
     os.write(terminal, typed)
-    assert hidden.can_hide()
-    found = "".join(hidden.read_lines("paste", lambda text: "END" in text).split())
+    assert passphrase.can_hide()
+    found = "".join(passphrase.read_lines("paste", lambda text: "END" in text).split())
     assert found.replace("two", "") == taken
     said = b""
     while b"paste: " not in said:
@@ -124,6 +124,6 @@ def test_without_a_terminal_nothing_can_be_hidden(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(os, "open", refused)
     monkeypatch.setattr(sys, "stdin", None)
-    assert not hidden.can_hide()
+    assert not passphrase.can_hide()
     with pytest.raises(OSError, match="No such device"):
-        hidden.read_lines("paste", bool)
+        passphrase.read_lines("paste", bool)

@@ -3,10 +3,10 @@ import sys
 import click
 import pytest
 
-from rossec.cli.shared.lazy import LazyGroup
+from rossec.cli.shared.context import LazyGroup
 
 HELP = "Look for the masters of this trust domain, the best link first."
-MODULE = "rossec.cli.master.discover"
+MODULE = "rossec.cli.ros.graph"
 
 
 @pytest.fixture

@@ -6,9 +6,8 @@ import click
 import pytest
 
 from ca.errors import HintedError, StoreError
-from rossec.cli.shared.batch import Batch
 from rossec.cli.shared.context import confirm
-from rossec.cli.shared.results import add_entry, json_result, recorded_in
+from rossec.cli.shared.options import Batch, add_entry, json_result, recorded_in
 from rossec.errors import NotDelivered
 from rossec.terminal import record, say, say_secret
 

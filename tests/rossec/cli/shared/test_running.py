@@ -2,7 +2,7 @@ import asyncio
 
 import pytest
 
-from rossec.cli.shared.running import run_until_node_ends
+from rossec.cli.ros.topic import run_until_node_ends
 from rossec.errors import NodeShutdown
 from tests.support.site import Site
 

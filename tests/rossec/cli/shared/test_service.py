@@ -7,9 +7,8 @@ import click
 import pytest
 
 from ca.certificates import Identity
-from rossec.authority.grant_delivery import RefusedDeposit
+from rossec.authority.grant_operations import MasterCall, RefusedDeposit
 from rossec.authority.home import AuthorityHome
-from rossec.authority.master_call import MasterCall
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment
@@ -22,9 +21,9 @@ from rossec.cli.shared.service import (
 )
 from rossec.errors import NotDelivered
 from rossec.home import NodeHome
-from rossec.master.server.start import master_of
+from rossec.master.server.server import master_of
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, serve
-from rossec.net.rpc.client import serve_calls
+from rossec.net.rpc.calls import serve_calls
 from rossec.ros.xmlrpc import Fault
 from rossec.terminal import say
 from tests.support.commands import PASSPHRASE, Shell, refused

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from rossec.cli.completion import seen
-from rossec.cli.shared.context import Environment
-from rossec.cli.shared.system_state import (
+from rossec.cli.completion import values
+from rossec.cli.ros.graph import (
     SystemState,
     _keep_for_completion,
     addresses,
@@ -15,6 +14,7 @@ from rossec.cli.shared.system_state import (
     read_state,
     system_state,
 )
+from rossec.cli.shared.context import Environment
 from rossec.errors import AnswerMalformed
 from tests.rossec.cli.ros.talking import prepare, talk
 from tests.support.background import serving
@@ -78,7 +78,7 @@ def test_names_that_were_seen_complete_from_now_on(tmp_path: Path) -> None:
     found = SystemState({"/scan": ("/robot",)}, {}, {"/reset": ("/robot",)}, {"/scan": "a/B"})
     environment = Environment({"ROSSEC_HOME": str(home), "ROS_MASTER_URI": "http://x:1"})
     _keep_for_completion(environment, found)
-    kinds = (seen.TOPIC, seen.SERVICE, seen.NODE, seen.TYPE)
-    assert [seen.read(home, "http://x:1", kind) for kind in kinds] == [
+    kinds = (values.TOPIC, values.SERVICE, values.NODE, values.TYPE)
+    assert [values.read(home, "http://x:1", kind) for kind in kinds] == [
         ["/scan"], ["/reset"], ["/robot"], ["a/B"],
     ]  # fmt: skip

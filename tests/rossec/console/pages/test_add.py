@@ -13,11 +13,10 @@ from ca.errors import (
     HintedError,
     RequestSwapped,
 )
-from rossec.authority.console import owners
-from rossec.console.enrollment import Destination, Enrollment, Known, Stage
-from rossec.console.enrollments import Enrollments
-from rossec.console.routing import MAX_FRAME
-from rossec.console.settings import Settings
+from rossec.authority.console import messages
+from rossec.console.enrollments import Destination, Enrollment, Enrollments, Known, Stage
+from rossec.console.rendering import MAX_FRAME
+from rossec.console.server.control import Settings
 from rossec.errors import PictureRefused, ScannerBusy
 from tests.support.consolepages import ORIGIN, Browser
 from tests.support.enrolling import Robot, clock, compared
@@ -45,7 +44,7 @@ class Adding:
         return self.found
 
     def begin(self, text: str, address: str, owner: str) -> str:
-        assert owner == owners.of_phone("Anna's phone")
+        assert owner == messages.of_phone("Anna's phone")
         if self.refusal is not None:
             raise self.refusal
         self.begun.append((text, address))

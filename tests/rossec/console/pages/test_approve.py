@@ -1,6 +1,6 @@
 """Preparing and approving: the two requests of every kind."""
 
-from rossec.console.forms import to_base64url
+from rossec.console.rendering import to_base64url
 from rossec.errors import AuthorityLocked
 from tests.support.consolepages import Browser
 

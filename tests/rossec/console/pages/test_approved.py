@@ -4,10 +4,9 @@ import pytest
 
 from ca.approvals.statement import Kind
 from ca.encoding import encode
-from grants.claims import from_draft
-from grants.document import peek
-from rossec.authority.console.views import ApprovalView, Outcome
-from rossec.console.forms import to_base64url
+from grants.document import from_draft, peek
+from rossec.authority.console.messages import ApprovalView, Outcome
+from rossec.console.rendering import to_base64url
 from rossec.console.words import day
 from tests.support.consolehome import HOSTILE
 from tests.support.consolepages import Browser

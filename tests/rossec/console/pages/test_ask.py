@@ -3,12 +3,12 @@
 import pytest
 
 from ca.errors import HintedError
-from grants.claims import scope_of
+from grants.document import scope_of
 from grants.model import Permission, Right
-from rossec.authority.console.views import FactView, QuestionAnswer
-from rossec.console.forms import to_base64url
-from rossec.console.pages.ask import DENIED
-from rossec.console.settings import Settings
+from rossec.authority.console.messages import FactView, QuestionAnswer
+from rossec.console.pages.decisions import DENIED
+from rossec.console.rendering import to_base64url
+from rossec.console.server.control import Settings
 from rossec.errors import KeyServiceRefused
 from tests.support.consolehome import HOSTILE
 from tests.support.consolepages import ORIGIN, Browser

@@ -1,9 +1,9 @@
 """Join codes: the form, the code once, and the end of one."""
 
-from rossec.authority.console.views import Outcome
-from rossec.console.forms import to_base64url
-from rossec.console.pages.invite import ENDED
-from rossec.console.settings import Settings
+from rossec.authority.console.messages import Outcome
+from rossec.console.pages.adding import ENDED
+from rossec.console.rendering import to_base64url
+from rossec.console.server.control import Settings
 from tests.support.consolehome import HOSTILE
 from tests.support.consolepages import ORIGIN, Browser
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from rossec.console.forms import to_base64url
-from rossec.console.pages.join import REJECTED
-from rossec.console.settings import Settings
+from rossec.console.pages.adding import REJECTED
+from rossec.console.rendering import to_base64url
+from rossec.console.server.control import Settings
 from tests.support.consolehome import HOSTILE
 from tests.support.consolepages import ORIGIN, Browser
 

@@ -1,8 +1,8 @@
 """One node, one grant."""
 
-from rossec.console.forms import to_base64url
 from rossec.console.matrix import Access
-from rossec.console.pages.nodes import grant_line, sees
+from rossec.console.pages.visibility import grant_line, sees
+from rossec.console.rendering import to_base64url
 from tests.support.consolehome import NOW, FakeHome, as_service, crowd, demo
 from tests.support.consolepages import Browser
 

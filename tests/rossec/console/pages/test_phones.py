@@ -1,9 +1,9 @@
 """The page of phones: list, link, proposal, removal."""
 
-from rossec.authority.console.views import Proposal
-from rossec.console.forms import to_base64url
-from rossec.console.pages.phones import REMOVED
-from rossec.console.settings import Settings
+from rossec.authority.console.messages import Proposal
+from rossec.console.pages.passkeys import REMOVED
+from rossec.console.rendering import to_base64url
+from rossec.console.server.control import Settings
 from tests.support.consolepages import ORIGIN, Browser
 
 PHONE = to_base64url(b"\5" * 32)

@@ -2,13 +2,13 @@
 
 import base64
 
-from ca.intermediates import build_intermediate_request
-from ca.keys.publickey import thumbprint
+from ca.certificates import build_intermediate_request
+from ca.keys.signing import thumbprint
 from grants.model import Right
-from rossec.authority.console.views import PolicyRight
-from rossec.console.forms import to_base64url
-from rossec.console.pages.policy import sentence
-from rossec.console.settings import Settings
+from rossec.authority.console.messages import PolicyRight
+from rossec.console.pages.decisions import sentence
+from rossec.console.rendering import to_base64url
+from rossec.console.server.control import Settings
 from tests.support.consolehome import HOSTILE
 from tests.support.consolepages import ORIGIN, Browser
 from tests.support.pki import new_signer

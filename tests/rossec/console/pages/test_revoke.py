@@ -2,10 +2,10 @@
 
 import pytest
 
-from rossec.authority.console.views import ListStanding
-from rossec.console.forms import to_base64url
-from rossec.console.pages.revoke import REFRESH
-from rossec.console.settings import Settings
+from rossec.authority.console.messages import ListStanding
+from rossec.console.pages.decisions import REFRESH
+from rossec.console.rendering import to_base64url
+from rossec.console.server.control import Settings
 from tests.support.consolepages import ORIGIN, Browser
 
 

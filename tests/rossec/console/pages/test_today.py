@@ -4,14 +4,14 @@ import pytest
 
 from ca.encoding import encode
 from grants.model import Right
-from rossec.authority.console.views import (
+from rossec.authority.console.messages import (
     AskedRight,
     GrantQuestion,
     IdentityRequestView,
     Proposal,
 )
-from rossec.console.forms import to_base64url
 from rossec.console.pages.today import Counts, counts
+from rossec.console.rendering import to_base64url
 from rossec.errors import KeyServiceRefused
 from tests.support.consolehome import NOW, FakeHome, as_service, demo
 from tests.support.consolepages import Browser

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from grants.model import Restriction, filter_rules
-from rossec.console import made_up
+from rossec.console import samples
 from rossec.console.matrix import Access, Cell
-from rossec.console.pictures import image, laser, looks
+from rossec.console.pictures import looks
+from rossec.console.pictures import looks as image
+from rossec.console.pictures import looks as laser
 from rossec.console.pictures.looks import Comparison
 from rossec.console.samples import Recorded
 from rossec.errors import MessageError
@@ -20,7 +22,7 @@ FIX = "sensor_msgs/NavSatFix"
 
 
 def compare(kind: str, *ways: Restriction | None) -> Comparison:
-    recorded = made_up.recorded("/robot/topic", kind)
+    recorded = samples.recorded("/robot/topic", kind)
     assert recorded is not None
     cells = [
         Cell(f"/node_{at}", "/robot/topic", Access.COARSE if way else Access.ALL,
@@ -48,7 +50,7 @@ def test_receivers_that_see_the_same_share_a_look() -> None:
 
 
 def test_who_sees_nothing_has_no_look() -> None:
-    recorded = made_up.recorded("/robot/topic", POSE)
+    recorded = samples.recorded("/robot/topic", POSE)
     assert recorded is not None
     assert looks.compare(recorded, [Cell("/a", "/t", Access.ENDED)]).looks == ()
 
@@ -64,11 +66,11 @@ def test_a_place_that_was_removed_is_said_and_the_fields_are_shown() -> None:
 
 
 def test_a_laser_a_picture_and_a_number() -> None:
-    (seen,) = compare(laser.TYPE, None).looks
+    (seen,) = compare(laser.SCAN_TYPE, None).looks
     assert seen.heading == "sees what the laser meets"
     checked(seen.picture)
-    blur = Restriction(image.TYPE, (), filter_rules({"data": {"pixelate": {"block": 32}}}))
-    assert [each.heading for each in compare(image.TYPE, blur, None).looks] == [
+    blur = Restriction(image.IMAGE_TYPE, (), filter_rules({"data": {"pixelate": {"block": 32}}}))
+    assert [each.heading for each in compare(image.IMAGE_TYPE, blur, None).looks] == [
         "sees the picture", "sees this of the picture",
     ]  # fmt: skip
     (number,) = compare("sensor_msgs/BatteryState", None).looks
@@ -101,7 +103,7 @@ def test_messages_of_an_unknown_type_have_no_look() -> None:
 
 
 def test_messages_that_never_pass_are_said() -> None:
-    recorded = made_up.recorded("/t", POSE)
+    recorded = samples.recorded("/t", POSE)
     assert recorded is not None
     never = Restriction(POSE, ('msg.header.frame_id == "elsewhere"',))
     cell = Cell("/a", "/t", Access.COARSE, "only when", "", (b"g",), (never,))
@@ -126,7 +128,7 @@ def test_a_hostile_text_in_a_message_is_text() -> None:
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1.7e308, -1.7e308, 5e-324])
-@pytest.mark.parametrize("kind", sorted([POSE, FIX, laser.TYPE, "sensor_msgs/BatteryState"]))
+@pytest.mark.parametrize("kind", sorted([POSE, FIX, laser.SCAN_TYPE, "sensor_msgs/BatteryState"]))
 def test_strange_numbers_of_a_robot_are_drawn_or_left_out(kind: str, value: float) -> None:
     made = message_type(kind)
 
@@ -137,7 +139,7 @@ def test_strange_numbers_of_a_robot_are_drawn_or_left_out(kind: str, value: floa
             found.pose.orientation.z, found.pose.orientation.w = value, value
         elif kind == FIX:
             found.latitude, found.longitude = value, float(at)
-        elif kind == laser.TYPE:
+        elif kind == laser.SCAN_TYPE:
             found.angle_min, found.ranges = value, np.ones(9, np.float32)
         else:
             found.voltage = value if at % 2 else -value

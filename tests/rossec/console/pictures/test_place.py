@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from grants.model import Restriction, filter_rules
-from rossec.console import made_up
+from rossec.console import samples
 from rossec.console.pictures import place
 from rossec.console.samples import Sample, SeenTopic, see
 from tests.support.consolehome import COARSE, POSE
@@ -19,7 +19,7 @@ TYPES = sorted(
 
 
 def seen(kind: str = POSE, *restrictions: Restriction) -> SeenTopic:
-    recorded = made_up.recorded("/robot/pose", kind)
+    recorded = samples.recorded("/robot/pose", kind)
     assert recorded is not None
     return see(recorded, "/doctor", restrictions)
 

@@ -15,7 +15,7 @@ from rossec.console.scanning import frames, worker
 from rossec.console.scanning.frames import Found, Unreadable
 from rossec.enrollment import scanner
 from rossec.errors import KeyMessageRefused
-from rossec.operation import landlock
+from rossec.host import sandbox
 
 TEXT = qr.label_code(b"a request")
 OTHER = qr.label_code(b"another request")
@@ -89,7 +89,7 @@ def test_what_is_given_up_does_not_depend_on_the_kernel(
     monkeypatch.setattr(resource, "getrlimit", lambda _: (1, 32))
     monkeypatch.setattr(resource, "setrlimit", lambda what, most: given.append((what, most[1])))
     monkeypatch.setattr(os, "nice", lambda _: 0)
-    monkeypatch.setattr(landlock, "read_only", refuse)
+    monkeypatch.setattr(sandbox, "read_only", refuse)
     worker.confine()
     assert dict(given) == {
         resource.RLIMIT_AS: 32, resource.RLIMIT_CORE: 0, resource.RLIMIT_FSIZE: 0,

@@ -8,14 +8,21 @@ from typing import Any
 import pytest
 from starlette.responses import PlainTextResponse, Response
 
-from rossec.console.headers import HEADERS, HSTS, IMMUTABLE
-from rossec.console.known_phones import KnownPhones
-from rossec.console.routes import ROUTES
-from rossec.console.routing import PUBLIC, SESSION, Access, Match, Page, PageTable
-from rossec.console.server import guard as module
-from rossec.console.server.guard import RULES, Allowed, Facts, broken_rule, is_by_person
-from rossec.console.sessions import COOKIE
-from rossec.console.settings import Settings
+from rossec.console import app as module
+from rossec.console.app import (
+    HEADERS,
+    HSTS,
+    IMMUTABLE,
+    ROUTES,
+    RULES,
+    Allowed,
+    Facts,
+    broken_rule,
+    is_by_person,
+)
+from rossec.console.rendering import PUBLIC, SESSION, Access, Match, Page, PageTable
+from rossec.console.server.control import Settings
+from rossec.console.sessions import COOKIE, KnownPhones
 from rossec.errors import PeerUserRefused
 from tests.support.consolepages import ORIGIN, Browser
 

@@ -11,13 +11,13 @@ import pytest
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from rossec.console.server import places
 from rossec.console.server import serving as module
+from rossec.console.server import serving as places
 from rossec.console.server.serving import MAX_HEAD, PLACE, ConsoleServer
-from rossec.console.tls.server_context import load, make_context
-from rossec.console.tls.store import key_pem
+from rossec.console.server.web import load_bundle, make_context
+from rossec.console.tls.certificates import key_pem
 from rossec.errors import PeerUserRefused
-from rossec.net.halfopen import HalfOpen
+from rossec.net.limits import HalfOpen
 from tests.support.console_tls import NOW, new_authority, new_key, pem
 
 REQUEST = b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"
@@ -127,7 +127,7 @@ def server_context() -> ssl.SSLContext:
     authority, key = new_authority(), new_key()
     context = make_context()
     leaf = authority.issue(key.public_key(), now=NOW, serial=9)
-    load(context, key_pem(key) + pem(leaf))
+    load_bundle(context, key_pem(key) + pem(leaf))
     return context
 
 

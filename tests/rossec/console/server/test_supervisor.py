@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from rossec.console.options import Endpoint, Options, read_options
-from rossec.console.server.supervisor import settings_for, supervise
-from rossec.console.server.web_process import WebOptions
+from rossec.console.server.supervisor import WebOptions, settings_for, supervise
 from rossec.errors import ConfigurationError
 from tests.support.consoleprocess import UNMEASURED, listening
 from tests.support.ports import free_port

@@ -11,9 +11,8 @@ import pytest
 from rossec.authority.console.client import ConsoleClient
 from rossec.console.server import control
 from rossec.console.server import web as module
-from rossec.console.server.web import WebProcess, main
-from rossec.console.settings import Settings, write_settings
-from rossec.console.tls.server_context import make_context
+from rossec.console.server.control import Settings, write_settings
+from rossec.console.server.web import WebProcess, main, make_context
 from rossec.errors import ConfigurationError, KeyMessageRefused
 from tests.support.consoleprocess import listening
 

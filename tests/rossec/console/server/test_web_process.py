@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from rossec.console.headers import HEADERS
-from rossec.console.server import web_process as module
-from rossec.console.server.web_process import WebOptions, WebProcess
-from rossec.console.settings import Settings
+from rossec.console.app import HEADERS
+from rossec.console.server import supervisor as module
+from rossec.console.server.control import Settings
+from rossec.console.server.supervisor import WebOptions, WebProcess
 from rossec.errors import ConfigurationError
 from tests.support.consoleprocess import UNMEASURED, ask, listening, running_web
 from tests.support.serviceprocess import children_of, wait_until_gone

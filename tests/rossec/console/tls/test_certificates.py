@@ -12,14 +12,14 @@ from cryptography.hazmat.primitives.serialization import (
     PrivateFormat,
 )
 
-from rossec.console.tls.authority import DAY, LEAF_LIFETIME, TlsAuthority
 from rossec.console.tls.certificates import (
     FileCertificates,
     OwnCertificates,
     check_bundle,
+    key_pem,
     renewal_time,
 )
-from rossec.console.tls.store import key_pem
+from rossec.console.tls.own_authority import DAY, LEAF_LIFETIME, TlsAuthority
 from rossec.errors import ConfigurationError
 from tests.support.console_tls import HOST, NAME, NOW, foreign_leaf, new_authority, new_key, pem
 

@@ -4,9 +4,8 @@ from pathlib import Path
 import pytest
 
 from rossec.console.options import Options, read_options
-from rossec.console.tls import store
-from rossec.console.tls.source import prepare_tls
-from rossec.console.tls.store import key_pem, open_authority
+from rossec.console.tls import certificates
+from rossec.console.tls.certificates import key_pem, open_authority, prepare_tls
 from rossec.errors import ConfigurationError
 from tests.support.console_tls import NAME, NOW, new_authority, new_key, pem
 
@@ -23,7 +22,7 @@ def test_on_the_network_an_authority_is_made_and_used(tmp_path: Path) -> None:
     assert setup is not None
     assert setup.authority is not None
     assert setup.authority.data == open_authority(tmp_path / "console").data
-    assert setup.authority.address == store.first_address()
+    assert setup.authority.address == certificates.first_address()
     assert setup.source.first(NOW).count(b"BEGIN CERTIFICATE") == 1
 
 

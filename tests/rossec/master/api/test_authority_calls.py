@@ -3,9 +3,9 @@ from dataclasses import replace
 import pytest
 
 from grants.model import Right
-from rossec.master.api.authority_calls import DENIALS, MAX_LACKING, STANDING
 from rossec.master.api.dispatch import MasterApi
-from rossec.master.rights.recent_denials import RecentDenials
+from rossec.master.api.statement_calls import DENIALS, MAX_LACKING, STANDING
+from rossec.master.rights.caller import RecentDenials
 from rossec.master.state.registry import NodeRef, Registry
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
 

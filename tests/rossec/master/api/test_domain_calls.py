@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from ca.revocation.state import digest
+from ca.revocation.lists import digest
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import CallDenied, DomainsChanged
 from rossec.master.state.registry import Registry

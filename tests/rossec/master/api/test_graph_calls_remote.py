@@ -5,16 +5,15 @@ from typing import Any
 
 import pytest
 
-from ca.domains.aliases import origin_of
+from ca.names import origin_of
+from grants.decision import Reach
 from grants.model import Permission, Right
-from grants.reach import Reach
 from rossec.master.api.dispatch import MasterApi
-from rossec.master.api.watch_calls import WATCH
+from rossec.master.api.graph_calls import WATCH
 from rossec.master.rights.caller import Caller
-from rossec.master.state.demand import EVERYTHING, NOTHING
-from rossec.master.state.imports import Imports
+from rossec.master.state.imported_facts import Site
+from rossec.master.state.imports import EVERYTHING, NOTHING, Imports
 from rossec.master.state.registry import Registry
-from rossec.master.state.sites import Site
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
 
 T, URI = "std_msgs/String", "http://10.0.0.2:1/"

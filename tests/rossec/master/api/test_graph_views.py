@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from rossec.master.api import graph_views
-from rossec.master.api.graph_views import MAX_VIEWS, Fact, GraphViews, View, is_unchanged
+from rossec.master.api import graph_calls
+from rossec.master.api.graph_calls import MAX_VIEWS, Fact, GraphViews, View, is_unchanged
 
 ME = b"me"
 
@@ -59,7 +59,7 @@ def test_a_view_that_is_not_known_is_answered_whole(
 
 
 def test_an_answer_is_bounded(views: GraphViews, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(graph_views, "BATCH", 2)
+    monkeypatch.setattr(graph_calls, "BATCH", 2)
     first = views.answer(ME, ("", 0), facts("/a", "/b", "/c"), 1)
     assert (names(first, "added"), first["more"]) == (["/a", "/b"], True)
     rest = views.answer(ME, ("run", first["cursor"]), facts("/a", "/b", "/c"), 1)

@@ -7,16 +7,16 @@ from typing import Any
 import pytest
 
 from grants.model import Right
-from rossec.master.api.dispatch import MasterApi
-from rossec.master.api.methods import CallDenied, Denied
-from rossec.master.api.multicall import (
+from rossec.master.api.dispatch import (
     MULTICALL_ANSWER,
     MULTICALL_LIMIT,
     MULTICALL_ONCE,
     Fault,
+    MasterApi,
     Multicall,
 )
-from rossec.master.api.watch_calls import WATCH
+from rossec.master.api.graph_calls import WATCH
+from rossec.master.api.methods import CallDenied, Denied
 from rossec.master.rights.caller import NAMES_PER_YIELD, Caller
 from rossec.master.state.registry import Registry
 from rossec.ros.xmlrpc import dump_call, dump_response

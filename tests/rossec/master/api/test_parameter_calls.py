@@ -9,7 +9,7 @@ from rossec.master.api import parameter_calls
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import MasterEvent, ParameterChanged, PersistParameter
 from rossec.master.rights.caller import NAMES_PER_YIELD, Caller
-from rossec.master.state.parameter_journal import ParameterChange
+from rossec.master.state.journals import ParameterChange
 from rossec.master.state.registry import NodeRef, Registry
 from rossec.ros.xmlrpc import BODY_LIMIT, Fault
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything

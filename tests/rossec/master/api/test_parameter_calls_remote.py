@@ -4,14 +4,14 @@ from typing import Any
 
 import pytest
 
+from grants.decision import Reach
 from grants.model import Permission, Right
-from grants.reach import Reach
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import ParameterChanged
 from rossec.master.rights.caller import Caller
+from rossec.master.state.imported_facts import Site
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import NodeRef, Registry
-from rossec.master.state.sites import Site
 from tests.rossec.master.fakes import FakeStatements, call_api, refuse
 
 KITCHEN, SPEED = Site("kitchen"), "/remote/kitchen/robot/speed"

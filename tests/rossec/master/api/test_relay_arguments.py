@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from rossec.master.api import relay_arguments as arg
+from rossec.master.api import arguments as arg
 from rossec.master.api.arguments import ArgumentRefused, Check
-from rossec.master.state.doors import AT_ONCE, MAX_PEERS, Door, Target, Way
+from rossec.master.state.forwarded_ports import AT_ONCE, MAX_PEERS, Door, Target, Way
 
 WAY = {"state": "up", "rtt_ms": 12.5, "retransmissions": 3, "router": "tls/r:7447", "streams": 2}
 DOOR = ["office", "node", "/robot", "127.0.0.1", 7001]

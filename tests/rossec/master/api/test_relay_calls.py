@@ -6,8 +6,8 @@ import pytest
 
 from grants.model import Right
 from rossec.master.api.dispatch import MasterApi
-from rossec.master.api.relay_calls import is_idle
-from rossec.master.state.doors import Door, Doors, Target
+from rossec.master.api.site_calls import is_idle
+from rossec.master.state.forwarded_ports import Door, Doors, Target
 from rossec.master.state.registry import NodeRef, Registry
 from tests.rossec.master.fakes import call_api
 from tests.rossec.master.rights.test_statements_foreign import Home

@@ -7,8 +7,8 @@ import pytest
 
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import Administered
-from rossec.master.api.renewal_calls import is_idle
-from rossec.master.rights.identity_renewals import OFFER_LIMIT, IdentityRenewals, Settlement
+from rossec.master.api.statement_calls import is_idle
+from rossec.master.rights.renewals import OFFER_LIMIT, IdentityRenewals, Settlement
 from rossec.master.state.registry import Registry
 from rossec.ros.names import RENEW_IDENTITY, SETTLE_RENEWALS, WATCH_RENEWALS
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything

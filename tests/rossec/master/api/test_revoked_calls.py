@@ -3,7 +3,7 @@
 import pytest
 
 from rossec.errors import HangUp
-from rossec.master.api.revoked_calls import (
+from rossec.master.api.dispatch import (
     MAX_BELOW_INTERMEDIATE,
     MAX_CALLS,
     MAX_CONNECTIONS,

@@ -5,15 +5,15 @@ from typing import Any
 
 import pytest
 
+from grants.decision import Reach
 from grants.model import Permission, Right
-from grants.reach import Reach
 from rossec.master.api.dispatch import MasterApi
+from rossec.master.api.graph_calls import is_unchanged
 from rossec.master.api.site_calls import FOLLOW, MAX_PATTERNS
-from rossec.master.api.watch_calls import is_unchanged
 from rossec.master.rights.caller import Caller
+from rossec.master.state.imported_facts import Site
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import NodeRef, Registry
-from rossec.master.state.sites import Site
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, refuse
 
 T = "std_msgs/String"

@@ -7,9 +7,8 @@ import pytest
 from ca.encoding import decode, encode
 from grants.model import Right
 from rossec.master.api.dispatch import MasterApi
-from rossec.master.api.methods import GrantsPresented, RevocationsChanged
+from rossec.master.api.methods import CallOutcome, GrantsPresented, RevocationsChanged
 from rossec.master.api.statement_calls import PRESENT_LIMIT
-from rossec.master.api.turns import CallOutcome
 from rossec.master.rights.caller import Caller
 from rossec.master.state.registry import Registry
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything, run_to_end

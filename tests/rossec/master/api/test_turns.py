@@ -2,13 +2,7 @@
 
 import pytest
 
-from rossec.master.api.turns import (
-    TURN,
-    CallOutcome,
-    Turns,
-    Work,
-    advance,
-)
+from rossec.master.api.methods import TURN, CallOutcome, Turns, Work, advance
 from tests.rossec.master.fakes import never_expires, run_to_end
 
 

@@ -5,12 +5,12 @@ from typing import Any
 import pytest
 
 from grants.model import Right
-from rossec.master.api import graph_views
+from rossec.master.api import graph_calls
 from rossec.master.api.dispatch import MasterApi
-from rossec.master.api.watch_calls import MAX_VIEWS, WATCH, is_unchanged
+from rossec.master.api.graph_calls import MAX_VIEWS, WATCH, is_unchanged
 from rossec.master.rights.caller import Caller
 from rossec.master.state.registry import Registry
-from rossec.participant.graph_view import GraphView
+from rossec.participant.registrations import GraphView
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
 
 T = "std_msgs/String"
@@ -126,7 +126,7 @@ def test_a_restarted_master_is_recognised(api: MasterApi) -> None:
 def test_an_answer_is_bounded_and_the_rest_follows(
     api: MasterApi, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(graph_views, "BATCH", 2)
+    monkeypatch.setattr(graph_calls, "BATCH", 2)
     for n in range(3):
         do(api, "/laser", "registerPublisher", f"/t{n}", "*", "http://l:1/")
     watcher = Watcher(api)

@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 from rossec.errors import ConfigurationError
-from rossec.master.operation.config import Config, load, parse
-from rossec.master.operation.limits import MasterLimits
+from rossec.master.operation.config import Config, MasterLimits, load, parse
 
 FULL = """
 port: 11312

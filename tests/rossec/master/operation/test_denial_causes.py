@@ -2,7 +2,7 @@
 
 from grants.model import Right
 from rossec.master.api.methods import CallDenied
-from rossec.master.operation.denial_causes import LOGGED_FOR, MAX_CAUSES, DenialCauses
+from rossec.master.server.effects import LOGGED_FOR, MAX_CAUSES, DenialCauses
 
 
 def denied(

@@ -5,13 +5,8 @@ from collections.abc import Mapping
 
 import pytest
 
-from rossec.master.operation.denial_limit import (
-    DENIALS,
-    MAX_NODES,
-    DenialRateLimit,
-    denials_limited,
-)
-from rossec.operation.audit import LEFT_OUT
+from rossec.host.audit import LEFT_OUT
+from rossec.master.operation.admin import DENIALS, MAX_NODES, DenialRateLimit, denials_limited
 
 
 class Lines:

@@ -6,8 +6,8 @@ import pytest
 from grants.model import Right
 from grants.policy.learn import from_log
 from rossec.errors import RossecError
-from rossec.master.operation import denial_log
-from rossec.master.operation.denial_log import DenialLog
+from rossec.master.server import effects
+from rossec.master.server.effects import DenialLog
 from tests.support.site import Site
 
 
@@ -30,8 +30,8 @@ def test_what_is_written_can_be_learnt_from(tmp_path: Path) -> None:
 def test_a_restart_appends_and_the_lines_are_limited(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(denial_log, "MAX_LINES", 1)
-    monkeypatch.setattr(denial_log, "LINES_PER_NODE", 2)
+    monkeypatch.setattr(effects, "MAX_LINES", 1)
+    monkeypatch.setattr(effects, "LINES_PER_NODE", 2)
     for _ in range(2):
         log = DenialLog(tmp_path / "complaints")
         for number in range(10):
@@ -43,8 +43,8 @@ def test_a_restart_appends_and_the_lines_are_limited(
 def test_no_node_uses_up_the_quota_of_another(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(denial_log, "MAX_LINES", 5)
-    monkeypatch.setattr(denial_log, "LINES_PER_NODE", 3)
+    monkeypatch.setattr(effects, "MAX_LINES", 5)
+    monkeypatch.setattr(effects, "LINES_PER_NODE", 3)
     log = DenialLog(tmp_path / "complaints")
     for node, lines in (("/eve", 99), ("/mallory", 99), ("/robot", 3)):
         for number in range(lines):

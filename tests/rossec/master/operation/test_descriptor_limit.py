@@ -2,7 +2,7 @@ import resource
 
 import pytest
 
-from rossec.master.operation.descriptor_limit import raise_descriptor_limit
+from rossec.master.operation.admin import raise_descriptor_limit
 
 
 @pytest.mark.parametrize(

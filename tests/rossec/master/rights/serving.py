@@ -5,12 +5,12 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from grants.model import Right
-from rossec.master.rights.alias_publishers import AliasPublishers
 from rossec.master.rights.caller import Caller
+from rossec.master.rights.publisher_views import AliasPublishers
 from rossec.master.state.graph import Graph
+from rossec.master.state.imported_facts import Site
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import NodeRef, PublishersChanged, Registry
-from rossec.master.state.sites import Site
 from tests.rossec.master.rights.test_caller import visitor_of
 
 T: Final = "std_msgs/String"

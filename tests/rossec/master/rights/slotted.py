@@ -3,11 +3,11 @@
 from collections.abc import Iterable
 from typing import Any, Final
 
+from grants.decision import Reach
 from grants.model import Permission, Restriction, Right
-from grants.reach import Reach
 from rossec.master.api.dispatch import MasterApi
-from rossec.master.rights.alias_publishers import AliasPublishers
 from rossec.master.rights.caller import Caller
+from rossec.master.rights.publisher_views import AliasPublishers
 from rossec.master.state.graph import Graph
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import PublishersChanged, Registry

@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 
 from ca.errors import HintedError, NotAdmitted
+from grants.decision import Reach
 from grants.errors import GrantMissing
 from grants.model import Permission, Right
-from grants.reach import Reach
 from rossec.master.rights.caller import OWN_DOMAIN, Caller, OriginRights, Refused
 from tests.rossec.master.fakes import ALL, caller, refuse
 

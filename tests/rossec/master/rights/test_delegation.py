@@ -3,7 +3,7 @@
 import pytest
 
 from ca.errors import HintedError, Revoked
-from ca.revocation.state import SKEW
+from ca.revocation.trust_status import SKEW
 from grants.document import grant_id, verify
 from grants.errors import (
     GrantForged,
@@ -17,7 +17,7 @@ from grants.errors import (
 from grants.model import Grant, Right
 from grants.renewal import open_delegation
 from grants.token import unpack
-from rossec.master.rights.delegation import Delegate
+from rossec.master.rights.renewals import Delegate
 from tests.support.authority import DAY, Site
 
 HOUR = 3600

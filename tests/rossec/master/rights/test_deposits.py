@@ -9,9 +9,9 @@ from grants import document
 from grants.errors import GrantError, GrantExpired, GrantForged
 from grants.model import Grant, Right
 from grants.token import pack
-from rossec.master.rights import deposits as module
-from rossec.master.rights.deposits import DeliveryState, Deposits, Missing, verifier
-from rossec.master.state.deposit_journal import DepositChange, GrantDeposited, GrantHeld
+from rossec.master.rights import held_grants as module
+from rossec.master.rights.held_grants import DeliveryState, Deposits, Missing, verifier
+from rossec.master.state.journals import DepositChange, GrantDeposited, GrantHeld
 from tests.support.authority import DAY, EnrolledNode, Site
 
 NONE = frozenset[bytes]()

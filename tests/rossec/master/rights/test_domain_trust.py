@@ -6,8 +6,7 @@ from typing import Any
 import pytest
 
 from ca.certificates import Identity
-from ca.domains.anchors import Anchors
-from ca.domains.standing import Standing
+from ca.domains.trust import Anchors
 from ca.errors import (
     DomainsRefused,
     NotAdmitted,
@@ -16,8 +15,9 @@ from ca.errors import (
     Revoked,
     RollbackRefused,
 )
-from ca.keys.publickey import to_coordinates
-from ca.revocation.state import Revocations, digest
+from ca.keys.signing import to_coordinates
+from ca.revocation.lists import digest
+from ca.revocation.trust_status import Revocations, Standing
 from grants.errors import GrantForged
 from grants.model import ALL_RIGHTS, Right
 from rossec.errors import NotWritten

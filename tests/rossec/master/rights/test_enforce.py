@@ -6,7 +6,7 @@ import pytest
 
 from grants.model import Right
 from rossec.master.api.methods import MasterEvent
-from rossec.master.rights.enforce import BATCH, EnforcementStep, enforce, steps
+from rossec.master.rights.statements import BATCH, EnforcementStep, enforce, enforcement_steps
 from rossec.master.state.registry import Kind, NodeRef, PublishersChanged, Registry
 from tests.rossec.master.fakes import FakeStatements, caller
 from tests.rossec.master.rights.test_caller import visitor_of
@@ -15,7 +15,9 @@ A, B = NodeRef("/a", "http://h:1/", b"/a"), NodeRef("/b", "http://h:2/", b"/b")
 
 
 def enforce_all(state: Registry, statements: FakeStatements) -> list[MasterEvent]:
-    return [event for step in steps(state) for event in enforce(state, statements, step, 0)]
+    return [
+        event for step in enforcement_steps(state) for event in enforce(state, statements, step, 0)
+    ]
 
 
 def registry() -> Registry:
@@ -84,7 +86,7 @@ def test_a_step_is_small_and_uses_the_current_state() -> None:
     state = Registry()
     for n in range(BATCH + 1):
         state.register_publisher(f"/t{n}", "*", A)
-    first, second = steps(state)
+    first, second = enforcement_steps(state)
     assert (len(first.keys), len(second.keys)) == (BATCH, 1)
     without_callers = FakeStatements()
     assert (

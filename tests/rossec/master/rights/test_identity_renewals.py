@@ -6,14 +6,14 @@ from typing import Any
 
 import pytest
 
-from ca.certificates import build_request
+from ca.certificates import MAX_AGE, MAX_RENEWAL, Renewal, open_renewal, sign_renewal
 from ca.errors import RenewalRefused, Revoked
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
-from ca.renewal import MAX_AGE, MAX_RENEWAL, Renewal, open_renewal, sign_renewal
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
+from ca.svid import build_request
 from rossec.authority.renewals import renew
-from rossec.master.rights import identity_renewals as module
-from rossec.master.rights.identity_renewals import (
+from rossec.master.rights import renewals as module
+from rossec.master.rights.renewals import (
     ANSWER_KEPT,
     OFFER_LIMIT,
     OFFERED_AGAIN,

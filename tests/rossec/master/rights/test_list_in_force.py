@@ -3,10 +3,17 @@
 import pytest
 
 from ca.errors import RevocationRefused
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
-from ca.revocation.state import digest, open_timestamp
-from ca.revocation.tree import RevocationTree, TreeEntries, is_revoked, open_tree, sign_tree
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
+from ca.revocation.lists import (
+    RevocationTree,
+    TreeEntries,
+    digest,
+    is_revoked,
+    open_timestamp,
+    open_tree,
+    sign_tree,
+)
 from grants.document import grant_id
 from grants.model import Right
 from rossec.master.rights.statements import TrustState

@@ -6,17 +6,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from grants.decision import Reach
 from grants.model import Permission, Right
-from grants.reach import Reach
-from rossec.master.rights import parameter_trees
-from rossec.master.rights.caller import Caller, Refused
-from rossec.master.rights.parameter_trees import (
+from rossec.master.api import parameter_calls
+from rossec.master.api.parameter_calls import (
     decisions,
     decisions_across_turns,
     has_right_on_all,
     parameter_names,
     require_tree,
 )
+from rossec.master.rights.caller import Caller, Refused
 from tests.rossec.master.fakes import caller, everything, refuse
 
 GET = Right.PARAM_GET
@@ -91,7 +91,7 @@ def test_the_check_ends_at_the_first_uncovered_name() -> None:
 
 
 def test_a_tree_of_too_many_names_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parameter_trees, "MAX_NAMES_CHECKED", 1 + 2 * 10)  # each with its namespace
+    monkeypatch.setattr(parameter_calls, "MAX_NAMES_CHECKED", 1 + 2 * 10)  # each with its namespace
     each, whole = holder("/*/x"), holder("/**")
     fits = {f"n{number}": {"x": 1} for number in range(10)}
     more = fits | {"n10": {"x": 1}}

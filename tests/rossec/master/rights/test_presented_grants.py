@@ -4,7 +4,7 @@ import pytest
 
 from grants.model import Right
 from grants.renewal import open_delegation
-from rossec.master.rights.presented_grants import MAX_FAILURES, MAX_HELD
+from rossec.master.rights.held_grants import MAX_FAILURES, MAX_HELD
 from tests.rossec.master.rights.trust_world import World, update_delegation
 from tests.support.authority import DAY
 

@@ -2,7 +2,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from grants.model import Right
-from rossec.master.rights.recent_denials import (
+from rossec.master.rights.caller import (
     KEPT,
     MAX_DENIALS,
     MAX_NAME,

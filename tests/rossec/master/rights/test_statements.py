@@ -5,12 +5,12 @@ import dataclasses
 import pytest
 
 from ca.errors import Revoked
-from ca.revocation.state import RevocationList, sign_list
+from ca.revocation.lists import RevocationList, sign_list
 from grants.document import grant_id
 from grants.model import Right
 from rossec.master.rights.access_rules import require
 from rossec.master.rights.caller import Refused
-from rossec.master.rights.presented_grants import FAILURE_WINDOW, MAX_FAILURES, MAX_HELD
+from rossec.master.rights.held_grants import FAILURE_WINDOW, MAX_FAILURES, MAX_HELD
 from rossec.master.rights.statements import TrustState
 from tests.rossec.master.rights.trust_world import World
 from tests.support.authority import DAY, Site

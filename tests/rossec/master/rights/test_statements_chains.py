@@ -6,8 +6,7 @@ import pytest
 
 from grants.document import peek, sign
 from grants.model import Draft, Permission, Right
-from grants.narrowing import sign_narrowing
-from grants.token import pack_chain
+from grants.token import pack_chain, sign_narrowing
 from tests.rossec.master.rights.test_statements_foreign import Home
 from tests.rossec.master.visiting import HOSPITAL, Hospital
 from tests.support.authority import DAY, EnrolledNode, Site

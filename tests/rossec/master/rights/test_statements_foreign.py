@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from ca.certificates import Identity
-from ca.domains.anchors import Anchors
-from ca.domains.standing import Standing
+from ca.domains.trust import Anchors
 from ca.errors import CAError, Revoked
+from ca.revocation.trust_status import Standing
 from grants.model import Right
 from rossec.master.rights.domain_trust import DomainTrust
 from rossec.master.rights.statements import TrustState

@@ -4,8 +4,8 @@ import contextlib
 
 from grants.model import Right
 from rossec.errors import RossecError
-from rossec.master.operation.limits import MasterLimits
-from rossec.net.rpc.client import RpcClient
+from rossec.master.operation.config import MasterLimits
+from rossec.net.rpc.calls import RpcClient
 from tests.support.attacker import EVE, credentials, dial
 from tests.support.caller import caller
 from tests.support.site import Site

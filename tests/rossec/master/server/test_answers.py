@@ -10,9 +10,9 @@ import pytest
 
 from grants.document import grant_id
 from rossec.errors import AnswerRefused
-from rossec.master.api.turns import Turns
+from rossec.master.api.methods import Turns
 from rossec.master.rights.caller import NAMES_PER_YIELD
-from rossec.master.state.doors import Target
+from rossec.master.state.forwarded_ports import Target
 from tests.rossec.master.world import SlaveNode, T, World, ends, until
 from tests.support.caller import caller
 from tests.support.site import Site

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from rossec.errors import AnswerRefused
-from rossec.master.server.dialer import is_node
+from rossec.master.server.updates import is_node
 from rossec.master.state.registry import NodeRef
 from tests.rossec.master.world import EVERYTHING, SlaveNode, T, World, until
 from tests.support.authority import Site
@@ -62,7 +62,7 @@ async def test_a_node_at_the_port_of_a_dead_one_can_register(
 async def test_a_node_is_probed_once_at_a_time(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rossec.master.server.dialer.CALL_DEADLINE", 0.5)
+    monkeypatch.setattr("rossec.master.server.updates.CALL_DEADLINE", 0.5)
     loop = asyncio.get_running_loop()
     with socket.create_server(("127.0.0.1", 0)) as silent:
         silent.setblocking(False)

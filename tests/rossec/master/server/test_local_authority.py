@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 
 from ca.errors import RevocationRefused
-from ca.revocation.state import Revocations
+from ca.revocation.trust_status import Revocations
 from rossec.errors import ConfigurationError
-from rossec.master.rights.delegation import discard
+from rossec.master.rights.renewals import discard
 from rossec.master.rights.statements import TrustState
-from rossec.master.server.local_authority import LocalAuthority, no_authority
+from rossec.master.server.maintenance import LocalAuthority, no_authority
 from tests.rossec.master.fakes import FakeStatements
 from tests.support import trust
 from tests.support.site import Site
@@ -45,9 +45,7 @@ def test_without_an_authority_nothing_is_accepted() -> None:
 
 
 def test_a_tree_is_accepted_with_its_entries(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        "rossec.master.server.local_authority.is_tree", lambda data: data == b"tree"
-    )
+    monkeypatch.setattr("rossec.master.server.maintenance.is_tree", lambda data: data == b"tree")
     found = Found()
     found.there = b"tree", b" and entries"
     found.local_authority.has_newer_list(7)

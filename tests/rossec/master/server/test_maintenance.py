@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from ca.revocation.state import digest, open_timestamp
+from ca.revocation.lists import digest, open_timestamp
 from rossec.clock import Clock
 from rossec.errors import AnswerRefused
-from rossec.master.server import parameter_file as module
-from rossec.master.server.parameter_file import ParameterFile
+from rossec.master.server import saved_state as module
+from rossec.master.server.saved_state import ParameterFile
 from tests.rossec.master.server.test_server import another
 from tests.rossec.master.world import EVERYTHING, T, World, ends, until
 

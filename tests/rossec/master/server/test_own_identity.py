@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from ca.certificates import open_renewal
 from ca.errors import CertificateExpired, RenewalRefused
-from ca.renewal import open_renewal
 from rossec.authority.renewals import renew
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.master.rights.identity_renewals import RenewalAnswer
-from rossec.master.server.own_identity import OwnIdentity
+from rossec.master.rights.renewals import RenewalAnswer
+from rossec.master.server.maintenance import OwnIdentity
 from tests.support.site import DAY, HOUR, Site
 
 MASTER = "/master"

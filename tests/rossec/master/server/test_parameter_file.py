@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from rossec.errors import NotWritten
-from rossec.master.server import parameter_file as module
-from rossec.master.server.parameter_file import ParameterFile
-from rossec.master.state.parameter_journal import MAGIC, ParameterChange, decode
+from rossec.master.server import saved_state as module
+from rossec.master.server.saved_state import ParameterFile
+from rossec.master.state.journals import PARAMETERS_MAGIC, ParameterChange, decode_parameters
 from tests.rossec.test_files import no_room
 
 
@@ -32,7 +32,7 @@ def size(path: Path) -> int:
 
 
 def records(path: Path) -> list[ParameterChange]:
-    return decode(path.read_bytes())[0]
+    return decode_parameters(path.read_bytes())[0]
 
 
 def change(parameter_file: ParameterFile, key: str, value: object) -> None:
@@ -60,7 +60,7 @@ def test_a_truncated_record_is_removed_and_saved_aside(
     parameter_file.write(ParameterChange("/a", 1))
     parameter_file.close()
     whole = path.read_bytes()
-    path.write_bytes(whole + whole[len(MAGIC) : -3])
+    path.write_bytes(whole + whole[len(PARAMETERS_MAGIC) : -3])
     parameter_file = opened(path)
     parameter_file.write(ParameterChange("/b", 2))
     assert opened(path).parameters.get("/") == {"a": 1, "b": 2}
@@ -76,9 +76,9 @@ def test_the_file_is_compacted_when_it_has_grown(
     for number in range(100):
         parameter_file.parameters.set("/a", number)
         parameter_file.write(ParameterChange("/a", number))
-    assert len(decode(path.read_bytes())[0]) == 100
+    assert len(decode_parameters(path.read_bytes())[0]) == 100
     parameter_file.sync()
-    assert decode(path.read_bytes())[0] == [ParameterChange("/a", 99)]
+    assert decode_parameters(path.read_bytes())[0] == [ParameterChange("/a", 99)]
     parameter_file.write(ParameterChange("/b", 1))
     parameter_file.sync()
     parameter_file.sync()
@@ -112,7 +112,7 @@ def test_a_change_lost_to_a_full_disk_is_written_later(
     with monkeypatch.context() as patch:
         patch.setattr("rossec.files.replace", lambda *_: os.fsync(1 << 20))
         parameter_file.sync()  # still no space
-    assert decode(path.read_bytes())[0] == []
+    assert decode_parameters(path.read_bytes())[0] == []
     parameter_file.sync()
     assert opened(path).parameters.get("/") == {"a": 1}
 

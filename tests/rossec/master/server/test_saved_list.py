@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from ca.revocation.state import open_list
-from rossec.master.server.saved_list import ListFile
+from ca.revocation.lists import open_list
+from rossec.master.server.saved_state import ListFile
 from rossec.ros.names import MASTER
 from tests.rossec.test_files import no_room
 from tests.support.site import Site

@@ -9,14 +9,13 @@ from typing import Any
 import pytest
 
 from rossec.errors import AnswerRefused
-from rossec.master.api.revoked_calls import MAX_CONNECTIONS
-from rossec.master.operation.limits import MasterLimits
-from rossec.master.rights.deposits import verifier
-from rossec.master.server.deposit_file import DepositFile
-from rossec.master.server.parameter_file import ParameterFile
+from rossec.master.api.dispatch import MAX_CONNECTIONS
+from rossec.master.operation.config import MasterLimits
+from rossec.master.rights.held_grants import verifier
+from rossec.master.server.saved_state import DepositFile, ParameterFile
 from rossec.master.server.server import PEER_CONNECTIONS, MasterServer
 from rossec.net.aio import SecureStream
-from rossec.net.rpc.client import serve_calls
+from rossec.net.rpc.calls import serve_calls
 from tests.rossec.master.world import EVERYTHING, T, World, ends, until
 
 

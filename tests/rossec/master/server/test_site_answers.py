@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 
 from rossec.errors import AnswerRefused
-from rossec.master.server.site_answers import SiteAnswers
+from rossec.host.runner import TaskSet
+from rossec.master.server.answers import SiteAnswers
+from rossec.master.state.imported_facts import Site
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import Registry
-from rossec.master.state.sites import Site
-from rossec.net.aio.tasks import TaskSet
 from tests.rossec.master.world import SlaveNode, World, until
 
 KITCHEN = Site("kitchen")

@@ -12,10 +12,9 @@ from grants.errors import GrantForged
 from grants.model import Right
 from rossec.errors import NotWritten
 from rossec.home import NodeHome
-from rossec.master.rights.deposits import Deposits
-from rossec.master.server.server import MasterServer
-from rossec.master.server.start import master_of
-from rossec.master.state.deposit_journal import MAGIC, GrantDeposited, encode
+from rossec.master.rights.held_grants import Deposits
+from rossec.master.server.server import MasterServer, master_of
+from rossec.master.state.journals import DEPOSITS_MAGIC, GrantDeposited, encode_deposit
 from tests.rossec.master.visiting import HOSPITAL, Hospital, Lists
 from tests.rossec.test_files import no_room
 from tests.support import site as trust_domains
@@ -141,7 +140,7 @@ async def test_a_restarted_master_has_the_deposits_that_are_in_force(tmp_path: P
     with pytest.raises(NotWritten, match="is not open"):
         deposits.add(verified)
     (home.path / "deposits.journal").write_bytes(
-        MAGIC + b"".join(encode(GrantDeposited(data)) for data in (one, two))
+        DEPOSITS_MAGIC + b"".join(encode_deposit(GrantDeposited(data)) for data in (one, two))
     )
     assert len(await deposits_after_start(home, site, site.revoke())) == 2
     assert len(await deposits_after_start(home, site, site.revoke(one))) == 1

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from rossec.errors import PeerUnreachable
+from rossec.host.runner import TaskSet
 from rossec.master.server.updates import PENDING_BYTES, PENDING_LIMIT, NodeClient, Updates
 from rossec.master.state.registry import NodeRef
-from rossec.net.aio.tasks import TaskSet
-from rossec.net.rpc.client import RpcClient, serve_calls
+from rossec.net.rpc.calls import RpcClient, serve_calls
 from rossec.ros.xmlrpc import Fault
 from tests.support.streams import stream_pair
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rossec.master.state.addresses import (
+from rossec.master.state.registry import (
     endpoint,
     is_connectable,
     is_loopback_host,

@@ -2,10 +2,10 @@
 
 import pytest
 
-from rossec.master.state import demand as module
-from rossec.master.state.demand import EVERYTHING, NOTHING, WANTED_SECONDS, Demand
+from rossec.master.state import imports as module
+from rossec.master.state.imported_facts import Site
+from rossec.master.state.imports import EVERYTHING, NOTHING, WANTED_SECONDS, Demand
 from rossec.master.state.registry import Kind, NodeRef, Registry
-from rossec.master.state.sites import Site
 
 KITCHEN, HOSPITAL = Site("kitchen"), Site("ward", "hospital")
 HERE = NodeRef("/here", "http://h:1/", b"here")

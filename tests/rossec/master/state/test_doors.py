@@ -4,8 +4,7 @@ from collections.abc import Mapping
 
 import pytest
 
-from rossec.master.state.addresses import endpoint
-from rossec.master.state.doors import (
+from rossec.master.state.forwarded_ports import (
     AT_ONCE,
     SILENCE,
     Door,
@@ -15,6 +14,7 @@ from rossec.master.state.doors import (
     WantedChange,
     Way,
 )
+from rossec.master.state.registry import endpoint
 
 MASTER = Target("office", "master", "/master")
 ROBOT = Target("office", "node", "/robot")

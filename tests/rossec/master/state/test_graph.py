@@ -3,9 +3,9 @@
 import pytest
 
 from rossec.master.state.graph import Graph, GraphNode
+from rossec.master.state.imported_facts import Site
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import Kind, NodeRef, Registry
-from rossec.master.state.sites import Site
 
 T, KITCHEN = "std_msgs/String", Site("kitchen")
 HERE = NodeRef("/here", "http://10.0.0.1:1/", b"here")

@@ -4,16 +4,17 @@ from collections.abc import Generator
 
 import pytest
 
-from rossec.master.state import import_events
-from rossec.master.state.import_events import (
+from rossec.master.state import imported_facts
+from rossec.master.state.imported_facts import (
     Contradictions,
+    Fact,
     ImportEvent,
+    Site,
+    SiteFacts,
     TypeContradicted,
     finished,
 )
-from rossec.master.state.imported_facts import Fact, SiteFacts
 from rossec.master.state.registry import NodeRef, Registry
-from rossec.master.state.sites import Site
 
 HERE, THERE = "std_msgs/String", "std_msgs/Int32"
 FACTS: list[Fact] = [
@@ -51,7 +52,7 @@ def test_of_an_alias_nobody_here_says_what_type_it_has(registry: Registry) -> No
 def test_reports_of_one_site_are_bounded(
     registry: Registry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(import_events, "MAX_REPORTED", 1)
+    monkeypatch.setattr(imported_facts, "MAX_REPORTED", 1)
     assert len(Contradictions(registry).report(SiteFacts(Site("kitchen")), FACTS)) == 1
 
 

@@ -3,9 +3,8 @@
 import pytest
 
 from rossec.errors import ImportRefused
-from rossec.master.state.imported_facts import Fact, SiteFacts, checked
+from rossec.master.state.imported_facts import Fact, Site, SiteFacts, checked
 from rossec.master.state.registry import Kind
-from rossec.master.state.sites import Site
 
 ROBOT = ("node", "/robot", "http://10.0.0.2:1/")
 FACTS: list[Fact] = [

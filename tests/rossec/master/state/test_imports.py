@@ -2,13 +2,12 @@
 
 import pytest
 
+from grants.decision import Reach
 from grants.model import Permission, Right
-from grants.reach import Reach
 from rossec.errors import ImportRefused
-from rossec.master.state.import_events import TypeContradicted
+from rossec.master.state.imported_facts import Site, TypeContradicted
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import Kind, NodeRef, PublishersChanged, Registry
-from rossec.master.state.sites import Site
 
 T, OTHER = "std_msgs/String", "std_msgs/Int32"
 KITCHEN, ATTIC = Site("kitchen"), Site("attic")

@@ -12,15 +12,15 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from grants.reach import Reach
+from grants.decision import Reach
 from rossec.master.api.dispatch import MasterApi
+from rossec.master.api.graph_calls import WATCH
 from rossec.master.api.site_calls import FOLLOW
-from rossec.master.api.watch_calls import WATCH
 from rossec.master.rights.caller import Caller
+from rossec.master.state.imported_facts import Site
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import Kind, NodeRef, PublishersChanged, Registry
-from rossec.master.state.sites import Site
-from rossec.participant.graph_view import GraphView
+from rossec.participant.registrations import GraphView
 from tests.rossec.master.fakes import FakeStatements, call_api, refuse
 
 LABELS = ("a", "b", "c")

@@ -2,9 +2,9 @@
 
 import pytest
 
+from grants.decision import Reach
 from grants.model import Permission, Right
-from grants.reach import Reach
-from rossec.master.state.intake import Intake
+from rossec.master.state.imports import Intake
 
 POSE, DOOR = "/remote/hospital/rounds/pose", "/remote/hospital/door"
 

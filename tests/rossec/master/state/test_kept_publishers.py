@@ -1,7 +1,6 @@
 """Addresses kept by site and topic."""
 
-from rossec.master.state.imported_facts import Address
-from rossec.master.state.kept_publishers import KeptPublishers
+from rossec.master.state.imported_facts import Address, KeptPublishers
 
 ROBOT = Address("/remote/kitchen/robot", "http://10.0.0.2:1/", ("10.0.0.2", 1))
 OTHER = Address("/remote/attic/robot", "http://10.0.0.3:1/", ("10.0.0.3", 1))

@@ -4,8 +4,8 @@ import pytest
 
 from ca.errors import NameRefused
 from rossec.errors import ImportRefused
-from rossec.master.state.mirrors import MirrorChange, Mirrors, refuse_mirror
-from rossec.master.state.sites import Site
+from rossec.master.state.imported_facts import Site
+from rossec.master.state.parameters import MirrorChange, Mirrors, refuse_mirror
 
 KITCHEN, HOSPITAL = Site("kitchen"), Site("ward", "hospital")
 TREE: dict[str, object] = {"robot": {"speed": 1.5, "name": "r"}}

@@ -7,11 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rossec.master.state.parameter_values import DEPTH_LIMIT, encoded_size
 from rossec.master.state.parameters import (
+    DEPTH_LIMIT,
     ParameterMissing,
     Parameters,
     check_names,
+    encoded_size,
     search_candidates,
     subscription_key,
     updates,

@@ -2,12 +2,12 @@
 
 import pytest
 
+from grants.decision import Reach
 from grants.model import Permission, Right
-from grants.reach import Reach
 from rossec.master.state.graph import Graph
+from rossec.master.state.imported_facts import Site
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import Kind, NodeRef, Registry
-from rossec.master.state.sites import Site
 from tests.rossec.master.state.test_imports import HERE, HOSPITAL, KITCHEN, OTHER, T
 
 ALIAS, SERVED = "/remote/hospital/pose", "/gateway/hospital/pose"

@@ -12,9 +12,9 @@ from rossec.errors import (
     ChannelError,
     HandshakeFailed,
 )
-from rossec.net.aio import accepted as accepted_module
 from rossec.net.aio import serve
-from rossec.net.halfopen import HalfOpen, HalfOpenCount
+from rossec.net.aio import server as accepted_module
+from rossec.net.limits import HalfOpen, HalfOpenCount
 from tests.support.contexts import context
 from tests.support.secure_streams import Stream, call, echo, raw, still_works
 from tests.support.wire import BOB

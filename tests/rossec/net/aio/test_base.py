@@ -8,8 +8,7 @@ import pytest
 
 from rossec.channel.records import Bytes
 from rossec.errors import ChannelClosed
-from rossec.net.aio.base import BaseStream
-from rossec.net.aio.transport import Transport
+from rossec.net.aio.transport import BaseStream, Transport
 
 
 class Fed(BaseStream):

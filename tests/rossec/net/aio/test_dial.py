@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from rossec.net.aio import dial as module
-from rossec.net.aio.dial import dial
+from rossec.net.aio import client as module
+from rossec.net.aio.client import dial
 from tests.support.ports import free_port
 
 Found = list[tuple[Any, Any, Any, Any, tuple[str, int]]]

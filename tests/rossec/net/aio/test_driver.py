@@ -8,10 +8,10 @@ import pytest
 from rossec.channel.negotiation import GrantsPresented, IdentityRenewed
 from rossec.errors import LimitExceeded
 from rossec.net.aio import connect, serve
-from rossec.net.aio import driver as driver_module
+from rossec.net.aio import stream as driver_module
 from rossec.net.aio.server import SecureServer
 from rossec.net.aio.stream import SecureStream
-from rossec.progress import MIN_BYTES, STEP, WINDOW
+from rossec.peer_limits import MIN_BYTES, STEP, WINDOW
 from tests.support.contexts import context
 from tests.support.secure_streams import Stream, call, echo
 from tests.support.wire import ALICE, BOB, FakeIdentity, renewed, renews

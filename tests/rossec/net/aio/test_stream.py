@@ -15,7 +15,7 @@ from rossec.errors import (
     LimitExceeded,
 )
 from rossec.net.aio import SecureServer, connect, serve
-from rossec.net.aio import driver as driver_module
+from rossec.net.aio import stream as driver_module
 from rossec.net.aio import stream as secure_module
 from rossec.net.aio.transport import Transport
 from tests.support.contexts import context

@@ -7,12 +7,7 @@ import pytest
 
 from ca.errors import HintedError
 from rossec.errors import ConfigurationError
-from rossec.net.host.own_address import (
-    check_own_address,
-    resolved,
-    variable_of,
-    warn_of_own_address,
-)
+from rossec.host.addresses import check_own_address, resolved, variable_of, warn_of_own_address
 
 ELSEWHERE = "192.0.2.7"  # RFC 5737: no host's
 

@@ -13,11 +13,10 @@ from rossec.errors import (
     RossecError,
     XmlRpcRefused,
 )
-from rossec.net.bounds import UNSHOWN_UNIT
-from rossec.net.rpc.client import CallFailed, RpcClient, serve_calls
+from rossec.net.limits import UNSHOWN_UNIT
+from rossec.net.rpc.calls import CallFailed, RpcClient, serve_calls
 from rossec.ros import xmlrpc
-from rossec.ros.callserver import CallServer
-from rossec.ros.compact import dump_answer
+from rossec.ros.calls import CallServer, dump_compact_answer
 from rossec.ros.xmlrpc import Fault
 from tests.support.streams import MemoryStream, stream_pair
 
@@ -199,7 +198,7 @@ async def test_a_client_closes_on_a_unit_that_is_not_its_answer() -> None:
         assert await asking == 1
         asking = asyncio.ensure_future(client.ask("echo", 2))
         await far.receive()
-        await far.send(dump_answer(7, [1, "", 2]))
+        await far.send(dump_compact_answer(7, [1, "", 2]))
         with pytest.raises(CompactRefused, match="out of its turn"):
             await asking
         assert client.closed

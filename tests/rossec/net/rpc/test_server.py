@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 
 from rossec.errors import HangUp, RossecError
-from rossec.net.rpc.server import CallLoop
+from rossec.net.rpc.calls import CallLoop
 from rossec.ros import xmlrpc
-from rossec.ros.callclient import CallClient, value_in
+from rossec.ros.calls import CallClient, value_in
 from rossec.ros.http import HttpClient
 from rossec.ros.xmlrpc import BODY_LIMIT, Fault
 from tests.support.streams import MemoryStream, stream_pair

@@ -3,13 +3,20 @@
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.participant.access import FIELD
-from rossec.participant.header_fields import Fields
-from rossec.participant.limit_memory import memory_scope
-from rossec.sidecar.core.commands import CallProgram, Command
-from rossec.sidecar.core.endpoints import Endpoint, local_endpoint, topic_endpoint
-from rossec.sidecar.core.events import Answered, Event, HeaderArrived
-from rossec.sidecar.core.layers import Layer
-from rossec.sidecar.core.tcpros import AdmittedConnection, admit_peer
+from rossec.participant.authorized import memory_scope
+from rossec.participant.handshakes import Fields
+from rossec.sidecar.core.layers import (
+    Answered,
+    CallProgram,
+    Command,
+    Endpoint,
+    Event,
+    HeaderArrived,
+    Layer,
+    local_endpoint,
+    topic_endpoint,
+)
+from rossec.sidecar.core.node_connections import AdmittedConnection, admit_peer
 from tests.rossec.sidecar.agent_setup import AgentSetup
 
 SLAVE = local_endpoint(WireProtocol.HTTP, 5000)

@@ -1,9 +1,15 @@
 """A program of /robot that registers with its master through the sidecar."""
 
 from rossec.channel.opening import WireProtocol
-from rossec.sidecar.core.commands import CallMaster, OpenEgress, OpenIngress
-from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
-from rossec.sidecar.core.events import Answered, Opened
+from rossec.sidecar.core.layers import (
+    Answered,
+    CallMaster,
+    Endpoint,
+    Opened,
+    OpenEgress,
+    OpenIngress,
+    local_endpoint,
+)
 from rossec.sidecar.core.master_calls import handle_call
 from tests.rossec.sidecar.agent_setup import HOST, AgentSetup, run_layer
 

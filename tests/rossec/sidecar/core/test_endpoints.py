@@ -1,7 +1,7 @@
 import pytest
 
 from rossec.channel.opening import WireProtocol
-from rossec.sidecar.core.endpoints import Endpoint, EndpointMap, local_endpoint, parse_endpoint
+from rossec.sidecar.core.layers import Endpoint, EndpointMap, local_endpoint, parse_endpoint
 
 SLAVE = local_endpoint(WireProtocol.HTTP, 5000)
 PEER = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6000)

@@ -9,21 +9,28 @@ from ca.certificates import Identity
 from ca.errors import NameRefused, NotAdmitted
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ConnectionHeaderRefused, HangUp
-from rossec.participant.header_fields import Fields
-from rossec.participant.limit_memory import memory_scope
-from rossec.sidecar.core.commands import AuthenticatePeer, CallPeer, ConnectPeer, OpenEgress
-from rossec.sidecar.core.endpoints import Endpoint
-from rossec.sidecar.core.events import (
+from rossec.participant.authorized import memory_scope
+from rossec.participant.handshakes import Fields
+from rossec.sidecar.core.layers import (
     Answered,
+    AuthenticatePeer,
+    CallPeer,
     CommandDone,
+    ConnectPeer,
+    Endpoint,
     HeaderArrived,
+    Layer,
     NoAnswer,
     Opened,
+    OpenEgress,
     PeerAuthenticated,
+    UnexpectedEvent,
 )
-from rossec.sidecar.core.layers import Layer, UnexpectedEvent
-from rossec.sidecar.core.slave_calls import handle_program_call
-from rossec.sidecar.core.tcpros import AdmittedConnection, connect_to_peer
+from rossec.sidecar.core.node_connections import (
+    AdmittedConnection,
+    connect_to_peer,
+    handle_program_call,
+)
 from tests.rossec.sidecar.agent_setup import AgentSetup, run_layer
 from tests.rossec.sidecar.core.handshake import ANSWER, PEER, REQUEST, no_key
 from tests.support.openaccess import PROOF, OpenAccess

@@ -7,13 +7,18 @@ import pytest
 
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
-from rossec.sidecar.core.commands import OpenEgress, OpenIngress
-from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
-from rossec.sidecar.core.events import CommandDone, NoAnswer, Opened, PeerAuthenticated
 from rossec.sidecar.core.layers import (
+    CommandDone,
+    Endpoint,
+    NoAnswer,
+    Opened,
+    OpenEgress,
+    OpenIngress,
+    PeerAuthenticated,
     Program,
     UnexpectedEvent,
     authenticated_peer,
+    local_endpoint,
     own_endpoint,
 )
 from tests.rossec.sidecar.agent_setup import HOST, AgentSetup, run_layer

@@ -9,14 +9,19 @@ from rossec.errors import HangUp
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.state.registry import Registry
 from rossec.ros.xmlrpc import Fault
-from rossec.sidecar.core.commands import (
+from rossec.sidecar.core.layers import (
+    Answered,
     CallMaster,
+    CommandDone,
+    Endpoint,
+    NoAnswer,
+    Opened,
     OpenEgress,
     OpenIngress,
+    RawResponse,
+    UnexpectedEvent,
+    local_endpoint,
 )
-from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
-from rossec.sidecar.core.events import Answered, CommandDone, NoAnswer, Opened, RawResponse
-from rossec.sidecar.core.layers import UnexpectedEvent
 from rossec.sidecar.core.master_calls import (
     MULTICALL_LIMIT,
     RULES,

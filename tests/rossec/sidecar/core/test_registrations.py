@@ -8,21 +8,23 @@ import pytest
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
-from rossec.participant.publisher_grace import GRACE
-from rossec.participant.registrations import MAX_REFUSED
-from rossec.sidecar.core.commands import (
+from rossec.participant.registrations import GRACE, MAX_REFUSED
+from rossec.sidecar.core.layers import (
+    Answered,
     CallMaster,
     CallProgram,
+    CommandDone,
+    NoAnswer,
+    Opened,
     OpenEgress,
     OpenIngress,
     Probe,
     Suspend,
+    local_endpoint,
 )
-from rossec.sidecar.core.endpoints import local_endpoint
-from rossec.sidecar.core.events import Answered, CommandDone, NoAnswer, Opened
-from rossec.sidecar.core.master_calls import handle_call
-from rossec.sidecar.core.registrations import (
+from rossec.sidecar.core.master_calls import (
     drop_expired_publishers,
+    handle_call,
     restore,
     resubscribe,
     rights_changed,

@@ -6,13 +6,11 @@ import pytest
 
 from grants.decision import Decision
 from grants.errors import RestrictionMismatch
-from grants.guard import Guard
-from grants.memory import Memory
+from grants.guard import Guard, Memory
 from grants.model import Restriction, Right
 from rossec.errors import ConnectionHeaderRefused
-from rossec.sidecar.core.copies import CopyTracker, ReplaceableGuard, SharedGuard
-from rossec.sidecar.core.replacing import Replacing
-from rossec.sidecar.core.tcpros import unrestricted
+from rossec.sidecar.core.guards import CopyTracker, ReplaceableGuard, Replacing, SharedGuard
+from rossec.sidecar.core.node_connections import unrestricted
 
 NOW = 1_800_000_000
 NEVER = Restriction(conditions=('now < timestamp("2001-01-01T00:00:00Z")',))

@@ -11,18 +11,26 @@ from rossec.channel.opening import WireProtocol
 from rossec.errors import CallRefused, HangUp
 from rossec.participant.slave_api import NO_TRANSPORT
 from rossec.ros.xmlrpc import Encoded, Fault
-from rossec.sidecar.core.commands import (
+from rossec.sidecar.core.layers import (
+    Answered,
     CallPeer,
     CallProgram,
+    CommandDone,
+    Endpoint,
+    Event,
+    Layer,
+    NoAnswer,
+    Opened,
     OpenEgress,
     OpenIngress,
     Probe,
+    RawResponse,
     Suspend,
+    UnexpectedEvent,
+    local_endpoint,
+    topic_endpoint,
 )
-from rossec.sidecar.core.endpoints import Endpoint, local_endpoint, topic_endpoint
-from rossec.sidecar.core.events import Answered, CommandDone, Event, NoAnswer, Opened, RawResponse
-from rossec.sidecar.core.layers import Layer, UnexpectedEvent
-from rossec.sidecar.core.slave_calls import handle_peer_call, handle_program_call
+from rossec.sidecar.core.node_connections import handle_peer_call, handle_program_call
 from tests.rossec.sidecar.agent_setup import HOST, MASTER_URI, AgentSetup, run_layer
 
 SLAVE = local_endpoint(WireProtocol.HTTP, 5000)

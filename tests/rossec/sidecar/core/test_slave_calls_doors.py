@@ -9,11 +9,22 @@ from rossec.channel.opening import WireProtocol
 from rossec.errors import CallRefused, HangUp
 from rossec.participant.slave_api import NO_TRANSPORT
 from rossec.ros.names import PORTS
-from rossec.sidecar.core.commands import CallPeer, OpenEgress, OpenIngress, Probe, Suspend
-from rossec.sidecar.core.endpoints import Endpoint, local_endpoint, topic_endpoint
-from rossec.sidecar.core.events import Answered, CommandDone, NoAnswer, Opened
-from rossec.sidecar.core.layers import Layer
-from rossec.sidecar.core.slave_calls import handle_peer_call, handle_program_call
+from rossec.sidecar.core.layers import (
+    Answered,
+    CallPeer,
+    CommandDone,
+    Endpoint,
+    Layer,
+    NoAnswer,
+    Opened,
+    OpenEgress,
+    OpenIngress,
+    Probe,
+    Suspend,
+    local_endpoint,
+    topic_endpoint,
+)
+from rossec.sidecar.core.node_connections import handle_peer_call, handle_program_call
 from tests.rossec.sidecar.agent_setup import AgentSetup, run_layer
 from tests.support.openaccess import OpenAccess
 

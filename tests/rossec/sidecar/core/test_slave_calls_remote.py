@@ -8,11 +8,19 @@ from ca.certificates import Identity
 from ca.errors import NameRefused
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
-from rossec.sidecar.core.commands import AuthenticatePeer, CallPeer, CallProgram, OpenEgress
-from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
-from rossec.sidecar.core.events import Answered, Opened, PeerAuthenticated
-from rossec.sidecar.core.layers import Layer
-from rossec.sidecar.core.slave_calls import handle_peer_call, handle_program_call
+from rossec.sidecar.core.layers import (
+    Answered,
+    AuthenticatePeer,
+    CallPeer,
+    CallProgram,
+    Endpoint,
+    Layer,
+    Opened,
+    OpenEgress,
+    PeerAuthenticated,
+    local_endpoint,
+)
+from rossec.sidecar.core.node_connections import handle_peer_call, handle_program_call
 from tests.rossec.sidecar.agent_setup import AgentSetup, run_layer
 from tests.support.openaccess import OpenAccess
 

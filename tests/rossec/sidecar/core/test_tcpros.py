@@ -8,14 +8,21 @@ from grants.errors import GrantMissing
 from grants.model import Restriction, Right, filter_rules
 from rossec.errors import CallerMismatch, ConnectionHeaderRefused, HangUp
 from rossec.participant.access import FIELD
-from rossec.participant.header_fields import Fields
-from rossec.participant.limit_memory import memory_scope
+from rossec.participant.authorized import memory_scope
+from rossec.participant.delivery import Wishes
+from rossec.participant.handshakes import Fields
 from rossec.participant.message_types import message_type
-from rossec.participant.wishes import Wishes
-from rossec.sidecar.core.commands import ConnectPeer, ConnectProgram, Suspend
-from rossec.sidecar.core.events import Answered, CommandDone, NoAnswer
-from rossec.sidecar.core.layers import Layer, UnexpectedEvent
-from rossec.sidecar.core.tcpros import AdmittedConnection, connect_to_peer
+from rossec.sidecar.core.layers import (
+    Answered,
+    CommandDone,
+    ConnectPeer,
+    ConnectProgram,
+    Layer,
+    NoAnswer,
+    Suspend,
+    UnexpectedEvent,
+)
+from rossec.sidecar.core.node_connections import AdmittedConnection, connect_to_peer
 from tests.rossec.sidecar.agent_setup import AgentSetup, run_layer
 from tests.rossec.sidecar.core.handshake import (
     ANSWER,

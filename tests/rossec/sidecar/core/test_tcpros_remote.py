@@ -6,11 +6,16 @@ import pytest
 
 from ca.certificates import Identity
 from rossec.errors import ConnectionHeaderRefused
-from rossec.participant.header_fields import Fields
-from rossec.participant.limit_memory import memory_scope
-from rossec.sidecar.core.commands import AuthenticatePeer, ConnectPeer, ConnectProgram
-from rossec.sidecar.core.events import HeaderArrived, PeerAuthenticated
-from rossec.sidecar.core.tcpros import admit_peer, connect_to_peer
+from rossec.participant.authorized import memory_scope
+from rossec.participant.handshakes import Fields
+from rossec.sidecar.core.layers import (
+    AuthenticatePeer,
+    ConnectPeer,
+    ConnectProgram,
+    HeaderArrived,
+    PeerAuthenticated,
+)
+from rossec.sidecar.core.node_connections import admit_peer, connect_to_peer
 from tests.rossec.sidecar.agent_setup import AgentSetup, run_layer
 from tests.rossec.sidecar.core.handshake import (
     ANSWER,

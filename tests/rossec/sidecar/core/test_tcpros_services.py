@@ -7,10 +7,10 @@ import pytest
 from grants.errors import GrantMissing, RestrictionMismatch
 from grants.model import Restriction, Right
 from rossec.errors import ConnectionHeaderRefused
-from rossec.participant.header_fields import Fields
-from rossec.participant.limit_memory import memory_scope
-from rossec.sidecar.core.commands import ConnectPeer, ConnectProgram
-from rossec.sidecar.core.tcpros import connect_to_peer
+from rossec.participant.authorized import memory_scope
+from rossec.participant.handshakes import Fields
+from rossec.sidecar.core.layers import ConnectPeer, ConnectProgram
+from rossec.sidecar.core.node_connections import connect_to_peer
 from tests.rossec.sidecar.agent_setup import AgentSetup, run_layer
 from tests.rossec.sidecar.core.handshake import (
     PEER,

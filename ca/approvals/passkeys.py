@@ -1,0 +1,474 @@
+"""The client data of WebAuthn: what a browser says about the page that used a passkey. Pure.
+
+Strict JSON of at most 4 KiB in which no key occurs twice. Unknown keys are allowed, as browsers add
+some on purpose (Web Authentication section 5.8.1). Checked in the order of section 7.2: type,
+challenge, origin, and that the page was not embedded in another.
+
+What an authenticator says in WebAuthn: its data, and its key. Pure.
+
+The beginning of authenticator data has a fixed form (Web Authentication section 6.1), so an
+assertion is verified without any library. Only a registration has more that is read
+(`ca.approvals.passkeys`); extensions are signed and ignored, as none is asked for.
+
+A passkey, and an assertion by it, verified against what it had to sign. Pure.
+
+The order is that of Web Authentication section 7.2: type, challenge, origin, no embedding page,
+RP id, user present, user verified, counter, signature. Only ES256 is accepted. A passkey that
+is synchronized between devices always has the counter 0: what stops a replay is the id of a
+statement, which the record takes once.
+
+Challenges for passkeys that approve nothing: of a login, and of a new passkey. Pure.
+
+Their first field differs from that of a statement, and so does the type that a browser signs for a
+new passkey: nothing signed for one purpose is ever taken for another. The service takes each once.
+
+A new passkey, from what `navigator.credentials.create` returned. Pure.
+
+No attestation is asked for, and one that comes is not read: it would say who made the device, not
+whose it is. The key must be ES256, the device must have verified its user, and the key is kept in
+one form, not as it came. Browsers encode this object in different orders, so `fido2` parses it.
+
+A recorded approval, and its verification from the record alone. Pure.
+
+Everything that convinced the service is kept: statement, payload, assertion. Whoever has the record
+and trusts that its passkeys are theirs can check later that every act was approved by a touch.
+"""
+
+import base64
+import json
+import struct
+from collections.abc import Iterable
+from enum import StrEnum
+from hashlib import sha256
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn, Self
+
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.hashes import SHA256
+
+from ca.approvals.statement import MAX_CREDENTIAL, NewPasskey, Statement
+from ca.encoding import decode, encode
+from ca.errors import (
+    ApprovalOutdated,
+    AssertionForged,
+    AssertionMalformed,
+    ConsoleExtraMissing,
+    EncodingError,
+    NotVerified,
+    OtherChallenge,
+    OtherOrigin,
+    PasskeyCloned,
+    PasskeyRefused,
+    PasskeyUnknown,
+    StatementRefused,
+)
+
+if TYPE_CHECKING:
+    from fido2 import webauthn
+
+
+MAX_CLIENT_DATA: Final = 4096
+
+
+class Ceremony(StrEnum):
+    """What a passkey was used for, as the browser calls it."""
+
+    CREATE = "webauthn.create"
+    GET = "webauthn.get"
+
+
+def check_client_data(data: bytes, ceremony: Ceremony, challenge: bytes, origin: str) -> None:
+    """Return if `data` is of this ceremony, challenge and origin.
+
+    Raises:
+        AssertionMalformed: not client data.
+        OtherChallenge: another challenge, or a signature for another purpose.
+        OtherOrigin: made at another page, or in a frame.
+    """
+    value = _parse(data)
+    if value.get("type") != ceremony:
+        raise OtherChallenge(f"the passkey was not used for {ceremony}", "try again on the page")
+    if value.get("challenge") != base64url(challenge):
+        raise OtherChallenge(
+            "the passkey signed something else",
+            "look at the page again: what it shows may have changed",
+        )
+    found = value.get("origin")
+    if found != origin:
+        raise OtherOrigin(
+            f"the passkey was used at {str(found)[:80]!a} instead of {origin}",
+            "open the console by its own address, and register the phone there",
+        )
+    if value.get("crossOrigin", False) is not False or "topOrigin" in value:
+        raise OtherOrigin(
+            "the passkey was used inside another page", "open the console in a tab of its own"
+        )
+
+
+def base64url(data: bytes) -> str:
+    """Base64url without padding."""
+    return base64.urlsafe_b64encode(data).rstrip(b"=").decode()
+
+
+def _parse(data: bytes) -> dict[str, Any]:
+    if len(data) > MAX_CLIENT_DATA:
+        raise _malformed(f"{len(data)} bytes of client data")
+    try:
+        value = json.loads(
+            data.decode(), object_pairs_hook=_unique, parse_constant=_refuse_constant
+        )
+    except (ValueError, RecursionError) as error:
+        raise _malformed("client data that is not JSON") from error
+    if not isinstance(value, dict):
+        raise _malformed("client data that is no object")
+    return value
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    value = dict(pairs)
+    if len(value) != len(pairs):
+        raise ValueError("a key occurs twice")
+    return value
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is not JSON")
+
+
+def _malformed(what: str) -> AssertionMalformed:
+    return AssertionMalformed(f"the browser sent {what}", "try again, or with another browser")
+
+
+MAX_AUTHENTICATOR_DATA: Final = 2048
+_FIXED_SIZE: Final = 37  # a digest, the flags, the counter
+_PRESENT, _VERIFIED, _MORE = 0x01, 0x04, 0xC0  # UP, UV; AT and ED: more follows
+_COORDINATE: Final = 32
+_HINT: Final = "try again, or with another browser"
+
+
+class AuthenticatorData(NamedTuple):
+    """The fixed beginning of authenticator data."""
+
+    rp_id_hash: bytes
+    flags: int
+    counter: int
+
+    @classmethod
+    def read(cls, data: bytes) -> "AuthenticatorData":
+        """Parse the beginning.
+
+        Raises:
+            AssertionMalformed: too short or long, or with bytes that no flag announces.
+        """
+        if not _FIXED_SIZE <= len(data) <= MAX_AUTHENTICATOR_DATA:
+            raise AssertionMalformed(f"{len(data)} bytes of authenticator data", _HINT)
+        found = cls(data[:32], data[32], int.from_bytes(data[33:_FIXED_SIZE]))
+        if (len(data) > _FIXED_SIZE) != bool(found.flags & _MORE):
+            raise AssertionMalformed("authenticator data of another length than it says", _HINT)
+        return found
+
+    def check(self, rp_id: str) -> None:
+        """Return if the authenticator saw this relying party, and verified its user.
+
+        Raises:
+            OtherOrigin: a passkey for another relying party.
+            NotVerified: nobody touched it, or no finger, face or PIN.
+        """
+        if self.rp_id_hash != sha256(rp_id.encode()).digest():
+            raise OtherOrigin(
+                f"the passkey does not belong to {rp_id}", "register this phone at this console"
+            )
+        if not (self.flags & _PRESENT and self.flags & _VERIFIED):
+            raise NotVerified(
+                "the passkey was used without a finger, face or PIN",
+                "set up a screen lock on the device, then try again",
+            )
+
+
+def read_key(cose_key: bytes) -> ec.EllipticCurvePublicKey:
+    """The P-256 key for ES256 in a COSE_Key (RFC 9053), which has exactly its five parameters.
+
+    Raises:
+        AssertionMalformed: any other key or form.
+    """
+    try:
+        match decode(cose_key):
+            case {1: 2, 3: -7, -1: 1, -2: bytes(x), -3: bytes(y), **rest} if (
+                not rest and len(x) == len(y) == _COORDINATE
+            ):
+                return ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), b"\x04" + x + y)
+            case _:
+                raise AssertionMalformed("the device's key is not an ES256 key", _HINT)
+    except (EncodingError, ValueError) as error:
+        raise AssertionMalformed("the device's key is not a key of P-256", _HINT) from error
+
+
+MAX_SIGNATURE: Final = 80  # DER of two integers of 33 bytes needs 72
+
+
+class Passkey(NamedTuple):
+    """A registered passkey.
+
+    `id` is its credential id, `cose_key` its public key as deterministic CBOR, `approval` the id of
+    the approval that added it, empty if the terminal did.
+    """
+
+    id: bytes
+    name: str
+    cose_key: bytes
+    aaguid: bytes
+    rp_id: str
+    origin: str
+    approval: bytes
+    at: int
+
+
+class Assertion(NamedTuple):
+    """What `navigator.credentials.get` returned."""
+
+    credential: bytes
+    client_data: bytes
+    authenticator_data: bytes
+    signature: bytes
+
+
+def verify(assertion: Assertion, passkey: Passkey, challenge: bytes, counter: int) -> int:
+    """The passkey's counter, if it signed `challenge` and its counter was `counter` before.
+
+    Raises:
+        PasskeyUnknown: the assertion is of another passkey.
+        AssertionMalformed: not of the form of WebAuthn.
+        OtherChallenge, OtherOrigin, NotVerified, PasskeyCloned, AssertionForged: as they say.
+    """
+    if assertion.credential != passkey.id:
+        raise PasskeyUnknown("the assertion is of another passkey", "use the one you registered")
+    check_client_data(assertion.client_data, Ceremony.GET, challenge, passkey.origin)
+    data = AuthenticatorData.read(assertion.authenticator_data)
+    data.check(passkey.rp_id)
+    if (data.counter or counter) and data.counter <= counter:
+        raise PasskeyCloned(
+            f"the counter of the passkey {passkey.name!a} is {data.counter} and was {counter}",
+            "if it was used once only, somebody has a copy: remove it, and register a new one",
+        )
+    _check_signature(assertion, passkey)
+    return data.counter
+
+
+def counter_of(authenticator_data: bytes) -> int:
+    """The counter in recorded authenticator data.
+
+    Raises:
+        AssertionMalformed: it has none.
+    """
+    return AuthenticatorData.read(authenticator_data).counter
+
+
+def _check_signature(assertion: Assertion, passkey: Passkey) -> None:
+    if len(assertion.signature) > MAX_SIGNATURE:
+        raise AssertionMalformed(
+            f"a signature of {len(assertion.signature)} bytes", "try again, or with another browser"
+        )
+    signed = assertion.authenticator_data + sha256(assertion.client_data).digest()
+    try:
+        read_key(passkey.cose_key).verify(assertion.signature, signed, ec.ECDSA(SHA256()))
+    except InvalidSignature:
+        raise AssertionForged(
+            f"the passkey {passkey.name!a} did not sign this",
+            "if you touched it, register it again; else somebody else sent this",
+        ) from None
+
+
+class Purpose(StrEnum):
+    """What a challenge is for."""
+
+    LOGIN = "rossec-login-v1"
+    PASSKEY = "rossec-passkey-v1"
+
+
+class Challenge(NamedTuple):
+    """One challenge; `id` has 16 random bytes, `until` is its last second."""
+
+    purpose: Purpose
+    id: bytes
+    domain: str
+    origin: str
+    rp_id: str
+    made: int
+    until: int
+
+    @property
+    def digest(self) -> bytes:
+        """The 32 bytes that the passkey signs."""
+        return sha256(encode([str(self.purpose), *self[1:]])).digest()
+
+
+MAX_ATTESTATION: Final = 16 * 1024
+MAX_NAME: Final = 64
+_REGISTRATION_HINT: Final = "try again, or with another device"
+# What its parser raises for bytes that are not of the form.
+_MALFORMED: Final = (
+    ValueError, LookupError, TypeError, AttributeError, RecursionError, MemoryError, struct.error,
+)  # fmt: skip
+
+
+class Registration(NamedTuple):
+    """What the browser returned for a new passkey."""
+
+    client_data: bytes
+    attestation: bytes
+
+
+def register(
+    registration: Registration, challenge: Challenge, name: str, at: int, *, approval: bytes = b""
+) -> Passkey:
+    """The passkey in `registration`, which answers `challenge`.
+
+    Raises:
+        AssertionMalformed: not of the form of WebAuthn, or not an ES256 key.
+        OtherChallenge, OtherOrigin, NotVerified: as `ca.approvals.passkeys.verify`.
+        PasskeyRefused: no passkey was made, or it has an impossible name.
+        ConsoleExtraMissing: the library is not installed.
+    """
+    check_client_data(registration.client_data, Ceremony.CREATE, challenge.digest, challenge.origin)
+    parsed = _registration_parse(registration.attestation)
+    AuthenticatorData.read(bytes(parsed)).check(challenge.rp_id)
+    found = parsed.credential_data
+    if found is None or not 0 < len(found.credential_id) <= MAX_CREDENTIAL:
+        raise PasskeyRefused("the device made no passkey", _REGISTRATION_HINT)
+    return Passkey(
+        found.credential_id, check_passkey_name(name), _key(found), bytes(found.aaguid),
+        challenge.rp_id, challenge.origin, approval, at,
+    )  # fmt: skip
+
+
+def to_approve(passkey: Passkey) -> NewPasskey:
+    """What another phone approves when it adds `passkey`."""
+    return NewPasskey(passkey.id, sha256(passkey.cose_key).digest(), passkey.name)
+
+
+def check_passkey_name(name: str) -> str:
+    """Return `name` if a person can read it on one line.
+
+    Raises:
+        PasskeyRefused: empty, too long, or with characters that are not printed.
+    """
+    if not name.strip() or len(name) > MAX_NAME or not name.isprintable():
+        raise PasskeyRefused(
+            f"the name of a phone has 1 to {MAX_NAME} printable characters",
+            "for example: Ann's phone",
+        )
+    return name
+
+
+def _registration_parse(attestation: bytes) -> "webauthn.AuthenticatorData":
+    if len(attestation) > MAX_ATTESTATION:
+        raise AssertionMalformed(f"{len(attestation)} bytes of attestation", _REGISTRATION_HINT)
+    library = _library()
+    try:
+        data: webauthn.AuthenticatorData = library.AttestationObject(attestation).auth_data
+    except _MALFORMED as error:
+        raise AssertionMalformed("an attestation of an unknown form", _REGISTRATION_HINT) from error
+    return data
+
+
+def _key(found: "webauthn.AttestedCredentialData") -> bytes:
+    try:
+        key = encode(dict(found.public_key))
+    except (EncodingError, TypeError) as error:
+        raise AssertionMalformed(
+            "the device's key is of an unknown form", _REGISTRATION_HINT
+        ) from error
+    read_key(key)
+    return key
+
+
+def _library() -> ModuleType:
+    """`fido2.webauthn`, which only the extra `console` installs."""
+    try:
+        from fido2 import webauthn  # noqa: PLC0415
+    except ImportError:
+        raise ConsoleExtraMissing(
+            "passkeys need the package fido2", "pip install 'rossec[console]'"
+        ) from None
+    return webauthn
+
+
+class Approval(NamedTuple):
+    """One approval; `kind` and `subject` are those of its statement."""
+
+    id: bytes
+    kind: int
+    subject: bytes
+    statement: bytes
+    payload: bytes
+    passkey: bytes
+    client_data: bytes
+    authenticator_data: bytes
+    signature: bytes
+    at: int
+
+    @classmethod
+    def of(cls, statement: Statement, payload: bytes, assertion: Assertion, at: int) -> Self:
+        """The approval of `statement` by `assertion`, not verified."""
+        return cls(
+            statement.id, int(statement.kind), statement.subject, statement.to_bytes(), payload,
+            *assertion, at,
+        )  # fmt: skip
+
+    @property
+    def assertion(self) -> Assertion:
+        """What the passkey signed."""
+        return Assertion(self.passkey, self.client_data, self.authenticator_data, self.signature)
+
+    def read(self) -> Statement:
+        """The statement, if the other fields agree with it. Signatures: see `ApprovalVerifier`.
+
+        Raises:
+            StatementRefused: malformed, or the fields or the payload are of another statement.
+            ApprovalOutdated: approved before it was made, or too late.
+        """
+        statement = Statement.from_bytes(self.statement)
+        if (self.id, self.kind, self.subject) != (
+            statement.id, int(statement.kind), statement.subject,
+        ):  # fmt: skip
+            raise StatementRefused("the approval is recorded with another's statement", "")
+        statement.check_payload(self.payload)
+        if not statement.made <= self.at <= statement.until:
+            raise ApprovalOutdated(
+                "the approval did not come in time", "look at the page again, and approve that"
+            )
+        return statement
+
+
+class ApprovalVerifier:
+    """Verifies approvals, in the order in which they were made.
+
+    `counters`: those of the passkeys before, by credential id.
+    """
+
+    def __init__(
+        self, passkeys: Iterable[Passkey], counters: Iterable[tuple[bytes, int]] = ()
+    ) -> None:
+        self._passkeys = {passkey.id: passkey for passkey in passkeys}
+        self._counters = dict(counters)
+
+    def add_passkey(self, passkey: Passkey) -> None:
+        """Know another passkey from now on."""
+        self._passkeys[passkey.id] = passkey
+
+    def verify(self, approval: Approval) -> Statement:
+        """The statement that this approval approves.
+
+        Raises:
+            StatementRefused, ApprovalOutdated: as `Approval.read`.
+            PasskeyUnknown: no passkey of this id is known.
+            ApprovalRefused: as `ca.approvals.passkeys.verify`.
+        """
+        statement = approval.read()
+        passkey = self._passkeys.get(approval.passkey)
+        if passkey is None:
+            raise PasskeyUnknown("the passkey of this approval is not known", "is it registered?")
+        last = self._counters.get(passkey.id, 0)
+        self._counters[passkey.id] = verify(approval.assertion, passkey, statement.challenge, last)
+        return statement

@@ -1,0 +1,602 @@
+"""The transcript hash of an enrollment, and the statements, tag and digits computed from it.
+
+The transcript binds request, certificates, trust anchor and a fresh nonce, under its own context:
+nothing signed here can be replayed in a later enrollment or taken for another statement, and no
+peer can choose the octets that a node signs. The six digits also depend on `contribution`, random
+octets the node reveals only *after* the offer is fixed: otherwise an attacker posing as the
+authority could try a million nonces until the digits match.
+
+The node's side of an enrollment, sans-IO.
+
+It shows a code, sends its request to any peer, and answers *one* valid offer. The offer has no
+effect until a person has confirmed it here. A second valid offer means that another party has the
+code, or is in the middle: both are dropped. Five offers with a wrong tag lock a screen code. Every
+state has a deadline. `TABLE` has all transitions; any other message changes nothing.
+
+The authority's side of an enrollment, sans-IO.
+
+The code comes from the node itself, read by a person or a camera; everything else comes over the
+network and is checked against it. The node is enrolled when it says so in a statement signed over
+this transcript; the authority does not report it as enrolled before.
+"""
+
+import hmac
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from hashlib import sha256
+from typing import Final
+
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from ca.certificates import TrustAnchor
+from ca.encoding import encode
+from ca.enrollment import NONCE_SIZE, WINDOW, qr
+from ca.enrollment.messages import (
+    Abort,
+    Acknowledgement,
+    Delivery,
+    Done,
+    Fetch,
+    Message,
+    Offer,
+    Reason,
+    check_issued,
+    read,
+    write,
+)
+from ca.enrollment.qr import Code
+from ca.errors import (
+    AcknowledgementRefused,
+    ConflictingOffer,
+    DigitsRefused,
+    EncodingError,
+    EnrollmentExpired,
+    EnrollmentLocked,
+    EnrollmentMessageRefused,
+    EnrollmentOver,
+    EnrollmentRefused,
+    OfferRefused,
+    RequestSwapped,
+    SignatureError,
+)
+from ca.keys.signing import Profile, Signer
+from ca.svid import IdentityRequest, check_request
+
+_CONTEXT: Final = "rossec-enroll-v1"
+_OFFER: Final = "rossec-enroll-offer-v1"
+_DIGITS: Final = "rossec-enroll-digits-v1"
+_ACKNOWLEDGEMENT: Final = Profile("rossec-enroll-ack+cbor")
+_DONE: Final = Profile("rossec-enroll-done+cbor")
+_MAX_STATEMENT: Final = 512
+
+
+def transcript(csr: bytes, chain: Sequence[bytes], root: bytes, nonce: bytes) -> bytes:
+    """The transcript hash of one enrollment, 32 octets."""
+    certificates = [_digest(certificate) for certificate in chain]
+    return _digest(encode([_CONTEXT, _digest(csr), [*certificates], _digest(root), nonce]))
+
+
+def tag(secret: bytes, transcript_hash: bytes) -> bytes:
+    """The MAC of an offer: it proves that the sender has read the code."""
+    return hmac.digest(secret, encode([_OFFER, transcript_hash]), "sha256")
+
+
+def verify_tag(secret: bytes, transcript_hash: bytes, given: bytes) -> bool:
+    """Whether `given` is the tag of the offer."""
+    return hmac.compare_digest(tag(secret, transcript_hash), given)
+
+
+def digits(transcript_hash: bytes, contribution: bytes) -> str:
+    """The six digits both sides show."""
+    number = int.from_bytes(_digest(encode([_DIGITS, transcript_hash, contribution]))[:8])
+    return f"{number % 1_000_000:06}"
+
+
+def group_digits(six: str) -> str:
+    """The digits in two groups: `123 456`."""
+    return f"{six[:3]} {six[3:]}"
+
+
+def sign_acknowledgement(signer: Signer, transcript_hash: bytes, contribution: bytes) -> bytes:
+    """The node's signed acknowledgement of an offer."""
+    return _ACKNOWLEDGEMENT.sign(signer, [transcript_hash, contribution])
+
+
+def open_acknowledgement(
+    data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes
+) -> bytes:
+    """The contribution in a node's acknowledgement of the offer with this transcript hash.
+
+    Raises:
+        AcknowledgementRefused: another key signed it, or it is about another offer.
+    """
+    match _open(_ACKNOWLEDGEMENT, data, key):
+        case [bytes() as acknowledged, bytes() as contribution] if (
+            acknowledged == transcript_hash and len(contribution) == NONCE_SIZE
+        ):
+            return contribution
+        case _:
+            raise _replayed()
+
+
+def sign_done(signer: Signer, transcript_hash: bytes) -> bytes:
+    """The node's signed statement that it is enrolled."""
+    return _DONE.sign(signer, [transcript_hash])
+
+
+def check_done(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes) -> None:
+    """Return if `data` is the node's statement that it is enrolled with this transcript.
+
+    Raises:
+        AcknowledgementRefused: another key signed it, or it is about another offer.
+    """
+    if _open(_DONE, data, key) != [transcript_hash]:
+        raise _replayed()
+
+
+def _open(profile: Profile, data: bytes, key: ec.EllipticCurvePublicKey) -> object:
+    try:
+        return profile.open(data, key, limit=_MAX_STATEMENT)
+    except (SignatureError, EncodingError) as error:
+        raise AcknowledgementRefused(
+            f"the answer is not signed by the node: {error}",
+            "possible attacker in between: start again",
+        ) from error
+
+
+def _replayed() -> AcknowledgementRefused:
+    return AcknowledgementRefused(
+        "the node's answer is for another offer",
+        "it was replayed, or there was a second offer: do not confirm at the node, start again",
+    )
+
+
+def _digest(data: bytes) -> bytes:
+    return sha256(data).digest()
+
+
+MAX_BAD_TAGS: Final = 5
+MAX_BAD_DIGITS: Final = 3
+_RESTART_HINT: Final = "start again: rossec node enroll NAME"
+
+
+class NodeState(Enum):
+    """The state of one enrollment, at the node."""
+
+    SHOWING = "waiting for an offer"
+    PENDING = "waiting for confirmation"
+    CONFIRMED = "confirmed"
+    ENROLLED = "enrolled"
+    OVER = "ended"
+
+
+NODE_TABLE: Final[dict[tuple[NodeState, type[Message]], tuple[str, tuple[NodeState, ...]]]] = {
+    (NodeState.SHOWING, Fetch): ("_deliver", (NodeState.SHOWING,)),
+    (NodeState.SHOWING, Offer): (
+        "_check_first_offer",
+        (NodeState.SHOWING, NodeState.PENDING, NodeState.OVER),
+    ),
+    (NodeState.PENDING, Fetch): ("_deliver", (NodeState.PENDING,)),
+    (NodeState.PENDING, Offer): ("_compare", (NodeState.PENDING, NodeState.OVER)),
+    (NodeState.CONFIRMED, Offer): ("_compare", (NodeState.CONFIRMED, NodeState.OVER)),
+    (NodeState.ENROLLED, Offer): ("_repeat_answers", (NodeState.ENROLLED,)),
+}
+
+
+@dataclass(frozen=True)
+class Pending:
+    """A valid offer to be confirmed by a person.
+
+    `chain` and `root` are DER; `anchor` is the root as it will be trusted; `digits` are those the
+    authority must show too.
+    """
+
+    chain: tuple[bytes, ...]
+    root: bytes
+    anchor: TrustAnchor
+    digits: str
+    transcript: bytes
+    acknowledgement: bytes
+
+
+class NodeEnrollment:
+    """One enrollment of one node; used once."""
+
+    def __init__(
+        self,
+        signer: Signer,
+        csr: bytes,
+        domain: str,
+        *,
+        secret: bytes,
+        contribution: bytes,
+        expires: int,
+        wildcard: bool = False,
+    ) -> None:
+        """Offer `csr`, this node's own request.
+
+        `secret` is that of the screen code, 16 fresh random octets, or empty for a label;
+        `contribution` are 16 fresh random octets, not revealed before there is an offer; `expires`
+        is the last second for an offer; `wildcard`: the request is for anonymous nodes too.
+
+        Raises:
+            RequestRefused: `csr` is invalid.
+            EnrollmentRefused: wrong sizes.
+        """
+        if len(secret) not in {0, qr.SECRET_SIZE} or len(contribution) != NONCE_SIZE:
+            raise EnrollmentRefused("an enrollment needs 16 octets of each random value")
+        self.request = check_request(csr, domain, wildcard=wildcard)
+        self.state = NodeState.SHOWING
+        self.end_reason: EnrollmentRefused | None = None
+        self.expires = expires
+        self._signer = signer
+        self._csr = csr
+        self._secret = secret
+        self._contribution = contribution
+        self._pending: Pending | None = None
+        self._bad_tags = 0
+        self._bad_digits = 0
+
+    def code(self, address: str = "") -> str:
+        """The text to show; `address` is where this node listens, for screen codes."""
+        if not self._secret:
+            return qr.label_code(self._csr)
+        return qr.screen_code(self._csr, self._secret, self.expires, address)
+
+    @property
+    def pending(self) -> Pending:
+        """The offer that was acknowledged.
+
+        Raises:
+            EnrollmentOver: there is none, or it was dropped.
+        """
+        if self._pending is None:
+            raise EnrollmentOver("there is no offer to confirm", "first, at the authority: enroll")
+        return self._pending
+
+    def receive(self, data: bytes, now: int) -> list[bytes]:
+        """Process one message; returns the answers. On an error the connection must be closed.
+
+        Raises:
+            EnrollmentRefused: a subclass for each error; `state` says whether the enrollment ended.
+        """
+        self.tick(now)
+        self._check_not_over()
+        message = read(data)
+        entry = NODE_TABLE.get((self.state, type(message)))
+        if entry is None:
+            raise EnrollmentMessageRefused(
+                f"unexpected {type(message).__name__} in state {self.state.value!r}"
+            )
+        method, followers = entry
+        action: Callable[[Message, int], list[bytes]] = getattr(self, method)
+        before = self.state
+        answers = action(message, now)
+        assert self.state in {before, *followers}  # noqa: S101 - the table is the truth
+        return answers
+
+    def confirm(self, digits: str, now: int) -> Pending:
+        """A person read `digits` at the authority: returns the offer to write to disk now.
+
+        Raises:
+            DigitsRefused: they are wrong; the third time ends the enrollment.
+            EnrollmentRefused: there is no offer, or it is too late.
+        """
+        self.tick(now)
+        self._check_not_over()
+        pending = self.pending
+        if self.state is not NodeState.PENDING:
+            raise EnrollmentOver("this was confirmed already")
+        if digits != pending.digits:  # not secret: they can be computed from the messages
+            self._count_bad_digits()
+        self.state = NodeState.CONFIRMED
+        return pending
+
+    def activated(self) -> list[bytes]:
+        """The confirmed identity is on the disk; returns the message for the authority."""
+        if self.state is not NodeState.CONFIRMED:
+            raise EnrollmentOver("nothing was confirmed")
+        self.state = NodeState.ENROLLED
+        return [self._done()]
+
+    def stop(self, why: EnrollmentRefused) -> None:
+        """End the enrollment; an enrolled node stays enrolled."""
+        if self.state not in {NodeState.ENROLLED, NodeState.OVER}:
+            self.state, self.end_reason, self._pending = NodeState.OVER, why, None
+
+    def tick(self, now: int) -> None:
+        """Check the deadline at `now`."""
+        if self.state in {NodeState.SHOWING, NodeState.PENDING} and now > self.expires:
+            self.stop(EnrollmentExpired("the enrollment was not finished in time", _RESTART_HINT))
+
+    def _check_not_over(self) -> None:
+        if self.state is NodeState.OVER:
+            raise EnrollmentOver(f"the enrollment is over: {self.end_reason}", _RESTART_HINT)
+
+    def _count_bad_digits(self) -> None:
+        self._bad_digits += 1
+        error = DigitsRefused(
+            "these are not the digits of the offer of this node",
+            "possible attacker in between: if the authority shows these digits, do not continue",
+        )
+        if self._bad_digits >= MAX_BAD_DIGITS:
+            self.stop(error)
+        raise error
+
+    def _deliver(self, _: Fetch, __: int) -> list[bytes]:
+        return [write(Delivery(self._csr))]
+
+    def _check_first_offer(self, offer: Offer, now: int) -> list[bytes]:
+        """Accept the first valid offer; an invalid one changes nothing."""
+        transcript_hash = self._check_tag(offer)
+        anchor = check_issued(offer.root, offer.chain, self.request, now)
+        self._pending = Pending(
+            offer.chain,
+            offer.root,
+            anchor,
+            digits(transcript_hash, self._contribution),
+            transcript_hash,
+            sign_acknowledgement(self._signer, transcript_hash, self._contribution),
+        )
+        self.state, self.expires = NodeState.PENDING, now + WINDOW
+        return [self._acknowledged()]
+
+    def _compare(self, offer: Offer, now: int) -> list[bytes]:
+        """Answer a repeated offer, whose answer was lost; refuse a different one."""
+        if self._is_pending_offer(offer):
+            return [self._acknowledged()]
+        self._check_tag(offer)
+        check_issued(offer.root, offer.chain, self.request, now)
+        error = ConflictingOffer(
+            "this node received two different offers: another party has its code",
+            f"nothing was accepted; find the other party, then {_RESTART_HINT}",
+        )
+        self.stop(error)
+        raise error
+
+    def _repeat_answers(self, offer: Offer, _: int) -> list[bytes]:
+        if not self._is_pending_offer(offer):
+            raise EnrollmentOver("the node is enrolled already", _RESTART_HINT)
+        return [self._acknowledged(), self._done()]
+
+    def _transcript(self, offer: Offer) -> bytes:
+        return transcript(self._csr, offer.chain, offer.root, offer.nonce)
+
+    def _is_pending_offer(self, offer: Offer) -> bool:
+        return self._transcript(offer) == self.pending.transcript
+
+    def _acknowledged(self) -> bytes:
+        return write(Acknowledgement(self.pending.acknowledgement))
+
+    def _done(self) -> bytes:
+        return write(Done(sign_done(self._signer, self.pending.transcript)))
+
+    def _check_tag(self, offer: Offer) -> bytes:
+        transcript_hash = self._transcript(offer)
+        if not self._secret:
+            if offer.tag:
+                raise OfferRefused("an offer with a tag, but the code is a label")
+        elif not verify_tag(self._secret, transcript_hash, offer.tag):
+            self._count_bad_tag()
+        return transcript_hash
+
+    def _count_bad_tag(self) -> None:
+        if (
+            self.state is NodeState.SHOWING
+        ):  # a wrong tag must not disturb an offer that waits for confirmation
+            self._bad_tags += 1
+        if self._bad_tags >= MAX_BAD_TAGS:
+            error = EnrollmentLocked(
+                f"{MAX_BAD_TAGS} offers without the code's secret", _RESTART_HINT
+            )
+            self.stop(error)
+            raise error
+        raise OfferRefused("the sender of the offer has not read the code")
+
+
+_ABORTS: Final[dict[Reason, tuple[type[EnrollmentRefused], str, str]]] = {
+    Reason.REFUSED: (
+        EnrollmentOver, "the node refused the offer",
+        "does it show a new code, or is its clock wrong? `rossec node enroll` says why",
+    ),
+    Reason.OVER: (
+        EnrollmentOver, "the node has ended the enrollment", "show a new code on the node",
+    ),
+    Reason.CONFLICT: (
+        ConflictingOffer, "the node received two different offers: another party has its code",
+        "the node accepted none; find the other party, then show a new code",
+    ),
+}  # fmt: skip
+
+
+class AuthorityState(Enum):
+    """The state of one enrollment, at the authority."""
+
+    FETCHING = "fetching the request"
+    COMPARED = "request verified"
+    APPROVED = "approved"
+    OFFERED = "waiting for the acknowledgement"
+    ACKNOWLEDGED = "waiting for confirmation at the node"
+    ENROLLED = "enrolled"
+    OVER = "ended"
+
+
+AUTHORITY_TABLE: Final[
+    dict[tuple[AuthorityState, type[Message]], tuple[str, tuple[AuthorityState, ...]]]
+] = {
+    (AuthorityState.FETCHING, Delivery): (
+        "_compare",
+        (AuthorityState.COMPARED, AuthorityState.OVER),
+    ),
+    (AuthorityState.FETCHING, Abort): ("_aborted", (AuthorityState.OVER,)),
+    (AuthorityState.OFFERED, Acknowledgement): (
+        "_acknowledged",
+        (AuthorityState.ACKNOWLEDGED, AuthorityState.OVER),
+    ),
+    (AuthorityState.OFFERED, Abort): ("_aborted", (AuthorityState.OVER,)),
+    (AuthorityState.ACKNOWLEDGED, Acknowledgement): (
+        "_acknowledged_again",
+        (AuthorityState.ACKNOWLEDGED,),
+    ),
+    (AuthorityState.ACKNOWLEDGED, Done): (
+        "_done",
+        (AuthorityState.ENROLLED, AuthorityState.OVER),
+    ),
+    (AuthorityState.ACKNOWLEDGED, Abort): ("_aborted", (AuthorityState.OVER,)),
+    (AuthorityState.ENROLLED, Acknowledgement): ("_acknowledged_again", (AuthorityState.ENROLLED,)),
+    (AuthorityState.ENROLLED, Done): ("_done", (AuthorityState.ENROLLED,)),
+}
+
+
+class AuthorityEnrollment:
+    """One enrollment of the node whose code was read; used once."""
+
+    def __init__(self, code: Code, domain: str, *, wildcard: bool = False) -> None:
+        """Enroll the node with this `code`; `wildcard`: it may ask for a wildcard tail."""
+        self.state = AuthorityState.FETCHING
+        self.digits = ""
+        self._code = code
+        self._domain = domain
+        self._wildcard = wildcard
+        self._request: IdentityRequest | None = None
+        self._csr = b""
+        self._transcript = b""
+        self._statement = b""
+        self._deadline = code.expires if code.secret else 0
+
+    def fetch(self) -> bytes:
+        """The first message."""
+        return write(Fetch())
+
+    @property
+    def request(self) -> IdentityRequest:
+        """The request: checked against the code, with proof of possession.
+
+        Raises:
+            EnrollmentOver: there is no request yet.
+        """
+        if self._request is None:
+            raise EnrollmentOver("there is no request yet")
+        return self._request
+
+    @property
+    def csr(self) -> bytes:
+        """The request as received (DER)."""
+        return self._csr
+
+    def receive(self, data: bytes, now: int) -> None:
+        """Process one message of the node.
+
+        Raises:
+            EnrollmentRefused, RequestRefused: a subclass for each error; an unexpected message
+                changes nothing, every other error ends the enrollment.
+        """
+        self.tick(now)
+        message = read(data)
+        entry = AUTHORITY_TABLE.get((self.state, type(message)))
+        if entry is None:
+            raise EnrollmentMessageRefused(
+                f"unexpected {type(message).__name__} in state {self.state.value!r}"
+            )
+        method, followers = entry
+        action: Callable[[Message, int], None] = getattr(self, method)
+        before = self.state
+        action(message, now)
+        assert self.state in {before, *followers}  # noqa: S101 - the table is the truth
+
+    def approve(self, now: int) -> None:
+        """The operator, or an automatic rule, has approved `request`."""
+        self.tick(now)
+        self._move(AuthorityState.COMPARED, AuthorityState.APPROVED)
+
+    def deny(self) -> None:
+        """The operator has denied the request."""
+        self._move(AuthorityState.COMPARED, AuthorityState.OVER)
+
+    def offer(self, chain: Sequence[bytes], root: bytes, nonce: bytes, now: int) -> bytes:
+        """Return the offer to send, and to send again unchanged when the connection breaks.
+
+        `chain` is the certificate issued for `csr`, and an intermediate if there is one; `nonce`
+        are 16 fresh random octets.
+
+        Raises:
+            CertificateRefused: the chain is invalid.
+            EnrollmentRefused: not approved, too late, or the chain is for another request.
+        """
+        self.tick(now)
+        identity = TrustAnchor.load(root).verify(chain, now)
+        request = self.request
+        ours = (request.domain, request.name, request.wildcard, request.thumbprint)
+        offered = (identity.domain, identity.name, identity.wildcard, identity.thumbprint)
+        if offered != ours:
+            raise EnrollmentRefused("the certificate is not the one that was asked for")
+        if len(nonce) != NONCE_SIZE:
+            raise EnrollmentRefused(f"a nonce has {NONCE_SIZE} octets")
+        self._move(AuthorityState.APPROVED, AuthorityState.OFFERED)
+        self._deadline = now + WINDOW
+        self._transcript = transcript(self._csr, chain, root, nonce)
+        secret = self._code.secret
+        proof = tag(secret, self._transcript) if secret else b""
+        return write(Offer(tuple(chain), root, nonce, proof))
+
+    @property
+    def deadline(self) -> int:
+        """The last second for the next step; 0 for none."""
+        return self._deadline
+
+    def tick(self, now: int) -> None:
+        """Check the deadline at `now`.
+
+        Raises:
+            EnrollmentExpired: it is over.
+        """
+        if self.state in {AuthorityState.ENROLLED, AuthorityState.OVER}:
+            return
+        if self._deadline and now > self._deadline:
+            self.state = AuthorityState.OVER
+            raise EnrollmentExpired(
+                "the enrollment was not finished in time", "show a new code on the node"
+            )
+
+    def _move(self, begin: AuthorityState, end: AuthorityState) -> None:
+        if self.state is not begin:
+            raise EnrollmentOver(f"not possible in state {self.state.value!r}")
+        self.state = end
+
+    def _compare(self, message: Delivery, _: int) -> None:
+        """Check the hash first: a request that does not match the code is not parsed."""
+        self.state = AuthorityState.OVER
+        if not self._code.matches(message.csr):
+            raise RequestSwapped(
+                "the request is not the one the code was made for",
+                "it was replaced on the network, or this is another node: scan the code again",
+            )
+        self._request = check_request(message.csr, self._domain, wildcard=self._wildcard)
+        self._csr = message.csr
+        self.state = AuthorityState.COMPARED
+
+    def _acknowledged(self, message: Acknowledgement, now: int) -> None:
+        self.state = AuthorityState.OVER
+        contribution = open_acknowledgement(
+            message.statement, self.request.public_key, self._transcript
+        )
+        self.digits = digits(self._transcript, contribution)
+        self._statement = message.statement
+        self._deadline = now + WINDOW
+        self.state = AuthorityState.ACKNOWLEDGED
+
+    def _acknowledged_again(self, message: Acknowledgement, _: int) -> None:
+        if message.statement != self._statement:
+            raise AcknowledgementRefused("a second, different answer of the node", "start again")
+
+    def _done(self, message: Done, _: int) -> None:
+        if self.state is AuthorityState.ACKNOWLEDGED:  # in ENROLLED, an invalid one changes nothing
+            self.state = AuthorityState.OVER
+        check_done(message.statement, self.request.public_key, self._transcript)
+        self.state = AuthorityState.ENROLLED
+
+    def _aborted(self, message: Abort, _: int) -> None:
+        self.state = AuthorityState.OVER
+        error, text, hint = _ABORTS[message.reason]
+        raise error(text, hint)

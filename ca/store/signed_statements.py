@@ -1,0 +1,440 @@
+"""Foreign domains in the authority's record: accepted, changed, ended; the lists that were signed.
+
+Each acceptance and each change of terms is a row, and the newest row of a domain counts until an
+end refers to it. What was accepted never goes from the record: a label that once meant a domain is
+not given to another one while a grant that names it can live (`rossec.authority.domains` asks
+`labelled`). A domain is its root key here: whoever has another key is another domain.
+
+The audit of foreign domains: replayed from the log, in the order in which they were trusted.
+
+Terms are in form, and no two trusted domains share a name, a label or a root key; an end is of a
+domain that is trusted. A list is signed by the authority, newer than the one before, and names only
+domains with the terms that the record has at that point: the record cannot be made to deny what a
+list said. The rows are those of the log already (`ca.store.log`).
+
+The statements about constrained things in the authority's record.
+
+A statement is in force until it expires or is revoked. Among those in force, one name is one thing
+and one credential is one thing; at one border router, so is one kid. A statement that would break
+this is refused: its caller first revokes what it replaces, in the same transaction. A repeated
+statement about the same thing at the same router is a renewal, and ends nothing.
+
+The audit of the statements about things: replayed from the log, in the order of their signing.
+
+Each is signed by the authority and says what its row says, and no two that were in force at the
+same time shared a name, a credential or a kid: the record cannot be made to hold a statement that
+the authority would not have signed. The rows are those of the log already (`ca.store.log`).
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, Final, NamedTuple
+
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from ca.certificates import Identity
+from ca.domains.trust import ForeignDomain, verify_domains
+from ca.errors import CAError, DomainUnknown, LogDamaged, StoreError, ThingChanged, ThingUnknown
+from ca.store.database import Database, append_entry
+from ca.store.values import LogEntry, digest_of
+from ca.things.constrained_nodes import ThingStatement, peek_statement, verify_statement
+
+_COLUMNS = "number, domain, label, root, terms, at"
+_NEWEST = "number IN (SELECT max(number) FROM foreign_domain GROUP BY domain)"
+_NOT_ENDED = "number NOT IN (SELECT number FROM foreign_domain_end)"
+
+
+class DomainRow(NamedTuple):
+    """One acceptance of a domain, or change of its terms; `root` is its key's thumbprint."""
+
+    number: int
+    domain: str
+    label: str
+    root: bytes
+    terms: bytes
+    at: int
+
+    def read(self) -> ForeignDomain:
+        """The terms, as a value."""
+        return ForeignDomain.from_terms(self.terms)
+
+
+class ForeignCertificateRow(NamedTuple):
+    """A certificate of a foreign node: its key, the root key above it, its name there."""
+
+    thumbprint: bytes
+    root: bytes
+    name: str
+    der: bytes
+    at: int
+
+
+class DomainTable:
+    """The foreign domains of one record."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def accepted(self) -> list[DomainRow]:
+        """The domains that are trusted, sorted by name; the time of some may be over."""
+        return self._rows(f"WHERE {_NEWEST} AND {_NOT_ENDED} ORDER BY domain")
+
+    def all(self) -> list[DomainRow]:
+        """Every acceptance and change, oldest first."""
+        return self._rows("ORDER BY number")
+
+    def get(self, label: str) -> DomainRow:
+        """The trusted domain that has this label.
+
+        Raises:
+            DomainUnknown: there is none.
+        """
+        for row in self.accepted():
+            if row.label == label:
+                return row
+        raise DomainUnknown(f"no domain is called {label!a} here", "see: rossec domain list")
+
+    def labelled(self, label: str) -> list[DomainRow]:
+        """Every row with this label, oldest first, also of domains that have ended."""
+        return self._rows("WHERE label = ? ORDER BY number", label)
+
+    def ends(self) -> dict[int, tuple[str, int]]:
+        """Why and when domains ended, by the number of their row."""
+        rows = self._database.rows("SELECT number, reason, at FROM foreign_domain_end")
+        return {number: (reason, at) for number, reason, at in rows}
+
+    def accept(self, domain: ForeignDomain, now: int) -> None:
+        """Trust a domain, or change the terms of one that is trusted.
+
+        Raises:
+            StoreError: another domain has the label or the root key, or this one another of both.
+        """
+        with self._database.transaction() as db:
+            root = domain.anchor.thumbprint
+            for known in self.accepted():
+                check_domains_apart(known, domain.domain, domain.label, root)
+            number = self._next_row()
+            row = DomainRow(number, domain.domain, domain.label, root, domain.terms, now)
+            db.execute("INSERT INTO foreign_domain VALUES (?, ?, ?, ?, ?, ?)", row)
+            append_entry(db, now, "domain", row.domain, row.label, digest_of(row))
+
+    def end(self, label: str, reason: str, now: int) -> DomainRow:
+        """End the trust in a domain; returns what ended.
+
+        Raises:
+            DomainUnknown: no trusted domain has this label.
+        """
+        with self._database.transaction() as db:
+            row = self.get(label)
+            ended = (row.number, reason, now)
+            db.execute("INSERT INTO foreign_domain_end VALUES (?, ?, ?)", ended)
+            append_entry(db, now, "domain ended", row.domain, reason, digest_of(ended))
+        return row
+
+    def next_number(self) -> tuple[int, int]:
+        """Epoch and sequence number for the next list of domains."""
+        rows = self._database.rows(
+            "SELECT epoch, seq FROM domain_list ORDER BY epoch DESC, seq DESC LIMIT 1"
+        )
+        return (rows[0][0], rows[0][1] + 1) if rows else (1, 1)
+
+    def save_list(self, number: tuple[int, int], data: bytes, now: int) -> None:
+        """Record a signed list of domains.
+
+        Raises:
+            StoreError: its number is taken.
+        """
+        with self._database.transaction() as db:
+            db.execute("INSERT INTO domain_list VALUES (?, ?, ?, ?)", (*number, data, now))
+            subject = f"{number[0]}.{number[1]}"
+            append_entry(db, now, "domain list", subject, "", digest_of((*number, data)))
+
+    def newest_list(self) -> bytes:
+        """The signed list with the highest number; empty: none was ever signed."""
+        rows = self._database.rows(
+            "SELECT data FROM domain_list ORDER BY epoch DESC, seq DESC LIMIT 1"
+        )
+        return bytes(rows[0][0]) if rows else b""
+
+    def add_certificate(self, root: bytes, identity: Identity, now: int) -> None:
+        """Record the certificate of a foreign node, verified below the root key `root`; once."""
+        row = ForeignCertificateRow(
+            identity.thumbprint, root, identity.certified_name, identity.certificate, now
+        )
+        with self._database.transaction() as db:
+            if any(known.der == row.der for known in self.certificates(root)):
+                return
+            db.execute("INSERT INTO foreign_certificate VALUES (?, ?, ?, ?, ?)", row)
+            key = row.thumbprint.hex()
+            append_entry(db, now, "foreign certificate", row.name, key, digest_of(row))
+
+    def certificates(self, root: bytes) -> list[ForeignCertificateRow]:
+        """The recorded certificates below a root key, oldest first."""
+        rows = self._database.rows(
+            "SELECT thumbprint, root, name, der, at FROM foreign_certificate"
+            " WHERE root = ? ORDER BY rowid",
+            root,
+        )
+        return [ForeignCertificateRow(*row) for row in rows]
+
+    def _next_row(self) -> int:
+        rows = self._database.rows("SELECT coalesce(max(number), 0) + 1 FROM foreign_domain")
+        return int(rows[0][0])
+
+    def _rows(self, clause: str, *values: object) -> list[DomainRow]:
+        rows = self._database.rows(f"SELECT {_COLUMNS} FROM foreign_domain {clause}", *values)  # noqa: S608  (constants)
+        return [DomainRow(*row) for row in rows]
+
+
+def check_domains_apart(known: DomainRow, domain: str, label: str, root: bytes) -> None:
+    """Return if a domain with this name, label and root key may be trusted beside `known`.
+
+    Raises:
+        StoreError: they share one or two of the three, but not all.
+    """
+    same = (known.domain == domain, known.label == label, known.root == root)
+    if all(same) or not any(same):
+        return
+    if known.domain == domain and known.root != root:
+        raise StoreError(
+            f"domain {domain} has another root key than before",
+            "find out why, by telephone; if it was set up again:"
+            f" rossec domain remove {known.label}, then accept it anew",
+        )
+    if known.domain == domain:
+        raise StoreError(f"domain {domain} is called {known.label} here", f"--as {known.label}")
+    if known.label == label:
+        raise StoreError(
+            f"the label {label} is that of domain {known.domain}", "choose another label: --as"
+        )
+    raise StoreError(
+        f"domain {known.domain} has the same root key",
+        "one authority has one domain: ask them which one it is",
+    )
+
+
+KINDS: Final = ("domain", "domain ended", "domain list")
+_HINT: Final = "somebody changed the record: restore a backup, and find out who"
+Row = tuple[Any, ...]
+
+
+def replay_domains(
+    entries: Iterable[LogEntry],
+    rows: Mapping[str, Iterable[Row]],
+    key: ec.EllipticCurvePublicKey,
+) -> None:
+    """Check every domain and list; `rows` are those of the tables, by kind; `key` is the root's.
+
+    Raises:
+        LogDamaged: names the first entry that could not have been made.
+    """
+    replay = _Replay(rows, key)
+    for entry in entries:
+        step = replay.steps.get(entry.what)
+        if step is not None:
+            try:
+                step(entry)
+            except CAError as error:
+                raise LogDamaged(f"log entry {entry.number}: {error}", _HINT) from error
+
+
+class _Replay:
+    def __init__(self, rows: Mapping[str, Iterable[Row]], key: ec.EllipticCurvePublicKey) -> None:
+        self._key = key
+        self._rows: dict[str, Iterator[Row]] = {kind: iter(rows[kind]) for kind in KINDS}
+        self._trusted: dict[str, DomainRow] = {}  # by domain
+        self._last = (0, 0)
+        self.steps: Mapping[str, Callable[[LogEntry], None]] = {
+            "domain": self._accept,
+            "domain ended": self._end,
+            "domain list": self._list,
+        }
+
+    def _accept(self, entry: LogEntry) -> None:
+        row = DomainRow(*next(self._rows["domain"]))
+        terms = row.read()
+        found = terms.domain, terms.label, terms.anchor.thumbprint
+        _require(found == (row.domain, row.label, row.root), entry)
+        for known in self._trusted.values():
+            check_domains_apart(known, *found)
+        self._trusted[row.domain] = row
+
+    def _end(self, entry: LogEntry) -> None:
+        number = next(self._rows["domain ended"])[0]
+        ended = [row for row in self._trusted.values() if row.number == number]
+        _require(len(ended) == 1, entry)
+        del self._trusted[ended[0].domain]
+
+    def _list(self, entry: LogEntry) -> None:
+        epoch, seq, data = next(self._rows["domain list"])
+        listed = verify_domains(data, self._key)
+        _require(self._last < (epoch, seq) == listed.number, entry)
+        self._last = listed.number
+        for each in listed.domains:
+            known = self._trusted.get(each.domain)
+            _require(known is not None and known.terms == each.terms, entry)
+
+
+def _require(holds: bool, entry: LogEntry) -> None:
+    if not holds:
+        raise LogDamaged(f"log entry {entry.number} says {entry.what}, which cannot be", _HINT)
+
+
+_THINGS_COLUMNS = "id, name, border, data, not_before, expires"
+_IN_FORCE = "expires > ? AND id NOT IN (SELECT entry FROM revocation)"
+
+
+class ThingRow(NamedTuple):
+    """One signed statement; `border` is the name of the router with the key in it."""
+
+    id: bytes
+    name: str
+    border: str
+    data: bytes
+    not_before: int
+    expires: int
+
+    def read(self) -> ThingStatement:
+        """What it states."""
+        return peek_statement(self.data)
+
+
+class ThingTable:
+    """The statements of one record."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def all(self) -> list[ThingRow]:
+        """Every statement signed, oldest first."""
+        return self._rows("ORDER BY rowid")
+
+    def in_force(self, now: int) -> list[ThingRow]:
+        """Those neither expired nor revoked, oldest first; the newest of a name counts."""
+        return self._rows(f"WHERE {_IN_FORCE} ORDER BY rowid", now)
+
+    def newest(self, now: int) -> dict[str, ThingRow]:
+        """The statement in force of each name that counts."""
+        return {row.name: row for row in self.in_force(now)}
+
+    def get(self, name: str, now: int) -> ThingRow:
+        """The statement in force about `name`.
+
+        Raises:
+            ThingUnknown: there is none.
+        """
+        found = self._rows(f"WHERE name = ? AND {_IN_FORCE} ORDER BY rowid", name, now)
+        if not found:
+            raise ThingUnknown(
+                f"no statement about a thing {name} is in force", "see: rossec ca things --all"
+            )
+        return found[-1]
+
+    def last(self, name: str) -> ThingRow:
+        """The last statement about `name` that was not revoked; it may have expired.
+
+        Raises:
+            ThingUnknown: there is none.
+        """
+        alive = "WHERE name = ? AND id NOT IN (SELECT entry FROM revocation) ORDER BY rowid"
+        found = self._rows(alive, name)
+        if not found:
+            raise ThingUnknown(f"there is no thing {name}", "see: rossec ca things --all")
+        return found[-1]
+
+    def revoked(self) -> list[ThingRow]:
+        """The revoked statements, oldest first."""
+        return self._rows("WHERE id IN (SELECT entry FROM revocation) ORDER BY rowid")
+
+    def ids(self, name: str, now: int) -> frozenset[bytes]:
+        """The ids of all statements in force about `name`."""
+        return frozenset(row.id for row in self.in_force(now) if row.name == name)
+
+    def of_border(self, border: str, now: int) -> list[ThingRow]:
+        """The statements in force that name a key of this border router, oldest first."""
+        return [row for row in self.in_force(now) if row.border == border]
+
+    def add(self, row: ThingRow, statement: ThingStatement, now: int) -> None:
+        """Record a statement before it is delivered.
+
+        Raises:
+            ThingChanged: another thing in force has the name, the credential, or the kid.
+            StoreError: the id is taken.
+        """
+        with self._database.transaction() as db:
+            for known in self.in_force(now):
+                check_things_apart(known.read(), statement)
+            db.execute("INSERT INTO thing VALUES (?, ?, ?, ?, ?, ?, ?)", (*row, now))
+            append_entry(db, now, "thing", row.name, row.id.hex(), digest_of(row))
+
+    def _rows(self, clause: str, *values: object) -> list[ThingRow]:
+        rows = self._database.rows(f"SELECT {_THINGS_COLUMNS} FROM thing {clause}", *values)  # noqa: S608  (constants)
+        return [ThingRow(*row) for row in rows]
+
+
+def check_things_apart(known: ThingStatement, new: ThingStatement) -> None:
+    """Return if both may be in force at the same time.
+
+    Raises:
+        ThingChanged: they share a name, a credential or a kid, and are not about one thing.
+    """
+    same_thing = known.credential.thumbprint == new.credential.thumbprint
+    if (known.name, known.border) == (new.name, new.border) and known.credential == new.credential:
+        return
+    if known.name == new.name:
+        what = "another border router" if same_thing else "another key"
+        raise ThingChanged(
+            f"{new.name} has a statement in force with {what}",
+            f"if that one is to end: --replace {new.name}",
+        )
+    if same_thing:
+        raise ThingChanged(
+            f"this key is that of {known.name}",
+            f"if the thing was renamed: --replace {known.name}",
+        )
+    if (known.border, known.credential.kid) == (new.border, new.credential.kid):
+        raise ThingChanged(
+            f"{known.name} has the same kid {known.credential.kid.hex()} at this border router",
+            f"give one of the two another kid, or --replace {known.name}",
+        )
+
+
+KIND: Final = "thing"
+_REVOCATION: Final = "revocation"
+
+
+def replay_things(
+    entries: Iterable[LogEntry], rows: Iterable[Row], key: ec.EllipticCurvePublicKey
+) -> None:
+    """Check every statement; `rows` are those of the table, `key` is the root's.
+
+    Raises:
+        LogDamaged: names the first entry that could not have been made.
+    """
+    made, in_force = iter(rows), dict[str, ThingStatement]()
+    for entry in entries:
+        if entry.what == _REVOCATION:
+            in_force.pop(entry.subject, None)
+        elif entry.what == KIND:
+            try:
+                _take(entry, made, in_force, key)
+            except CAError as error:
+                raise LogDamaged(f"log entry {entry.number}: {error}", _HINT) from error
+
+
+def _take(
+    entry: LogEntry,
+    made: Iterator[Row],
+    in_force: dict[str, ThingStatement],
+    key: ec.EllipticCurvePublicKey,
+) -> None:
+    row = ThingRow(*next(made))
+    found = verify_statement(row.data, key, domain=peek_statement(row.data).domain)
+    said = (found.id, found.name, found.not_before, found.expires)
+    if said != (row.id, row.name, row.not_before, row.expires):
+        raise LogDamaged(f"log entry {entry.number} says {KIND}, which cannot be", _HINT)
+    for number, known in list(in_force.items()):
+        if known.expires <= entry.at:
+            del in_force[number]
+        else:
+            check_things_apart(known, found)
+    in_force[row.id.hex()] = found

@@ -1,0 +1,563 @@
+"""A call that the authority has somebody make at the master: what is needed for it, and no more.
+
+How signed grants reach their nodes, as methods of `AuthorityService`.
+
+A node whose directory is in this ROSSEC_HOME gets a file; every other fetches its grants from the
+master, where they are deposited (docs/spec/master.md). No passphrase is needed: the master accepts
+deposits from the authority's own node, and the grants are signed.
+
+What an authority does by its policy, as methods of `AuthorityService`.
+
+Requests are decided and answered, the policy is applied, nodes opt out. What each of these needs is
+imported when it is called: most operations of an authority need no policy.
+"""
+
+import contextlib
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from ca.errors import HintedError
+from ca.names import is_alias
+from ca.revocation.trust_status import open_statement
+from grants import document
+from grants.model import Draft, Grant
+from grants.request import lasting_name
+from rossec import files
+from rossec.authority.home import AuthorityHome
+from rossec.authority.signing import SKEW, SigningAuthority
+from rossec.errors import ConfigurationError, NotDelivered, PolicyIncomplete
+from rossec.home import NodeHome
+from rossec.peer_limits import printable
+
+if TYPE_CHECKING:
+    from rossec.authority.approvals import ApprovalQueue, Denial, PendingApproval, VerdictChange
+    from rossec.authority.policyfile import OptOut, PolicyFile, PolicyPlan
+
+
+class MasterCall(NamedTuple):
+    """A signed statement for the master, or a query: called as `node`, the authority's own.
+
+    `what` names it in errors, `hint` says how to deliver it later, `note` is to be shown if set.
+    `within`: seconds until it fails; None: the usual deadlines. `waits`: the master answers when
+    there is something new, so that a slow answer is no sign of one that is out of reach.
+    """
+
+    node: NodeHome
+    method: str
+    statement: tuple[object, ...]
+    what: str
+    hint: str
+    note: str = ""
+    within: float | None = None
+    waits: bool = False
+
+
+DEPOSIT_LIMIT: Final = 64  # grants in one call: the limit of the master
+DEPOSIT_BYTES: Final = 512 * 1024  # in one call, of which the master takes 1 MiB with its envelope
+STATES_LIMIT: Final = 256
+DEPOSIT_SECONDS: Final = 15.0
+STATES_SECONDS: Final = 3.0  # a list of grants must not wait for a master that is off
+
+DIRECTORY: Final = "outgoing"  # in the authority's directory
+OWNED: Final = (files.Owned(rf"{DIRECTORY}/[0-9a-f]{{1,128}}\.grant"),)
+LATER: Final = "deliver it when the master runs: rossec grant deliver"
+AGAIN: Final = "rossec grant deliver"
+_AFTERWARDS: Final = f"afterwards deliver it with: {AGAIN}"
+
+
+class RefusedDeposit(NamedTuple):
+    """A grant that the master refuses, or that cannot be stored here, and why."""
+
+    grant_id: bytes
+    node: str
+    reason: str
+    is_here: bool = False
+    hint: str = ""
+
+    def say(self, grant: str) -> str:
+        """One line about it, in which it is called `grant`."""
+        if self.is_here:
+            return f"{grant} of {self.node} cannot be stored here: {self.reason}"
+        return f"the master refuses {grant} of {self.node}: {self.reason}"
+
+
+class GrantDelivery(ABC):
+    """The methods of `AuthorityService` that deliver grants; `_now` returns seconds.
+
+    `rossec_home` is ROSSEC_HOME.
+    """
+
+    rossec_home: Path
+    _now: Callable[[], int]
+
+    @property
+    @abstractmethod
+    def home(self) -> AuthorityHome:
+        """The directory of the authority, if there is one."""
+
+    @abstractmethod
+    def deliver(self, call: MasterCall) -> object:
+        """Make a call at the master; returns the value of its answer. Raises `NotDelivered`."""
+
+    @abstractmethod
+    def publish(self) -> None:
+        """Deliver the newest list to the master. Raises `NotDelivered`, `ConfigurationError`."""
+
+    @property
+    def outgoing(self) -> Path:
+        """The directory of grants that somebody carries to another domain."""
+        return self.home.path / DIRECTORY
+
+    def store_grant(self, data: bytes) -> Path | None:
+        """Store a grant in its node's directory if that is in this home; returns the directory."""
+        grant = document.peek(data)
+        home = NodeHome.of(self.rossec_home, grant.subject)
+        if not home.path.is_dir():
+            return None
+        home.add_grant(grant.id, data)
+        return home.path
+
+    def deposit(self, grants: Iterable[bytes]) -> list[RefusedDeposit]:
+        """Deliver grants: deposit each at the master, and store it where its node is in this home.
+
+        Those of nodes of other domains, who ask another master, are put into `outgoing`.
+
+        What the master has already does no harm. One that lacks the newest list refuses every
+        grant: it is given the list, and asked again. Returns those it refuses, and those that
+        cannot be stored: the disk of one node keeps no other from its grants.
+
+        Raises:
+            NotDelivered: the master is out of reach; `rossec grant deliver` tries again.
+        """
+        everything, refused = [], list[RefusedDeposit]()
+        for data in grants:
+            failed = self.try_to_store(data)
+            refused += [] if failed is None else [failed]
+            if not is_alias(document.peek(data).subject):
+                everything.append(data)
+        for batch in _batches(everything):
+            refused += self._deposit_with_list(batch)
+        return refused
+
+    def try_to_store(self, data: bytes) -> RefusedDeposit | None:
+        """Store a grant where its node is in this home, or in `outgoing`; returns what failed."""
+        grant = document.peek(data)
+        try:
+            if is_alias(grant.subject):
+                files.make_private_directory(self.outgoing)
+                files.replace(self.outgoing / f"{grant.id.hex()}.grant", data, 0o644)
+            else:
+                self.store_grant(data)
+        except (HintedError, OSError) as error:  # of this node's directory
+            reason = printable(getattr(error, "strerror", None) or str(error))
+            return RefusedDeposit(grant.id, grant.subject, reason, is_here=True)
+        return None
+
+    def deposit_missing(self) -> tuple[int, list[RefusedDeposit]]:
+        """Deposit every grant in force that the master does not have.
+
+        Returns how many it has now besides, and those it refuses or that cannot be stored here.
+
+        Raises:
+            NotDelivered: the master is out of reach.
+        """
+        states = self.delivery_states(within=DEPOSIT_SECONDS)
+        missing = [
+            data
+            for grant, data in self._in_force()
+            if not states.get(grant.id) and not is_alias(grant.subject)
+        ]
+        refused = self.deposit(missing)
+        return len(missing) - sum(not each.is_here for each in refused), refused
+
+    def delivery_states(self, within: float = STATES_SECONDS) -> dict[bytes, str]:
+        """What the master says of each grant in force, by its id.
+
+        `held` (the node has presented it), `fetched`, `waiting`, or empty: the master does not
+        have it.
+
+        Raises:
+            NotDelivered: the master did not answer `within` seconds, or is of an older version.
+        """
+        ids = [(grant.id, grant.holder) for grant, _ in self._in_force()]
+        states: dict[bytes, str] = {}
+        for begin in range(0, len(ids), STATES_LIMIT):
+            chunk = ids[begin : begin + STATES_LIMIT]
+            entries = [grant_id + holder for grant_id, holder in chunk]
+            answer = self._ask("rossec.deliveryStates", entries, within)
+            states |= zip((grant_id for grant_id, _ in chunk), answer, strict=True)
+        return states
+
+    def master_has_list(self) -> bool:
+        """Whether the list in force at the master is the newest that was signed here.
+
+        Raises:
+            ConfigurationError: none was signed here, or none that is valid.
+            NotDelivered: the master does not answer, or is of a version that does not tell.
+        """
+        call = MasterCall(
+            self.home.node(), "rossec.revocationStanding", (), "the question for its list",
+            "rossec ca publish", within=DEPOSIT_SECONDS,
+        )  # fmt: skip
+        answer = self.deliver(call)
+        newest = open_statement(self.home.revocation_list(), self.home.anchor().public_key)
+        if self._now() >= newest.expires:
+            raise ConfigurationError("the revocation list has expired", "rossec ca refresh")
+        epoch, seq = newest.number
+        return isinstance(answer, dict) and answer.get("list") == f"{epoch}.{seq}"
+
+    def _ask(self, method: str, items: list[bytes], within: float) -> list[str]:
+        """The text that the master answers for each item."""
+        what = "the grants" if len(items) != 1 else "the grant"
+        call = MasterCall(self.home.node(), method, (items,), what, LATER, within=within)
+        answer = self.deliver(call)
+        values = answer if isinstance(answer, list) else []
+        texts = [item for item in values if isinstance(item, str)]
+        if len(texts) != len(items):
+            raise NotDelivered(f"the master's answer about {what} is malformed", LATER)
+        return texts
+
+    def _in_force(self) -> Iterator[tuple[Grant, bytes]]:
+        """The grants that a node can use now or after a renewal, the oldest first."""
+        now = self._now()
+        with contextlib.closing(self.home.store()) as store:
+            rows, revoked = store.grants(), store.revoked_entries()
+        for row in rows:
+            grant = document.peek(row.data)
+            if now < grant.cap and revoked.isdisjoint((grant.id, grant.holder)):
+                yield grant, row.data
+
+    def _deposit_with_list(self, batch: list[bytes]) -> list[RefusedDeposit]:
+        refused = self._deposit(batch)
+        if not refused:
+            return []
+        try:
+            lacking = not self.master_has_list()
+            if lacking:
+                self.publish()
+        except (ConfigurationError, NotDelivered) as error:
+            hint = f"{error.hint}; {_AFTERWARDS}" if error.hint else _AFTERWARDS
+            return [each._replace(hint=hint) for each in refused]
+        if not lacking:
+            return refused
+        ids = {each.grant_id for each in refused}
+        return self._deposit([data for data in batch if document.grant_id(data) in ids])
+
+    def _deposit(self, batch: list[bytes]) -> list[RefusedDeposit]:
+        reasons = self._ask("rossec.depositGrants", batch, DEPOSIT_SECONDS)
+        return [
+            RefusedDeposit(grant.id, grant.subject, printable(reason), hint=_AFTERWARDS)
+            for data, reason in zip(batch, reasons, strict=True)
+            if reason
+            for grant in (document.peek(data),)
+        ]
+
+
+def require_delivered(refused: Iterable[RefusedDeposit]) -> None:
+    """Return if the master has every grant; of those it has, a copy here is not needed.
+
+    Raises:
+        NotDelivered: it refuses some, each of which was said.
+    """
+    lacking = [each for each in refused if not each.is_here]
+    if lacking:
+        grants = "1 grant is" if len(lacking) == 1 else f"{len(lacking)} grants are"
+        raise NotDelivered(f"{grants} signed, but not delivered", lacking[0].hint or LATER)
+
+
+def _batches(grants: Iterable[bytes]) -> Iterator[list[bytes]]:
+    """The grants in calls that the master takes."""
+    batch: list[bytes] = []
+    size = 0
+    for data in grants:
+        if len(batch) == DEPOSIT_LIMIT or (batch and size + len(data) > DEPOSIT_BYTES):
+            yield batch
+            batch, size = [], 0
+        batch.append(data)
+        size += len(data)
+    if batch:
+        yield batch
+
+
+SignedGrant = tuple[Draft, bytes]
+
+
+class Decided(NamedTuple):
+    """The grants signed, how many rights are allowed and wait for a person, and what is denied."""
+
+    grants: list[SignedGrant]
+    allowed: int
+    waiting: int
+    denied: "list[Denial]"
+
+
+class PolicyOperations(ABC):
+    """The methods of `AuthorityService` that need a policy; `_now` returns seconds since the epoch.
+
+    `rossec_home` is ROSSEC_HOME.
+    """
+
+    rossec_home: Path
+    _now: Callable[[], int]
+
+    @property
+    @abstractmethod
+    def home(self) -> AuthorityHome:
+        """The directory of the authority, if there is one."""
+
+    @abstractmethod
+    def unlock(self) -> SigningAuthority:
+        """The authority with its key."""
+
+    @abstractmethod
+    def publish(self) -> None:
+        """Deliver the newest list to the master."""
+
+    @abstractmethod
+    def deposit(self, grants: Iterable[bytes]) -> list[RefusedDeposit]:
+        """Deliver grants to their nodes, by the master."""
+
+    @abstractmethod
+    def try_to_store(self, data: bytes) -> "RefusedDeposit | None":
+        """Store a grant where its node is in this home."""
+
+    @abstractmethod
+    def deposit_missing(self) -> "tuple[int, list[RefusedDeposit]]":
+        """Deliver the grants in force that the master does not have."""
+
+    def collect_grant_requests(
+        self, policy: "PolicyFile", given: Iterable[bytes] = ()
+    ) -> list[str]:
+        """Record the requests `given` and those in the inbox; returns the errors of the inbox."""
+        with self._queue(policy) as queue:
+            for data in given:
+                queue.add_request(data)
+            return queue.read_inbox()
+
+    def pending_grants(self, policy: "PolicyFile") -> "list[PendingApproval]":
+        """The collected requests that wait for a person."""
+        with self._queue(policy) as queue:
+            return [item for item in queue.pending() if not item.is_allowed]
+
+    def decide_grants(self, policy: "PolicyFile") -> Decided:
+        """Sign the collected requests that the policy allows; without any, no key is needed.
+
+        One that no grant can have is denied, and keeps no other from its answer.
+
+        Raises:
+            PolicyRefused: it allows one, and a test of the policy does not hold.
+        """
+        with self._queue(policy) as queue:
+            pending, grants, refused = queue.pending(), list[SignedGrant](), list["Denial"]()
+            allowed = [item for item in pending if item.is_allowed]
+            if allowed:
+                policy.require_tests()
+                grants, refused = queue.sign_each(self.unlock(), allowed, "policy")
+            waiting = len(pending) - len(allowed)
+            denied = [*queue.denied, *refused]
+            return Decided(grants, len(allowed) - len(refused), waiting, denied)
+
+    def approve_grants(
+        self, policy: "PolicyFile", beginning: str, change: "VerdictChange"
+    ) -> list[SignedGrant]:
+        """Approve the one pending request whose id begins so, and sign its grants."""
+        with self._queue(policy) as queue:
+            chosen = queue.chosen(beginning)
+            return queue.sign(self.unlock(), chosen, change, "a person")
+
+    def deny_grants(self, policy: "PolicyFile", beginning: str) -> "list[PendingApproval]":
+        """Deny the pending request whose id begins so; returns the rights that were denied."""
+        with self._queue(policy) as queue:
+            chosen = queue.chosen(beginning)
+            for item in chosen:
+                queue.deny(item, "a person")
+            return chosen
+
+    def opt_out(self, policy: "PolicyFile", name: str, *, is_node: bool = False) -> "OptOut":
+        """Deny the topic `name` in the policy, or all topics to the node of that name.
+
+        An anonymous node is denied with all others of its identity: a rule tells them not apart.
+        """
+        from rossec.authority.policyfile import add_denial  # noqa: PLC0415 - see above
+
+        with contextlib.closing(self.home.store()) as store:
+            known = name in {row.name for row in store.identities.all()}
+            certified = store.identities.certified_name(name, self._now())
+        if certified != name and (is_node or lasting_name(name) != name):
+            name, is_node = certified, True
+        self.unlock()
+        return add_denial(policy, name, self._now(), is_node=is_node or known)
+
+    def revoke_opted_out(self, opted_out: "OptOut") -> list[tuple[Grant, bytes | None]]:
+        """Revoke the grants that show what is denied; see `opt_out.revoke_shown`."""
+        from rossec.authority.policyfile import revoke_shown  # noqa: PLC0415 - see above
+
+        return revoke_shown(self.unlock(), opted_out, self._now())
+
+    def _queue(self, policy: "PolicyFile") -> "contextlib.closing[ApprovalQueue]":
+        from rossec.authority.approvals import ApprovalQueue  # noqa: PLC0415 - see above
+
+        return contextlib.closing(ApprovalQueue(self.home, policy, self._now()))
+
+    def plan_policy(
+        self,
+        policy: "PolicyFile",
+        names: Collection[str] | None = None,
+        *,
+        renew_due: bool = False,
+        prune: bool = False,
+    ) -> "PolicyPlan":
+        """What applying `policy` would change, for the nodes `names` or for all; needs no key.
+
+        Raises:
+            RevocationRefused: as `policy_plan.make_plan`.
+            PolicyRefused: a test of the policy does not hold.
+        """
+        from grants.policy.difference import Moment  # noqa: PLC0415 - see above
+        from rossec.authority.policyfile import PlanOptions, make_plan  # noqa: PLC0415 - see above
+
+        policy.require_tests()
+        with contextlib.closing(self.home.store()) as store:
+            at = self._now()
+            until = self.home.renewed_until(at)
+            moment = Moment(
+                at, SKEW, renews=at < until, renew_due=renew_due, renewed_until=until or None
+            )
+            return make_plan(store, policy, PlanOptions(names, prune), moment)
+
+    def grant_outright(self, *names: str, place: Path | None = None) -> list[SignedGrant]:
+        """Sign what the policy in force gives the nodes `names` outright, if there is a policy.
+
+        `place`: of its file; None: the usual one. What it no longer allows waits for
+        `apply_policy`.
+
+        Raises:
+            ConfigurationError, PathRefused, PolicyRefused: the policy cannot be used, or one of its
+                tests does not hold.
+        """
+        from rossec.authority import policyfile
+        from rossec.authority import policyfile as policy_apply  # noqa: PLC0415 - see above
+
+        if self.home.is_intermediate or not policyfile.place(self.rossec_home, place).exists():
+            return []
+        policy = policyfile.read_policy(self.rossec_home, place, signs=True)
+        policy.require_tests()
+        at = self._now()
+        until = self.home.renewed_until(at)
+        return policy_apply.grant_outright(
+            self.unlock(), policy, names, at, renewed_until=until or None
+        )
+
+    def apply_policy(
+        self, plan: "PolicyPlan", report: Callable[[str], None] = lambda _: None
+    ) -> list[SignedGrant]:
+        """Carry out a plan: sign and deposit what is new, then revoke what goes, and publish that.
+
+        `report` is called with each step that was done. Returns the new grants.
+
+        Raises:
+            ConfigurationError, StoreError: as `policy_apply.sign_planned`; nothing was done.
+            NotDelivered: all is signed and recorded, but the master did not take all of it.
+            PolicyIncomplete: all is done but what is refused for some nodes, each reported.
+        """
+        from rossec.authority import policyfile as policy_apply  # noqa: PLC0415 - see above
+
+        authority, failed = self.unlock(), list[HintedError | OSError]()
+        listed, left = policy_apply.take_away(authority, plan, self._now())
+        if listed is not None:
+            report(f"revoked: {len(plan.taken)} (list {listed.seq})")
+            self._publish_new(report, failed)
+        signed, left = policy_apply.sign_each(authority, left, self._now())
+        if signed:
+            report(f"signed: {len(signed)}")
+        refused = self._deliver_new(signed, left, failed)
+        listed = policy_apply.revoke_planned(authority, left, self._now())
+        if listed is not None:
+            report(f"revoked: {len(left.revoke)} (list {listed.seq})")
+            self._publish_new(report, failed)
+        if refused and plan.revoke and not failed:  # there may be room for them now
+            refused = self.deposit_missing()[1]
+        for each in refused:
+            report(each.say("a grant"))
+        for reason in left.refused:
+            report(f"not granted: {reason}")
+        if failed:
+            raise failed[-1]
+        require_delivered(refused)
+        require_complete(left)
+        return signed
+
+    def _publish_new(
+        self, report: Callable[[str], None], failed: list[HintedError | OSError]
+    ) -> None:
+        """Deliver the list; a failure is kept, since what comes after it does not need it."""
+        try:
+            self.publish()
+        except (HintedError, OSError) as error:
+            failed.append(error)
+        else:
+            report("the master has the new list")
+
+    def complete_policy(self) -> None:
+        """Deliver what an interrupted `apply_policy` may have left: grants, and revocations.
+
+        Raises:
+            NotDelivered: the master is out of reach, or refuses some of them.
+        """
+        with contextlib.closing(self.home.store()) as store:
+            ours, revoked = store.policy_grants().keys(), store.revoked_entries()
+        refused = self._deposit_all() if ours else []
+        if not revoked.isdisjoint(ours):
+            self.publish()
+        require_delivered(refused)
+
+    def _deliver_new(
+        self, signed: list[SignedGrant], plan: "PolicyPlan", failed: list[HintedError | OSError]
+    ) -> list[RefusedDeposit]:
+        """Deliver new grants; returns those that the master refuses, and keeps a failure.
+
+        What is not allowed is revoked all the same.
+
+        Before a revocation, also those that an interrupted command signed. A node of this
+        ROSSEC_HOME has its grants as files, also while no master runs.
+        """
+        try:
+            if plan.revoke:
+                return self._deposit_all()
+            return self.deposit(data for _, data in signed)
+        except NotDelivered as error:
+            homes = (NodeHome.of(self.rossec_home, draft.subject) for draft, _ in signed)
+            if not all(home.path.is_dir() for home in homes):
+                failed.append(error)
+        except (HintedError, OSError) as error:  # a full disk, or an expired identity of /ca
+            failed.append(error)
+        return []
+
+    def _deposit_all(self) -> list[RefusedDeposit]:
+        """Deliver every grant that its node or the master lacks; returns the refused ones."""
+        with contextlib.closing(self.home.store()) as store:
+            rules, rows = store.policy_grants(), store.unrevoked_grants()
+        refused = []
+        for row in rows:
+            home = NodeHome.of(self.rossec_home, row.name)
+            lacks = home.path.is_dir() and not home.grant_file(row.id).exists()
+            if lacks and row.id in rules and self._now() < row.expires:
+                refused.append(self.try_to_store(row.data))
+        return [each for each in refused if each is not None] + self.deposit_missing()[1]
+
+
+def require_complete(plan: "PolicyPlan") -> None:
+    """Return if all that the policy allows can be in grants.
+
+    Raises:
+        PolicyIncomplete: some of it cannot.
+    """
+    if plan.refused:
+        more = len(plan.refused) - 1
+        rest = f" (and {more} more)" if more else ""
+        raise PolicyIncomplete(
+            f"in force, except: {plan.refused[0]}{rest}",
+            "write fewer or narrower rules for this node; all others have what the policy says",
+        )

@@ -1,0 +1,466 @@
+"""What all identities of one border router share, so that a resting thing costs little.
+
+The trust anchor, the lists of domains and of revocations, limits and tasks are equal for all of
+them, and are held once. What belongs to one thing is its key, its certificate and its grants.
+
+Short visits of a thing's identity to its master: a resting thing holds no connection there.
+
+The border router itself has a session and receives what is signed and new; all identities of the
+process share that. A thing's own identity connects to register, to fetch and to renew its grants,
+and disconnects when nothing was called for a while. Registrations stay, as those of rospy do.
+
+The ROS node that stands for one thing: its own identity, grants and ports, and little else.
+
+It is put together from the parts of the built-in node. What differs is that it keeps no connection
+to the master (`master_visits`), shares what is equal with the other things (`shared`), and has no
+task while nothing happens.
+"""
+
+import asyncio
+import contextlib
+import logging
+import os
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from typing import Final
+
+from ca.certificates import Identity
+from ca.errors import CAError, HintedError
+from ca.names import shown
+from ca.revocation.lists import digest
+from ca.revocation.trust_status import Standing
+from rossec import clock
+from rossec.channel.edhoc.credentials import LiveCredentials
+from rossec.channel.edhoc.suites import PRODUCTION
+from rossec.errors import AnswerRefused, ConfigurationError
+from rossec.home import NodeHome
+from rossec.host.runner import TaskSet
+from rossec.net.aio import SecureContext, SecureStream
+from rossec.net.limits import HalfOpen, HalfOpenCount
+from rossec.net.rpc.calls import RpcClient
+from rossec.node.context import NodeContext
+from rossec.node.node import Listener
+from rossec.node.publisher import Publisher
+from rossec.node.service import Services
+from rossec.node.subscriber import Subscriber
+from rossec.node.topics import Topics
+from rossec.participant.access import MAX_CALL, NO_LIST, Access, batches
+from rossec.participant.authorized import memory_scope
+from rossec.participant.connections import ConnectionTable, Dialer, OwnAddresses
+from rossec.participant.handshakes import TopicEndpoint
+from rossec.participant.master_updates import GrantDelivery, GrantDirectory
+from rossec.participant.message_types import message_type
+from rossec.participant.registrations import PublisherGrace
+from rossec.participant.renewals import IdentityRenewal, Renewals, due_at, renew, renew_identity
+from rossec.participant.slave_api import SlaveApi
+from rossec.ros import names
+from rossec.ros.names import MASTER, PRESENT_GRANTS, REVOCATION_UPDATE, Settings
+from rossec.ros.xmlrpc import Fault
+
+HALF_OPEN: Final = HalfOpen(512, 1024)  # of all ports: the master connects to each thing's node
+AT_A_TIME: Final = 8  # things that connect to the master at the same time
+
+
+@dataclass(frozen=True, eq=False)
+class SharedIdentity:
+    """What is equal for all identities of this process.
+
+    Attributes:
+        standing: whose peers count, and what was revoked; kept current by the border router's node.
+        settings: where the master is, and how peers reach this host.
+        take_push: takes what the master pushes to any of the identities.
+        held_list: the signed revocation list.
+        persist: stores a revocation list, durably.
+        master: the certified name of the master.
+        turns: bounds how many of them connect to the master at a time.
+        tasks: of all of them; each ends soon.
+    """
+
+    standing: Standing
+    settings: Settings
+    take_push: Callable[[str, tuple[object, ...], Identity], None]
+    held_list: Callable[[], bytes]
+    persist: Callable[[bytes], None]
+    master: str = MASTER
+    suites: tuple[int, ...] = PRODUCTION
+    turns: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(AT_A_TIME))
+    half_open: HalfOpenCount = field(default_factory=lambda: HalfOpenCount(HALF_OPEN))
+    tasks: TaskSet = field(default_factory=TaskSet)
+
+
+IDLE: Final = 2.0  # seconds without a call until the connection is closed
+
+_log = logging.getLogger("rossec.border")
+
+
+class MasterVisits:
+    """Calls of one identity to the master.
+
+    Args:
+        name: of the thing, the `caller_id` of its calls.
+        dial: opens a secure stream to the master.
+        access: the grants of the thing; its revocation data is the border router's.
+        holder: the thumbprint of its key.
+        directory: the grants in its directory.
+        shared: what it shares with the other identities.
+    """
+
+    __slots__ = (
+        "_access", "_client", "_dial", "_directory", "_holder", "_idle", "_lock", "_name",
+        "_renewals", "_shared", "_used",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        name: str,
+        dial: Callable[[], Awaitable[SecureStream[Identity]]],
+        access: Access,
+        holder: bytes,
+        directory: GrantDirectory,
+        shared: SharedIdentity,
+    ) -> None:
+        self._name = name
+        self._dial = dial
+        self._access = access
+        self._holder = holder
+        self._directory = directory
+        self._shared = shared
+        self._renewals = Renewals(access)
+        self._client: RpcClient | None = None
+        self._idle: asyncio.TimerHandle | None = None
+        self._lock = asyncio.Lock()
+        self._used = 0
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there is a connection now."""
+        return self._client is not None and not self._client.closed
+
+    def renewal_is_due(self, now: int) -> bool:
+        """Whether a grant is to be renewed."""
+        return any(
+            due_at(held) <= now < held.grant.cap and held.grant.expires < held.grant.cap
+            for held in self._access.held_grants()
+        )
+
+    async def call(self, method: str, *params: object) -> object:
+        """The value of the master's answer.
+
+        Raises:
+            HintedError, OSError, TimeoutError, Fault: refused, or out of reach.
+        """
+        client = await self._connected()
+        self._used += 1
+        try:
+            return await client.ask(method, self._name, *params)
+        finally:
+            self._used -= 1
+            self._rest()
+
+    async def update(self) -> int:
+        """Fetch and renew grants; returns how many are new or renewed. Raises as `call`."""
+        if self.is_open:  # a new connection presents all: what came from the disk since
+            await self.present(self._access.current(clock.now())[:MAX_CALL])
+        await self._connected()
+        standing = self._shared.standing
+        delivery = GrantDelivery(standing, self._holder, self._access, self._directory)
+        await delivery.fetch(self.call)
+        renewed = await renew(self.call, self._renewals, clock.now())
+        await self.present(delivery.take_new())
+        await delivery.save()
+        return delivery.taken + renewed
+
+    async def present(self, grants: list[bytes]) -> None:
+        """Present grants to the master, if there is a connection; a new one presents all."""
+        if self.is_open:
+            for batch in batches(grants):
+                await self.call(PRESENT_GRANTS, batch)
+
+    async def close(self) -> None:
+        """Disconnect."""
+        client, self._client = self._client, None
+        if self._idle is not None:
+            self._idle.cancel()
+            self._idle = None
+        if client is not None:
+            with contextlib.suppress(HintedError, OSError):
+                await client.close()
+
+    async def _connected(self) -> RpcClient:
+        async with self._lock:
+            if self._client is None or self._client.closed:
+                async with self._shared.turns:
+                    self._client = await self._open()
+            self._rest()
+            return self._client
+
+    async def _open(self) -> RpcClient:
+        stream = await self._dial()
+        if stream.peer.name != self._shared.master:
+            stream.abort("not the master")
+            raise ConfigurationError(f"{shown(stream.peer.name)} answers at the master's address")
+        client = RpcClient(stream)
+        try:
+            await self._confirm(client, stream.peer)
+            for batch in batches(self._access.current(clock.now())[:MAX_CALL]):
+                await client.ask(PRESENT_GRANTS, self._name, batch)
+        except BaseException:
+            await client.close()
+            raise
+        return client
+
+    async def _confirm(self, client: RpcClient, master: Identity) -> None:
+        """Take the master's timestamp: it is this master, and its key may renew grants."""
+        answer = await client.ask(
+            "rossec.revocationsSince", self._name, digest(self._shared.held_list())
+        )
+        match answer:
+            case [bytes() as revocations, bytes() as timestamp]:
+                self._access.update_revocations(
+                    revocations, timestamp, master, clock.now(), self._shared.persist
+                )
+            case _:
+                raise CAError(*NO_LIST)
+
+    def _rest(self) -> None:
+        """Disconnect when nothing is called for a while."""
+        if self._idle is not None:
+            self._idle.cancel()
+        self._idle = asyncio.get_running_loop().call_later(IDLE, self._disconnect)
+
+    def _disconnect(self) -> None:
+        if self._used:
+            self._rest()
+            return
+        self._idle = None
+        client, self._client = self._client, None
+        if client is not None:
+            self._shared.tasks.spawn(client.close(), f"{self._name}: leaving the master")
+
+
+async def quietly(work: Awaitable[object], what: str) -> bool:
+    """Await `work`; a refusal or an unreachable master is logged. Returns whether it was done."""
+    try:
+        await work
+    except (AnswerRefused, HintedError, OSError, TimeoutError, Fault) as error:
+        _log.warning("%s: %s", what, error)
+        return False
+    return True
+
+
+_RENEWED_AFTER: Final = 2 / 3  # of the lifetime of an identity
+_RETRY: Final = 600  # seconds
+
+
+class ThingNode:
+    """One node, of a thing.
+
+    Args:
+        home: its directory, with its key, its identity and its grants.
+        shared: what it shares with the other nodes of this process.
+        uri_host: the host that it registers.
+
+    Raises:
+        ConfigurationError: no identity, another node's, or of another authority.
+        CertificateRefused, KeyRefused: the identity or the key is invalid.
+    """
+
+    __slots__ = (
+        "_connections", "_context", "_credentials", "_directory", "_failed", "_grace", "_grants_at",
+        "_home", "_host", "_listener", "_not_after", "_renew_at", "_retry_at", "_shared", "_topics",
+        "_visits", "closed", "name", "services",
+    )  # fmt: skip
+
+    def __init__(self, home: NodeHome, shared: SharedIdentity, host: str) -> None:
+        self.name: Final = home.name
+        self._home, self._shared, self._host = home, shared, host
+        self.closed = self._failed = False
+        identity = self._load(clock.now())
+        access = Access(shared.standing, master=shared.master)
+        secure: SecureContext[Identity] = SecureContext(
+            self._credentials, shared.standing.anchors.verify,
+            suites=shared.suites, half_open=shared.half_open,
+        )  # fmt: skip
+        own_addresses = OwnAddresses()
+        dialer = Dialer(self.name, secure, access.check_peer, own_addresses)
+        self._connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(
+            shared.standing, master=shared.master
+        )
+        self._directory = GrantDirectory(home, access)
+        self._grants_at = 0
+        self._visits = MasterVisits(
+            self.name, self._dial_master, access, identity.thumbprint, self._directory, shared
+        )
+        self._grace = PublisherGrace(clock.counter())
+        self._context = NodeContext(
+            self.name, access, self._connections, self._visits.call, dialer, home.filter_key,
+            memory_scope(self.name),
+        )  # fmt: skip
+        self._topics = Topics(self._context, self._grace)
+        self.services = Services(self._context)
+        self._listener = Listener(
+            self.name, secure, access, self._topics.publishers, self.services,
+            SlaveApi(self, shared.master), self._connections, own_addresses, self.name,
+        )  # fmt: skip
+
+    def _load(self, now: int) -> Identity:
+        """Verify the identity in the directory, by the anchor that all share."""
+        own = self._shared.standing.anchors.own
+        if self._home.anchor().thumbprint != own.thumbprint:
+            raise ConfigurationError(
+                f"{self.name} trusts another authority than this border router",
+                f"move {self._home.path} away, then: rossec border add {self.name}",
+            )
+        identity = self._home.identity(now)
+        self._credentials = LiveCredentials(self._home.credentials())
+        self._not_after = identity.not_after
+        lifetime = identity.not_after - identity.not_before
+        self._renew_at = identity.not_before + int(lifetime * _RENEWED_AFTER)
+        self._retry_at = 0
+        return identity
+
+    @property
+    def connections(self) -> ConnectionTable[SecureStream[Identity]]:
+        """Its connections with other nodes."""
+        return self._connections
+
+    @property
+    def context(self) -> NodeContext:
+        """What its parts share."""
+        return self._context
+
+    def cut(self, reason: str) -> None:
+        """Cut every connection at once."""
+        self.closed = True
+        self._connections.close(reason)
+
+    async def start(self) -> None:
+        """Take its grants and listen. Raises `OSError`."""
+        self.take_grants()
+        await self._listener.start(self._host)
+        self._context.uri = names.build_uri(self._host, self._listener.slave_port)
+        self._context.rosrpc = names.build_uri(*self.topic_endpoint(), scheme="rosrpc")
+
+    async def publish(self, topic: str, type_name: str) -> Publisher:
+        """Register a publisher; raises as `Topics.publish`."""
+        endpoint = TopicEndpoint(topic, message_type(type_name))
+        return await self._topics.publish(endpoint, latch=False, queue_size=10)
+
+    async def subscribe(self, topic: str, type_name: str) -> Subscriber:
+        """Register a subscriber; raises as `Topics.subscribe`."""
+        endpoint = TopicEndpoint(topic, message_type(type_name))
+        return await self._topics.subscribe(endpoint, queue_size=1)
+
+    async def unpublish(self, topic: str) -> None:
+        """Unregister a publisher, and cut its subscribers."""
+        await self._topics.unpublish(self._topics.publishers[topic])
+
+    def take_grants(self) -> list[bytes]:
+        """Hold what is new in its directory; nothing is read while the directory is unchanged."""
+        try:
+            changed = (self._home.path / "grants").stat().st_mtime_ns
+        except OSError:
+            return []
+        if changed == self._grants_at:
+            return []
+        self._grants_at = changed
+        return self._directory.take_new()
+
+    async def update(self) -> None:
+        """Visit the master: fetch and renew grants, the identity too, and register again.
+
+        A master that is out of reach is visited again later (`is_due`).
+        """
+        self.take_grants()
+        what = f"{self.name}: grants"
+        self._failed = not await quietly(self._visits.update(), what)
+        if self._failed:  # a connection to a master that was restarted is dead without a sign
+            await self._visits.close()
+            self._failed = not await quietly(self._visits.update(), what)
+        if not self._failed:
+            if self._is_old(clock.now()):
+                await quietly(self._renew(), f"{self.name}: identity")
+            await quietly(self.restore(), f"{self.name}: registrations")
+
+    async def restore(self) -> None:
+        """Make every registration again: the master was restarted, or grants are new."""
+        await self._topics.restore()
+        await self.services.restore()
+
+    def is_due(self, now: int) -> bool:
+        """Whether something must be renewed, or grants are new: `update` is to be called."""
+        new = bool(self.take_grants())
+        return new or self._failed or self._is_old(now) or self._visits.renewal_is_due(now)
+
+    def maintain(self, now: int) -> None:
+        """Cut connections that must end; called every second, and when something is revoked."""
+        self._connections.cut_ended(now)
+        self._topics.drop_expired_publishers()
+
+    async def close(self, reason: str) -> None:
+        """Unregister, and close every connection."""
+        self.cut(reason)
+        for publisher in self._topics.publishers.values():
+            publisher.close()
+        await self._listener.close()
+        await self._topics.close_subscribers()
+        await self.services.close()
+        await self._topics.unregister()
+        await self._visits.close()
+
+    def _is_old(self, now: int) -> bool:
+        """Whether its identity is to be renewed now, whatever a clock that was ahead has set."""
+        return now >= self._renew_at and not now < self._retry_at <= now + _RETRY
+
+    async def _renew(self) -> None:
+        now = clock.now()
+        self._retry_at = now + _RETRY  # not again before, if it is refused
+        renewal = IdentityRenewal(self._home, self._credentials, now)
+        if await renew_identity(self._visits.call, renewal, now):
+            self._load(now)
+
+    async def _dial_master(self) -> SecureStream[Identity]:
+        where = self._shared.settings
+        return await self._context.dialer.rpc(where.master_host, where.master_port)
+
+    # --- calls of the slave API (SlaveEvents) ---
+
+    def publishers_changed(self, topic: str, uris: list[str]) -> None:
+        """Follow the master's list of publishers."""
+        self._topics.publishers_changed(topic, uris)
+
+    def parameter_changed(self, key: str, value: object) -> None:
+        """Nothing: a thing has no parameters."""
+
+    def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
+        """Hand a list to the border router's node, whose lists all things share.
+
+        A timestamp alone is of no use: that node has one by its own session.
+        """
+        if revocations:
+            self._shared.take_push(REVOCATION_UPDATE, (revocations, timestamp), master)
+
+    def push_arrived(self, method: str, params: tuple[object, ...], master: Identity) -> None:
+        """Hand it to the border router's node."""
+        self._shared.take_push(method, params, master)
+
+    def shutdown_requested(self, reason: str) -> None:
+        """Close what this node has: another one took its name, or an administrator ends it."""
+        _log.warning("%s: the master ended this node: %s", self.name, reason)
+        self._shared.tasks.spawn(self.close(reason), f"{self.name}: ended by the master")
+
+    def topic_endpoint(self) -> tuple[str, int]:
+        """Where TCPROS connections are accepted."""
+        return self._host, self._listener.topic_port
+
+    def describe(self) -> dict[str, object]:
+        """Values of the informational slave methods, by method name."""
+        return {
+            "getName": self.name,
+            "getUri": self._context.uri,
+            "getMasterUri": self._shared.settings.master_uri,
+            "getPid": os.getpid(),
+            "getBusStats": [[], [], []],
+            "getBusInfo": [],
+            **self._topics.describe(),
+        }

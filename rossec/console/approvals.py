@@ -1,0 +1,628 @@
+"""What a form asks to be approved: its fields become the arguments of `prepare`.
+
+`READERS` has every kind that a page can prepare. A form has exactly the fields of its kind, each
+once, and none is completed but a typed name: what was typed is what is approved, or nothing is. The
+service checks all of it again; here a mistake is told to the person before the phone is asked.
+
+Which session may still see the join code that it made: once. Pure.
+
+Acts that are shown to a phone and not approved yet: the console's side of a statement. Pure.
+
+The statement itself is the service's. Here is what the page said it was for, so that the answer
+leads on to the right page, and only in the session that asked.
+
+A node's request for grants in words and pictures. Pure.
+
+The heading is a sentence: what the node wants, of whom. Below it, each way in which a person could
+approve it, with what the node would see of the same minute. What a node would do is told apart from
+what it would see. The way that shows least is chosen beforehand: more is given only on purpose.
+"""
+
+import base64
+import binascii
+import re
+from collections import OrderedDict
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from typing import Final, NamedTuple, Protocol
+
+from ca.encoding import Value
+from ca.names import check_name, check_pattern, check_wildcard, is_master_name
+from ca.svid import MAX_REQUEST
+from grants.document import read_scope
+from grants.model import Restriction, Right
+from grants.vocabulary.assess import assess
+from grants.vocabulary.contents import rank
+from rossec import clock
+from rossec.authority.console import messages
+from rossec.authority.console.messages import (
+    AskedRight,
+    FactView,
+    GrantQuestion,
+    IdentityRequestView,
+    Outcome,
+    QuestionAnswer,
+)
+from rossec.console import samples, words
+from rossec.console.enrollments import Enrollment
+from rossec.console.matrix import Access, Cell
+from rossec.console.pictures import looks as pictures
+from rossec.console.pictures.place import has_place
+from rossec.console.samples import Preview
+from rossec.console.sentences import Part, wanted
+from rossec.errors import FormRefused, HttpRefused
+from rossec.peer_limits import SharedTable, printable
+
+MAX_CODES: Final = 64
+
+
+class MadeCodes:
+    """Approvals of join codes, by their id, that were not shown yet; the oldest makes room."""
+
+    def __init__(self) -> None:
+        self._sessions: OrderedDict[bytes, bytes] = OrderedDict()
+
+    def add(self, approval: bytes, session: bytes) -> None:
+        """Let `session` see what came of an approval."""
+        while len(self._sessions) >= MAX_CODES:
+            self._sessions.popitem(last=False)
+        self._sessions[approval] = session
+
+    def take(self, approval: bytes, session: bytes) -> bool:
+        """Whether this session may see it, now and not again."""
+        if self._sessions.get(approval) != session:
+            return False
+        del self._sessions[approval]
+        return True
+
+
+DAY: Final = 86400
+IDENTITY_LIFETIME: Final = 30 * DAY
+DELEGATION_LIFETIME: Final = 90 * DAY
+INTERMEDIATE_LIFETIME: Final = 90 * DAY
+MAX_USES: Final = 10_000
+MAX_REASON: Final = 200
+GRANT_DURATIONS: Final = ("today", "week", "month", "open")
+INVITATION_DURATIONS: Final[Mapping[str, int]] = {"hour": 3600, "day": DAY, "week": 7 * DAY}
+TICKETS: Final[Mapping[str, int]] = {"hour": 3600, "eight-hours": 8 * 3600, "day": DAY}
+_SECONDS: Final[Mapping[str, int]] = {"week": 7 * DAY, "month": 30 * DAY, "open": 0}
+_PEM: Final = re.compile(
+    r"\s*-----BEGIN CERTIFICATE REQUEST-----([A-Za-z0-9+/=\s]+)-----END CERTIFICATE REQUEST-----\s*"
+)
+_RELOAD: Final = "load the page anew, and decide again"
+
+Form = Mapping[str, str]
+
+
+class Act(NamedTuple):
+    """What is to be approved; `next` is the page afterwards, `{id}` in it the approval's id."""
+
+    kind: str
+    arguments: list[Value]
+    next: str
+    subject: str = ""  # of the page: the id of an enrollment
+
+
+class RunningEnrollments(Protocol):
+    """`Enrollments`, as far as approving needs it."""
+
+    def get(self, number: str) -> Enrollment:
+        """The enrollment, or raise EnrollmentUnknown."""
+        ...
+
+    def approved(self, number: str, outcome: Outcome) -> None:
+        """Its request was approved."""
+        ...
+
+
+class RequestSource(Protocol):
+    """The service, as far as approving needs it."""
+
+    async def identity_requests(self) -> tuple[IdentityRequestView, ...]:
+        """Requests that wait."""
+        ...
+
+    async def questions(self) -> tuple[GrantQuestion, ...]:
+        """What nodes ask for."""
+        ...
+
+
+class Sources(Protocol):
+    """What a form's answers are looked up in; the console's context is one."""
+
+    @property
+    def enrollments(self) -> RunningEnrollments:
+        """The enrollments that run."""
+        ...
+
+    @property
+    def made_codes(self) -> MadeCodes:
+        """Which session may see a join code."""
+        ...
+
+    @property
+    def service(self) -> RequestSource:
+        """The authority's service."""
+        ...
+
+
+Reader = Callable[[Sources, Form], Awaitable[Act]]
+
+
+async def read(sources: Sources, kind: str, form: Form) -> Act:
+    """What the form of a page asks to be approved.
+
+    Raises:
+        FormRefused: an unknown kind, other fields, or a field without an answer.
+        HintedError: a name, a pattern or an enrollment that is refused, with its reason.
+    """
+    if kind not in READERS:
+        raise FormRefused(f"nothing of the kind {kind!a} can be approved", _RELOAD)
+    expected, reader = READERS[kind]
+    if not any(form.keys() == fields for fields in expected):
+        raise FormRefused("the form has other fields than its page", _RELOAD)
+    return await reader(sources, form)
+
+
+def carried_out(sources: Sources, act: Act, outcome: Outcome, session: bytes) -> str:
+    """Take note of an approval of `session`; returns the page that shows what comes of it."""
+    if act.kind == "enroll" and act.subject:
+        sources.enrollments.approved(act.subject, outcome)
+    if act.kind == "invitation":
+        sources.made_codes.add(outcome.id, session)
+    return act.next.format(id=base64.urlsafe_b64encode(outcome.id).rstrip(b"=").decode())
+
+
+async def _enrollment(sources: Sources, form: Form) -> Act:
+    number = form["enrollment"]
+    found = sources.enrollments.get(number)
+    found.check_can_approve()
+    request = found.core.request
+    replaces = _replaces(form, request.name, is_other_key=found.is_other_key)
+    arguments: list[Value] = [
+        found.core.csr, found.source, request.wildcard, IDENTITY_LIFETIME, replaces,
+    ]  # fmt: skip
+    return Act("enroll", arguments, f"/add/{number}", subject=number)
+
+
+async def _request(sources: Sources, form: Form) -> Act:
+    wanted = _octets(form, "request")
+    for each in await sources.service.identity_requests():
+        if each.id == wanted:
+            replaces = _replaces(form, each.name, is_other_key=each.is_other_key)
+            arguments: list[Value] = [
+                each.csr, each.source, each.anonymous, IDENTITY_LIFETIME, replaces,
+            ]  # fmt: skip
+            return Act("enroll", arguments, "/approved/{id}")
+    raise FormRefused("this request was answered already, or has expired", "see what still waits")
+
+
+async def _enroll(sources: Sources, form: Form) -> Act:
+    return await (_enrollment if "enrollment" in form else _request)(sources, form)
+
+
+async def _grant(sources: Sources, form: Form) -> Act:
+    question, coarse = _octets(form, "question"), form["coarse"]
+    if form["duration"] not in GRANT_DURATIONS:
+        raise FormRefused("this is not one of the durations", _RELOAD)
+    if len(coarse) > MAX_REASON:
+        raise FormRefused("this is not the name of a filter", _RELOAD)
+    asked = [each for each in await sources.service.questions() if each.id == question]
+    if not asked:
+        raise FormRefused("this question was answered, or it is too late", "see what still waits")
+    seconds = _grant_seconds(form["duration"], asked[0].lifetime)
+    return Act("grant", [question, coarse, seconds], "/approved/{id}")
+
+
+async def _policy(_: Sources, form: Form) -> Act:
+    return Act("policy", [_octets(form, "digest")], "/approved/{id}")
+
+
+async def _delegate(_: Sources, form: Form) -> Act:
+    days, ticket = _number(form, "days", 366), _choice(form, "ticket", TICKETS)
+    return Act("delegate", [days * DAY, ticket], "/approved/{id}")
+
+
+async def _intermediate(_: Sources, form: Form) -> Act:
+    may_enroll = _choice(form, "may", {"renew": 0, "enroll": 1}) == 1
+    lifetime = _number(form, "days", 366) * DAY
+    arguments: list[Value] = [certificate_request(form["csr"]), may_enroll, lifetime]
+    return Act("intermediate", arguments, "/approved/{id}")
+
+
+async def _passkey(_: Sources, form: Form) -> Act:
+    return Act("passkey", [_octets(form, "proposal")], "/phones")
+
+
+async def _invitation(_: Sources, form: Form) -> Act:
+    pattern, anonymous = check_pattern(form["pattern"]), "anonymous" in form
+    if anonymous and form["anonymous"] != "on":
+        raise FormRefused("this is not a tick", _RELOAD)
+    if anonymous and "*" not in pattern:
+        check_wildcard(check_name(pattern))
+    uses, seconds = _number(form, "uses", MAX_USES), _choice(form, "lasts", INVITATION_DURATIONS)
+    return Act("invitation", [pattern, uses, seconds, anonymous], "/invited/{id}")
+
+
+async def _revoke_master(_: Sources, form: Form) -> Act:
+    master = form["master"]
+    if not is_master_name(master):
+        raise FormRefused("this is no master", _RELOAD)
+    check_typed(form, master)
+    return Act("revoke-master", [reason(form), master], f"/revoked/0/0?node={master}")
+
+
+READERS: Final[Mapping[str, tuple[tuple[frozenset[str], ...], Reader]]] = {
+    "enroll": (
+        (
+            frozenset({"enrollment"}), frozenset({"enrollment", "name"}),
+            frozenset({"request"}), frozenset({"request", "name"}),
+        ),
+        _enroll,
+    ),
+    "grant": ((frozenset({"question", "coarse", "duration"}),), _grant),
+    "policy": ((frozenset({"digest"}),), _policy),
+    "delegate": ((frozenset({"days", "ticket"}),), _delegate),
+    "intermediate": ((frozenset({"csr", "may", "days"}),), _intermediate),
+    "passkey": ((frozenset({"proposal"}),), _passkey),
+    "invitation": (
+        (
+            frozenset({"pattern", "uses", "lasts"}),
+            frozenset({"pattern", "uses", "lasts", "anonymous"}),
+        ),
+        _invitation,
+    ),
+    "revoke-master": ((frozenset({"reason", "name", "master"}),), _revoke_master),
+}  # fmt: skip
+
+
+def certificate_request(text: str) -> bytes:
+    """The DER of a pasted request: PEM, or its base64 alone.
+
+    Raises:
+        FormRefused: neither, or too long.
+    """
+    pem = _PEM.fullmatch(text)
+    digits = "".join((pem[1] if pem else text).split())
+    hint = "on the host: base64 intermediate.csr, and paste all of it"
+    try:
+        found = base64.b64decode(digits, validate=True)
+    except (binascii.Error, ValueError) as error:
+        raise FormRefused("this is not a request of a host", hint) from error
+    if not 0 < len(found) <= MAX_REQUEST:
+        raise FormRefused(f"a request has at most {MAX_REQUEST} bytes", hint)
+    return found
+
+
+def reason(form: Form) -> str:
+    """The reason that a person gives, in one line; it may be empty.
+
+    Raises:
+        FormRefused: too long, or with a line break or another control character.
+    """
+    given = form["reason"]
+    if len(given) > MAX_REASON or (given and not given.isprintable()):
+        raise FormRefused(f"a reason is one line of at most {MAX_REASON} characters", "shorten it")
+    return given
+
+
+def check_typed(form: Form, name: str) -> None:
+    """Return if the person has typed this name: its slash at the beginning may be left out.
+
+    Raises:
+        FormRefused: another one.
+    """
+    if form["name"].strip(" ") not in (name, name.removeprefix("/")):
+        raise FormRefused(
+            f"you typed {form['name'][:MAX_REASON]!a}, the name is {name}", f"type {name} to go on"
+        )
+
+
+def _replaces(form: Form, name: str, *, is_other_key: bool) -> bool:
+    """Whether the key of a known name is to be replaced: then, and only then, it is typed."""
+    if is_other_key is not ("name" in form):
+        raise FormRefused("what is known of this name has changed meanwhile", _RELOAD)
+    if is_other_key:
+        check_typed(form, name)
+    return is_other_key
+
+
+def _grant_seconds(duration: str, most: int) -> int:
+    """The seconds of a button, of which the policy allows `most`."""
+    if duration == "today":
+        return min(clock.seconds_left_today(clock.now()), most)
+    seconds = _SECONDS[duration]
+    if seconds > most:
+        raise FormRefused(
+            f"the policy allows {words.duration(most)} at most", "choose a shorter time"
+        )
+    return seconds
+
+
+def _octets(form: Form, field: str) -> bytes:
+    """An identifier, as base64url."""
+    if not re.fullmatch(r"[A-Za-z0-9_-]{2,120}", form[field], re.ASCII):
+        raise FormRefused(f"the field {field} is no identifier", _RELOAD)
+    try:
+        return base64.b64decode(form[field] + "=" * (-len(form[field]) % 4), altchars=b"-_")
+    except binascii.Error as error:
+        raise FormRefused(f"the field {field} is no identifier", _RELOAD) from error
+
+
+def _number(form: Form, field: str, most: int) -> int:
+    text = form[field]
+    if not re.fullmatch(r"[1-9][0-9]{0,5}", text, re.ASCII) or int(text) > most:
+        raise FormRefused(f"{field} is a number from 1 to {most}", "change it, and go on")
+    return int(text)
+
+
+def _choice(form: Form, field: str, choices: Mapping[str, int]) -> int:
+    if form[field] not in choices:
+        raise FormRefused(f"{field} is one of {', '.join(choices)}", _RELOAD)
+    return choices[form[field]]
+
+
+MAX_PENDING: Final = 256
+
+
+class _Pending(NamedTuple):
+    session: bytes
+    act: Act
+
+
+class PendingActs:
+    """The acts that wait for a passkey, by the statement's id."""
+
+    def __init__(self) -> None:
+        self._acts: SharedTable[bytes, _Pending] = SharedTable(MAX_PENDING)
+
+    def add(self, statement: bytes, session: bytes, act: Act, owner: str = "") -> None:
+        """Keep an act of a session until it is approved; the oldest of who has most makes room.
+
+        Raises:
+            HttpRefused: all places are of phones, or of others who have no more than one.
+        """
+        who = owner or messages.of_looker(session)
+        if self._acts.add(statement, _Pending(session, act), who, messages.rank(who)) is None:
+            raise HttpRefused("too much waits for a phone", "approve that, or wait", status=429)
+
+    def get(self, statement: bytes, session: bytes) -> Act:
+        """The act of a statement.
+
+        Raises:
+            HttpRefused: there is none in this session.
+        """
+        found = self._acts.get(statement)
+        if found is None or found.session != session:
+            raise HttpRefused("this was not asked here", "load the page again", status=404)
+        return found.act
+
+    def remove(self, statement: bytes) -> None:
+        """Forget an act: it was approved."""
+        self._acts.pop(statement)
+
+
+MAX_PICTURES: Final = 2  # topics
+_MOST: Final = 4  # rights in the sentence
+ACTS: Final = Right.PUBLISH | Right.CALL | Right.PROVIDE | Right.PARAM_SET | Right.ADMIN
+DRIVING: Final = frozenset(
+    {"geometry_msgs/Twist", "geometry_msgs/TwistStamped", "ackermann_msgs/AckermannDrive",
+     "ackermann_msgs/AckermannDriveStamped"}
+)  # fmt: skip
+LABELS: Final[Mapping[str, str]] = {
+    "": "All of it, as it asks",
+    "coarse": "Coarser",
+    "coarse-position": "Only roughly where it is",
+    "presence-only": "Only that it is there",
+    "anonymous-diagnostics": "Only whether its parts are well, without names",
+    "blurred-camera": "Only a blurred picture",
+}
+"""What a filter is called: rossec's own ones. One of the policy has the name that it has there."""
+
+
+class Way(NamedTuple):
+    """A way to approve: through the filter `coarse` (empty: none); one line for each right.
+
+    `exact` is what each line leaves out; `is_narrowest`: no other way shows less.
+    """
+
+    coarse: str
+    label: str
+    lines: tuple[tuple[Part, ...], ...]
+    exact: tuple[str, ...]
+    is_narrowest: bool
+
+
+class Duration(NamedTuple):
+    """A button: value and label, what it means, and whether the policy allows so long."""
+
+    value: str
+    label: str
+    detail: str
+    is_possible: bool
+
+
+class Looks(NamedTuple):
+    """The pictures of one topic, by the filter through which the node would see it."""
+
+    topic: str
+    is_made_up: bool
+    pictures: tuple[tuple[str, pictures.Look], ...]
+    minutes: int = 1
+
+
+def sentence(question: GrantQuestion, facts: Iterable[FactView]) -> tuple[Part, ...]:
+    """`/heating wants to see where /robot is`."""
+    senders: dict[str, set[str]] = {}
+    for fact in facts:
+        if fact.kind == "publisher":
+            senders.setdefault(fact.name, set()).add(fact.node)
+    parts = [Part(words.name(question.node), is_name=True), Part("wants to")]
+    shown = question.rights[:_MOST]
+    for place, right in enumerate(shown):
+        parts += [*([Part("and to")] if place else []), *_wish(right, senders)]
+    if len(question.rights) > len(shown):
+        parts.append(Part(f"and {len(question.rights) - len(shown)} more things"))
+    return tuple(parts)
+
+
+def ways(given: Sequence[tuple[str, Sequence[AskedRight]]], most: int = 6) -> list[Way]:
+    """What the node would get, in words; the narrowest first, as it asks last.
+
+    Of more than `most` those that show least, and what it asks for.
+    """
+    narrow = sorted(given, key=lambda each: strictness(each[1]), reverse=True)
+    shown = [
+        *[each for each in narrow if each[0]][: most - 1],
+        *(each for each in given if not each[0]),
+    ]
+    return [
+        Way(
+            coarse,
+            LABELS.get(coarse, f"Coarser: {printable(coarse, 80)}"),
+            tuple(_line(right) for right in rights),
+            tuple(filter(None, (words.restrictions(_restrictions(right)) for right in rights))),
+            coarse == narrow[0][0],
+        )
+        for coarse, rights in shown
+    ]
+
+
+def strictness(rights: Iterable[AskedRight]) -> tuple[int, float, int]:
+    """How little it shows: levels of the vocabulary, then how seldom, then how many fields less."""
+    levels, interval, number = 0, 0.0, 0
+    for right in rights:
+        found = _restrictions(right)
+        kind = next((each.type for each in found if each.type), right.type)
+        described = words.description(kind) if kind else None
+        if described is not None:
+            levels += sum(rank(each.word, each.level) for each in assess(described, found).values())
+        for each in found:
+            interval += max(each.slot or 0, 1 / each.rate if each.rate else 0)
+            number += len(each.filters) + len(each.conditions)
+    return levels, interval, number
+
+
+def acts(rights: Iterable[AskedRight]) -> bool:
+    """Whether it would do something, and not only see it."""
+    return any(right.right & ACTS for right in rights)
+
+
+def why_no_coarser(question: GrantQuestion) -> str:
+    """Why there is no coarser choice; empty where there is one."""
+    right = question.rights[0]
+    if question.coarse:
+        return ""
+    if right.right & ACTS:
+        return "This is something that it would do: there is no coarser form of it, only yes or no."
+    if right.right != Right.SUBSCRIBE:
+        return "Only what is sent can be coarser, and this is something else."
+    if "*" in right.pattern:
+        return "These are many topics at once, which have no coarser form in common."
+    if not right.type:
+        return (
+            "There is no coarser choice, since the policy does not say of which type these messages"
+            " are: add the topic to its types."
+        )
+    return f"No filter of the policy, and none of rossec's own, fits messages of {right.type}."
+
+
+def looks(
+    node: str,
+    ways: Sequence[tuple[str, Sequence[AskedRight]]],
+    preview: Preview | None = None,
+) -> list[Looks]:
+    """What the node would see, of topics whose messages can be drawn.
+
+    Of real messages where `preview` has some, else of made-up ones.
+    """
+    found = []
+    for right in ways[0][1]:
+        if right.right == Right.SUBSCRIBE and right.type and "*" not in right.pattern:
+            drawn = _looks(node, right, ways, preview)
+            found += [drawn] if drawn is not None else []
+    return found[:MAX_PICTURES]
+
+
+def durations(question: GrantQuestion, now: int) -> list[Duration]:
+    """The four buttons; none promises more than the policy gives."""
+    most = question.lifetime
+    allowed = words.duration(most)
+    today = clock.seconds_left_today(now)
+    given = [  # a button that promises more than the policy would be a lie
+        Duration("today", "Today", f"{words.duration(min(today, most))}", True),
+        Duration("week", "For a week", "", most >= 7 * DAY),
+        Duration("month", "For a month", "", most >= 30 * DAY),
+    ]
+    return [
+        *(
+            each if each.is_possible else each._replace(detail=f"the policy allows {allowed}")
+            for each in given
+        ),
+        Duration("open", "Until I end it", f"at most {allowed}, says the policy", True),
+    ]
+
+
+def answer(given: QuestionAnswer) -> tuple[Part, ...]:
+    """`/lamp may not see /robot/camera`."""
+    verb = "may" if given.answer == "granted" else "may not"
+    return (
+        Part(words.name(given.node), is_name=True),
+        Part(f"{verb} {wanted(given.right)}"),
+        Part(words.topic(given.pattern), is_name=True),
+    )
+
+
+def drives(right: AskedRight) -> bool:
+    """Whether it is the right to steer."""
+    name = right.pattern.rpartition("/")[2]
+    is_driving = right.type in DRIVING or name.endswith("cmd_vel")
+    return right.right == Right.PUBLISH and is_driving
+
+
+def _wish(right: AskedRight, senders: dict[str, set[str]]) -> list[Part]:
+    if drives(right):
+        return [Part("drive: send commands to"), Part(words.topic(right.pattern), is_name=True)]
+    known = sorted(senders.get(right.pattern, ()))
+    if right.right == Right.SUBSCRIBE and has_place(right.type) and len(known) == 1:
+        return [Part("see where"), Part(words.name(known[0]), is_name=True), Part("is")]
+    return [Part(wanted(right.right)), Part(words.topic(right.pattern), is_name=True)]
+
+
+def _line(right: AskedRight) -> tuple[Part, ...]:
+    said = words.plain(_restrictions(right))
+    return (
+        Part(wanted(right.right)),
+        Part(words.topic(right.pattern), is_name=True),
+        Part(f"({said})" if said else "(all of it)"),
+    )
+
+
+def _restrictions(right: AskedRight) -> tuple[Restriction, ...]:
+    permissions = read_scope(right.permissions)
+    return tuple(each.restriction for each in permissions if each.restriction is not None)
+
+
+def _looks(
+    node: str,
+    right: AskedRight,
+    ways: Sequence[tuple[str, Sequence[AskedRight]]],
+    preview: Preview | None,
+) -> Looks | None:
+    recorded = None if preview is None else preview.recorded(right.pattern)
+    applied = [each for _, rights in ways for one in rights for each in _restrictions(one)]
+    recorded = recorded or samples.recorded(right.pattern, right.type, applied)
+    if recorded is None:
+        return None
+    drawn: list[tuple[str, pictures.Look]] = []
+    ways_seen: set[tuple[Restriction, ...]] = set()
+    for name, rights in ways:
+        same = [each for each in rights if (each.right, each.pattern) == right[:2]]
+        restrictions = tuple(each for one in same for each in _restrictions(one))
+        if restrictions in ways_seen:  # two filters that do the same here
+            continue
+        ways_seen.add(restrictions)
+        access = Access.COARSE if restrictions else Access.ALL
+        text = words.plain(restrictions)
+        cell = Cell(node, right.pattern, access, text, restrictions=restrictions)
+        drawn += [(name, look) for look in pictures.compare(recorded, [cell]).looks]
+    return Looks(right.pattern, recorded.is_made_up, tuple(drawn), pictures.minutes(recorded))

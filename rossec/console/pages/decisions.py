@@ -1,0 +1,297 @@
+"""A node's request for grants: who, what, why, what it would look like, and for how long.
+
+What is decided once for many: the policy, renewals by the master, other hosts that sign.
+
+Ending what was allowed: the reason, and three ticks as they come true. Needs no passkey.
+
+Taking away is never harder than giving: a session is enough, and while the key is locked the
+revocation is recorded and signed at unlock. A whole node asks for its name, since it loses all.
+"""
+
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import Final
+from urllib.parse import urlencode
+
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
+
+from ca.certificates import check_intermediate_request
+from ca.errors import HintedError
+from ca.keys.signing import thumbprint
+from ca.names import is_master_name
+from rossec.authority.console.messages import FactView, GrantQuestion, PolicyRight
+from rossec.console import approvals, words
+from rossec.console.approvals import certificate_request
+from rossec.console.context import ConsoleContext
+from rossec.console.matrix import held_grants
+from rossec.console.rendering import (
+    MAX_BODY,
+    Page,
+    from_base64url,
+    read_form,
+    render,
+    text_field,
+    to_base64url,
+)
+from rossec.console.sentences import Part, permissions, wanted
+from rossec.errors import FormRefused, HttpRefused
+
+DENIED: Final = "denied at the console"
+_MOST: Final = 8  # filters that are tried out on one page
+
+
+async def show_ask(request: Request, context: ConsoleContext) -> Response:
+    """The question, or that it is answered."""
+    number = from_base64url(request.path_params["id"])
+    questions = await context.service.questions()
+    found = next((each for each in questions if each.id == number), None)
+    if found is None:
+        return await _answered(request, context, number)
+    coarse = found.coarse[-_MOST:]  # the last are rossec's own, and hide most
+    ways = [("", found.rights)]
+    for name in coarse:
+        try:
+            ways.append((name, await context.service.consider(number, name, 0)))
+        except HintedError:  # this filter does not fit these messages
+            continue
+    sentence = approvals.sentence(found, await _graph(context))
+    return render(
+        context, request, "ask.html", live=True, found=found, sentence=sentence,
+        ways=approvals.ways(ways), acts=approvals.acts(found.rights),
+        alone=approvals.why_no_coarser(found), others=_others(questions, found),
+        labels=approvals.LABELS, looks=approvals.looks(found.node, ways, context.preview),
+        durations=approvals.durations(found, context.clock()),
+    )  # fmt: skip
+
+
+def _others(questions: tuple[GrantQuestion, ...], found: GrantQuestion) -> int:
+    """How many more things the node asked for in the same request."""
+    same = [each for each in questions if each.request == found.request]
+    return len(same) - 1
+
+
+async def _answered(request: Request, context: ConsoleContext, number: bytes) -> Response:
+    """How it was answered, by the record; a service that does not say leaves it open."""
+    try:
+        answers = await context.service.question_answers(number)
+    except HintedError:
+        answers = ()
+    told = [(each, approvals.answer(each)) for each in answers]
+    return render(context, request, "asked.html", told=told)
+
+
+async def deny(request: Request, context: ConsoleContext) -> Response:
+    """Deny it: needs no passkey."""
+    await read_form(request)
+    number = request.path_params["id"]
+    await context.service.deny_question(from_base64url(number), DENIED)
+    return RedirectResponse(f"/ask/{number}", 303)
+
+
+async def _graph(context: ConsoleContext) -> tuple[FactView, ...]:
+    """The graph; empty while the master is out of reach."""
+    try:
+        return await context.service.graph()
+    except HintedError:
+        return ()
+
+
+ASK_PAGES: Final = (
+    Page("/ask/{id}", ("GET",), show_ask),
+    Page("/ask/{id}/deny", ("POST",), deny),
+)
+
+_SHOWN: Final = 200  # rights
+
+
+async def show_policy(request: Request, context: ConsoleContext) -> Response:
+    """What the policy file would give and take, to be approved as a whole."""
+    found = await context.service.policy()
+    return render(
+        context, request, "policy.html", live=True, policy=found,
+        gives=[sentence(each, "may") for each in found.gives[:_SHOWN]],
+        takes=[sentence(each, "no longer may") for each in found.takes[:_SHOWN]],
+        more=max(0, len(found.gives) - _SHOWN) + max(0, len(found.takes) - _SHOWN),
+    )  # fmt: skip
+
+
+async def show_delegate(request: Request, context: ConsoleContext) -> Response:
+    """Ask whether the master may renew grants."""
+    return render(context, request, "delegate.html")
+
+
+async def show_intermediate(request: Request, context: ConsoleContext) -> Response:
+    """Ask for the request of a host that is to sign."""
+    return render(context, request, "intermediate.html", csr="", key=None, problem=None)
+
+
+async def check_request(request: Request, context: ConsoleContext) -> Response:
+    """Show the fingerprint of a pasted request, to be compared, before it can be approved."""
+    text = text_field(await read_form(request), "csr", MAX_BODY)
+    try:
+        key = check_intermediate_request(certificate_request(text), context.settings.domain)
+    except HintedError as error:
+        return render(context, request, "intermediate.html", 422, csr=text, key=None, problem=error)
+    return render(
+        context, request, "intermediate.html", csr=text, key=thumbprint(key), problem=None
+    )
+
+
+def sentence(right: PolicyRight, verb: str) -> tuple[Part, ...]:
+    """`/map may see /robot/pose (position to 2 m), 7d`."""
+    detail = ", ".join(filter(None, (right.restriction, right.until)))
+    return (
+        Part(words.name(right.node), is_name=True),
+        Part(f"{verb} {wanted(right.right)}"),
+        Part(words.topic(right.pattern), is_name=True),
+        *([Part(f"({detail})")] if detail else []),
+    )
+
+
+POLICY_PAGES: Final = (
+    Page("/policy", ("GET",), show_policy),
+    Page("/delegate", ("GET",), show_delegate),
+    Page("/intermediate", ("GET",), show_intermediate),
+    Page("/intermediate", ("POST",), check_request),
+)
+
+REFRESH: Final = 2  # seconds until the page looks again
+MAX_NUMBER: Final = 1 << 53
+_EMPTY: Final[Mapping[str, str]] = {"reason": "", "name": ""}
+
+
+async def ask_grant(request: Request, context: ConsoleContext) -> Response:
+    """Ask for the reason to end one grant.
+
+    Raises:
+        HttpRefused: there is no such grant.
+    """
+    return await _ask_grant(request, context)
+
+
+async def _ask_grant(
+    request: Request, context: ConsoleContext, problem: FormRefused | None = None, given: str = ""
+) -> Response:
+    node, what = await _grant(context, from_base64url(request.path_params["id"]))
+    return render(
+        context, request, "revoke.html", 422 if problem else 200, node=node, what=what,
+        asks_name=False, is_master=False, problem=problem, reason=given, typed="",
+    )  # fmt: skip
+
+
+async def revoke_grant(request: Request, context: ConsoleContext) -> Response:
+    """End it."""
+    number = from_base64url(request.path_params["id"])
+    form = _exactly(await read_form(request), {"reason"})
+    try:
+        reason = approvals.reason(form)
+    except FormRefused as problem:  # said where it was typed, with a field to go on
+        return await _ask_grant(request, context, problem, form["reason"])
+    epoch, seq = await context.service.revoke_grant(number, reason)
+    return _follow(epoch, seq, grant=to_base64url(number))
+
+
+async def ask_node(request: Request, context: ConsoleContext) -> Response:
+    """Ask for the reason to revoke a whole node.
+
+    Raises:
+        HttpRefused: there is no such node.
+    """
+    name = await _node(context, f"/{request.path_params['name']}")
+    return _ask_node(request, context, name)
+
+
+def _ask_node(
+    request: Request,
+    context: ConsoleContext,
+    name: str,
+    problem: FormRefused | None = None,
+    form: Mapping[str, str] = _EMPTY,
+) -> Response:
+    return render(
+        context, request, "revoke.html", 422 if problem else 200, node=name, what=(),
+        asks_name=True, is_master=is_master_name(name), problem=problem,
+        reason=form["reason"], typed=form["name"],
+    )  # fmt: skip
+
+
+async def revoke_node(request: Request, context: ConsoleContext) -> Response:
+    """Revoke it: every key of it, and with them all it was allowed."""
+    name = await _node(context, f"/{request.path_params['name']}")
+    form = _exactly(await read_form(request), {"reason", "name"})
+    try:
+        approvals.check_typed(form, name)
+        reason = approvals.reason(form)
+    except FormRefused as problem:
+        return _ask_node(request, context, name, problem, form)
+    epoch, seq = await context.service.revoke_node(name, reason)
+    return _follow(epoch, seq, node=name)
+
+
+async def show_ending(request: Request, context: ConsoleContext) -> Response:
+    """How far a revocation has come; the page looks again until every node has it."""
+    epoch, seq = (_number(request.path_params[part]) for part in ("epoch", "seq"))
+    node, what = await _subject(request, context)
+    standing = await context.service.standing(epoch, seq)
+    locked = not standing.is_signed and (await context.service.status()).locked
+    has_all = 0 < standing.nodes == standing.nodes_with_list
+    answer = render(
+        context, request, "revoked.html", standing=standing, node=node, what=what, locked=locked,
+        has_all=has_all,
+    )  # fmt: skip
+    if not has_all:
+        answer.headers["Refresh"] = str(REFRESH)
+        return answer
+    # So that it stays ended where the master, which alone knows, is away in the next moment.
+    with suppress(HintedError):
+        context.endings.note(await context.service.standing(0, 0), context.clock())
+    return answer
+
+
+async def _subject(request: Request, context: ConsoleContext) -> tuple[str, tuple[object, ...]]:
+    """The node that was meant, and what it could do: as the record says, not the address."""
+    found = request.query_params
+    if "grant" in found:
+        return await _grant(context, from_base64url(found["grant"]))
+    return (await _node(context, found["node"]), ()) if "node" in found else ("", ())
+
+
+async def _grant(context: ConsoleContext, number: bytes) -> tuple[str, tuple[object, ...]]:
+    views = [each for each in await context.service.grants() if each.id == number]
+    nodes, now = await context.service.nodes(), context.clock()
+    held = held_grants(nodes, views, now, context.endings.heard)
+    if not views:
+        raise HttpRefused("there is no such grant", "it has ended long ago", status=404)
+    return views[0].node, permissions(held[0].grant.permissions) if held else ()
+
+
+async def _node(context: ConsoleContext, name: str) -> str:
+    if all(each.name != name for each in await context.service.nodes()):
+        raise HttpRefused("there is no such node", "see who sees what", status=404)
+    return name
+
+
+def _exactly(form: dict[str, str], fields: set[str]) -> dict[str, str]:
+    if form.keys() != fields:
+        raise FormRefused("the form has other fields than its page", "load the page anew")
+    return form
+
+
+def _number(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and len(text) <= 16):
+        raise HttpRefused("there is no such list", "is the address right?", status=404)
+    return int(text)
+
+
+def _follow(epoch: int, seq: int, **subject: str) -> Response:
+    return RedirectResponse(f"/revoked/{epoch}/{seq}?{urlencode(subject)}", 303)
+
+
+REVOKE_PAGES: Final = (
+    Page("/revoke/grant/{id}", ("GET",), ask_grant),
+    Page("/revoke/grant/{id}", ("POST",), revoke_grant),
+    Page("/revoke/node/{name:path}", ("GET",), ask_node),
+    Page("/revoke/node/{name:path}", ("POST",), revoke_node),
+    Page("/revoked/{epoch}/{seq}", ("GET",), show_ending),
+)

@@ -1,0 +1,400 @@
+"""What most pages begin with: nodes, grants and the graph, asked of the service, as a matrix.
+
+Without a master there is no graph and there are no denials: pages show the rest and say so.
+
+Who sees what: the whole matrix, a part at a time, and one topic as each receiver sees it.
+
+One node: its identity, what it sees and sends, its grants; and one grant.
+
+The report to print: every field, every receiver, how, why, until when, of all that is granted.
+
+`rossec privacy --html` writes the same from the policy, as a file of its own (`write`).
+"""
+
+import logging
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Final, NamedTuple
+
+from starlette.requests import Request
+from starlette.responses import Response
+
+from ca.errors import HintedError, PatternRefused
+from ca.names import check_pattern, is_master_name
+from grants.model import Right
+from rossec.authority.console.messages import DenialView, FactView, GrantQuestion, NodeView
+from rossec.console import samples, words
+from rossec.console.context import ConsoleContext
+from rossec.console.matrix import (
+    Access,
+    Cell,
+    Heard,
+    HeldGrant,
+    Matrix,
+    ReportTopic,
+    TopicRow,
+    build,
+    held_accesses,
+    held_grants,
+    topics,
+)
+from rossec.console.pictures import looks
+from rossec.console.rendering import (
+    STATIC_FOLDER,
+    Page,
+    from_base64url,
+    names_of,
+    render,
+    render_text,
+)
+from rossec.console.sentences import Known, Part, permission, permissions, story
+from rossec.console.words import NONE, Names
+from rossec.errors import HttpRefused, KeyServiceFailed
+from rossec.participant.host_types import layout_of
+from rossec.peer_limits import printable
+
+MAX_REFUSED: Final = 12
+AGAIN: Final = 5  # seconds after which a page looks again at what is ending
+_log = logging.getLogger("rossec.console")
+
+
+class Overview(NamedTuple):
+    """The home at one moment; `without_master`: it does not answer, so there is no graph.
+
+    `heard`: what was ended and every node knows.
+    """
+
+    nodes: tuple[NodeView, ...]
+    held: tuple[HeldGrant, ...]
+    facts: tuple[FactView, ...]
+    matrix: Matrix
+    without_master: bool
+    heard: Heard
+    now: int
+
+    @property
+    def ending(self) -> frozenset[str]:
+        """Ids of grants and keys of nodes, in hex, that were ended and may still be used."""
+        grants = [each for each in self.held if each.is_ending]
+        keys = {each.grant.holder for each in grants}
+        return frozenset(
+            {each.view.id.hex() for each in grants}
+            | {each.key.hex() for each in self.nodes if self._may_still_be_used(each, keys)}
+        )
+
+    def _may_still_be_used(self, node: NodeView, keys: set[bytes]) -> bool:
+        if not node.revoked_at or node.not_after <= self.now:
+            return False
+        return node.key in keys or not self.heard.has(node.revoked_at, keeps=False)
+
+    def named(self, name: str) -> list[NodeView]:
+        """The identities of a name: its newest first."""
+        found = [node for node in self.nodes if node.name == name]
+        return sorted(found, key=lambda node: -node.not_before)
+
+
+async def load(context: ConsoleContext, names: Names = NONE) -> Overview:
+    """Ask for it; `names` has the types of topics that the graph and the grants do not tell.
+
+    Raises:
+        HintedError: the service refuses, or is not there.
+        GrantMalformed: the record has a grant that cannot be read.
+    """
+    now = context.clock()
+    nodes, grants = await context.service.nodes(), await context.service.grants()
+    facts: tuple[FactView, ...] = ()
+    without_master = False
+    try:
+        facts = await context.service.graph()
+    except HintedError as error:
+        _log.info("there is no graph: %s", printable(error))
+        without_master = True
+
+    def view() -> Overview:
+        heard = context.endings.heard
+        held = held_grants(nodes, grants, now, heard)
+        matrix = build(held, facts, now, names.type_of)
+        return Overview(nodes, held, facts, matrix, without_master, heard, now)
+
+    found = view()
+    if not found.ending or without_master:
+        return found
+    with suppress(HintedError):  # then it is not known, and said to be ending
+        context.endings.note(await context.service.standing(0, 0), now)
+    return view()
+
+
+def again(home: Overview) -> int:
+    """In how many seconds the page looks again; 0: when something has changed."""
+    return AGAIN if home.ending and not home.without_master else 0
+
+
+async def denials(context: ConsoleContext) -> tuple[DenialView, ...]:
+    """The denials of the last day; none without a master."""
+    try:
+        return await context.service.denials()
+    except HintedError:
+        return ()
+
+
+async def questions(context: ConsoleContext) -> tuple[tuple[GrantQuestion, ...], str]:
+    """What nodes ask for, and why that is not known: the policy cannot be used; empty: it is."""
+    try:
+        return await context.service.questions(), ""
+    except KeyServiceFailed:
+        raise
+    except HintedError as error:
+        return (), str(error)
+
+
+def refused_names(found: tuple[DenialView, ...]) -> dict[str, list[str]]:
+    """The names that each node was refused, the latest first; of the nodes refused last."""
+    names: dict[str, list[str]] = {}
+    for denial in sorted(found, key=lambda each: -each.at):
+        known = names.setdefault(denial.node, []) if len(names) < MAX_REFUSED else names.get(
+            denial.node, []
+        )  # fmt: skip
+        if denial.name not in known:
+            known.append(denial.name)
+    return names
+
+
+def comparison(context: ConsoleContext, row: TopicRow) -> looks.Comparison | None:
+    """What the topic looks like to its receivers: by the preview, else made up; None: unknown."""
+    if not row.type or row.is_pattern or not row.seen_by():
+        return None
+    real = context.preview.recorded(row.topic) if context.preview is not None else None
+    applied = [each for cell in row.seen_by() for each in cell.restrictions]
+    recorded = real if real is not None else samples.recorded(row.topic, row.type, applied)
+    found = None if recorded is None else looks.compare(recorded, row.cells)
+    return found if found is not None and found.looks else None
+
+
+def name_of(text: str) -> str:
+    """The absolute name or pattern in a path, which came without its first slash.
+
+    Raises:
+        HttpRefused: it is not one.
+    """
+    try:
+        return check_pattern(f"/{text}")
+    except PatternRefused as error:
+        raise HttpRefused("there is no such page", error.hint, status=404) from None
+
+
+def position(text: str | None) -> int:
+    """A number in an address: where a part of a long table begins.
+
+    Raises:
+        HttpRefused: it is no number.
+    """
+    if not text:
+        return 0
+    if not (text.isascii() and text.isdecimal() and len(text) <= 12):
+        raise HttpRefused("there is no such page", "go back to the first", status=404)
+    return int(text)
+
+
+ROWS: Final = 12
+RECEIVERS: Final = 4
+MAX_OTHERS: Final = 60
+MAX_CELLS: Final = 40
+_OTHER: Final = ~(Right.SUBSCRIBE | Right.PUBLISH)
+
+
+class OtherRight(NamedTuple):
+    """A right that shows or changes something beside topics."""
+
+    node: str
+    what: str
+    pattern: str
+    grant: bytes
+
+
+async def show_who(request: Request, context: ConsoleContext) -> Response:
+    """The matrix from a row and a receiver on, and what nodes may do beside seeing topics."""
+    home = await load(context, names_of(request))
+    row = position(request.query_params.get("row"))
+    receiver = position(request.query_params.get("receiver"))
+    part = home.matrix.window(slice(row, row + ROWS), slice(receiver, receiver + RECEIVERS))
+    others = other_rights(home.held)
+    return render(
+        context, request, "who.html", live=True, matrix=part, row=row, receiver=receiver,
+        rows=len(home.matrix.rows), receivers=len(home.matrix.receivers),
+        page_rows=ROWS, page_receivers=RECEIVERS,
+        others=others[:MAX_OTHERS], more=max(0, len(others) - MAX_OTHERS),
+        without_master=home.without_master, again=again(home),
+    )  # fmt: skip
+
+
+def other_rights(held: tuple[HeldGrant, ...]) -> list[OtherRight]:
+    """Calls, settings and administration that are granted now, by node."""
+    found = [
+        OtherRight(each.grant.subject,
+                   "still " * each.is_ending + words.rights(permission.rights & _OTHER),
+                   words.topic(permission.pattern), each.view.id)
+        for each in held
+        for permission in each.grant.permissions
+        if not each.is_over and permission.rights & _OTHER
+    ]  # fmt: skip
+    return sorted(set(found))
+
+
+async def see(request: Request, context: ConsoleContext) -> Response:
+    """One topic: who sends it, and what it looks like to each receiver."""
+    name = name_of(request.path_params["topic"])
+    home = await load(context, names_of(request))
+    row = home.matrix.row(name)
+    if row is None:
+        raise HttpRefused(
+            f"no grant and no node names {words.name(name)}", "see who sees what", status=404
+        )
+    cells = sorted(row.cells, key=lambda cell: (_order(row, cell.receiver), cell.receiver))
+    return render(
+        context, request, "see.html", live=True, row=row, cells=cells[:MAX_CELLS],
+        more=max(0, len(cells) - MAX_CELLS), comparison=comparison(context, row),
+        without_master=home.without_master, again=again(home),
+    )  # fmt: skip
+
+
+def _order(row: TopicRow, receiver: str) -> int:
+    access = next(cell.access for cell in row.cells if cell.receiver == receiver)
+    return [*Access].index(access)
+
+
+WHO_PAGES: Final = (Page("/who", ("GET",), show_who), Page("/see/{topic:path}", ("GET",), see))
+
+MAX_ROWS: Final = 40
+MAX_GRANTS: Final = 30
+THINGS: Final = 6
+_ENTRIES: Final = 200
+
+
+class GrantLine(NamedTuple):
+    """A grant in a list: what it gives, and how long or why no longer."""
+
+    id: bytes
+    parts: tuple[Part, ...]
+    term: str
+    ended: bool
+    reason: str
+    ending: bool = False
+
+
+class PermissionLine(NamedTuple):
+    """One permission of a grant, in words and as it is signed."""
+
+    parts: tuple[Part, ...]
+    words: str
+    exact: tuple[str, ...]
+
+
+async def show_node(request: Request, context: ConsoleContext) -> Response:
+    """One node."""
+    name = name_of(request.path_params["name"])
+    home = await load(context, names_of(request))
+    identities = home.named(name)
+    if not identities:
+        raise HttpRefused(
+            f"no node has the name {words.name(name)}", "see who sees what", status=404
+        )
+    now = context.clock()
+    grants = [grant_line(each, now) for each in home.held if each.grant.subject == name]
+    grants.sort(key=lambda line: line.ended)
+    seen = sees(home.matrix, name)
+    sent = [row for row in home.matrix.rows if name in row.publishers]
+    events = await context.service.events(0, _ENTRIES)
+    known = Known.of(home.held, home.nodes, ending=home.ending)
+    told = [each for each in story(events, await denials(context), known)
+            if each.node == name]  # fmt: skip
+    return render(
+        context, request, "node.html", live=True, name=name, identities=identities,
+        seen=seen[:MAX_ROWS], sent=sent[:MAX_ROWS], grants=grants[:MAX_GRANTS],
+        more_seen=max(0, len(seen) - MAX_ROWS), more_sent=max(0, len(sent) - MAX_ROWS),
+        more_grants=max(0, len(grants) - MAX_GRANTS), sentences=told[:THINGS],
+        is_master=is_master_name(name), without_master=home.without_master,
+        is_ending=identities[0].key.hex() in home.ending, again=again(home),
+    )  # fmt: skip
+
+
+def sees(matrix: Matrix, name: str) -> list[tuple[TopicRow, Cell]]:
+    """The topics that a node sees, or saw, what it sees now first."""
+    found = [
+        (row, cell)
+        for row in matrix.rows
+        for cell in row.cells
+        if cell.receiver == name and cell.access is not Access.NOTHING
+    ]
+    return sorted(found, key=lambda item: (item[1].access is Access.ENDED, item[0].topic))
+
+
+def grant_line(held: HeldGrant, now: int) -> GrantLine:
+    """A grant in one line."""
+    term = words.term(held.grant.expires, held.view.cap, now)
+    if held.ended_at:
+        term = f"ended {words.ago(held.ended_at, now)}"
+    if held.is_ending:
+        term = f"was ended {words.ago(held.ended_at, now)}, and not every node has heard"
+    given = permissions(held.grant.permissions)
+    ended = bool(held.ended_at)
+    return GrantLine(held.view.id, given, term, ended, held.reason, held.is_ending)
+
+
+async def grant(request: Request, context: ConsoleContext) -> Response:
+    """One grant: what it says, to whom, how long, and how it ends."""
+    number = from_base64url(request.path_params["id"])
+    home = await load(context, names_of(request))
+    held = next((each for each in home.held if each.view.id == number), None)
+    if held is None:
+        raise HttpRefused(
+            "there is no such grant in the last 30 days", "see who sees what", status=404
+        )
+    lines = [
+        PermissionLine(
+            permission(each),
+            words.restrictions([each.restriction] if each.restriction is not None else []),
+            tuple(each.restriction.lines()) if each.restriction is not None else (),
+        )
+        for each in held.grant.permissions
+    ]
+    return render(
+        context, request, "grant.html", live=True, held=held, lines=lines,
+        line=grant_line(held, context.clock()), holder=_holder(home, held),
+        without_master=home.without_master, again=again(home),
+    )  # fmt: skip
+
+
+def _holder(home: Overview, held: HeldGrant) -> bool:
+    """Whether the key that the grant is for is still one of its node."""
+    return any(node.key == held.grant.holder and not node.revoked_at for node in home.nodes)
+
+
+NODES_PAGES: Final = (
+    Page("/node/{name:path}", ("GET",), show_node),
+    Page("/grant/{id}", ("GET",), grant),
+)
+
+TOPICS: Final = 12  # on one page
+
+
+async def show_privacy(request: Request, context: ConsoleContext) -> Response:
+    """The report of what is granted now."""
+    home = await load(context, names_of(request))
+    first = position(request.query_params.get("row"))
+    types = {fact.name: fact.node for fact in home.facts if fact.kind == "type"}
+    found = topics(held_accesses(home.held, types, names_of(request).type_of), layout_of)
+    return render(
+        context, request, "privacy.html", live=True, topics=found[first : first + TOPICS],
+        row=first, rows=len(found), page_rows=TOPICS, without_master=home.without_master,
+        again=again(home),
+    )  # fmt: skip
+
+
+def write(found: Sequence[ReportTopic], robot: str, now: int, names: Names = NONE) -> str:
+    """The whole report as one page that needs nothing beside it."""
+    style = (STATIC_FOLDER / "style.css").read_text(encoding="utf-8")
+    values = {"topics": found, "robot": robot, "now": now, "style": style}
+    return render_text("report_alone.html", names, **values)
+
+
+PRIVACY_PAGES: Final = (Page("/privacy", ("GET",), show_privacy),)

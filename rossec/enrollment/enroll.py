@@ -1,0 +1,452 @@
+"""A node that waits to be enrolled: its listening port, open to all, and the person who confirms.
+
+Callers are unauthenticated: a limited number at a time, each with a deadline; a message that is
+refused ends its connection, and is reported to the person in one line. Callers whose offer was
+answered stay connected for the result.
+
+How `rossec node confirm` reaches the waiting `rossec node enroll`: a socket in its directory.
+
+Only the same user (or root) may use it: the kernel gives the user of the caller. The digits are not
+secret, but confirming them activates a trust anchor, so this never goes over the network. The
+socket is named through /proc: the path of a Unix socket has at most 107 octets, a directory's may
+have more.
+
+The authority connects to a node: fetch its request, then deliver the offer and await the result.
+
+Between the two a person decides, so these are two connections. A broken connection is made again,
+with exactly the same offer, until the offer expires.
+
+Read an enrollment code from a picture: a photograph, a screenshot, a frame of a camera.
+
+A shell. The picture is decoded in a process of its own (`rossec.enrollment.scanner`), with a time
+limit; no answer, or anything but a few texts, means that there is no code.
+"""
+
+import asyncio
+import json
+import os
+import socket
+import struct
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO, Final, Self, TypeAlias
+
+from ca.enrollment.messages import MAX_MESSAGE, Abort, Delivery, Reason, read, write
+from ca.enrollment.sides import (
+    AuthorityEnrollment,
+    AuthorityState,
+    NodeEnrollment,
+    NodeState,
+    Pending,
+)
+from ca.errors import (
+    ConflictingOffer,
+    EnrollmentExpired,
+    EnrollmentLocked,
+    EnrollmentMessageRefused,
+    EnrollmentOver,
+    EnrollmentRefused,
+    HintedError,
+)
+from rossec.enrollment import sessions
+from rossec.enrollment.scanner import CLOSER, MAX_FILE, SECONDS
+from rossec.enrollment.sessions import SessionServer, wait_closed
+from rossec.errors import ConfigurationError, NotDelivered, PeerUnreachable
+from rossec.host import addresses
+from rossec.net.aio.client import dial
+from rossec.net.limits import HalfOpen
+from rossec.peer_limits import printable
+
+PATIENCE: Final = 10.0  # seconds without a message from a caller
+_CAPS: Final = HalfOpen(per_address=4, total=16)
+_REASONS: Final[dict[type[EnrollmentRefused], Reason]] = {
+    ConflictingOffer: Reason.CONFLICT,
+    EnrollmentOver: Reason.OVER,
+    EnrollmentExpired: Reason.OVER,
+    EnrollmentLocked: Reason.OVER,
+}
+
+
+class WaitingNode:
+    """One enrollment of one node, on the network."""
+
+    def __init__(
+        self,
+        core: NodeEnrollment,
+        clock: Callable[[], int],
+        on_refusal: Callable[[str], None],
+        patience: float = PATIENCE,
+    ) -> None:
+        """`on_refusal` is called with each refusal as one printable line."""
+        self.core = core
+        self._clock = clock
+        self._on_refusal = on_refusal
+        self._patience = patience
+        self.server = SessionServer(self._serve, _CAPS)
+        self._waiting: set[asyncio.StreamWriter] = set()
+        self._changed = asyncio.Event()
+
+    @property
+    def port(self) -> int:
+        """The port it listens on."""
+        return self.server.port
+
+    async def listen(self, host: str | None, port: int) -> None:
+        """As `SessionServer.listen`."""
+        await self.server.listen(host, port)
+
+    async def until(self, *states: NodeState, every: Callable[[int], None]) -> None:
+        """Wait for one of `states`; `every` is called each second with the seconds left.
+
+        Raises:
+            EnrollmentRefused: it ended in another state; the reason.
+        """
+        while self.core.state not in states:
+            if self.core.end_reason is not None:
+                raise self.core.end_reason
+            every(self.core.expires - self._clock())
+            with suppress(TimeoutError):
+                async with asyncio.timeout(1):
+                    await self._changed.wait()
+            self._changed.clear()
+            self.core.tick(self._clock())
+
+    def confirm(self, digits: str, activate: Callable[[Pending], None]) -> None:
+        """A person confirmed: `activate` writes the identity, then the authority is notified.
+
+        Raises:
+            EnrollmentRefused: the digits are wrong, or there is nothing to confirm.
+        """
+        try:
+            pending = self.core.confirm(digits, self._clock())
+            activate(pending)
+        except BaseException as error:
+            if self.core.state is NodeState.CONFIRMED:
+                self.core.stop(EnrollmentOver(f"the identity could not be written: {error}"))
+            self._state_changed()
+            raise
+        self._send_all(self.core.activated())
+        self._changed.set()
+
+    def stop(self, why: EnrollmentRefused) -> None:
+        """End it without an identity, and notify the authority."""
+        self.core.stop(why)
+        self._state_changed()
+
+    async def close(self) -> None:
+        """Stop listening; callers that wait for the result get it."""
+        self.server.stop_listening()
+        leaving = [*self._waiting]
+        for writer in leaving:
+            writer.close()
+        for writer in leaving:
+            await wait_closed(writer)
+        await self.server.close()
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+    async def _serve(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str
+    ) -> None:
+        try:
+            while True:
+                async with asyncio.timeout(self._wait_for(writer)):
+                    data = await sessions.receive(reader)
+                self._answer(writer, data)
+                async with asyncio.timeout(
+                    self._patience
+                ):  # a caller that does not read is not written to
+                    await writer.drain()
+        except EnrollmentRefused as error:
+            self._on_refusal(printable(f"{address}: {error}"))
+            sessions.send(writer, _abort(error))
+        except TimeoutError:
+            writer.transport.abort()  # close() would wait for a caller that does not read
+        except (OSError, EOFError):
+            pass  # the caller may connect again
+        finally:
+            self._waiting.discard(writer)
+            writer.close()
+
+    def _wait_for(self, writer: asyncio.StreamWriter) -> float:
+        if writer in self._waiting:
+            return max(1, self.core.expires - self._clock() + 1)
+        return self._patience
+
+    def _answer(self, writer: asyncio.StreamWriter, data: bytes) -> None:
+        before = self.core.state
+        try:
+            answers = self.core.receive(data, self._clock())
+        finally:
+            if self.core.state is not before:
+                self._state_changed()
+        for answer in answers:
+            sessions.send(writer, answer)
+        if not isinstance(read(answers[0]), Delivery):
+            self._waiting.add(writer)
+
+    def _state_changed(self) -> None:
+        """Wake `until`; if it is over, notify the waiting callers."""
+        self._changed.set()
+        if self.core.state is NodeState.OVER and self.core.end_reason is not None:
+            self._send_all([_abort(self.core.end_reason)])
+
+    def _send_all(self, messages: list[bytes]) -> None:
+        for writer in self._waiting:
+            for message in messages:
+                sessions.send(writer, message)
+
+
+def _abort(error: EnrollmentRefused) -> bytes:
+    return write(Abort(_REASONS.get(type(error), Reason.REFUSED)))
+
+
+Answer: TypeAlias = dict[str, str]
+
+_NAME: Final = "enrolling.sock"
+_LIMIT: Final = 4096
+_PATIENCE: Final = 30.0
+_CREDENTIALS: Final = struct.Struct("3i")  # pid, uid, gid: unix(7), SO_PEERCRED
+
+
+async def serve(directory: Path, answer: Callable[[Answer], Answer]) -> asyncio.Server:
+    """Answer requests on the socket in `directory`.
+
+    Raises:
+        ConfigurationError: another process does so already.
+    """
+
+    async def call(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            if _is_ours(writer.get_extra_info("socket")):
+                async with asyncio.timeout(_PATIENCE):
+                    request = _request(await reader.readline())
+                writer.write(json.dumps(_call(answer, request)).encode() + b"\n")
+        except (OSError, ValueError, TimeoutError):
+            pass  # a malformed request gets no answer
+        finally:
+            writer.close()
+
+    other = _connect(directory)
+    if other is not None:
+        other.close()
+        raise ConfigurationError(
+            "an enrollment of this node is waiting already", "finish or stop that one first"
+        )
+    with _socket_path(directory) as path:
+        return await asyncio.start_unix_server(call, path, limit=_LIMIT)
+
+
+def remove(directory: Path) -> None:
+    """Remove the socket."""
+    (directory / _NAME).unlink(missing_ok=True)
+
+
+def ask(directory: Path, request: Answer) -> Answer:
+    """Ask the waiting process.
+
+    Raises:
+        ConfigurationError: there is none, or it refused; then with its message.
+    """
+    sock = _connect(directory)
+    if sock is None:
+        raise ConfigurationError(
+            "no enrollment of this node is waiting", "first: rossec node enroll NAME"
+        )
+    with sock:
+        line = _exchange(sock, json.dumps(request).encode() + b"\n")
+    if not line:
+        raise ConfigurationError("the waiting enrollment has just ended", "see its last message")
+    answer: Answer = json.loads(line)
+    if "error" in answer:
+        raise ConfigurationError(answer["error"], answer.get("hint", ""))
+    return answer
+
+
+def _exchange(sock: socket.socket, request: bytes) -> bytes:
+    """The answer, one line; empty when the other side has closed."""
+    sock.settimeout(_PATIENCE)
+    with suppress(OSError), sock.makefile("rb") as stream:
+        sock.sendall(request)
+        return stream.readline(_LIMIT)
+    return b""
+
+
+def _request(line: bytes) -> Answer:
+    found = json.loads(line)
+    if not isinstance(found, dict):
+        raise ValueError("not a request")  # noqa: TRY004 - as json says it
+    return found
+
+
+def _call(answer: Callable[[Answer], Answer], request: Answer) -> Answer:
+    try:
+        return answer(request)
+    except HintedError as error:
+        return {"error": str(error), "hint": error.hint}
+
+
+def _is_ours(sock: socket.socket) -> bool:
+    raw = sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+    _, user, _ = _CREDENTIALS.unpack(raw)
+    return user in {0, os.getuid()}
+
+
+def _connect(directory: Path) -> socket.socket | None:
+    """A connection to the waiting process, or None: the socket of a process that has exited."""
+    sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        with _socket_path(directory) as path:
+            sock.connect(path)
+    except (FileNotFoundError, ConnectionRefusedError):
+        sock.close()
+        return None
+    return sock
+
+
+@contextmanager
+def _socket_path(directory: Path) -> Iterator[str]:
+    descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        yield f"/proc/self/fd/{descriptor}/{_NAME}"
+    finally:
+        os.close(descriptor)
+
+
+_AUTHORITY_PATIENCE: Final = 10.0  # seconds to connect, and for the request
+_TRIES: Final = 5
+RETRY_DELAY: Final = 0.5
+
+
+async def fetch(core: AuthorityEnrollment, host: str, port: int, clock: Callable[[], int]) -> None:
+    """Fetch the node's request into `core.request`.
+
+    Raises:
+        EnrollmentRefused, RequestRefused: it is not the one of the code, or invalid.
+        PeerUnreachable: no answer, or not in this protocol.
+    """
+    try:
+        async with (
+            _connection(host, port) as (reader, writer),
+            asyncio.timeout(_AUTHORITY_PATIENCE),
+        ):
+            sessions.send(writer, core.fetch())
+            core.receive(await sessions.receive(reader), clock())
+    except (OSError, EOFError, TimeoutError) as error:
+        raise PeerUnreachable(
+            f"no node waits to be enrolled at {addresses.join(host, port)}",
+            "is `rossec node enroll` still running there, and on the same network?",
+        ) from error
+
+
+async def deliver(
+    core: AuthorityEnrollment,
+    offer: bytes,
+    host: str,
+    port: int,
+    clock: Callable[[], int],
+    show: Callable[[str], None],
+) -> None:
+    """Deliver `offer`, `show` the digits, and return when the node reports that it is enrolled.
+
+    Raises:
+        EnrollmentRefused: the node refused, or there is a man in the middle.
+        NotDelivered: the node closed the connection and no longer answers.
+    """
+    failures, state = 0, core.state
+    while failures < _TRIES:
+        try:
+            async with _connection(host, port) as (reader, writer):
+                sessions.send(writer, offer)
+                await _listen(core, reader, clock, show)
+                return
+        except (OSError, EOFError, TimeoutError, EnrollmentMessageRefused):
+            core.tick(clock())
+            failures, state = (failures + 1 if core.state is state else 0), core.state
+            await asyncio.sleep(RETRY_DELAY)
+    raise NotDelivered(
+        "the node closed the connection before it reported that it is enrolled",
+        f"check there: rossec node show {core.request.name}",
+    )
+
+
+async def _listen(
+    core: AuthorityEnrollment,
+    reader: asyncio.StreamReader,
+    clock: Callable[[], int],
+    show: Callable[[str], None],
+) -> None:
+    shown = core.digits
+    while core.state is not AuthorityState.ENROLLED:
+        async with asyncio.timeout(max(1, core.deadline - clock() + 1)):
+            data = await sessions.receive(reader)
+        core.receive(data, clock())
+        if core.digits != shown:
+            shown = core.digits
+            show(shown)
+
+
+@asynccontextmanager
+async def _connection(
+    host: str, port: int
+) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
+    sock = await dial(host, port, _AUTHORITY_PATIENCE)
+    try:
+        reader, writer = await asyncio.open_connection(sock=sock, limit=MAX_MESSAGE)
+    except BaseException:
+        sock.close()
+        raise
+    try:
+        yield reader, writer
+    finally:
+        writer.close()
+
+
+SCANNER: Final = (sys.executable, "-I", "-m", "rossec.enrollment.scanner")
+
+
+def code_in_file(path: Path, stdin: BinaryIO) -> str:
+    """The text of the one code in a picture; `-` is standard input.
+
+    Raises:
+        ConfigurationError: not a picture, too large, not exactly one code, or the extra is missing.
+    """
+    if str(path) == "-":
+        return code_in(stdin.read(MAX_FILE + 1))
+    with path.open("rb") as file:
+        return code_in(file.read(MAX_FILE + 1))
+
+
+def code_in(data: bytes) -> str:
+    """As `code_in_file`, for the bytes of the picture."""
+    match _texts(data):
+        case [text]:
+            return text
+        case []:
+            raise ConfigurationError("there is no rossec code in the picture", CLOSER)
+        case found:
+            raise ConfigurationError(
+                f"there are {len(found)} codes in the picture", "show one of them alone"
+            )
+
+
+def _texts(data: bytes) -> list[str]:
+    if len(data) > MAX_FILE:
+        raise ConfigurationError(f"the picture has more than {MAX_FILE} bytes", CLOSER)
+    try:
+        done = subprocess.run(  # noqa: S603 - our own program, by its full path
+            SCANNER, input=data, capture_output=True, timeout=3 * SECONDS, check=True
+        )
+        answer = json.loads(done.stdout)
+    except (subprocess.SubprocessError, ValueError) as error:
+        raise ConfigurationError("reading the picture took too long, or failed", CLOSER) from error
+    if "error" in answer:
+        raise ConfigurationError(answer["error"], answer["hint"])
+    return [str(text) for text in answer["texts"]]

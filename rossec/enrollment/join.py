@@ -1,0 +1,270 @@
+"""The port where nodes join: sessions with strangers, whose requests are decided elsewhere.
+
+Runs in a process without the authority's key. A session has one deadline until its request is
+there; a limited number are open at a time, in all and from one address, and few requests of one
+invitation are decided at a time, so that no code and no host keeps the others out. A session that
+breaks the protocol is closed and reported in one line; a stranger is told nothing but a reason. If
+a request cannot be decided, the node is told to come again: it then gets the same answer.
+
+A node joins: it connects to the authority of its invitation and sends its request.
+
+A connection that breaks, or an authority that is busy, is tried again a few times, with the same
+request: it gets the same answer. A refusal is not tried again.
+"""
+
+import asyncio
+import logging
+import secrets
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from typing import Final, NamedTuple, TypeAlias, TypeVar
+
+from ca.enrollment import NONCE_SIZE
+from ca.enrollment.invitation import InvitationCode, JoinClaim, JoinRequest
+from ca.enrollment.join import (
+    AuthorityJoin,
+    AuthorityJoinState,
+    JoinAnswer,
+    JoinedIdentity,
+    LiveIdentity,
+    NameAnswer,
+    NodeJoin,
+    Refused,
+    RefuseReason,
+    write,
+)
+from ca.enrollment.messages import MAX_MESSAGE
+from ca.errors import EnrollmentRefused, HintedError, JoinBusy
+from rossec.enrollment import sessions
+from rossec.enrollment.sessions import SessionServer
+from rossec.errors import PeerUnreachable
+from rossec.host import addresses
+from rossec.net.aio.client import dial
+from rossec.net.limits import HalfOpen
+from rossec.peer_limits import printable
+
+Admit: TypeAlias = Callable[[JoinRequest], Awaitable[JoinAnswer]]
+Name: TypeAlias = Callable[[JoinClaim], Awaitable[NameAnswer]]
+
+REQUEST_PATIENCE: Final = 10.0  # seconds until a session's request is there
+DECISION: Final = 30.0  # seconds until it is decided
+MAX_OF_INVITATION: Final = 4  # decisions at a time
+_CAPS: Final = HalfOpen(per_address=32, total=256)
+_BUSY: Final = Refused(RefuseReason.BUSY)
+_Asked = TypeVar("_Asked", JoinRequest, JoinClaim)
+_Answer = TypeVar("_Answer", JoinAnswer, NameAnswer)
+_log = logging.getLogger("rossec.enrollment.join")
+_S = AuthorityJoinState
+
+
+async def no_names(_: JoinClaim) -> NameAnswer:
+    """The answer of an authority of an earlier version to every claim."""
+    return Refused(RefuseReason.REFUSED)
+
+
+class JoinServer:
+    """The join port of an authority.
+
+    Args:
+        identity: returns the identity of `/ca` as of now; it is renewed while this runs.
+        admit: decides a request; what it raises is logged, and the node told to come again.
+        on_refusal: is called with each broken session as one printable line.
+        patience: seconds until a session's request is there.
+        caps: of open sessions, by address and in all.
+        name: finds the name for a claim; raises as `admit`.
+    """
+
+    def __init__(
+        self,
+        identity: Callable[[], LiveIdentity],
+        admit: Admit,
+        on_refusal: Callable[[str], None] = lambda _: None,
+        patience: float = REQUEST_PATIENCE,
+        caps: HalfOpen = _CAPS,
+        name: Name = no_names,
+    ) -> None:
+        self._identity = identity
+        self._admit = admit
+        self._name = name
+        self._on_refusal = on_refusal
+        self._patience = patience
+        self._server = SessionServer(self._serve, caps)
+        self._turns = _Turns(MAX_OF_INVITATION)
+
+    @property
+    def port(self) -> int:
+        """The port it listens on."""
+        return self._server.port
+
+    async def listen(self, host: str | None, port: int) -> None:
+        """As `SessionServer.listen`."""
+        await self._server.listen(host, port)
+
+    async def close(self) -> None:
+        """Stop listening, and end the open sessions."""
+        await self._server.close()
+
+    async def _serve(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str
+    ) -> None:
+        core = AuthorityJoin(self._identity(), secrets.token_bytes(NONCE_SIZE))
+        try:
+            await self._receive(core, reader, writer)
+            if core.state is _S.NAMING:
+                named = await self._decided(self._name, core.claim)
+                sessions.send(writer, core.name(named))
+            if core.state is _S.NAMED:
+                await self._receive(core, reader, writer)
+            if core.state is _S.DECIDING:
+                sessions.send(writer, core.answer(await self._decided(self._admit, core.request)))
+        except EnrollmentRefused as error:
+            self._on_refusal(printable(f"{address}: {error}"))
+            sessions.send(writer, write(Refused(RefuseReason.REFUSED)))
+        except (OSError, EOFError, TimeoutError):
+            pass  # the node may connect again
+
+    async def _receive(
+        self, core: AuthorityJoin, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
+        """Until there is something to decide."""
+        async with asyncio.timeout(self._patience):
+            while core.state not in {_S.NAMING, _S.DECIDING}:
+                sent = core.receive(await sessions.receive(reader))
+                if sent is not None:
+                    sessions.send(writer, sent)
+
+    async def _decided(
+        self, decide: Callable[[_Asked], Awaitable[_Answer]], asked: _Asked
+    ) -> _Answer | Refused:
+        try:
+            async with asyncio.timeout(DECISION), self._turns.turn(asked.invitation):
+                return await decide(asked)
+        except TimeoutError:
+            return _BUSY
+        except HintedError as error:
+            _log.error("a join could not be decided: %s", printable(str(error)))
+        return _BUSY
+
+
+class _Turns:
+    """A bounded number of decisions at a time for each invitation; the others wait in order."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._waiting: dict[bytes, tuple[asyncio.Semaphore, int]] = {}
+
+    @asynccontextmanager
+    async def turn(self, invitation: bytes) -> AsyncIterator[None]:
+        fresh = asyncio.Semaphore(self._most), 0
+        semaphore, users = self._waiting.get(invitation, fresh)
+        self._waiting[invitation] = semaphore, users + 1
+        try:
+            async with semaphore:
+                yield
+        finally:
+            semaphore, users = self._waiting.pop(invitation)
+            if users > 1:
+                self._waiting[invitation] = semaphore, users - 1
+
+
+CONNECT_PATIENCE: Final = 10.0  # seconds to connect, and for the authority to show itself
+_DECISION: Final = 45.0  # seconds for the answer
+_TRIES: Final = 5
+_T = TypeVar("_T")
+RETRY_DELAY: Final = 0.5  # seconds, then twice as long each time, and up to as much again
+
+
+async def ask_name(code: InvitationCode, metadata: bytes, clock: Callable[[], int]) -> str:
+    """The name that the authority's rules give for `metadata`: nothing is made or recorded.
+
+    Raises:
+        EnrollmentRefused: the authority refuses or gives no names, or the peer is not it.
+        PeerUnreachable: no answer.
+    """
+
+    async def session() -> str:
+        core = NodeJoin(code, secrets.token_bytes(NONCE_SIZE))
+        async with _welcomed(code, core, clock) as connection:
+            await connection.ask(core, core.claim(metadata), clock)
+        return core.name
+
+    return await _tried(code, session)
+
+
+async def join(
+    code: InvitationCode,
+    request: Callable[[str], bytes],
+    clock: Callable[[], int],
+    metadata: bytes = b"",
+) -> JoinedIdentity:
+    """Join by `code`, and return the verified identity, which is not on the disk yet.
+
+    `request` returns this node's CSR (DER) for a trust domain: the same one each time. With
+    `metadata` the authority issues only the name that its rules give for them (`ask_name`).
+
+    Raises:
+        JoinWaiting: not yet; the same request may be sent again.
+        EnrollmentRefused: the authority refused, or the peer is not the authority.
+        PeerUnreachable: no answer.
+    """
+
+    async def session() -> JoinedIdentity:
+        core = NodeJoin(code, secrets.token_bytes(NONCE_SIZE))
+        async with _welcomed(code, core, clock) as connection:
+            csr = request(core.anchor.domain)
+            await connection.ask(core, core.join(csr, metadata), clock)
+        return core.identity
+
+    return await _tried(code, session)
+
+
+async def _tried(code: InvitationCode, session: Callable[[], Awaitable[_T]]) -> _T:
+    """The outcome of a session, tried again where that may help."""
+    tries, delay = 0, RETRY_DELAY
+    while True:
+        tries += 1
+        try:
+            return await session()
+        except JoinBusy:
+            if tries == _TRIES:
+                raise
+        except (OSError, EOFError, TimeoutError) as error:
+            if tries == _TRIES or isinstance(error, ConnectionRefusedError):
+                raise PeerUnreachable(
+                    f"no authority answers at {code.address}",
+                    "is `rossec ca serve` running there, and on the same network?",
+                ) from error
+        await asyncio.sleep(delay * (1 + secrets.randbelow(1000) / 1000))
+        delay *= 2
+
+
+class _Connection(NamedTuple):
+    reader: asyncio.StreamReader
+    writer: asyncio.StreamWriter
+
+    async def ask(self, core: NodeJoin, message: bytes, clock: Callable[[], int]) -> None:
+        """Send a message, and let the core take the answer."""
+        sessions.send(self.writer, message)
+        async with asyncio.timeout(_DECISION):
+            core.receive(await sessions.receive(self.reader), clock())
+
+
+@asynccontextmanager
+async def _welcomed(
+    code: InvitationCode, core: NodeJoin, clock: Callable[[], int]
+) -> AsyncIterator[_Connection]:
+    """A connection to the authority, which has shown itself; closed afterwards."""
+    host, port = addresses.split(code.address, addresses.JOIN_PORT)
+    sock = await dial(host, port, CONNECT_PATIENCE)
+    try:
+        reader, writer = await asyncio.open_connection(sock=sock, limit=MAX_MESSAGE)
+    except BaseException:
+        sock.close()
+        raise
+    try:
+        sessions.send(writer, core.hello())
+        async with asyncio.timeout(CONNECT_PATIENCE):
+            core.receive(await sessions.receive(reader), clock())
+        yield _Connection(reader, writer)
+    finally:
+        writer.close()

@@ -1,0 +1,294 @@
+"""The rules and examples that are shipped: those of the thesis (appendix A).
+
+One process that applies rules, as the loop that asks it sees it. A shell.
+
+It is started and ended without waiting for anything, so nothing of it can be left behind by a task
+that is cancelled meanwhile; what is asked may be cancelled, and then the process is of no more use.
+
+Names asked for of rules: `async with RuleRunner(rules) as runner: await runner.name(...)`.
+
+Rules and documents go to a confined process, which forks for each request: what one caller sent
+can change no answer to another. Requests beyond the number of processes wait. Whatever comes back
+is checked here again: no name leaves that is not one, or that is reserved.
+"""
+
+import asyncio
+import importlib
+import importlib.util
+import socket
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import asynccontextmanager
+from importlib.resources import files
+from types import TracebackType
+from typing import Final, Self
+
+from rossec.errors import (
+    NamesExtraMissing,
+    ProposedNameRefused,
+    RossecError,
+    RulesExceeded,
+    RulesNotConfined,
+)
+from rossec.naming import requests
+from rossec.naming.requests import Kind, NameRequest, Result, check_proposed, check_query
+
+RULES: Final = "names.xsl"
+
+
+def shipped_rules(name: str = RULES) -> bytes:
+    """The shipped rules `name`."""
+    return files("rossec.naming").joinpath("rules", name).read_bytes()
+
+
+def shipped_example(name: str) -> bytes:
+    """The shipped example `name`: metadata `phone.xml`."""
+    return files("rossec.naming").joinpath("examples", name).read_bytes()
+
+
+CHILD: Final = (sys.executable, "-I", "-m", "rossec.naming.child")
+START: Final = 20.0  # seconds until it is confined
+
+
+class RuleProcess:
+    """A process that answers one request after the other; close it in any case."""
+
+    def __init__(self, process: "subprocess.Popen[bytes]", sock: socket.socket) -> None:
+        self._process = process
+        self._socket = sock
+        self._is_ready = False
+
+    @classmethod
+    def start(cls, command: Sequence[str] = CHILD) -> Self:
+        """Start one: with a socket to here, no environment, and nothing else of this process.
+
+        Raises:
+            RulesNotConfined: it cannot be started.
+        """
+        own, other = socket.socketpair()
+        with other:
+            try:
+                process = subprocess.Popen(  # noqa: S603 - the own interpreter and module
+                    command,
+                    stdin=other.fileno(), stdout=other.fileno(), stderr=subprocess.DEVNULL,
+                    env={}, cwd="/", start_new_session=True,  # Ctrl-C is for this process
+                )  # fmt: skip
+            except OSError as error:
+                own.close()
+                raise RulesNotConfined(f"the process for rules does not start: {error}") from error
+        own.setblocking(False)
+        return cls(process, own)
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._process.pid
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether it ended by itself, or was ended by somebody else."""
+        return self._process.poll() is not None
+
+    async def ask(self, body: bytes, seconds: float) -> bytes:
+        """The body of the answer to a request. After any exception the process must be closed.
+
+        Raises:
+            RulesExceeded: no answer within `seconds`, one too long, or the process ended.
+            RulesNotConfined: it could not be confined.
+        """
+        await self._wait_until_ready()
+        try:
+            async with asyncio.timeout(seconds):
+                await asyncio.get_running_loop().sock_sendall(self._socket, requests.frame(body))
+                return await self._receive()
+        except TimeoutError:
+            raise RulesExceeded(f"the rules took longer than {seconds:g} s") from None
+        except OSError as error:
+            raise RulesExceeded("the process for rules ended") from error
+
+    def close(self) -> None:
+        """End it, at once; what it does for a request ends with it."""
+        self._socket.close()
+        self._process.kill()
+        self._process.wait()
+
+    async def _wait_until_ready(self) -> None:
+        if self._is_ready:
+            return
+        hint = "run python -m rossec.naming.child to see why"
+        try:
+            async with asyncio.timeout(START):
+                first = await self._receive()
+        except (OSError, RulesExceeded) as error:  # TimeoutError is an OSError
+            raise RulesNotConfined("the process for rules does not start", hint) from error
+        if first != requests.READY:
+            raise _refusal(first)
+        self._is_ready = True
+
+    async def _receive(self) -> bytes:
+        head = await self._exactly(requests.HEAD)
+        return await self._exactly(requests.size(head, requests.MAX_ANSWER))
+
+    async def _exactly(self, size: int) -> bytes:
+        found, loop = bytearray(), asyncio.get_running_loop()
+        while len(found) < size:
+            piece = await loop.sock_recv(self._socket, size - len(found))
+            if not piece:
+                raise RulesExceeded("the process for rules ended")
+            found += piece
+        return bytes(found)
+
+
+def _refusal(first: bytes) -> RossecError:
+    """What the process says instead of being ready."""
+    try:
+        requests.read_names(first, 0)
+    except RossecError as error:
+        return error
+    return RulesNotConfined("the process for rules says nothing of being confined")
+
+
+SECONDS: Final = 5.0  # wall clock for a request
+LIBRARY: Final = "lxml"
+
+
+def require_extra(library: str = LIBRARY) -> None:
+    """Return if rules can be applied here.
+
+    Raises:
+        NamesExtraMissing: the library for it is not installed.
+    """
+    if importlib.util.find_spec(library) is None:
+        raise NamesExtraMissing(
+            f"names by rules need {library}, which is not installed",
+            "install the extra: pip install 'rossec[names]'",
+        )
+
+
+class RuleRunner:
+    """One set of rules, applied to what callers send.
+
+    Args:
+        rules: a stylesheet of XSLT 1.0, with the short form `<parameter>`; at most 256 KiB.
+        thesis_defaults: give `unknown-group` and others as the thesis has them; ROS has no such
+            names, so they are for comparisons only.
+        children: how many processes answer at the same time; each is started when it is needed.
+        seconds: for a request, wall clock; 2 s of processor time are the process's own limit.
+        start: starts a process.
+    """
+
+    def __init__(
+        self,
+        rules: bytes,
+        *,
+        thesis_defaults: bool = False,
+        children: int = 1,
+        seconds: float = SECONDS,
+        start: Callable[[], RuleProcess] = RuleProcess.start,
+    ) -> None:
+        self._rules = rules
+        self._thesis_defaults = thesis_defaults
+        self._seconds = seconds
+        self._start = start
+        self._free = asyncio.Semaphore(children)
+        self._idle: list[RuleProcess] = []
+        self._is_closed = False
+
+    async def __aenter__(self) -> Self:
+        """Start the first process and compile the rules once.
+
+        Raises:
+            NamesExtraMissing: lxml is not installed.
+            RulesRefused: the rules are malformed or use what they may not; the line is named.
+            RulesExceeded: to compile them took too much.
+            RulesNotConfined: the process cannot be started or confined.
+        """
+        require_extra()
+        requests.check_rules(self._rules)
+        try:
+            requests.read_names(await self._ask(b"", ()), 0)
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    async def name(self, metadata: bytes, kind: Kind = Kind.NODE, which: str = "") -> str:
+        """The name of the node, or of its topic or service `which`.
+
+        Raises:
+            MetadataRefused: malformed or too long.
+            NameUndefined: the rules give none, or several.
+            ProposedNameRefused: what they give is no ROS name, or a reserved one.
+            RulesRefused, RulesExceeded, RulesNotConfined: the rules fail, or take too much.
+        """
+        (result,) = await self.names(metadata, [(kind, which)])
+        if isinstance(result, RossecError):
+            raise result
+        return result
+
+    async def names(self, metadata: bytes, queries: Sequence[tuple[Kind, str]]) -> list[Result]:
+        """The names for all `queries`, in their order; each a name, or the error instead.
+
+        Raises:
+            MetadataRefused, RulesRefused, RulesExceeded, RulesNotConfined: for all of them.
+        """
+        requests.check_document(metadata)
+        asked = tuple(check_query(*query) for query in queries)
+        if not asked:
+            return []
+        results = requests.read_names(await self._ask(metadata, asked), len(asked))
+        return [self._checked(result) for result in results]
+
+    def close(self) -> None:
+        """End all processes; one that answers a request ends after it, and no other starts."""
+        self._is_closed = True
+        while self._idle:
+            self._idle.pop().close()
+
+    def _checked(self, result: Result) -> Result:
+        if isinstance(result, RossecError):
+            return result
+        try:
+            return check_proposed(result, thesis_defaults=self._thesis_defaults)
+        except ProposedNameRefused as error:
+            return error
+
+    async def _ask(self, document: bytes, queries: tuple[tuple[Kind, str], ...]) -> bytes:
+        request = NameRequest(self._rules, document, queries, self._thesis_defaults)
+        body = requests.write_request(request)
+        async with self._process() as process:
+            return await process.ask(body, self._seconds)
+
+    def _take(self) -> RuleProcess:
+        if self._is_closed:
+            raise RulesExceeded("the processes for rules have ended")
+        while self._idle:
+            process = self._idle.pop()
+            if not process.has_ended:
+                return process
+            process.close()
+        return self._start()
+
+    @asynccontextmanager
+    async def _process(self) -> AsyncIterator[RuleProcess]:
+        """A process for one request; it is kept for the next if the request was answered."""
+        async with self._free:
+            process = self._take()
+            try:
+                yield process
+            except BaseException:
+                process.close()
+                raise
+            if self._is_closed:
+                process.close()
+            else:
+                self._idle.append(process)

@@ -1,0 +1,566 @@
+"""The grants in a node's directory: each is loaded once, an invalid one is logged once.
+
+Grants may arrive while the node runs; they are checked by `access`.
+
+Grants that the authority deposited at the master for this node: fetched, verified, stored.
+
+They are fetched in each session, and while it lasts a call of its own connection waits for more
+(`rossec.watchGrants`). The master only carries them: what is not signed by the authority, for this
+domain and for this node's key, or is revoked, is dropped. A master without these calls, of an older
+version, is used without them.
+
+What a node knows of foreign domains, kept current at its master.
+
+The list of domains is fetched at each beginning of a session and with each heartbeat, the
+revocations of a foreign domain when its peers or grants are here, and of the others often enough
+that a new peer finds them fresh; both are pushed besides. The master only carries them: everything
+is verified here, and is on disk before it is used. A master that knows no domains, of an older
+version, is used without them; one with an older list receives the newer one. A call that fails
+otherwise is made again at the next heartbeat.
+"""
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Awaitable, Callable, Iterable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from functools import partial
+from pathlib import Path
+from secrets import SystemRandom
+from typing import Final
+
+from ca.certificates import Identity, TrustAnchor
+from ca.errors import CAError, HintedError, RevocationsStale
+from ca.names import shown
+from ca.revocation.lists import digest
+from ca.revocation.trust_status import Standing
+from grants import document
+from grants.errors import GrantError, GrantExpired, GrantNotHeld
+from grants.model import Grant
+from grants.token import peek
+from rossec import clock
+from rossec.errors import AnswerMalformed, AnswerRefused, ConfigurationError
+from rossec.home import NodeHome
+from rossec.net.aio import SecureStream
+from rossec.net.rpc.calls import RpcClient
+from rossec.participant.access import HeldGrants
+from rossec.participant.registrations import Retry
+from rossec.participant.renewals import MAX_PROOFS_PER_CALL, MasterCall, take
+from rossec.peer_limits import printable
+from rossec.ros.names import DOMAINS, FOREIGN_PROOFS, FOREIGN_REVOCATIONS, MASTER, UPDATE_DOMAINS
+from rossec.ros.xmlrpc import Fault, is_unknown_method
+from rossec.saved_statements import DomainFiles
+
+KEPT: Final = 30 * 86400  # seconds after its end that a file stays
+
+_log = logging.getLogger("rossec.node")
+
+
+class GrantDirectory:
+    """Moves the grants of a directory into a node's `Access`."""
+
+    def __init__(self, home: NodeHome, access: HeldGrants) -> None:
+        self._home = home
+        self._access = access
+        self._seen: set[bytes] = set()
+        self._errors: dict[Path, str] = {}
+
+    def take_new(self) -> list[bytes]:
+        """Hold the grants that are new in the directory; returns them."""
+        paths = self._home.grant_files()
+        self._errors = {path: text for path, text in self._errors.items() if path in paths}
+        found = ((path, self._read(path)) for path in paths)
+        return [data for path, data in found if data is not None and self._hold(path, data)]
+
+    def hold(self, data: bytes) -> bool:
+        """Hold a verified grant that was delivered; whether it is new."""
+        return self._hold(self._home.path, data)
+
+    def save(self, grant_id: bytes, data: bytes) -> None:
+        """Store a grant that is held; a full disk is logged. For any thread."""
+        try:
+            self._home.add_grant(grant_id, data)
+        except (OSError, HintedError) as error:  # the master has it after a restart, too
+            _log.warning("a delivered grant is used, but not saved: %s", error)
+
+    def drop_ended(self, now: int) -> None:
+        """Delete the files of grants that ended long ago; only while the master confirms `now`."""
+        for path in self._home.grant_files():
+            data = self._read(path)
+            if data is not None and self._has_ended(path, data, now):
+                with contextlib.suppress(OSError):
+                    path.unlink()
+
+    def _read(self, path: Path) -> bytes | None:
+        try:
+            data = self._home.read_grant(path)
+        except (OSError, HintedError) as error:
+            self._warn_once(path, f"cannot be read: {error}")
+            return None
+        self._errors.pop(path, None)
+        return data
+
+    def _hold(self, path: Path, data: bytes) -> bool:
+        """Whether it is a valid grant, and new."""
+        if data in self._seen:
+            return False
+        self._seen.add(data)
+        try:
+            self._access.hold(data)
+        except HintedError as error:
+            _log.warning("%s is not a valid grant and is ignored: %s", path, error)
+            return False
+        return True
+
+    def _warn_once(self, path: Path, error: str) -> None:
+        """Log an error once for each cause."""
+        if self._errors.get(path) != error:
+            self._errors[path] = error
+            _log.warning("%s %s", path, error)
+
+    def _has_ended(self, path: Path, data: bytes, now: int) -> bool:
+        """Whether a file that `NodeHome.add_grant` wrote is of no use any more."""
+        try:
+            grant = peek(data)
+        except GrantError:
+            return False
+        return path == self._home.grant_file(grant.id) and now >= grant.cap + KEPT
+
+
+FETCH: Final = "rossec.fetchGrants"
+WATCH: Final = "rossec.watchGrants"
+MAX_KNOWN: Final = 256  # ids in one call: the limit of the master
+MAX_ANSWERS: Final = 64  # to one fetch; a master has at most 64 grants for one key
+WATCH_DEADLINE: Final = 90.0  # seconds; the master answers after 60
+SHORTEST: Final = 1.0  # seconds an answer without a new grant takes
+CHECK_PERIOD: Final = 0.25  # seconds between looks whether the session is open
+
+
+class GrantDelivery:
+    """Takes what the master has for one node.
+
+    Args:
+        standing: the authorities that may have signed one, and what they have revoked.
+        holder: the thumbprint of the node's key.
+        access, directory: where the grants are held, and stored by `save`.
+
+    Attributes:
+        supported: set while the master of the session knows the calls.
+        taken: how many grants were new so far.
+    """
+
+    def __init__(
+        self,
+        standing: Standing,
+        holder: bytes,
+        access: HeldGrants,
+        directory: GrantDirectory,
+    ) -> None:
+        self._standing = standing
+        self._holder = holder
+        self._access = access
+        self._directory = directory
+        self._received: dict[bytes, None] = {}  # ids, valid or not: not again in this session
+        self._new: list[bytes] = []
+        self._unsaved: list[tuple[bytes, bytes]] = []
+        self._arrived = asyncio.Event()
+        self.supported = asyncio.Event()
+        self.taken = 0
+
+    async def fetch(self, call: MasterCall) -> None:
+        """Fetch everything, at the beginning of a session; what was refused is judged again.
+
+        A master that forged a grant, or a clock that was wrong, keeps it away no longer than that.
+
+        Raises:
+            RossecError: the master is out of reach, or sends a malformed answer.
+        """
+        self._received.clear()
+        try:
+            for _ in range(MAX_ANSWERS):
+                if not self.take(await call(FETCH, self.known())):
+                    break
+        except (Fault, AnswerRefused):
+            self.supported.clear()
+        else:
+            self.supported.set()
+
+    def known(self) -> bytes:
+        """The ids of the grants this node needs no more, one after the other."""
+        ids = dict.fromkeys(reversed(self._received))
+        ids |= dict.fromkeys(held.grant.id for held in self._access.held_grants())
+        return b"".join(list(ids)[:MAX_KNOWN])
+
+    def take(self, answer: object) -> bool:
+        """Hold the valid grants of an answer; returns whether more follow.
+
+        Raises:
+            AnswerMalformed: not `{"grants": [bytes], "more": bool}`.
+        """
+        match answer:
+            case {"grants": list() as grants, "more": bool() as more} if not more or grants:
+                for data in grants:
+                    self._take(data)
+                return more
+            case _:
+                raise AnswerMalformed("the master's answer is not a list of grants")
+
+    def take_new(self) -> list[bytes]:
+        """The grants that are new since the last call; they are held."""
+        new, self._new = self._new, []
+        self._arrived.clear()
+        return new
+
+    async def save(self) -> None:
+        """Store what was taken: after it is in use, and in a thread, since a disk may be slow."""
+        unsaved, self._unsaved = self._unsaved, []
+        for grant_id, data in unsaved:
+            await asyncio.to_thread(self._directory.save, grant_id, data)
+
+    async def wait(self, longest: float) -> None:
+        """Return when a grant is new, or after `longest` seconds."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(longest):
+                await self._arrived.wait()
+
+    def _take(self, data: object) -> None:
+        if not isinstance(data, bytes):
+            raise AnswerMalformed("the master sends a grant that is not bytes")
+        try:
+            grant_id = document.grant_id(data)
+            self._receive(grant_id)
+            self._check(data, clock.now())
+        except HintedError as error:
+            _log.warning("a grant that the master delivers is refused: %s", printable(error))
+            return
+        if self._directory.hold(data):
+            self._new.append(data)
+            self._unsaved.append((grant_id, data))
+            self.taken += 1
+            self._arrived.set()
+
+    def _receive(self, grant_id: bytes) -> None:
+        """Remember an id, the newest last."""
+        self._received.pop(grant_id, None)
+        self._received[grant_id] = None
+        if len(self._received) > MAX_KNOWN:
+            del self._received[next(iter(self._received))]
+
+    def _check(self, data: bytes, now: int) -> Grant:
+        """Verify a grant; one that is not valid yet, or may be renewed, is taken too.
+
+        Raises:
+            GrantError: forged, malformed, of another key, or at its end for good.
+        """
+        anchor = self._anchor_of(document.peek(data).domain)
+        grant = document.verify(data, anchor.public_key, domain=anchor.domain)
+        if grant.holder != self._holder:
+            raise GrantNotHeld("the grant is bound to another key", f"it is for {grant.subject}")
+        if now >= grant.cap:
+            raise GrantExpired(f"the grant {grant.short_id} has expired")
+        if grant.id in self._standing.own.entries | self._standing.revoked(grant.domain):
+            raise GrantError(f"the grant {grant.short_id} is revoked")
+        return grant
+
+    def _anchor_of(self, domain: str) -> TrustAnchor:
+        """Whose key a grant must be signed by: its domain only selects it."""
+        listed = self._standing.anchors.listed_domain(domain)
+        return self._standing.anchors.own if listed is None else listed.anchor
+
+
+class GrantWatch:
+    """Waits at the master for grants, on a connection of its own, while the session is open.
+
+    Args:
+        name: the node's own name, the `caller_id` of every call.
+        dial: opens a secure stream to the master.
+        is_open: whether the session is open.
+        master: the certified name of the node's own master.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        delivery: GrantDelivery,
+        dial: Callable[[], Awaitable[SecureStream[Identity]]],
+        is_open: Callable[[], bool],
+        master: str = MASTER,
+    ) -> None:
+        self._name = name
+        self._delivery = delivery
+        self._dial = dial
+        self._is_open = is_open
+        self._master = master
+        self._client: RpcClient | None = None
+
+    async def session_opened(self) -> None:
+        """End a connection of an earlier session, which may be dead without a sign."""
+        await self._disconnect()
+
+    async def run(self) -> None:
+        """Watch until cancelled."""
+        retry = Retry(SystemRandom().random)
+        try:
+            while True:
+                await self._delivery.supported.wait()
+                if not self._is_open():
+                    await asyncio.sleep(CHECK_PERIOD)
+                    continue
+                try:
+                    await self._watch(retry)
+                except (HintedError, OSError, TimeoutError, Fault) as error:
+                    _log.debug("%s: waits for grants again: %s", self._name, printable(error))
+                    await self._disconnect()
+                    await asyncio.sleep(retry.pause(asyncio.get_running_loop().time()))
+        finally:
+            await self._disconnect()
+
+    async def _watch(self, retry: Retry) -> None:
+        stream = await self._dial()
+        if stream.peer.name != self._master:
+            stream.abort("not the master")
+            raise ConfigurationError(f"{shown(stream.peer.name)} answers at the master's address")
+        client = self._client = RpcClient(stream, deadline=WATCH_DEADLINE)
+        while True:
+            began, before = asyncio.get_running_loop().time(), self._delivery.taken
+            self._delivery.take(await client.ask(WATCH, self._name, self._delivery.known()))
+            retry.succeeded()
+            took = asyncio.get_running_loop().time() - began
+            if self._delivery.taken == before and took < SHORTEST:
+                await asyncio.sleep(SHORTEST)  # nothing new, and yet at once
+
+    async def _disconnect(self) -> None:
+        client, self._client = self._client, None
+        if client is not None:
+            with contextlib.suppress(HintedError, OSError):
+                await client.close()
+
+
+MAX_CHAIN: Final = 2  # certificates: a master's, and its intermediate's
+
+
+class DomainUpdates:
+    """Takes lists of domains, and revocations of foreign ones.
+
+    Args:
+        standing: what they change; `lock` is held meanwhile, if threads share it.
+        files: where they are saved.
+        changed: called after each that was taken, to cut what it ends; whether it says anything
+            new, so that what was refused may be tried again.
+        in_use: the foreign domains of which there are peers or grants here.
+    """
+
+    def __init__(
+        self,
+        standing: Standing,
+        files: DomainFiles,
+        changed: Callable[[bool], None],
+        in_use: Callable[[], Iterable[str]],
+        lock: AbstractContextManager[object] = nullcontext(),  # noqa: B008 - has no state
+    ) -> None:
+        self._standing = standing
+        self._files = files
+        self._changed = changed
+        self._in_use = in_use
+        self._lock = lock
+        self._supported = True
+        self._wanted: set[str] = set()  # domains whose revocations are fetched next
+        self._warned: dict[str, str] = {}
+
+    # -- what the master pushes, or answers
+
+    def take_domains(self, data: bytes) -> bool:
+        """Take a list of domains; returns whether it is another one than before.
+
+        Raises:
+            DomainsRefused: it is not of the own authority, or older than one seen.
+        """
+        anchors = self._standing.anchors
+        with self._lock:
+            if data == anchors.data:
+                return False
+            anchors.update(data, self._files.save_domains)
+            self._files.restore(self._standing, clock.now())
+            self._wanted = {each.entry.domain for each in anchors.all_listed}
+        self._changed(True)
+        return True
+
+    def take_foreign(
+        self, domain: str, revocations: bytes, timestamp: bytes, chain: Sequence[object]
+    ) -> None:
+        """Take a foreign domain's list (empty: the one held) and its master's timestamp.
+
+        Raises:
+            CAError: either is refused; see `Standing.take_foreign`. What a valid list revokes is
+                cut nevertheless.
+        """
+        certificates = [item for item in chain if isinstance(item, bytes)]
+        if len(certificates) != len(chain) or len(chain) > MAX_CHAIN:
+            raise AnswerMalformed("the chain of a foreign master is not a list of certificates")
+        listed = self._standing.anchors.listed_domain(domain)
+        persist = None if listed is None else partial(self._files.save_foreign, listed.anchor)
+        now, before = clock.now(), self._state(domain)
+        try:
+            with self._lock:
+                self._standing.take_foreign(
+                    domain, revocations, timestamp, certificates, now, persist
+                )
+        finally:
+            self._changed(self._state(domain) != before)
+
+    # -- calls to the master
+
+    async def session_opened(self, call: MasterCall) -> None:
+        """Fetch everything: the master may be another one, or have been restored from a backup.
+
+        Raises:
+            RossecError: the master is out of reach.
+        """
+        self._supported = True
+        self._wanted = {each.entry.domain for each in self._standing.anchors.all_listed}
+        if await self._fetch_domains(call) and self._standing.anchors.data:
+            await self._send_missing(call)
+        await self.fetch_wanted(call)
+
+    async def heartbeat(self, call: MasterCall) -> None:
+        """Fetch the list of domains, and the revocations that are due; raises likewise."""
+        await self._fetch_domains(call)
+        self._wanted |= self._due(clock.now())
+        await self.fetch_wanted(call)
+
+    async def fetch_wanted(self, call: MasterCall) -> None:
+        """Fetch the revocations of domains that are new, and proofs; raises likewise.
+
+        Those of which there is no list yet are asked for each time: until then every peer of the
+        domain is refused, and the master may receive its first list a moment after this node asked.
+        """
+        self._wanted |= {
+            each.entry.domain
+            for each in self._standing.anchors.all_listed
+            if (held := self._standing.foreign(each.entry.domain)) is None or held.current is None
+        }
+        while self._wanted and self._supported:
+            await self._fetch_foreign(call, self._wanted.pop())
+        for listed in self._standing.anchors.all_listed:
+            if self._supported and await self._prove(call, listed.entry.domain):
+                await self._fetch_foreign(call, listed.entry.domain)
+
+    async def _fetch_domains(self, call: MasterCall) -> bool:
+        """Whether the master gave no newer list: it has the same one, or none."""
+        if not self._supported:
+            return False
+        try:
+            answer = await call(DOMAINS, digest(self._standing.anchors.data))
+        except (Fault, AnswerRefused) as error:
+            if is_unknown_method(error):
+                _log.debug("the master knows no domains: %s", printable(error))
+                self._supported = False
+            else:
+                self._warn(DOMAINS, error)
+            return False
+        if not isinstance(answer, bytes):
+            self._warn(DOMAINS, AnswerMalformed("the master's list of domains is not one"))
+            return False
+        if answer:
+            return await self._take_or_send(call, answer)
+        self._warned.pop(DOMAINS, None)
+        return True
+
+    async def _take_or_send(self, call: MasterCall, data: bytes) -> bool:
+        """Take the master's list; one that is older is answered by the newer one."""
+        try:
+            self.take_domains(data)
+        except CAError as error:
+            self._warn(DOMAINS, error)
+            await self._send(call)
+        return False
+
+    async def _send_missing(self, call: MasterCall) -> None:
+        """Send the list to a master that has none."""
+        try:
+            answer = await call(DOMAINS, digest(b""))
+        except (Fault, AnswerRefused):
+            return
+        if answer == b"":
+            await self._send(call)
+
+    async def _send(self, call: MasterCall) -> None:
+        held = self._standing.anchors.data
+        try:
+            newer = bool(held) and await call(UPDATE_DOMAINS, held) == 1
+        except (Fault, AnswerRefused) as error:
+            self._warn(UPDATE_DOMAINS, error)
+            return
+        if newer:
+            _log.warning(
+                "the master had an older list of domains than this node, and has received the"
+                " newer one: was its home restored from a backup?"
+            )
+
+    async def _fetch_foreign(self, call: MasterCall, domain: str) -> None:
+        held = self._standing.foreign(domain)
+        if held is None:
+            return
+        try:
+            answer = await call(FOREIGN_REVOCATIONS, domain, digest(held.data))
+            self.take_foreign(domain, *_foreign(answer))
+            self._warned.pop(domain, None)
+        except (Fault, AnswerRefused, AnswerMalformed, CAError) as error:
+            self._warn(domain, error)
+
+    async def _prove(self, call: MasterCall, domain: str) -> bool:
+        """Request the proofs that a foreign tree waits for; returns whether any was accepted."""
+        held = self._standing.foreign(domain)
+        wanted = [] if held is None else held.unproved[:MAX_PROOFS_PER_CALL]
+        if held is None or not wanted:
+            return False
+        try:
+            asked, answer = _known(wanted, await call(FOREIGN_PROOFS, domain, wanted))
+            with self._lock:
+                taken = take(held, asked, answer)
+        except (Fault, AnswerRefused, AnswerMalformed) as error:
+            self._warn(f"{domain}: proofs", error)
+            return False
+        self._changed(taken > 0)
+        return taken > 0
+
+    def _state(self, domain: str) -> tuple[bytes, bool]:
+        """A domain's list, and whether it is fresh."""
+        with self._lock:
+            held = self._standing.foreign(domain)
+            return (b"", False) if held is None else (held.data, held.fresh_until >= clock.now())
+
+    def _due(self, now: int) -> set[str]:
+        """The domains that are in use, and those whose last word is half as old as it may be."""
+        listed = {each.entry.domain: each.entry for each in self._standing.anchors.all_listed}
+        due = listed.keys() & set(self._in_use())
+        for domain, entry in listed.items():
+            held = self._standing.foreign(domain)
+            if held is None or held.fresh_until - now < entry.fresh // 2:
+                due.add(domain)
+        return due
+
+    def _warn(self, what: str, error: Exception) -> None:
+        """Log an error once for each cause; a line that is down is no news each ten seconds."""
+        text = printable(error)
+        if self._warned.get(what) == text:
+            return
+        self._warned[what] = text
+        level = logging.INFO if isinstance(error, RevocationsStale) else logging.WARNING
+        _log.log(level, "%s: %s", what, text)
+
+
+def _known(wanted: list[bytes], answer: object) -> tuple[list[bytes], object]:
+    """Without the proofs that the master does not have yet: it fetches them, and is asked again."""
+    if not isinstance(answer, list) or len(answer) != len(wanted):
+        return wanted, answer
+    known = [pair for pair in zip(wanted, answer, strict=True) if pair[1] != b""]
+    return [entry for entry, _ in known], [proof for _, proof in known]
+
+
+def _foreign(answer: object) -> tuple[bytes, bytes, list[object]]:
+    match answer:
+        case [bytes() as revocations, bytes() as timestamp, list() as chain]:
+            return revocations, timestamp, chain
+        case _:
+            raise AnswerMalformed("the master's answer is not a foreign revocation list")
