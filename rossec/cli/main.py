@@ -18,67 +18,67 @@ _TABLE: Final = {
         "Show the master's audit: what was denied, and what was administered.",
     ),
     "border": (
-        "border.group:border",
+        "servers:border",
         "Run the border router of constrained things, as the node /border.",
     ),
-    "ca": ("ca.group:ca", "Run the authority, which signs the identities."),
+    "ca": ("nouns:ca", "Run the authority, which signs the identities."),
     "completion": (
-        "completion.command:completion",
+        "completion.shells:completion",
         "Print what makes Tab complete commands and names in SHELL: bash, zsh or fish.",
     ),
     "console": (
-        "console.group:console",
+        "servers:console",
         "Show who sees what, and decide: pages for a browser, and the phones that approve.",
     ),
     "demo": ("demo:demo", "Show the main job: enroll, grant, filter, refuse, revoke."),
     "discover": (
-        "master.discover:discover",
+        "ros.graph:discover",
         "Look for the masters of this trust domain, the best link first.",
     ),
     "doctor": (
         "node.doctor:doctor",
         "Check the set-up of NODE on this machine: identity, grants, master, what is plain.",
     ),
-    "domain": ("domain.group:domain", "Trust other domains, as far as you say."),
+    "domain": ("nouns:domain", "Trust other domains, as far as you say."),
     "explain": (
         "policy.explain:explain",
         "Show whether NODE may use RIGHT (subscribe, publish, call, ...) on NAME, and why.",
     ),
     "federation": (
-        "federation.group:federation",
+        "nouns:federation",
         "Follow other masters: of the own domain, and of domains that are trusted.",
     ),
     "gateway": (
-        "gateway.group:gateway",
+        "servers:gateway",
         "Run the gateway of this site, as the node /gateway.",
     ),
-    "grant": ("grant.group:grant", "Sign, show and revoke grants."),
+    "grant": ("nouns:grant", "Sign, show and revoke grants."),
     "graph": ("ros.graph:graph", "Show the graph, as far as NODE may see it."),
-    "master": ("master.group:master", "Run a master, as the node /master."),
+    "master": ("servers:master", "Run a master, as the node /master."),
     "namespace": (
-        "namespace.group:namespace",
+        "nouns:namespace",
         "Give names by rules: to a node, its topics and services, from its metadata.",
     ),
-    "node": ("node.group:node", "Prepare a node on its own machine."),
-    "param": ("ros.group:param", "Read and write parameters."),
-    "policy": ("policy.group:policy", "Write what is allowed, and check it."),
+    "node": ("nouns:node", "Prepare a node on its own machine."),
+    "param": ("nouns:param", "Read and write parameters."),
+    "policy": ("nouns:policy", "Write what is allowed, and check it."),
     "privacy": (
-        "policy.group:privacy",
+        "nouns:privacy",
         "Show every field of every topic: which node sees it, how, why and until when.",
     ),
     "relay": (
-        "relay.group:relay",
+        "servers:relay",
         "Run the relay of this site, as the node /relay.",
     ),
     "router": (
-        "router.group:router",
+        "servers:router",
         "Run a router, through which relays of several sites reach each other.",
     ),
     "run": (
-        "node.run:run",
+        "node.sidecar:run",
         "Run COMMAND, a ROS program in any language, behind a sidecar of its own.",
     ),
-    "service": ("ros.group:service", "List, ask and call services."),
+    "service": ("nouns:service", "List, ask and call services."),
     "sidecar": (
         "node.sidecar:sidecar",
         "Serve the ROS programs of this host: each node with the identity enrolled for its name.",
@@ -87,7 +87,7 @@ _TABLE: Final = {
         "policy.simulate:simulate",
         "Show per topic and receiver how many messages of a bag pass, before and after.",
     ),
-    "topic": ("ros.group:topic", "Publish and listen."),
+    "topic": ("nouns:topic", "Publish and listen."),
 }
 
 

@@ -25,29 +25,29 @@ from rossec.cli.shared.context import Environment, LazyGroup
 
 _CA: Final = {
     "approve": (
-        "ca.svid:approve",
+        "ca.enroll:approve",
         "Approve the request REQUEST_ID (or its beginning), and sign its identity.",
     ),
     "backup": (
         "ca.backup:backup",
         "Write the authority into the new file FILE, encrypted under its passphrase.",
     ),
-    "deny": ("ca.svid:deny", "Deny the request REQUEST_ID (or its beginning)."),
+    "deny": ("ca.enroll:deny", "Deny the request REQUEST_ID (or its beginning)."),
     "enroll": (
         "ca.enroll:enroll",
         "Enroll the node that shows CODE: scanned from a picture, or pasted (in single quotes).",
     ),
     "import": (
-        "ca.import_identities:import_",
+        "ca.sign:import_",
         "Record the identities in BUNDLES (node.pem), which an intermediate enrolled or renewed.",
     ),
     "init": ("ca.init:init", "Create the authority of the trust domain DOMAIN, for example home."),
     "intermediate": (
-        "ca.group:intermediate",
+        "nouns:intermediate",
         "Let a host sign nodes for a limited time, while the root stays offline.",
     ),
     "invitations": (
-        "ca.group:invitations",
+        "nouns:invitations",
         "Show the invitations that can be used, and who joined by them.",
     ),
     "invite": (
@@ -55,11 +55,11 @@ _CA: Final = {
         "Let nodes whose names PATTERN covers join by a code, without a person for each of them.",
     ),
     "list": ("ca.identities:list_", "List the identities that are valid now."),
-    "lock": ("ca.unlock:lock", "Let the running service drop the key at once."),
-    "log": ("ca.group:log", "Show everything the authority did, oldest first."),
-    "publish": ("ca.revocation:publish", "Give the newest revocation list to the master."),
+    "lock": ("ca.serve:lock", "Let the running service drop the key at once."),
+    "log": ("nouns:log", "Show everything the authority did, oldest first."),
+    "publish": ("ca.identities:publish", "Give the newest revocation list to the master."),
     "refresh": (
-        "ca.revocation:refresh",
+        "ca.identities:refresh",
         "Sign the revocation list anew, before it expires, and give it to the master.",
     ),
     "renew": (
@@ -67,12 +67,12 @@ _CA: Final = {
         "Renew the identity of NAME for the key it has; /ca is the authority's own node.",
     ),
     "requests": (
-        "ca.svid:requests",
+        "ca.enroll:requests",
         "Show the requests for an identity that have no answer yet.",
     ),
     "restore": ("ca.backup:restore", "Prove the backup FILE and put its authority back."),
     "revoke": (
-        "ca.revocation:revoke",
+        "ca.identities:revoke",
         "Revoke the identity of the node NAME, or with --thing the thing NAME, at once.",
     ),
     "serve": (
@@ -82,47 +82,47 @@ _CA: Final = {
     "show": ("ca.identities:show", "Show the authority, or everything about the node NAME."),
     "sign": ("ca.sign:sign", "Sign the identity requests in REQUESTS, after showing them."),
     "status": (
-        "ca.unlock:status",
+        "ca.serve:status",
         "Show whether the authority's service runs, and whether it holds the key.",
     ),
     "thing": (
-        "ca.things:thing",
+        "ca.sign:thing",
         "State that the thing NAME has this key or secret, and which border router serves it.",
     ),
     "things": (
-        "ca.things:things",
+        "ca.sign:things",
         "List the things that are stated now, with their border routers.",
     ),
     "unlock": (
-        "ca.unlock:unlock",
+        "ca.serve:unlock",
         "Give the running service the passphrase: it holds the key from now on, for a time.",
     ),
 }
 
 _INTERMEDIATE: Final = {
-    "install": ("ca.intermediate:install", "On the host: install BUNDLE, which the root signed."),
+    "install": ("ca.sign:install_intermediate", "On the host: install BUNDLE, which the root signed."),
     "request": (
-        "ca.intermediate:request",
+        "ca.sign:request_intermediate",
         "On the host: make its key and a request, to carry to the root of DOMAIN.",
     ),
     "sign": (
-        "ca.intermediate:sign",
+        "ca.sign:sign_intermediate",
         "At the root: sign REQUEST of a host, and set what it may do.",
     ),
 }
 
 _INVITATIONS: Final = {
     "revoke": (
-        "ca.invitations:revoke",
+        "ca.identities:revoke_invitations",
         "End the invitation INVITATION_ID (or its beginning); who joined by it stays enrolled.",
     ),
 }
 
 _LOG: Final = {
-    "head": ("ca.log:head", "Sign the state of the log, to be kept elsewhere."),
-    "prove": ("ca.log:prove", "Print a proof, as JSON, against the newest signed head (RFC 6962)."),
+    "head": ("ca.identities:head", "Sign the state of the log, to be kept elsewhere."),
+    "prove": ("ca.identities:prove", "Print a proof, as JSON, against the newest signed head (RFC 6962)."),
     "verify": (
-        "ca.log:verify",
+        "ca.identities:verify",
         "Recompute the whole log and compare it with the record and with every signed head.",
     ),
 }
@@ -181,7 +181,7 @@ _NODE: Final = {
         "Enroll the node NAME: show its code, wait for the authority, and for your confirmation.",
     ),
     "info": (
-        "node.running_nodes:info",
+        "ros.graph:node_info",
         "Show what the running node NAME publishes, subscribes to and provides.",
     ),
     "install": (
@@ -189,14 +189,14 @@ _NODE: Final = {
         "Install the signed identity in BUNDLE, and trust the authority that signed it.",
     ),
     "join": (
-        "node.join:command",
+        "node.enroll:join_domain",
         "Join a site by an invitation: make the key, prove the code, install the identity.",
     ),
     "labels": (
         "node.enroll:labels",
         "Write a sheet of labels for the nodes NAMES, 24 to a page; makes keys that are missing.",
     ),
-    "list": ("node.running_nodes:list_", "List the running nodes that NODE may see."),
+    "list": ("ros.graph:list_nodes", "List the running nodes that NODE may see."),
     "request": (
         "node.identity:request",
         "Make the key of the node NAME and a request for its identity.",
@@ -225,7 +225,7 @@ _GRANT: Final = {
     ),
     "deny": ("grant.request:deny", "Deny the request REQUEST_ID (or the beginning of it)."),
     "install": (
-        "grant.signed_grants:install",
+        "grant.delivery:install",
         "Give the grant in FILE, or the chain, to its node, on the node's machine.",
     ),
     "list": (
@@ -233,18 +233,18 @@ _GRANT: Final = {
         "List the grants signed here, of one NODE or of all, and how far each has come.",
     ),
     "narrow": (
-        "grant.narrow:narrow",
+        "grant.sign:narrow",
         "Hand the grant in FILE on to another node of this domain, restricted further.",
     ),
     "pending": ("grant.request:pending", "Show what nodes ask for and the policy leaves to you."),
     "presets": ("grant.sign:presets", "Show what each preset hides, and what it still discloses."),
     "request": ("grant.request:request", "Ask for rights as NODE, on its machine."),
     "revoke": (
-        "grant.signed_grants:revoke",
+        "grant.delivery:revoke",
         "Revoke the grant GRANT_ID (or the beginning of it) and notify the master at once.",
     ),
     "show": (
-        "grant.signed_grants:show",
+        "grant.delivery:show",
         "Show what the grant in FILE allows; its signature is not checked.",
     ),
     "sign": (
@@ -269,11 +269,11 @@ _POLICY: Final = {
         "Check the policy in FILE: its form, its words, conditions and filters, and its tests.",
     ),
     "import-sros2": (
-        "policy.import_sros2:import_",
+        "policy.check:import_",
         "Turn the SROS2 policy in XML into one of rossec.",
     ),
     "learn": (
-        "policy.learn:learn",
+        "policy.apply:learn",
         "Add rules for what runs and no rule decides: exact names, marked for review.",
     ),
     "lint": (
@@ -281,22 +281,22 @@ _POLICY: Final = {
         "Warn of what the policy in FILE allows unwisely, such as a hidden value that still leaks.",
     ),
     "init": (
-        "policy.init:init",
+        "policy.check:init",
         "Write the commented beginning of a policy to FILE, which must not exist.",
     ),
     "review": (
-        "policy.learn:review",
+        "policy.apply:review",
         "Go through a denial log, and answer for each line no rule decides.",
     ),
     "test": (
-        "policy.test:test",
+        "policy.check:test",
         "Run the tests in the policy FILE: what must stay true of it.",
     ),
 }
 
 _PRIVACY: Final = {
     "opt-out": (
-        "policy.opt_out:opt_out",
+        "policy.apply:opt_out",
         "Show the topic NAME to no node; or, when NAME is a node, show that node no topic.",
     ),
 }
@@ -334,14 +334,14 @@ def privacy(
 
 
 _DOMAIN: Final = {
-    "accept": ("domain.accept:accept", "Trust the domain of CARD, as far as these options say."),
-    "card": ("domain.card:card", "Write this domain's card, for the authority of another one."),
+    "accept": ("domain.trust:accept", "Trust the domain of CARD, as far as these options say."),
+    "card": ("domain.trust:card", "Write this domain's card, for the authority of another one."),
     "limit": (
-        "domain.change:limit",
+        "domain.trust:limit",
         "Change how far, and until when, the domain LABEL is trusted.",
     ),
     "list": ("domain.listing:list_", "List the foreign domains that are trusted."),
-    "remove": ("domain.change:remove", "Trust the domain LABEL no more, and cut its connections."),
+    "remove": ("domain.trust:remove", "Trust the domain LABEL no more, and cut its connections."),
     "show": ("domain.listing:show", "Show how far the domain LABEL is trusted."),
 }
 
@@ -353,20 +353,20 @@ def domain() -> None:
 
 _FEDERATION: Final = {
     "add": (
-        "federation.sites:add",
+        "relay.sites:add_site",
         "Follow the master at URI, or behind the relay's peer PEER, and call it LABEL.",
     ),
     "list": (
-        "federation.sites:list_",
+        "relay.sites:list_sites",
         "List the masters to follow, as `rossec federation add` has them.",
     ),
     "param": (
-        "federation.sites:param",
+        "relay.sites:param",
         "Mirror the parameters of LABEL that match PATTERN, read-only.",
     ),
-    "remove": ("federation.sites:remove", "Follow LABEL no longer: its names go at once."),
+    "remove": ("relay.sites:remove_site", "Follow LABEL no longer: its names go at once."),
     "status": (
-        "federation.status:status",
+        "status:federation_status",
         "Show how far each master is followed; the own one must have been started with --admin.",
     ),
 }
@@ -382,18 +382,18 @@ def federation() -> None:
 
 _NAMESPACE: Final = {
     "check": (
-        "namespace.check:check",
+        "namespace.serve:check",
         "Try RULES on the metadata of many nodes: which names are wrong, and why.",
     ),
     "launch": (
-        "namespace.launch:launch",
+        "namespace.names:launch",
         "Write the launch file IN.launch again, with names that rules give in place of metadata.",
     ),
     "messages": (
         "namespace.messages:command",
         "Write the package rossec_namespace into DIRECTORY: the type of the service.",
     ),
-    "name": ("namespace.name:name", "Show the name that rules give for the metadata in META."),
+    "name": ("namespace.names:show_name", "Show the name that rules give for the metadata in META."),
     "rules": ("namespace.show_rules:command", "Print the rules that are shipped, to be changed."),
     "serve": (
         "namespace.serve:serve",
@@ -411,49 +411,49 @@ def namespace() -> None:
 
 
 _PARAM: Final = {
-    "delete": ("ros.param:delete", "Unset the parameter NAME and everything below it."),
-    "get": ("ros.param:get", "Print the parameter NAME, or a namespace with all in it."),
+    "delete": ("ros.calls:delete_param", "Unset the parameter NAME and everything below it."),
+    "get": ("ros.calls:get_param", "Print the parameter NAME, or a namespace with all in it."),
     "list": (
-        "ros.param:list_",
+        "ros.calls:list_params",
         "List the parameters that NODE may read, of all or of one NAMESPACE.",
     ),
-    "set": ("ros.param:set_", "Set the parameter NAME to VALUE (YAML, as in rosparam)."),
+    "set": ("ros.calls:set_param", "Set the parameter NAME to VALUE (YAML, as in rosparam)."),
 }
 
 _SERVICE: Final = {
     "call": (
-        "ros.service:call",
+        "ros.calls:call",
         "Call the service NAME with CONTENT (YAML, as in rosservice) and print the answer.",
     ),
     "info": (
-        "ros.service:info",
+        "ros.calls:service_info",
         "Show which node provides the service NAME, where, and its type.",
     ),
-    "list": ("ros.service:list_", "List the services that NODE may see."),
-    "type": ("ros.service:type_", "Print the type of the service NAME."),
+    "list": ("ros.calls:list_services", "List the services that NODE may see."),
+    "type": ("ros.calls:type_of_service", "Print the type of the service NAME."),
 }
 
 _TOPIC: Final = {
     "bw": (
-        "ros.topic_rate:bw",
+        "ros.topic:bw",
         "Show how many bytes of the topic NAME arrive, as NODE may see them.",
     ),
     "echo": ("ros.topic:echo", "Print the messages of the topic NAME, as NODE may see them."),
-    "find": ("ros.topic_list:find", "List the topics whose messages are of TYPE."),
+    "find": ("ros.graph:find_topics", "List the topics whose messages are of TYPE."),
     "hz": (
-        "ros.topic_rate:hz",
+        "ros.topic:hz",
         "Show how often messages of the topic NAME arrive, as NODE may see them.",
     ),
     "info": (
-        "ros.topic_list:info",
+        "ros.graph:topic_info",
         "Show the type of the topic NAME and the nodes that publish and subscribe to it.",
     ),
     "list": (
-        "ros.topic_list:list_",
+        "ros.graph:list_topics",
         "List the topics that NODE may see, all or those below NAMESPACE.",
     ),
     "pub": ("ros.topic:pub", "Publish CONTENT (YAML, as in rostopic) on the topic NAME."),
-    "type": ("ros.topic_list:type_", "Print the type of the topic NAME."),
+    "type": ("ros.graph:type_of_topic", "Print the type of the topic NAME."),
 }
 
 

@@ -23,15 +23,15 @@ from rossec.console.options import HAND_OUT_PORT, PORT
 
 _MASTER: Final = {
     "delegate": (
-        "master.delegate:delegate",
+        "grant.delivery:delegate",
         "Let the master renew grants, unchanged and up to their caps, while the authority is away.",
     ),
     "status": (
-        "master.admin:status",
+        "status:master_status",
         "Show the status of the running master; it must have been started with --admin.",
     ),
     "stop": (
-        "master.admin:stop",
+        "status:stop_master",
         "Stop the running master in order; it must have been started with --admin.",
     ),
 }
@@ -122,14 +122,14 @@ def master(
 
 _CONSOLE: Final = {
     "approvals": (
-        "console.approvals:approvals",
+        "console.phones:approvals",
         "Show who approved what at the console, oldest first, and what came of it.",
     ),
     "phone": (
-        "console.phone:phone",
+        "console.phones:phone",
         "Show a one-time code that logs in a phone, and can set it up to approve.",
     ),
-    "phones": ("console.group:phones", "Show the phones that can approve."),
+    "phones": ("servers:phones", "Show the phones that can approve."),
     "tls": (
         "console.tls:tls",
         "Show the console's own TLS authority (--lan): its fingerprint, in words and hex.",
@@ -208,7 +208,7 @@ def phones(context: click.Context, everything: bool, as_json: bool) -> None:
 
 
 _GATEWAY: Final = {
-    "status": ("gateway.status:status", "Show what the running gateway serves, and what not."),
+    "status": ("status:gateway_status", "Show what the running gateway serves, and what not."),
 }
 _RULES: Final = "rossec.gateway.rules"
 _EXAMPLE: Final = "rossec gateway --from hospital /robot/pose"
@@ -286,15 +286,15 @@ def gateway(
 
 
 _RELAY: Final = {
-    "add": ("relay.peers:add", "Take the card in FILE of another site's relay, and call it LABEL."),
+    "add": ("relay.sites:add_relay", "Take the card in FILE of another site's relay, and call it LABEL."),
     "card": (
-        "relay.peers:card",
+        "relay.sites:card",
         "Print the card for the relay LABEL: the mailbox that it alone shall send to.",
     ),
-    "list": ("relay.peers:list_", "List the relays of other sites, as cards have named them."),
-    "remove": ("relay.peers:remove", "Link with LABEL no longer: its links end at once."),
-    "seat": ("relay.seat:seat", "Keep the seat FILE that the operator of the routers made."),
-    "status": ("relay.status:status", "Show the links of the running relay."),
+    "list": ("relay.sites:list_relays", "List the relays of other sites, as cards have named them."),
+    "remove": ("relay.sites:remove_relay", "Link with LABEL no longer: its links end at once."),
+    "seat": ("relay.sites:seat", "Keep the seat FILE that the operator of the routers made."),
+    "status": ("status:relay_status", "Show the links of the running relay."),
 }
 
 
@@ -343,23 +343,23 @@ def relay(
 
 
 _ROUTER: Final = {
-    "seats": ("router.group:seats", "Say who may use the router, and make the files for relays."),
-    "share": ("router.sharing:share", "Write what another router of the operator needs to join."),
-    "take": ("router.sharing:take", "Take over FILE of `share` here, and join that router."),
+    "seats": ("servers:seats", "Say who may use the router, and make the files for relays."),
+    "share": ("relay.sites:share", "Write what another router of the operator needs to join."),
+    "take": ("relay.sites:take", "Take over FILE of `share` here, and join that router."),
 }
 
 _SEATS: Final = {
     "add": (
-        "router.seats:add",
+        "relay.sites:add_account",
         "Make the seat NAME, and print its file for the relay of that site.",
     ),
-    "list": ("router.seats:list_", "List the seats."),
+    "list": ("relay.sites:list_accounts", "List the seats."),
     "remove": (
-        "router.seats:remove",
+        "relay.sites:remove_account",
         "Take the seat NAME away; a router that runs cuts its relay off within a second.",
     ),
     "show": (
-        "router.seats:show",
+        "relay.sites:show_account",
         "Print the file of the seat NAME again, with the routers of now.",
     ),
 }
@@ -431,28 +431,28 @@ def seats() -> None:
 
 _BORDER: Final = {
     "add": (
-        "border.things:add",
+        "border.constrained_nodes:add",
         "Prepare the thing NAME: the request of its node, and its secret if it has one.",
     ),
     "credential": (
-        "border.credential:credential",
+        "border.constrained_nodes:credential",
         "Write the router's credential for its things to FILE: they know it by this key.",
     ),
     "forget": (
-        "border.state:forget",
+        "border.constrained_nodes:forget",
         "Forget the thing NAME: its statement and its secret are removed here.",
     ),
     "install": (
-        "border.things:install",
+        "border.constrained_nodes:install",
         "Install what the authority signed about a thing: STATEMENT, and the identity in BUNDLE.",
     ),
     "labels": (
-        "border.labels:labels",
+        "border.constrained_nodes:labels",
         "Write a sheet of labels for the things with these CREDENTIALS, 24 to a page.",
     ),
-    "list": ("border.state:list_", "List the things that this border router serves."),
+    "list": ("border.constrained_nodes:list_", "List the things that this border router serves."),
     "status": (
-        "border.state:status_",
+        "border.constrained_nodes:status_",
         "Say what the border router that runs does: which things are there, what they offer.",
     ),
 }

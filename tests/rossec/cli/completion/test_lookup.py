@@ -51,11 +51,11 @@ def test_a_command_that_is_known_is_not_imported(tmp_path: Path, home: Path) -> 
 
 def test_a_group_is_completed_as_it_is(tmp_path: Path) -> None:
     group = click.Group("ca")
-    assert completed("ca", "ca.group:ca", lambda: group, table(tmp_path)) is group
+    assert completed("ca", "nouns:ca", lambda: group, table(tmp_path)) is group
 
 
 def test_a_program_is_looked_up_by_the_shell(tmp_path: Path, home: Path) -> None:
-    command = completed("run", "node.run:run", lambda: hz, table(tmp_path))
+    command = completed("run", "node.sidecar:run", lambda: hz, table(tmp_path))
     assert offered(command, home, "./") == [("", "file")]
 
 

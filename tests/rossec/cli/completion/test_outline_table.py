@@ -54,8 +54,8 @@ def test_a_changed_file_is_imported_again(tree: Path) -> None:
 
 def test_a_group_is_not_kept(tree: Path) -> None:
     imports = Imports(None)
-    assert table(tree).get("ca.group:ca", imports) is None
-    assert table(tree).get("ca.group:ca", imports) is None
+    assert table(tree).get("nouns:ca", imports) is None
+    assert table(tree).get("nouns:ca", imports) is None
     assert imports.count == 2
 
 
@@ -64,7 +64,7 @@ def test_a_wheel_has_them_all_and_writes_nothing(tree: Path) -> None:
     imports = Imports(None)
     assert table(tree).get("ca.init:init", imports) == OUTLINE
     assert imports.count == 0
-    assert table(tree).get("ca.group:ca", imports) is None
+    assert table(tree).get("nouns:ca", imports) is None
     assert not (tree / "__pycache__").exists()
 
 

@@ -53,12 +53,12 @@ def test_arguments_and_options_get_theirs() -> None:
         "topic", "message type", "own node",
     ]  # fmt: skip
     assert found["--count"] == FREE
-    assert [kinds("relay.peers:add")[name] for name in ("label", "file")] == [FREE, FREE]
+    assert [kinds("relay.sites:add_relay")[name] for name in ("label", "file")] == [FREE, FREE]
 
 
 def test_an_option_may_mean_something_else_in_one_command() -> None:
-    assert kinds("federation.sites:add")["--as"] == FREE
-    assert kinds("ros.service:call")["--type"] == "service type"
+    assert kinds("relay.sites:add_site")["--as"] == FREE
+    assert kinds("ros.calls:call")["--type"] == "service type"
 
 
 def test_the_places_are_those_of_the_tables() -> None:

@@ -12,7 +12,7 @@ MODULE = "rossec.cli.ros.graph"
 @pytest.fixture
 def group(monkeypatch: pytest.MonkeyPatch) -> LazyGroup:
     monkeypatch.delitem(sys.modules, MODULE, raising=False)
-    return LazyGroup("group", table={"discover": ("master.discover:discover", HELP)})
+    return LazyGroup("group", table={"discover": ("ros.graph:discover", HELP)})
 
 
 def test_a_command_is_listed_without_an_import(group: LazyGroup) -> None:
