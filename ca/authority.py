@@ -79,7 +79,6 @@ class Authority:
 
     @property
     def is_root(self) -> bool:
-        """Whether this is the trust domain's root, which alone can revoke."""
         return self.issuer is self.anchor
 
     def issue(
@@ -224,7 +223,6 @@ def create_root(signer: Signer, domain: str, *, now: int, serial: int) -> bytes:
 def _authority(
     key: ec.EllipticCurvePublicKey, serial: int, start: int, end: int, domain: str, *, below: int
 ) -> x509.CertificateBuilder:
-    """The common part of a root and an intermediate."""
     return (
         _builder(key, serial, start, end)
         .subject_name(_subject_name(key))
@@ -236,7 +234,7 @@ def _authority(
 
 
 def _subject_name(key: ec.EllipticCurvePublicKey) -> x509.Name:
-    """A name that differs for every key, so that a foreign issuer is recognized by its name."""
+    # A name that differs for every key, so that a foreign issuer is recognized by its name.
     return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"rossec {_short(key)}")])
 
 
@@ -245,7 +243,7 @@ def _short(key: ec.EllipticCurvePublicKey) -> str:
 
 
 def _key_identifier(key: ec.EllipticCurvePublicKey) -> bytes:
-    """RFC 7093 allows any short digest of the key; ours is the start of its thumbprint."""
+    # RFC 7093 allows any short digest of the key; ours is the start of its thumbprint.
     return thumbprint(key)[:20]
 
 
@@ -342,13 +340,12 @@ def _unsigned_name(uri: str, domain: str) -> str:
 
 
 def _completed(content: bytes) -> bytes:
-    """The certificate: the content, the algorithm, and a signature of nobody."""
     body = content + _ECDSA_WITH_SHA256 + _NO_SIGNATURE
     return _SEQUENCE + _length(len(body)) + body
 
 
 def _length(size: int) -> bytes:
-    """The length octets of DER (X.690 section 8.1.3)."""
+    # The length octets of DER (X.690 section 8.1.3).
     if size < 0x80:
         return bytes((size,))
     octets = size.to_bytes((size.bit_length() + 7) // 8)

@@ -102,11 +102,7 @@ def way_back(name: str) -> str:
 
 
 def check_time(what: str, start: int, end: int, now: int, back: str) -> None:
-    """Return if a certificate, called `what`, is valid at `now`; `back`: what renews it.
-
-    Raises:
-        CertificateNotYetValid, CertificateExpired: otherwise.
-    """
+    """Return if a certificate, called `what`, is valid at `now`; `back`: what renews it."""
     if now < start:
         raise CertificateNotYetValid(
             f"the {what} becomes valid in {span(start - now)}",
@@ -165,11 +161,7 @@ class Intermediate:
 
 
 def read_intermediate(certificate: x509.Certificate, der: bytes, domain: str) -> Intermediate:
-    """Read an intermediate whose signature was verified; its validity is not checked here.
-
-    Raises:
-        CertificateRefused: another form, or another trust domain.
-    """
+    """Read an intermediate whose signature was verified; its validity is not checked here."""
     extensions = svid.extensions(certificate)
     svid.check_intermediate(extensions)
     found = svid.trust_domain(extensions)
@@ -256,16 +248,13 @@ class Identity:
 
     @property
     def certified_name(self) -> str:
-        """The name in the certificate, by which the node calls itself."""
         return self.certified or self.name
 
     @property
     def is_foreign(self) -> bool:
-        """Whether it is a node of a foreign domain."""
         return self.certified != ""
 
     def covers(self, name: str) -> bool:
-        """Whether the holder may call itself `name`: as certified, or with a certified tail."""
         return covers(self.certified_name, name, wildcard=self.wildcard)
 
     def renews(self, other: "Identity") -> bool:
@@ -277,7 +266,6 @@ class Identity:
 
     @property
     def keys(self) -> tuple[bytes, ...]:
-        """Every key whose revocation revokes this identity: its own first."""
         return (self.thumbprint, *self.issuers)
 
 
@@ -384,7 +372,6 @@ class TrustAnchor:
         )  # fmt: skip
 
     def _foreign(self, what: str, certificate: x509.Certificate) -> ForeignCertificate:
-        """What it claims is no proof, but tells the operator which of two mistakes it is."""
         text = f"the {what} is not signed by the authority of trust domain {self.domain!r}"
         hint = "enroll the node with this authority, or use the ca.pem that fits"
         try:
@@ -398,7 +385,6 @@ class TrustAnchor:
         return ForeignCertificate(f"{text}, but names {claimed!r}" if claimed else text, hint)
 
     def _identity(self, der: bytes, issuer: "TrustAnchor | Intermediate") -> Identity:
-        """The identity in a leaf; its signature is verified each time, also of a cached one."""
         known = _cache.get((issuer.certificate, der))
         if known is not None and known.signed.verifies(issuer.public_key):
             return known.identity
@@ -414,8 +400,6 @@ class TrustAnchor:
 
 
 class _CachedLeaf(NamedTuple):
-    """The parsed parts of a leaf."""
-
     signed: svid.CertificateSignature
     identity: Identity
 

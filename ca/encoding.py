@@ -126,10 +126,8 @@ _REFUSED_TAGS: Final = dict.fromkeys(_BUILT_IN_TAGS, _refuse_tag)
 
 
 def _check(value: Any, depth: int) -> None:
-    """Raise unless `value` is in the subset: `encode` and `decode` share this check.
-
-    Exact classes are checked first: nearly every value has one, and the check is cheap.
-    """
+    # Raise unless `value` is in the subset: `encode` and `decode` share this check.
+    # Exact classes are checked first: nearly every value has one, and the check is cheap.
     if not isinstance(value, _CONTAINERS):
         _check_leaf(value)
         return

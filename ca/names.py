@@ -82,13 +82,12 @@ def proposed_domain(text: str) -> str | None:
 
 
 def _segment(text: str) -> str:
-    """A segment of a name: what is not in it becomes `_`, and it begins with a letter."""
+    # A segment of a name: what is not in it becomes `_`, and it begins with a letter.
     kept = _NOT_IN_NAMES.sub("_", text).strip("_")
     return f"n{kept}" if kept[:1].isdigit() else kept
 
 
 def _plain(text: str) -> str:
-    """Letters without their accents; in ASCII as far as there is such a letter."""
     decomposed = unicodedata.normalize("NFKD", text.translate(_LETTERS))
     return "".join(each for each in decomposed if not unicodedata.combining(each))
 
@@ -206,11 +205,7 @@ def spiffe_id(domain: str, name: str) -> str:
 
 
 def parse_spiffe_id(text: str) -> tuple[str, str]:
-    """Split a SPIFFE ID into trust domain and name: the exact inverse of `spiffe_id`.
-
-    Raises:
-        NameRefused: not what `spiffe_id` writes; SPIFFE's wider path syntax is refused too.
-    """
+    """Split a SPIFFE ID into trust domain and name: the exact inverse of `spiffe_id`."""
     if not text.startswith(_SCHEME):
         raise NameRefused(f"{text[:MAX_NAME]!a} is not a SPIFFE ID")
     domain, slash, path = text.removeprefix(_SCHEME).partition("/")
@@ -280,7 +275,6 @@ def fits(segment: str, found: str) -> bool:
 
 
 def _in_tail(base: str, segment: str) -> bool:
-    """As `ca.names.covers` for an identity with a tail, of one segment of a checked name."""
     rest = segment.removeprefix(base)
     return segment == base or (rest != segment and len(rest) > 1 and rest.startswith("_"))
 
@@ -314,21 +308,13 @@ def covers_tree(pattern: str, name: str) -> bool:
 
 
 def covers_below(pattern: str, namespace: str) -> bool:
-    """Whether `covers_tree` is true for every name below `namespace`; `/` is the root.
-
-    Raises:
-        PatternRefused: invalid pattern.
-    """
+    """Whether `covers_tree` is true for every name below `namespace`; `/` is the root."""
     below = [*_namespace_segments(namespace), _WILDCARDS[0]]  # a segment that only wildcards match
     return bool(_match_ends(_pattern_segments(pattern), below))
 
 
 def touches(pattern: str, namespace: str) -> bool:
-    """Whether `covers_tree` is true for `namespace` or any name below it; `/` is the root.
-
-    Raises:
-        PatternRefused: invalid pattern.
-    """
+    """Whether `covers_tree` is true for `namespace` or any name below it; `/` is the root."""
     name, ends = _namespace_segments(namespace), {0}
     for segment in _pattern_segments(pattern):
         if len(name) in ends:  # the rest of the pattern covers names below
@@ -347,16 +333,12 @@ def _segments(text: str) -> list[str]:
 
 @lru_cache(maxsize=4096)
 def _pattern_segments(pattern: str) -> tuple[str, ...]:
-    """The segments of a pattern, cached: a pattern is compared with thousands of names."""
     return (*_segments(check_tail_pattern(pattern)),)
 
 
 def _match_ends(pattern: Sequence[str], name: list[str]) -> set[int]:
-    """The numbers of leading segments of `name` that all of `pattern` can match.
-
-    A set of positions instead of backtracking: time is the product of the lengths for every
-    pattern (a chain of `**` would be exponential in a regular expression).
-    """
+    # A set of positions instead of backtracking: time is the product of the lengths for every pattern (a
+    # chain of `**` would be exponential in a regular expression).
     ends = {0}
     for segment in pattern:
         if not ends:

@@ -95,7 +95,6 @@ class CertificateSignature(NamedTuple):
     signature: bytes
 
     def verifies(self, key: ec.EllipticCurvePublicKey) -> bool:
-        """Whether `key` made the signature; the caller has checked that it is a P-256 key."""
         try:
             key.verify(self.signature, self.content, _ECDSA)
         except InvalidSignature:
@@ -355,11 +354,7 @@ def check_request(csr: bytes, domain: str, *, wildcard: bool = False) -> Identit
 
 
 def read_request(csr: bytes, hint: str) -> tuple[ec.EllipticCurvePublicKey, str, bool]:
-    """The proven key of a CSR, the URI it is for, and whether it requests a wildcard tail.
-
-    Raises:
-        RequestRefused: malformed, or without proof of possession.
-    """
+    """The proven key of a CSR, the URI it is for, and whether it requests a wildcard tail."""
     if len(csr) > MAX_REQUEST:
         raise RequestRefused(
             f"a request of {len(csr)} bytes where at most {MAX_REQUEST} are allowed", hint
@@ -374,11 +369,7 @@ def read_request(csr: bytes, hint: str) -> tuple[ec.EllipticCurvePublicKey, str,
 
 
 def proven_key(request: x509.CertificateSigningRequest) -> ec.EllipticCurvePublicKey:
-    """The P-256 key of a request that proves possession of it.
-
-    Raises:
-        RequestRefused: another kind of key or signature, or no proof.
-    """
+    """The P-256 key of a request that proves possession of it."""
     try:
         key = require_p256(request.public_key())
     except KeyRefused as error:
@@ -393,11 +384,7 @@ def proven_key(request: x509.CertificateSigningRequest) -> ec.EllipticCurvePubli
 
 
 def requested_name(request: x509.CertificateSigningRequest) -> tuple[str, bool]:
-    """The URI that a request asks for, and whether it asks for a wildcard.
-
-    Raises:
-        RequestRefused: it contains anything else.
-    """
+    """The URI that a request asks for, and whether it asks for a wildcard."""
     if len(request.subject.rdns) > 0:
         raise RequestRefused("the request asks for a subject", _HINT)
     if [attribute.oid for attribute in request.attributes] != [_EXTENSION_REQUEST]:

@@ -80,7 +80,6 @@ class Decision:
 
     @property
     def grant_ids(self) -> tuple[bytes, ...]:
-        """Ids and keys that end it: if one of them is revoked, authorize again."""
         more = (entry for grant in self.grants for entry in grant.revocable[1:])
         return (*(grant.id for grant in self.grants), *dict.fromkeys(more))
 
@@ -177,7 +176,6 @@ def near_misses(grants: Iterable[Grant], right: Right, name: str) -> tuple[str, 
 
 
 def _restrictions(grants: Iterable[Grant], right: Right, name: str) -> Iterator[Restriction | None]:
-    """Those of every permission that covers the request, each in the layer of its link."""
     for grant in grants:
         for layer, link in enumerate(grant.links):
             for permission in link.permissions:
@@ -191,7 +189,6 @@ def _restrictions(grants: Iterable[Grant], right: Right, name: str) -> Iterator[
 def _usable(
     covering: dict[bytes, Grant], holder: bytes, now: int, check: RevocationCheck
 ) -> tuple[Grant, ...]:
-    """The usable grants, by id; if there is none, raise the refusal after most checks."""
     usable: list[Grant] = []
     refusals: list[GrantError] = []
     for grant_id in sorted(covering):
@@ -265,7 +262,6 @@ class Reach:
 
     @property
     def is_empty(self) -> bool:
-        """Whether there is no grant at all."""
         return not self._given
 
     def covers(self, right: Right, name: str) -> bool:
@@ -302,7 +298,6 @@ class Reach:
         return any(_covers(self._by_right[int(right)], name) for right in Right if right in rights)
 
     def _linked(self, rights: Right, name: str) -> Iterator[Sequence["Reach"]]:
-        """The chains that give one of `rights`: all links give the same."""
         single = [right for right in Right if right in rights]
         for links in self._chains:
             if any(all(link.covers(right, name) for link in links) for right in single):
@@ -351,7 +346,6 @@ class Reach:
 
 
 def _slot(permission: Permission) -> int:
-    """The slot of a permission that gives nothing but to subscribe; 0: it has none."""
     restriction = permission.restriction
     if restriction is None or permission.rights != Right.SUBSCRIBE:
         return 0
@@ -380,7 +374,6 @@ def _prefix(namespace: str) -> str:
 
 
 def _touches(namespace: str, prefixes: tuple[str, ...]) -> bool:
-    """Whether one of the sorted `prefixes` is at, above or below `namespace`; all end in `/`."""
     if namespace.startswith(prefixes):
         return True
     at = bisect_left(prefixes, namespace)

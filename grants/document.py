@@ -112,11 +112,7 @@ def _filter_claim(rule: FilterRule) -> Value:
 
 
 def read_claims(body: bytes, grant_id: bytes) -> Grant:
-    """Read the claims in `body` as the grant `grant_id`.
-
-    Raises:
-        GrantMalformed: outside the closed schema; errors in its parts are reported as this one.
-    """
+    """Read the claims in `body` as the grant `grant_id`."""
     try:
         return _read_grant(_closed_map(_decode_claims(body), _REQUIRED, _CLAIMS, "claim"), grant_id)
     except (FilterRefused, NameRefused, EncodingError) as error:
@@ -124,11 +120,7 @@ def read_claims(body: bytes, grant_id: bytes) -> Grant:
 
 
 def decode_payload(body: bytes, decoder: Callable[[bytes], Value] = decode) -> Value:
-    """Decode a payload in deterministic encoding.
-
-    Raises:
-        GrantMalformed: not deterministically encoded CBOR.
-    """
+    """Decode a payload in deterministic encoding."""
     try:
         return decoder(body)
     except EncodingError as error:
@@ -136,20 +128,15 @@ def decode_payload(body: bytes, decoder: Callable[[bytes], Value] = decode) -> V
 
 
 def _decode_claims(body: bytes) -> Value:
-    """The claims, decoded strictly.
-
-    A grant has one encoding, so it is encoded again and compared, which costs a quarter of the
-    general check; a body that differs goes through that check, which names the error.
-    """
+    # A grant has one encoding, so it is encoded again and compared, which costs a quarter of the general
+    # check; a body that differs goes through that check, which names the error.
     claims = decode_payload(body, parse)
     return claims if _deterministic_form(claims) == body else decode_payload(body)
 
 
 def _deterministic_form(claims: Value) -> bytes | None:
-    """The claims in deterministic encoding; None or other bytes if they are not the usual ones.
-
-    Texts are assumed to be ASCII: other texts only result in bytes that differ from the body.
-    """
+    # The claims in deterministic encoding; None or other bytes if they are not the usual ones.
+    # Texts are assumed to be ASCII: other texts only result in bytes that differ from the body.
     match claims:
         case {
             1: str(iss), 2: str(sub), 3: str(aud), 4: int(exp), 5: int(nbf), 7: bytes(cti),
@@ -208,17 +195,12 @@ def read_scope(scope: bytes) -> tuple[Permission, ...]:
 
 @lru_cache(maxsize=256)
 def _permissions(scope: bytes) -> tuple[Permission, ...]:
-    """The permissions in a scope. Many grants have the same scope, and are presented often."""
     return tuple(_permission(entry) for entry in _typed(decode(scope), list, "scope"))
 
 
 @lru_cache(maxsize=16)
 def read_issuer(text: str) -> bytes:
-    """The thumbprint in an `iss` claim.
-
-    Raises:
-        GrantMalformed: not exactly a thumbprint URI.
-    """
+    """The thumbprint in an `iss` claim."""
     encoded = text.removeprefix(_CKT_URI)
     try:
         issuer = base64.b64decode(encoded + "=", altchars=b"-_", validate=True)
@@ -290,7 +272,7 @@ def _limits(claims: dict[Any, Any]) -> tuple[float | None, int | None, str | Non
 
 
 def _optional(claims: dict[Any, Any], key: int, kind: type[Any]) -> Any:
-    """An optional member, never empty: one meaning, one encoding."""
+    # An optional member, never empty: one meaning, one encoding.
     if key not in claims:
         return kind()
     value = _typed(claims[key], kind, "a restriction")
@@ -322,12 +304,7 @@ _ID_PREFIX: Final = b"rossec-grant-id\0" + len(GRANT.protected).to_bytes(4) + GR
 
 
 def sign(signer: Signer, draft: Draft) -> bytes:
-    """Sign `draft` as a grant.
-
-    Raises:
-        GrantMalformed: too large, or a condition or filter outside the language.
-        ConditionRefused: a condition that is not in the language.
-    """
+    """Sign `draft` as a grant."""
     from grants.conditions.compile import check_syntax  # noqa: PLC0415 - not loaded to read grants
 
     issuer = thumbprint(signer.public_key)
@@ -343,19 +320,7 @@ def sign(signer: Signer, draft: Draft) -> bytes:
 def open_grant(
     data: bytes, ca_key: ec.EllipticCurvePublicKey, now: int, *, domain: str | None = None
 ) -> Grant:
-    """Verify a grant and return its content.
-
-    Args:
-        data: the grant as received.
-        ca_key: the authority's key.
-        now: seconds since the epoch.
-        domain: the trust domain it must be for, if one authority serves several.
-
-    Raises:
-        GrantForged: not signed by `ca_key` (for `domain`), or changed since.
-        GrantMalformed: outside the closed schema.
-        GrantNotYetValid, GrantExpired: not valid at `now`.
-    """
+    """Verify a grant and return its content."""
     grant = verify(data, ca_key, domain=domain)
     check_time(grant, now)
     return grant
@@ -388,11 +353,7 @@ def peek(data: bytes) -> Grant:
 
 
 def grant_id(data: bytes) -> bytes:
-    """The 16 bytes that identify a grant: the same for every valid signature.
-
-    Raises:
-        GrantMalformed: not a grant.
-    """
+    """The 16 bytes that identify a grant: the same for every valid signature."""
     body = _body(data)
     decode_payload(body)
     return _id(body)

@@ -219,17 +219,15 @@ class MemoryScope:
     scope: tuple[str, ...]
 
     def __call__(self, decision: Decision) -> Memory:
-        """As `MemoryStore.find`."""
         return self.store.find(self.scope, decision)
 
     def child(self, part: str) -> "MemoryScope":
-        """The scope of a part that is counted separately."""
         return replace(self, scope=(*self.scope, part))
 
 
 def _first_holder(decision: Decision) -> bytes:
-    """The key the state belongs to. A chain's comes first, so that a grant of the last holder's own
-    beside it opens no other account; of several chains, that of one of them."""
+    # The key the state belongs to. A chain's comes first, so that a grant of the last holder's own beside it
+    # opens no other account; of several chains, that of one of them.
     chains = [grant for grant in decision.grants if grant.chain]
     return min(grant.links[0].holder for grant in chains or decision.grants)
 
@@ -243,8 +241,6 @@ def _check_limit(count: int, limit: int, what: str) -> None:
 
 
 class _Layer(NamedTuple):
-    """What one link of a chain adds, or all of the grants: conditions, then filters."""
-
     conditions: tuple[Condition, ...] = ()
     filters: tuple[Filter, ...] = ()
 
@@ -320,7 +316,7 @@ class Guard:
     def _compile_layers(
         self, layout: Layout | None, restrictions: Iterable[Restriction], keys: Keys
     ) -> Iterator[_Layer]:
-        """The layers in order; conditions that read no message are not in them."""
+        # The layers in order; conditions that read no message are not in them.
         stages_before = 0
         for _, group in groupby(restrictions, key=lambda each: each.layer):
             here = tuple(group)
@@ -335,12 +331,10 @@ class Guard:
             yield _Layer(_compile_conditions(layout, typed), tuple(filters))
 
     def _rate_bucket(self, restrictions: Iterable[Restriction]) -> RateBucket | None:
-        """The lowest of the rates: a message it admits is admitted by the others."""
         rates = [restriction.rate for restriction in restrictions if restriction.rate is not None]
         return self._require_memory().bucket(min(rates)) if rates else None
 
     def _slot_gate(self, restrictions: Iterable[Restriction]) -> SlotGate | None:
-        """The longest of the slots."""
         slots = [restriction.slot for restriction in restrictions if restriction.slot is not None]
         if self._group[0]:
             self._require_common()
@@ -432,12 +426,10 @@ class Guard:
         return True
 
     def _leads(self, message: Buffer, now: float) -> bool:
-        """Whether the body is told in the frame of this message: in two, their cells intersect."""
         with self._require_common().lock:
             return self._require_common().leads(self._frame(message), now, self._slot)
 
     def _filter(self, message: Buffer, now: int) -> list[Buffer] | None:
-        """The message after all layers; None: one that sees the work of another refuses it."""
         pieces: list[Buffer] = [message]
         for layer in self._layers:
             for condition in layer.conditions:
@@ -458,7 +450,6 @@ _Stage: TypeAlias = dict[str, FilterRule]
 
 
 def _receiver(decision: Decision) -> bytes:
-    """The key of whoever receives the messages; zeros in a trial, which has no grants."""
     return decision.grants[0].holder if decision.grants else bytes(KEY_SIZE)
 
 
@@ -482,7 +473,7 @@ def _joined(pieces: list[Buffer]) -> Buffer:
 def _compile_conditions(
     layout: Layout | None, restrictions: Iterable[Restriction]
 ) -> tuple[Condition, ...]:
-    """All conditions, each once; a restriction without a type may not read the message."""
+    # All conditions, each once; a restriction without a type may not read the message.
     texts = {
         (text, restriction.type) for restriction in restrictions for text in restriction.conditions
     }
@@ -498,11 +489,9 @@ def needed_keys(restrictions: Iterable[Restriction]) -> frozenset[str]:
 
 
 def _stages(restrictions: Iterable[Restriction]) -> list[_Stage]:
-    """As few passes as possible: rules for the same field must be in separate passes.
-
-    Every pass can only remove information, so the order of the passes affects the form of the
-    result, but never makes it reveal more than a single pass would.
-    """
+    # As few passes as possible: rules for the same field must be in separate passes.
+    # Every pass can only remove information, so the order of the passes affects the form of the result, but
+    # never makes it reveal more than a single pass would.
     stages: list[_Stage] = []
     for restriction in restrictions:
         _add_to_stages(stages, {rule.path: rule for rule in restriction.filters})
@@ -510,7 +499,6 @@ def _stages(restrictions: Iterable[Restriction]) -> list[_Stage]:
 
 
 def _add_to_stages(stages: list[_Stage], rules: _Stage) -> None:
-    """Add to the last stage if no other rule there overlaps, else to a new one."""
     if stages and all(
         stages[-1].get(path) == rule or not any(_overlap(path, other) for other in stages[-1])
         for path, rule in rules.items()
@@ -521,7 +509,6 @@ def _add_to_stages(stages: list[_Stage], rules: _Stage) -> None:
 
 
 def _overlap(one: str, other: str) -> bool:
-    """Whether the paths are equal or one contains the other (`a` contains `a[*].b`)."""
     steps, others = (path.replace("[*]", ".*").split(".") for path in (one, other))
     shared = min(len(steps), len(others))
     return steps[:shared] == others[:shared]

@@ -44,7 +44,7 @@ def rate_text(rate: float) -> str:
 
 
 def _nanoseconds(now: float) -> int:
-    """A time in whole microseconds: floats of seconds since the epoch have a quarter of one."""
+    # A time in whole microseconds: floats of seconds since the epoch have a quarter of one.
     return round(now * _MICROSECONDS) * 1000
 
 
@@ -65,11 +65,11 @@ class RateBucket:
 
     @property
     def tokens(self) -> float:
-        """How many messages it would admit at once."""
+        # How many messages it would admit at once.
         return self.left / self.interval
 
     def refill(self, now: float) -> bool:
-        """Add the time since then, none if the clock was set back; whether a message fits."""
+        # Add the time since then, none if the clock was set back; whether a message fits.
         moment = _nanoseconds(now)
         if self._refilled_at is not None and moment > self._refilled_at:
             self.left = min(self.left + moment - self._refilled_at, self.capacity)
@@ -77,13 +77,11 @@ class RateBucket:
         return self.left >= self.interval
 
     def charge(self, message_id: object) -> None:
-        """Count a message admitted by this rate or by another of the same key."""
         if self.left >= self.interval:
             self.last_message = message_id
         self.left = max(self.left - self.interval, 0)
 
     def is_full(self, now: float) -> bool:
-        """Whether it equals a new one."""
         self.refill(now)
         return self.left >= self.capacity
 
@@ -102,10 +100,7 @@ class SlotGate:
         self._passed: object = None
 
     def note(self, message_id: object, now: float) -> bool:
-        """Note that there is this message; whether it may pass, or has passed already.
-
-        One that is tried again, for a connection that is new, is no other message.
-        """
+        # One that is tried again, for a connection that is new, is no other message.
         if message_id is self._noted:
             return message_id is self._passed
         self._noted = message_id
@@ -118,7 +113,6 @@ class SlotGate:
         return message_id is self._passed or (self._follows and self._is_open(now))
 
     def ready(self, now: float) -> bool:
-        """Whether a new message could pass."""
         slot = int(now // self.seconds)
         if slot == self._slot:
             return self._follows and self._is_open(now)
@@ -131,16 +125,13 @@ class SlotGate:
         return now % self.seconds * _PARTS < self.seconds
 
     def charge(self, message_id: object) -> None:
-        """Count a message that passed."""
         if message_id is not self._passed:
             self._used, self._passed = True, message_id
 
     def is_fresh(self, now: float) -> bool:
-        """Whether it equals a new one."""
         return self._slot is None or now // self.seconds > self._slot + 1
 
     def is_in_use(self, now: float) -> bool:
-        """Whether there was a message in this slot or in one beside it."""
         return self._slot is not None and abs(now // self.seconds - self._slot) <= 1
 
 

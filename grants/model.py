@@ -47,7 +47,6 @@ class Right(IntFlag):
 
     @property
     def label(self) -> str:
-        """The right as text: `publish`, `param-get`, `publish, subscribe`."""
         return ", ".join(str(right.name).lower().replace("_", "-") for right in self)
 
 
@@ -171,7 +170,6 @@ class Restriction:
 
     @property
     def restricts_messages(self) -> bool:
-        """Whether it applies to messages; a caller without messages has nothing to apply."""
         limited = (self.rate, self.slot, self.pad) != (None, None, None)
         return bool(self.conditions or self.filters) or limited
 
@@ -227,7 +225,6 @@ class Permission:
         )
 
     def covers(self, right: Right, name: str) -> bool:
-        """Whether this permission gives `right` on `name` (restricted or not)."""
         return right in self.rights and self.matches(name, right)
 
 
@@ -286,7 +283,6 @@ class Draft:
         return any(tail_base(permission.pattern) for permission in self.permissions)
 
     def covers(self, right: Right, name: str) -> bool:
-        """Whether one of its permissions gives `right` on `name` (restricted or not)."""
         return any(permission.covers(right, name) for permission in self.permissions)
 
 
@@ -306,12 +302,10 @@ class Grant(Draft):
 
     @classmethod
     def of(cls, draft: Draft, *, id: bytes, issuer: bytes) -> Self:  # noqa: A002 - the field has that name
-        """The signed form of `draft`."""
         return cls(**vars(draft), id=id, issuer=issuer)
 
     @property
     def links(self) -> tuple["Grant", ...]:
-        """The grant as signed, then its narrowings in order; `(self,)` if there are none."""
         return self.chain or (self,)
 
     @property
@@ -331,7 +325,6 @@ class Grant(Draft):
 
     @property
     def short_id(self) -> str:
-        """The first 8 hexadecimal digits of the id."""
         return self.id.hex()[:8]
 
 

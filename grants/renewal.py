@@ -158,12 +158,7 @@ def open_delegation(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> OpenDeleg
 
 
 def open_ticket(data: bytes, key: ec.EllipticCurvePublicKey) -> Ticket:
-    """Verify and read a ticket signed by `key`.
-
-    Raises:
-        RenewalForged: not signed by `key`, or another kind of statement.
-        RenewalMalformed: outside the closed schema.
-    """
+    """Verify and read a ticket signed by `key`."""
     match _decode(_open(TICKET, data, key)):
         case {4: exp, 5: nbf, -70002: seq, -70011: bytes() as grant, **rest} if not rest:
             return Ticket(grant, _number(nbf), _number(exp), _number(seq))
@@ -181,27 +176,7 @@ def renew(
     seq: int,
     check: RevocationCheck,
 ) -> Grant:
-    """The same grant, valid until the ticket ends.
-
-    Args:
-        grant: from `document.verify`; it may have expired.
-        ticket: as received.
-        delegation: from `open_delegation`.
-        key: the delegate's, authenticated by its identity.
-        now: seconds since the epoch.
-        seq: number of the newest revocation list the verifier holds.
-        check: called as `check(entry, now)` for the ids of grant and delegation, and for the
-            delegate's key; raises when revoked.
-
-    Raises:
-        RenewalForged, RenewalMalformed: as `open_ticket` does.
-        RenewalForOther: the delegation is for another key, domain or authority, or the ticket for
-            another grant.
-        RenewalTooWide: beyond the grant's cap, the delegation's end or its `max_ttl`.
-        RenewalNotInTime: ticket or delegation are not valid at `now`.
-        RenewalAhead: the ticket was made with a newer revocation list.
-        GrantRevoked: the grant, the delegation or its holder is revoked.
-    """
+    """The same grant, valid until the ticket ends."""
     if delegation.holder != thumbprint(key):
         raise RenewalForOther("the delegation is for another key than this one")
     if (grant.issuer, grant.domain) != (delegation.issuer, delegation.domain):

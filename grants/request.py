@@ -105,7 +105,6 @@ class MissingRight(NamedTuple):
 
     @property
     def own(self) -> str:
-        """The name in the form of `own_form`: `{node}/...` below the asker's own name."""
         return own_form(self.node, self.name, wildcard=self.asker != self.node)
 
     @property
@@ -175,7 +174,6 @@ def refusal(node: str, missing: Iterable[tuple[Right, str]]) -> str:
 
 
 def _in_yaml(name: str) -> str:
-    """A name as it stands in a list of YAML."""
     return name if _PLAIN.fullmatch(name) else f"'{name}'"
 
 
@@ -229,7 +227,6 @@ class GrantRequest:
 
     @property
     def id(self) -> bytes:
-        """The 16 bytes that identify it."""
         return hashlib.sha256(_ID_DOMAIN + encode(_claims(self))).digest()[:16]
 
 

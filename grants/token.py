@@ -95,25 +95,13 @@ def sign_narrowing(signer: Signer, draft: Draft, parent: Grant) -> bytes:
 
 
 def peek_chain(grant: Grant, narrowings: Sequence[bytes]) -> Grant:
-    """The chain as its claims say, *without* verifying a signature: to show or to hold it.
-
-    Raises:
-        GrantMalformed: outside the closed schema.
-    """
+    """The chain as its claims say, *without* verifying a signature: to show or to hold it."""
     read = (_read(claims, body)[0] for body, claims in map(_unverified, narrowings))
     return _joined((grant, *read))
 
 
 def follow(grant: Grant, narrowings: Sequence[bytes], now: int) -> Grant:
-    """The chain of a verified grant and its narrowings, as one grant.
-
-    Raises:
-        NarrowingNotAllowed: more narrowings than the links before allow.
-        NarrowingForged: not signed by the key that holds the link before.
-        NarrowingForOther: it follows another link, or is for another domain.
-        GrantMalformed: outside the closed schema.
-        GrantNotYetValid, GrantExpired: a link is not valid at `now`.
-    """
+    """The chain of a verified grant and its narrowings, as one grant."""
     chain = _links(grant, narrowings)
     for link in chain:
         check_time(link, now)
@@ -164,7 +152,7 @@ def _links(grant: Grant, narrowings: Sequence[bytes]) -> tuple[Grant, ...]:
 
 
 def _joined(chain: tuple[Grant, ...]) -> Grant:
-    """One grant that stands for the chain; it cannot be renewed."""
+    # One grant that stands for the chain; it cannot be renewed.
     first, last = chain[0], chain[-1]
     expires = min(link.expires for link in chain)
     return replace(
@@ -175,7 +163,6 @@ def _joined(chain: tuple[Grant, ...]) -> Grant:
 
 
 def _open_link(data: bytes, before: Grant) -> Grant:
-    """Verify and read one narrowing of `before`."""
     body, claims = _unverified(data)
     try:
         named = _named_key(claims)
@@ -202,18 +189,11 @@ def _open_link(data: bytes, before: Grant) -> Grant:
 
 @lru_cache(maxsize=64)
 def _key(coordinates: bytes) -> ec.EllipticCurvePublicKey:
-    """The key that holds a verified link: chains are shown often, and a new key verifies slowly.
-
-    Only keys that a verified link names come here, so a stranger drives none out.
-
-    Raises:
-        KeyRefused: not a point of the curve.
-    """
+    # Only keys that a verified link names come here, so a stranger drives none out.
     return from_coordinates(coordinates)
 
 
 def _unverified(data: bytes) -> tuple[bytes, Value]:
-    """The payload and its claims."""
     try:
         body = NARROWING.peek_body(data, limit=MAX_NARROWING)
         return body, decode(body)
@@ -222,7 +202,6 @@ def _unverified(data: bytes) -> tuple[bytes, Value]:
 
 
 def _named_key(claims: Value) -> bytes:
-    """The key to verify with. The narrowing names it; that it holds the link before is checked."""
     match claims:
         case {-70033: [bytes() as x, bytes() as y]} if len(x) == len(y) == COORDINATE:
             return x + y
@@ -231,7 +210,6 @@ def _named_key(claims: Value) -> bytes:
 
 
 def _read(claims: Value, body: bytes) -> tuple[Grant, bytes]:
-    """The link with these claims, and the id of the link before it."""
     match claims:
         case {
             1: str() as iss, 2: str() as sub, 3: str() as aud, 4: exp, 5: nbf,

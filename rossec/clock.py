@@ -47,7 +47,7 @@ class Clock:
         self.setbacks = 0
 
     def time(self) -> float:
-        """Seconds since the epoch."""
+        # Seconds since the epoch.
         host, elapsed = self._host(), self._elapsed()
         latest, then = self._latest
         counted = latest + (elapsed - then) * (1 - DRIFT)
@@ -60,10 +60,7 @@ class Clock:
         return counted
 
     def correct(self, moment: int) -> bool:
-        """Compare with `moment`, the time of a trusted clock; whether this one is corrected.
-
-        It is where the host's clock agrees with the other, and was set back.
-        """
+        # It is where the host's clock agrees with the other, and was set back.
         host, elapsed = self._host(), self._elapsed()
         corrects = abs(host - moment) <= SKEW and host < self.time()
         if corrects:

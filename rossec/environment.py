@@ -134,7 +134,6 @@ def missing_authority(home: Path) -> str:
 
 
 def _elsewhere(home: Path) -> str:
-    """Where it may be instead; empty: no sign of another place."""
     try:
         if home == Path(DEFAULT_HOME).expanduser():
             return "ROSSEC_HOME is not set: if it is elsewhere, export ROSSEC_HOME=DIRECTORY; else "
@@ -147,7 +146,6 @@ def _elsewhere(home: Path) -> str:
 
 
 def _homes_beside(home: Path) -> list[str]:
-    """The names of directories beside `home` that have nodes or an authority."""
     found = list[str]()
     with os.scandir(home.parent) as entries:
         for entry, _ in zip(entries, range(_LOOKED_AT), strict=False):

@@ -47,20 +47,14 @@ class Owned:
     stays: bool = False
 
     def below(self, directory: str) -> "Owned":
-        """The same in `directory`."""
         return changed(self, pattern=f"{re.escape(directory)}/(?:{self.pattern})")
 
     def names(self, path: str) -> bool:
-        """Whether it speaks of the file at `path`."""
         return re.fullmatch(self.pattern, path) is not None
 
 
 def make_private_directory(path: Path) -> None:
-    """Create `path` and missing parents, for the owner alone; an existing one is kept.
-
-    Raises:
-        PathRefused: others can write there.
-    """
+    """Create `path` and missing parents, for the owner alone; an existing one is kept."""
     if not path.parent.is_dir():  # mkdir(parents=True) would ignore the mode for those above
         make_private_directory(path.parent)
     path.mkdir(mode=0o700, exist_ok=True)
@@ -82,10 +76,6 @@ def replace(path: Path, data: bytes, mode: int = 0o600, *, keep: bool = False) -
     """Write or replace a file in one step: a reader or a crash sees the old or the new content.
 
     With `keep` a file that is there keeps its mode, its owner and its group.
-
-    Raises:
-        ConfigurationError: the path is a link, a device or the like, which is not replaced.
-        NotWritten: the disk refused it; the old content is unchanged.
     """
     if path.is_symlink() or (path.exists() and not path.is_file() and not path.is_dir()):
         raise ConfigurationError(
@@ -128,7 +118,6 @@ def _create(path: Path, data: bytes, mode: int) -> None:
 
 @contextmanager
 def _disk_errors(path: Path) -> Iterator[None]:
-    """Raise `NotWritten` for disk errors. A peer may read its first line: no path in it."""
     try:
         yield
     except OSError as error:
@@ -141,11 +130,7 @@ def _disk_errors(path: Path) -> Iterator[None]:
 
 
 def commit_directory(temporary: Path, path: Path) -> None:
-    """Rename a finished directory to `path`, durable on return: all of it or nothing.
-
-    Raises:
-        ConfigurationError: `path` exists; it is not changed.
-    """
+    """Rename a finished directory to `path`, durable on return: all of it or nothing."""
     sync_directory(temporary)
     try:
         temporary.rename(path)
@@ -162,9 +147,6 @@ def exchange(one: Path, other: Path) -> None:
     """Give each of two directories the path of the other in one step, durable on return.
 
     A crash leaves both as they were, or both exchanged: at no moment is there nothing at a path.
-
-    Raises:
-        ConfigurationError: this file system cannot; nothing was changed.
     """
     library = ctypes.CDLL(None, use_errno=True)
     try:
@@ -190,9 +172,6 @@ def replace_directory(new: Path, target: Path, aside: Path) -> None:
 
     The last step is an exchange: after a crash nothing is left to do, and what was replaced is
     where it belongs. A crash before it leaves `new` at `aside`.
-
-    Raises:
-        ConfigurationError, OSError: as `exchange`; `new` is where it was.
     """
     made = new.stat().st_ino
     new.rename(aside)
@@ -205,11 +184,7 @@ def replace_directory(new: Path, target: Path, aside: Path) -> None:
 
 
 def lock_file(path: Path, busy: ConfigurationError) -> int:
-    """Lock `path` for this process until the descriptor returned is closed, or it exits.
-
-    Raises:
-        ConfigurationError: `busy`, when another process holds it.
-    """
+    """Lock `path` for this process until the descriptor returned is closed, or it exits."""
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
     descriptor = os.open(path, flags, 0o600)
     try:
@@ -232,11 +207,7 @@ def locked_directory(directory: Path) -> Iterator[None]:
 
 
 def read(path: Path, limit: int, missing: ConfigurationError | None = None) -> bytes:
-    """Content of a file of at most `limit` bytes.
-
-    Raises:
-        ConfigurationError: `missing` when there is no file (without it, a plain one); too large.
-    """
+    """Content of a file of at most `limit` bytes."""
     try:
         with path.open("rb") as file:
             return _bounded(file, path, limit)
@@ -271,12 +242,7 @@ def read_own(path: Path, limit: int, missing: ConfigurationError, *, link: bool 
 
 
 def append_own(path: Path) -> int:
-    """Open a log to append to, created for its owner alone; returns its descriptor.
-
-    Raises:
-        PathRefused: not a plain file, or of another owner, who could read it.
-        OSError: it cannot be opened.
-    """
+    """Open a log to append to, created for its owner alone; returns its descriptor."""
     flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
     descriptor = os.open(path, flags, 0o600)
     try:

@@ -82,12 +82,7 @@ FILTER_KEYS: Final = (files.Owned(r"[a-z][a-z0-9_-]{0,31}\.key"),)
 
 
 def filter_key(directory: Path, name: str) -> bytes:
-    """The key `name`, 32 random bytes; created on first use.
-
-    Raises:
-        FilterRefused: not a key name.
-        ConfigurationError: the file does not hold a key.
-    """
+    """The key `name`, 32 random bytes; created on first use."""
     path = directory / f"{check_key_name(name)}.key"
     files.make_private_directory(directory)
     with files.locked_directory(directory):
@@ -159,7 +154,6 @@ class NodeHome:
 
     @property
     def request_path(self) -> Path:
-        """The request for an identity, to carry to the authority."""
         return self.path / "node.csr"
 
     def create_request(self, domain: str, *, wildcard: bool = False) -> IdentityRequest:
@@ -222,7 +216,6 @@ class NodeHome:
         return self.label_request(domain, wildcard=wildcard)
 
     def _is_open(self, domain: str, *, wildcard: bool) -> bool:
-        """Whether there is a request that fits, and no identity yet: one request gets one."""
         if not self.request_path.exists() or (self.path / "node.pem").exists():
             return False
         try:
@@ -232,11 +225,9 @@ class NodeHome:
         return found.wildcard == wildcard
 
     def signer(self) -> KeySigner:
-        """This node's key."""
         return KeySigner(private_keys.load_private(self.path / "node.key"))
 
     def request(self) -> bytes:
-        """The request (DER)."""
         return self._read("node.csr", f"next: rossec node request {self.name}")
 
     def install(self, bundle: bytes, now: int) -> Identity:
@@ -258,7 +249,6 @@ class NodeHome:
         return identity
 
     def anchor(self) -> TrustAnchor:
-        """The authority this node trusts."""
         (der,) = from_pem(self._read("ca.pem", self._enroll))
         return TrustAnchor.load(der)
 
@@ -295,12 +285,10 @@ class NodeHome:
         return svid.is_wildcard(chain[0])
 
     def credentials(self) -> Credentials:
-        """This node's key and certificate, with the intermediate's if there is one."""
         chain, _ = _split(self._read("node.pem", self._enroll))
         return Credentials(self.signer(), chain, shared=svid.is_wildcard(chain[0]))
 
     def grants(self) -> list[bytes]:
-        """The grants this node holds, as signed; unverified."""
         return [self.read_grant(path) for path in self.grant_files()]
 
     def grant_files(self) -> list[Path]:
@@ -317,16 +305,13 @@ class NodeHome:
         return files.read_own(path, _SIZE_LIMIT, self._missing(path, ""))
 
     def add_grant(self, grant_id: bytes, data: bytes) -> None:
-        """Store a grant; adding it twice changes nothing."""
         files.make_private_directory(self.path / "grants")
         files.replace(self.grant_file(grant_id), data)
 
     def grant_file(self, grant_id: bytes) -> Path:
-        """Where `add_grant` stores a grant."""
         return self.path / "grants" / f"{grant_id.hex()}.grant"
 
     def load_revocations(self) -> bytes | None:
-        """The newest revocation list this node has seen, if any."""
         return self._read_if_present(REVOCATIONS, _SIZE_LIMIT)
 
     def save_revocations(self, data: bytes) -> None:
@@ -340,30 +325,24 @@ class NodeHome:
                 files.replace(self.path / REVOCATIONS, data)
 
     def _number(self, data: bytes) -> tuple[int, int]:
-        """The number of a list or tree of this node's authority; the lowest if it is invalid."""
         try:
             return open_statement(data, self.anchor().public_key).number
         except HintedError:
             return NO_FLOOR
 
     def load_entries(self) -> bytes | None:
-        """The entries of the revocation tree, in the master's home, if there are any."""
         return self._read_if_present("revocations.entries", MAX_TREE_ENTRIES_SIZE)
 
     def save_entries(self, data: bytes) -> None:
-        """Store the entries of a revocation tree; durable on return."""
         files.replace(self.path / "revocations.entries", data)
 
     def load_delegation(self) -> bytes | None:
-        """The authority's delegation to renew grants, in the master's home, if there is one."""
         return self._read_if_present("delegation.cose", _SIZE_LIMIT)
 
     def save_delegation(self, data: bytes) -> None:
-        """Store a delegation; durable on return."""
         files.replace(self.path / "delegation.cose", data)
 
     def filter_key(self, name: str) -> bytes:
-        """The key `name` for pseudonyms; raises as `rossec.home.filter_key`."""
         return filter_key(self.path / FILTERS, name)
 
     @property
@@ -403,14 +382,13 @@ class NodeHome:
 
 
 def _shortened(name: str) -> Iterator[str]:
-    """The names whose wildcard tail covers `name`, the longest first."""
     for end in range(len(name) - 2, name.rindex("/") + 1, -1):
         if name[end] == "_":
             yield name[:end]
 
 
 def _split(bundle: bytes) -> tuple[tuple[bytes, ...], bytes]:
-    """The chain that a node sends, and the root, which it does not send."""
+    # The chain that a node sends, and the root, which it does not send.
     match from_pem(bundle):
         case (leaf, root):
             return (leaf,), root

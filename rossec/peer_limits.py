@@ -65,11 +65,9 @@ class Progress:
 
     @property
     def deadline(self) -> int | None:
-        """When to check at the latest; None: no message is incomplete."""
         return None if self._at is None else self._at + STEP
 
     def done(self) -> None:
-        """The message is complete; the next bytes belong to another one."""
         self._at = None
 
     def check(self, now: int, length: int, *, reading: bool = True) -> None:
@@ -129,22 +127,18 @@ class SharedTable(Generic[K, V]):
         return ended
 
     def get(self, key: K) -> V | None:
-        """The value of a key; None: there is none."""
         found = self._entries.get(key)
         return None if found is None else found.value
 
     def pop(self, key: K) -> V | None:
-        """The same, and it is taken out."""
         found = self._entries.pop(key, None)
         return None if found is None else found.value
 
     def owner(self, key: K) -> tuple[str, int] | None:
-        """Owner and rank of what a key has; None: there is nothing."""
         found = self._entries.get(key)
         return None if found is None else (found.owner, found.rank)
 
     def items(self) -> list[tuple[K, V]]:
-        """All of it, oldest first."""
         return [(key, entry.value) for key, entry in self._entries.items()]
 
     def _victim(self, owner: str, rank: int) -> K | None:

@@ -77,7 +77,6 @@ class DomainFiles:
         self._anchor = anchor
 
     def load_domains(self) -> bytes | None:
-        """The newest list of domains seen, if any."""
         return _read(self._path / "domains.cose", MAX_DOMAINS)
 
     def save_domains(self, data: bytes) -> None:
@@ -88,7 +87,6 @@ class DomainFiles:
                 files.replace(self._path / "domains.cose", data)
 
     def load_foreign(self, domain: str) -> bytes | None:
-        """The newest revocation list of a foreign domain seen, if any."""
         return _read(self._foreign(domain), MAX_LIST)
 
     def save_foreign(self, root: TrustAnchor, data: bytes) -> None:
@@ -134,7 +132,6 @@ class DomainFiles:
                 standing.restore(listed.entry.domain, saved, now)
 
     def _number(self, data: bytes) -> tuple[int, int]:
-        """The number of a list of the own authority; the lowest if it is invalid."""
         try:
             return open_domains(data, self._anchor).number
         except HintedError:
@@ -227,7 +224,7 @@ class ThingFiles:
         return Loaded(found, refused)
 
     def _read_once(self, path: Path, known: "dict[Path, _Known]") -> ThingStatement:
-        """As `_read`; a file that has not changed since the last time is not verified again."""
+        # As `_read`; a file that has not changed since the last time is not verified again.
         try:
             status = path.stat()
         except OSError:

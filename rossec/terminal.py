@@ -162,7 +162,6 @@ def json_text(value: Any, indent: int | None = None, *, sort_keys: bool = False)
 
 
 def _whole(value: Any) -> Any:
-    """`value` without halves of surrogate pairs in its texts."""
     match value:
         case str():
             return _SURROGATE.sub(lambda found: printable(found[0]), value)
@@ -195,7 +194,6 @@ def state(word: str) -> str:
 
 
 def _write(stream: TextIO, text: str) -> None:
-    """Write `text`, with escapes for what the stream's encoding has not."""
     for take_away in TEMPORARY:
         take_away()
     encoding = stream.encoding or "utf-8"
@@ -203,7 +201,6 @@ def _write(stream: TextIO, text: str) -> None:
 
 
 def _painted(line: str, stream: TextIO) -> str:
-    """`line` escaped, but for states that `state` has painted for this stream."""
     if not is_wanted(stream):
         return printable(line)
     return "".join(

@@ -79,13 +79,7 @@ class Ceremony(StrEnum):
 
 
 def check_client_data(data: bytes, ceremony: Ceremony, challenge: bytes, origin: str) -> None:
-    """Return if `data` is of this ceremony, challenge and origin.
-
-    Raises:
-        AssertionMalformed: not client data.
-        OtherChallenge: another challenge, or a signature for another purpose.
-        OtherOrigin: made at another page, or in a frame.
-    """
+    """Return if `data` is of this ceremony, challenge and origin."""
     value = _parse(data)
     if value.get("type") != ceremony:
         raise OtherChallenge(f"the passkey was not used for {ceremony}", "try again on the page")
@@ -156,11 +150,6 @@ class AuthenticatorData(NamedTuple):
 
     @classmethod
     def read(cls, data: bytes) -> "AuthenticatorData":
-        """Parse the beginning.
-
-        Raises:
-            AssertionMalformed: too short or long, or with bytes that no flag announces.
-        """
         if not _FIXED_SIZE <= len(data) <= MAX_AUTHENTICATOR_DATA:
             raise AssertionMalformed(f"{len(data)} bytes of authenticator data", _HINT)
         found = cls(data[:32], data[32], int.from_bytes(data[33:_FIXED_SIZE]))
@@ -169,12 +158,6 @@ class AuthenticatorData(NamedTuple):
         return found
 
     def check(self, rp_id: str) -> None:
-        """Return if the authenticator saw this relying party, and verified its user.
-
-        Raises:
-            OtherOrigin: a passkey for another relying party.
-            NotVerified: nobody touched it, or no finger, face or PIN.
-        """
         if self.rp_id_hash != sha256(rp_id.encode()).digest():
             raise OtherOrigin(
                 f"the passkey does not belong to {rp_id}", "register this phone at this console"
@@ -187,11 +170,7 @@ class AuthenticatorData(NamedTuple):
 
 
 def read_key(cose_key: bytes) -> ec.EllipticCurvePublicKey:
-    """The P-256 key for ES256 in a COSE_Key (RFC 9053), which has exactly its five parameters.
-
-    Raises:
-        AssertionMalformed: any other key or form.
-    """
+    """The P-256 key for ES256 in a COSE_Key (RFC 9053), which has exactly its five parameters."""
     try:
         match decode(cose_key):
             case {1: 2, 3: -7, -1: 1, -2: bytes(x), -3: bytes(y), **rest} if (
@@ -299,7 +278,6 @@ class Challenge(NamedTuple):
 
     @property
     def digest(self) -> bytes:
-        """The 32 bytes that the passkey signs."""
         return sha256(encode([str(self.purpose), *self[1:]])).digest()
 
 
@@ -348,11 +326,7 @@ def to_approve(passkey: Passkey) -> NewPasskey:
 
 
 def check_passkey_name(name: str) -> str:
-    """Return `name` if a person can read it on one line.
-
-    Raises:
-        PasskeyRefused: empty, too long, or with characters that are not printed.
-    """
+    """Return `name` if a person can read it on one line."""
     if not name.strip() or len(name) > MAX_NAME or not name.isprintable():
         raise PasskeyRefused(
             f"the name of a phone has 1 to {MAX_NAME} printable characters",
@@ -384,7 +358,7 @@ def _key(found: "webauthn.AttestedCredentialData") -> bytes:
 
 
 def _library() -> ModuleType:
-    """`fido2.webauthn`, which only the extra `console` installs."""
+    # `fido2.webauthn`, which only the extra `console` installs.
     try:
         from fido2 import webauthn  # noqa: PLC0415
     except ImportError:
@@ -418,7 +392,6 @@ class Approval(NamedTuple):
 
     @property
     def assertion(self) -> Assertion:
-        """What the passkey signed."""
         return Assertion(self.passkey, self.client_data, self.authenticator_data, self.signature)
 
     def read(self) -> Statement:
@@ -454,7 +427,6 @@ class ApprovalVerifier:
         self._counters = dict(counters)
 
     def add_passkey(self, passkey: Passkey) -> None:
-        """Know another passkey from now on."""
         self._passkeys[passkey.id] = passkey
 
     def verify(self, approval: Approval) -> Statement:

@@ -232,12 +232,10 @@ class Statement(NamedTuple):
 
     @property
     def challenge(self) -> bytes:
-        """The 32 bytes that the passkey signs."""
         return sha256(self.to_bytes()).digest()
 
     @property
     def subject(self) -> bytes:
-        """What the act is about, such as the request it answers; may be empty."""
         return self._field(_FORMS[self.kind].subject) or b""
 
     def check_payload(self, payload: bytes) -> None:

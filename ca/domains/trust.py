@@ -91,7 +91,6 @@ class Card:
 
     @cached_property
     def anchor(self) -> TrustAnchor:
-        """The root, as an anchor."""
         return TrustAnchor.load(self.root)
 
 
@@ -222,12 +221,10 @@ class ForeignDomain:
 
     @cached_property
     def anchor(self) -> TrustAnchor:
-        """Its root, parsed once."""
         return TrustAnchor.load(self.root)
 
     @property
     def terms(self) -> bytes:
-        """The one encoding of all this, as in the list."""
         return encode(_claims(self))
 
     @classmethod
@@ -278,7 +275,6 @@ class DomainList:
 
     @property
     def number(self) -> tuple[int, int]:
-        """The order of lists: (epoch, seq)."""
         return self.epoch, self.seq
 
 
@@ -374,8 +370,6 @@ def _lists_read(payload: Value) -> DomainList:
 
 
 class _Terms(NamedTuple):
-    """The fields of a `ForeignDomain`, in its order."""
-
     domain: str
     label: str
     root: bytes
@@ -463,8 +457,6 @@ class ListedDomain:
 
 
 class _Snapshot(NamedTuple):
-    """One list, as received and read."""
-
     data: bytes
     current: DomainList | None
     by_domain: dict[str, ListedDomain]
@@ -490,17 +482,14 @@ class Anchors:
 
     @property
     def data(self) -> bytes:
-        """The list as received; empty: there is none."""
         return self._snapshot.data
 
     @property
     def current(self) -> DomainList | None:
-        """The list; None: there is none."""
         return self._snapshot.current
 
     @property
     def masters(self) -> tuple[ec.EllipticCurvePublicKey, ...]:
-        """The keys of the own domain's masters, as far as listed."""
         return self._snapshot.masters
 
     def update(self, data: bytes, persist: Callable[[bytes], None] | None = None) -> frozenset[str]:
@@ -551,16 +540,13 @@ class Anchors:
         return held.by_domain[domain].verify(chain, now)
 
     def listed(self, label: str) -> ListedDomain | None:
-        """The listed domain with this label; None: there is none."""
         return self._snapshot.by_label.get(label)
 
     def listed_domain(self, domain: str) -> ListedDomain | None:
-        """The listed domain with this name; None: there is none."""
         return self._snapshot.by_domain.get(domain)
 
     @property
     def all_listed(self) -> tuple[ListedDomain, ...]:
-        """Every listed domain, sorted by name."""
         return tuple(self._snapshot.by_domain.values())
 
     def ended(self, now: int) -> frozenset[str]:
@@ -571,7 +557,6 @@ class Anchors:
 
 
 def _ended(before: Iterable[ListedDomain], after: dict[str, ListedDomain]) -> frozenset[str]:
-    """What is gone, and what is trusted under other terms than before."""
     return frozenset(
         each.entry.domain
         for each in before
@@ -584,7 +569,7 @@ def _terms(listed: ListedDomain) -> tuple[object, ...]:
 
 
 def _claimed_domain(leaf: bytes) -> str:
-    """The trust domain a leaf claims; empty: none. Not trusted: it selects the root to try."""
+    # The trust domain a leaf claims; empty: none. Not trusted: it selects the root to try.
     try:
         return svid.claimed_domain(svid.parse(leaf))
     except CertificateRefused:

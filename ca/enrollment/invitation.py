@@ -122,7 +122,6 @@ class InvitationCode:
 
     @property
     def key(self) -> bytes:
-        """Its public half, which the authority keeps: an uncompressed point, 65 octets."""
         return self.signer.public_key.public_bytes(Encoding.X962, PublicFormat.UncompressedPoint)
 
     @property
@@ -153,16 +152,11 @@ class InvitationCode:
         return body + _checksum(body)
 
     def text(self) -> str:
-        """The code as one line, to be pasted or drawn."""
         return PREFIX + base64.b32encode(self.body()).decode().rstrip("=")
 
 
 def parse(text: str) -> InvitationCode:
-    """Parse a code as pasted: a mail or a chat may have broken its line, so white space is ignored.
-
-    Raises:
-        CodeRefused: not a code of an invitation, incomplete, or of an unknown version.
-    """
+    """Parse a code as pasted: a mail or a chat may have broken its line, so white space is ignored."""
     stripped = "".join(text.split())
     if len(stripped) > MAX_TEXT or not stripped.startswith(PREFIX):
         raise CodeRefused("this is not the code of an invitation", _HINT)
@@ -178,11 +172,7 @@ def parse(text: str) -> InvitationCode:
 
 
 def parse_body(body: bytes) -> InvitationCode:
-    """Parse the octets of a code (`InvitationCode.body`).
-
-    Raises:
-        CodeRefused: as `parse`.
-    """
+    """Parse the octets of a code (`InvitationCode.body`)."""
     content, check = body[:-_CHECK_SIZE], body[-_CHECK_SIZE:]
     if len(content) <= _FIXED or not compare_digest(_checksum(content), check):
         raise _damaged()
@@ -202,11 +192,7 @@ def parse_body(body: bytes) -> InvitationCode:
 
 
 def public_key(point: bytes) -> ec.EllipticCurvePublicKey:
-    """The key that `InvitationCode.key` wrote.
-
-    Raises:
-        CodeRefused: not a point of the curve.
-    """
+    """The key that `InvitationCode.key` wrote."""
     try:
         return require_p256(ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), point))
     except ValueError as error:
@@ -244,11 +230,7 @@ def is_message(data: bytes) -> bool:
 
 
 def read(data: bytes) -> InvitationCode:
-    """Read the invitation in an NDEF message.
-
-    Raises:
-        CodeRefused: anything else.
-    """
+    """Read the invitation in an NDEF message."""
     if len(data) <= MAX_MESSAGE and is_message(data):
         start = (3 if data[0] == _SHORT else 6) + len(MEDIA_TYPE)
         code = parse_body(data[start:])
@@ -284,11 +266,7 @@ def sign_live(signer: Signer, transcript_hash: bytes) -> bytes:
 
 
 def check_live(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes) -> None:
-    """Return if the holder of `key` takes part in this join.
-
-    Raises:
-        NotTheAuthority: another key signed it, or it is about another join.
-    """
+    """Return if the holder of `key` takes part in this join."""
     try:
         _LIVE.check(data, key, [transcript_hash])
     except SignatureError as error:
@@ -313,11 +291,7 @@ def check_proof(
     name: str,
     metadata: bytes = b"",
 ) -> None:
-    """Return if the holder of the secret asks for `csr` in this join. It is only hashed.
-
-    Raises:
-        JoinRefused: it is not the proof.
-    """
+    """Return if the holder of the secret asks for `csr` in this join. It is only hashed."""
     _check(_PROOF, data, key, _asked(transcript_hash, csr, name, metadata))
 
 
@@ -329,16 +303,12 @@ def sign_claim(signer: Signer, transcript_hash: bytes, metadata: bytes) -> bytes
 def check_claim(
     data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes, metadata: bytes
 ) -> None:
-    """Return if the holder of the secret sends `metadata`, which are only hashed.
-
-    Raises:
-        JoinRefused: it is not the proof.
-    """
+    """Return if the holder of the secret sends `metadata`, which are only hashed."""
     _check(_CLAIM, data, key, [transcript_hash, _digest(metadata)])
 
 
 def _asked(transcript_hash: bytes, csr: bytes, name: str, metadata: bytes) -> list[Value]:
-    """What a proof is about; metadata only if there are some, as in version 1 without them."""
+    # What a proof is about; metadata only if there are some, as in version 1 without them.
     asked: list[Value] = [transcript_hash, _digest(csr), name]
     return [*asked, _digest(metadata)] if metadata else asked
 
@@ -392,7 +362,6 @@ class JoinRequest:
 
     @property
     def digest(self) -> bytes:
-        """The SHA-256 of `csr`, by which the record knows it."""
         return sha256(self.csr).digest()
 
     def to_bytes(self) -> bytes:
@@ -448,7 +417,6 @@ class JoinClaim:
             raise EnrollmentMessageRefused("the parts of a claim have wrong sizes")
 
     def to_bytes(self) -> bytes:
-        """The claim for the process that has the key."""
         size = len(self.proof).to_bytes(2)
         return b"".join((self.invitation, self.transcript, size, self.proof, self.metadata))
 

@@ -383,7 +383,6 @@ class NodeJoin:
         self._name = ""
 
     def hello(self) -> bytes:
-        """The first message."""
         return write(Hello(self._code.id, self._nonce))
 
     @property
@@ -483,7 +482,7 @@ class NodeJoin:
             raise EnrollmentOver(f"not possible in state {self.state.value!r}")
 
     def _verify(self, message: Welcome, now: int) -> None:
-        """Check the hash first: a root that is not the code's is not parsed."""
+        # Check the hash first: a root that is not the code's is not parsed.
         if not compare_digest(sha256(message.root).digest(), self._code.root):
             raise NotTheAuthority(
                 "another authority answers at the address of the invitation",
@@ -499,7 +498,6 @@ class NodeJoin:
         self.state = NodeJoinState.WELCOMED
 
     def _named(self, message: Named, _: int) -> None:
-        """A name on the way may be forged: the authority issues none but that of its rules."""
         name = check_name(message.name)
         if is_reserved(name) or not pattern_covers(self._code.pattern, name):
             raise NotTheAuthority(
@@ -535,7 +533,7 @@ def _checked(metadata: bytes) -> bytes:
 
 
 def _live_identity(anchor: TrustAnchor, chain: tuple[bytes, ...], now: int) -> Identity:
-    """The identity of the peer, which must be the authority's own node."""
+    # The identity of the peer, which must be the authority's own node.
     try:
         found = anchor.verify(chain, now)
     except (CertificateExpired, CertificateNotYetValid) as error:

@@ -172,11 +172,7 @@ def _offer(chain: list[Value], root: bytes, nonce: bytes, tag: bytes) -> Offer |
 def check_issued(
     root: bytes, chain: Sequence[bytes], own: IdentityRequest, now: int
 ) -> TrustAnchor:
-    """Return the anchor in `root` if `chain` is exactly the identity that was asked for.
-
-    Raises:
-        OfferRefused: invalid certificates, or for another key or name.
-    """
+    """Return the anchor in `root` if `chain` is exactly the identity that was asked for."""
     try:
         anchor = TrustAnchor.load(root)
         identity = anchor.verify(chain, now)

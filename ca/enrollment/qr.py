@@ -60,15 +60,10 @@ class Code:
     address: str = ""
 
     def matches(self, request: bytes) -> bool:
-        """Whether the code was made for `request` (a CSR, DER)."""
         return compare_digest(self.digest, sha256(request).digest())
 
     def check_time(self, now: int) -> None:
-        """Return if the code has not expired; a label code does not expire.
-
-        Raises:
-            CodeExpired: a screen code after its expiry.
-        """
+        # Return if the code has not expired; a label code does not expire.
         if self.secret and now > self.expires:
             raise CodeExpired(
                 f"the code expired {now - self.expires} s ago", "have the node show a new one"
@@ -81,11 +76,7 @@ def label_code(request: bytes) -> str:
 
 
 def screen_code(request: bytes, secret: bytes, expires: int, address: str) -> str:
-    """Text of a code that also carries a one-time `secret`, its expiry and the node's address.
-
-    Raises:
-        CodeRefused: a secret of another length than 16 bytes, or an address that does not fit.
-    """
+    """Text of a code that also carries a one-time `secret`, its expiry and the node's address."""
     if len(secret) != SECRET_SIZE or not 0 < len(address) <= _MAX_ADDRESS or not address.isascii():
         raise CodeRefused(
             "a screen code needs 16 bytes of secret and an address of 1 to 64 ASCII characters",
@@ -100,11 +91,7 @@ def screen_code(request: bytes, secret: bytes, expires: int, address: str) -> st
 
 
 def parse(text: str) -> Code:
-    """Parse the text of a code as scanned or pasted; surrounding whitespace is ignored.
-
-    Raises:
-        CodeRefused: not a rossec code, truncated, or of an unknown version.
-    """
+    """Parse the text of a code as scanned or pasted; surrounding whitespace is ignored."""
     stripped = text.strip()
     if len(stripped) > MAX_TEXT or not stripped.startswith(PREFIX):
         raise CodeRefused("this is not the text of a rossec code", _HINT)
@@ -167,11 +154,7 @@ def encode_base45(data: bytes) -> str:
 
 
 def decode_base45(text: str) -> bytes:
-    """Decode base45 strictly.
-
-    Raises:
-        CodeRefused: an invalid character, an incomplete group, or a value out of range.
-    """
+    """Decode base45 strictly."""
     out = bytearray()
     for start in range(0, len(text), 3):
         digits = [_ALPHABET.find(char) for char in text[start : start + 3]]
@@ -184,7 +167,6 @@ def decode_base45(text: str) -> bytes:
 
 
 def _printed(text: str) -> segno.QRCode:
-    """Error correction level M, as paper gets dirty (docs/spec/enrollment.md)."""
     return segno.make_qr(text, error="m", boost_error=False)
 
 
@@ -252,7 +234,6 @@ def _label(position: int, label: Label) -> str:
 
 
 def _lines(label: Label) -> Iterator[str]:
-    """The name, split into lines if it is long, and below it the fingerprint."""
     name = [label.name[start : start + _LINE] for start in range(0, len(label.name), _LINE)]
     if len(name) > _LINES:
         name = [*name[: _LINES - 1], "..."]

@@ -106,11 +106,7 @@ def sign_acknowledgement(signer: Signer, transcript_hash: bytes, contribution: b
 def open_acknowledgement(
     data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes
 ) -> bytes:
-    """The contribution in a node's acknowledgement of the offer with this transcript hash.
-
-    Raises:
-        AcknowledgementRefused: another key signed it, or it is about another offer.
-    """
+    """The contribution in a node's acknowledgement of the offer with this transcript hash."""
     match _open(_ACKNOWLEDGEMENT, data, key):
         case [bytes() as acknowledged, bytes() as contribution] if (
             acknowledged == transcript_hash and len(contribution) == NONCE_SIZE
@@ -126,11 +122,7 @@ def sign_done(signer: Signer, transcript_hash: bytes) -> bytes:
 
 
 def check_done(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes) -> None:
-    """Return if `data` is the node's statement that it is enrolled with this transcript.
-
-    Raises:
-        AcknowledgementRefused: another key signed it, or it is about another offer.
-    """
+    """Return if `data` is the node's statement that it is enrolled with this transcript."""
     if _open(_DONE, data, key) != [transcript_hash]:
         raise _replayed()
 
@@ -301,12 +293,10 @@ class NodeEnrollment:
         return [self._done()]
 
     def stop(self, why: EnrollmentRefused) -> None:
-        """End the enrollment; an enrolled node stays enrolled."""
         if self.state not in {NodeState.ENROLLED, NodeState.OVER}:
             self.state, self.end_reason, self._pending = NodeState.OVER, why, None
 
     def tick(self, now: int) -> None:
-        """Check the deadline at `now`."""
         if self.state in {NodeState.SHOWING, NodeState.PENDING} and now > self.expires:
             self.stop(EnrollmentExpired("the enrollment was not finished in time", _RESTART_HINT))
 
@@ -328,7 +318,6 @@ class NodeEnrollment:
         return [write(Delivery(self._csr))]
 
     def _check_first_offer(self, offer: Offer, now: int) -> list[bytes]:
-        """Accept the first valid offer; an invalid one changes nothing."""
         transcript_hash = self._check_tag(offer)
         anchor = check_issued(offer.root, offer.chain, self.request, now)
         self._pending = Pending(
@@ -343,7 +332,6 @@ class NodeEnrollment:
         return [self._acknowledged()]
 
     def _compare(self, offer: Offer, now: int) -> list[bytes]:
-        """Answer a repeated offer, whose answer was lost; refuse a different one."""
         if self._is_pending_offer(offer):
             return [self._acknowledged()]
         self._check_tag(offer)
@@ -466,7 +454,6 @@ class AuthorityEnrollment:
         self._deadline = code.expires if code.secret else 0
 
     def fetch(self) -> bytes:
-        """The first message."""
         return write(Fetch())
 
     @property
@@ -482,7 +469,6 @@ class AuthorityEnrollment:
 
     @property
     def csr(self) -> bytes:
-        """The request as received (DER)."""
         return self._csr
 
     def receive(self, data: bytes, now: int) -> None:
@@ -506,12 +492,10 @@ class AuthorityEnrollment:
         assert self.state in {before, *followers}  # noqa: S101 - the table is the truth
 
     def approve(self, now: int) -> None:
-        """The operator, or an automatic rule, has approved `request`."""
         self.tick(now)
         self._move(AuthorityState.COMPARED, AuthorityState.APPROVED)
 
     def deny(self) -> None:
-        """The operator has denied the request."""
         self._move(AuthorityState.COMPARED, AuthorityState.OVER)
 
     def offer(self, chain: Sequence[bytes], root: bytes, nonce: bytes, now: int) -> bytes:
@@ -542,7 +526,6 @@ class AuthorityEnrollment:
 
     @property
     def deadline(self) -> int:
-        """The last second for the next step; 0 for none."""
         return self._deadline
 
     def tick(self, now: int) -> None:
@@ -565,7 +548,7 @@ class AuthorityEnrollment:
         self.state = end
 
     def _compare(self, message: Delivery, _: int) -> None:
-        """Check the hash first: a request that does not match the code is not parsed."""
+        # Check the hash first: a request that does not match the code is not parsed.
         self.state = AuthorityState.OVER
         if not self._code.matches(message.csr):
             raise RequestSwapped(

@@ -33,9 +33,6 @@ def check_directory(path: Path) -> None:
     """Return if no other user can write to the directory `path`, or replace it.
 
     Components that do not exist yet are not checked.
-
-    Raises:
-        PathRefused: another user can.
     """
     for part, status, is_last in _walk(path):
         _check_owner(part, status)
@@ -45,11 +42,7 @@ def check_directory(path: Path) -> None:
 
 
 def check_file(path: Path, status: os.stat_result) -> None:
-    """Check the `status` of an opened file.
-
-    Raises:
-        PathRefused: it is not a regular file, or another user can write it.
-    """
+    """Check the `status` of an opened file."""
     if not stat.S_ISREG(status.st_mode):
         raise PathRefused(f"{path} is not a regular file", "is it the right one?")
     _check_owner(path, status)
@@ -61,10 +54,6 @@ def check_trusted(path: Path) -> None:
 
     Closing a file drops every lock its process has on it (fcntl(2)), those of SQLite too. The
     path will be the same file when opened: no other user can change names in its directory.
-
-    Raises:
-        FileNotFoundError: there is none.
-        PathRefused: another user could have written it.
     """
     check_directory(path.parent)
     status = os.lstat(path)
@@ -74,16 +63,7 @@ def check_trusted(path: Path) -> None:
 
 
 def open_trusted(path: Path, *, link: bool = False) -> int:
-    """Open a trusted file for reading; returns its descriptor.
-
-    Args:
-        path: of the file.
-        link: allow a symbolic link; its target is checked.
-
-    Raises:
-        FileNotFoundError: there is none.
-        PathRefused: another user could have written it.
-    """
+    """Open a trusted file for reading; returns its descriptor."""
     check_directory(path.parent)
     if not link and path.is_symlink():
         raise PathRefused(f"{path} is a symbolic link", "put the file itself there")
@@ -97,10 +77,7 @@ def open_trusted(path: Path, *, link: bool = False) -> int:
 
 
 def _walk(path: Path) -> Iterator[tuple[Path, os.stat_result, bool]]:
-    """Yield every directory and link from the root to `path`, in the order of the kernel.
-
-    The boolean is true for `path` itself, which is not reached if it does not exist.
-    """
+    # The boolean is true for `path` itself, which is not reached if it does not exist.
     here, links = Path("/"), 0
     rest = [*reversed(path.absolute().parts[1:])]
     yield here, os.lstat(here), not rest
@@ -151,7 +128,6 @@ def _check_writers(path: Path, status: os.stat_result) -> None:
 
 
 def _is_private_group(path: Path, status: os.stat_result) -> bool:
-    """Whether the group of the file has no other member than its owner."""
     try:
         os.getxattr(path, _ACL)
     except OSError:
@@ -161,7 +137,6 @@ def _is_private_group(path: Path, status: os.stat_result) -> bool:
 
 @lru_cache(maxsize=64)
 def _is_user_private_group(group: int, owner: int) -> bool:
-    """Whether `group` is the user private group of `owner`; root may be in it."""
     try:
         found, name = grp.getgrgid(group), pwd.getpwuid(owner).pw_name
     except KeyError:
@@ -172,7 +147,6 @@ def _is_user_private_group(group: int, owner: int) -> bool:
 
 
 def _user(number: int) -> tuple[str, str]:
-    """The name of a user for a message, and for sudo."""
     try:
         name = pwd.getpwuid(number).pw_name
     except KeyError:

@@ -55,12 +55,7 @@ def encrypt(private_key_info: bytes, passphrase: bytes, *, salt: bytes, iv: byte
 
 
 def check_cost(encrypted: bytes) -> None:
-    """Return if opening the DER `EncryptedPrivateKeyInfo` takes no more than is of use.
-
-    Raises:
-        ValueError: not the DER of PBES2 with scrypt or PBKDF2 (RFC 8018, appendix A).
-        KeyRefused: it asks for more.
-    """
+    """Return if opening the DER `EncryptedPrivateKeyInfo` takes no more than is of use."""
     body = _only(encrypted, _SEQUENCE)
     algorithm, secret = _read(body, _SEQUENCE)
     _only(secret, _OCTETS)
@@ -119,7 +114,6 @@ def _after(beginning: bytes, data: bytes) -> bytes:
 
 
 def _only(data: bytes, tag: int) -> bytes:
-    """The content of the one element that `data` is."""
     content, rest = _read(data, tag)
     if rest:
         raise ValueError("more than one element")
@@ -127,7 +121,6 @@ def _only(data: bytes, tag: int) -> bytes:
 
 
 def _read(data: bytes, tag: int) -> tuple[bytes, bytes]:
-    """The content of the first element, which has this tag, and what follows it."""
     if len(data) < 2 or data[0] != tag:
         raise ValueError("another element")
     size, begin = data[1], 2
@@ -156,12 +149,7 @@ _NAME: Final = re.compile(rf"(?:{_SEGMENT}/){{0,3}}{_SEGMENT}")
 
 
 def seal(files: Mapping[str, bytes], passphrase: str, *, salt: bytes, nonce: bytes) -> bytes:
-    """Return the backup of `files`; `salt` (16) and `nonce` (12) are random and never used before.
-
-    Raises:
-        BackupRefused: a file name that is not allowed, or too much data.
-        PassphraseRefused: the passphrase is empty.
-    """
+    """Return the backup of `files`; `salt` (16) and `nonce` (12) are random and never used before."""
     _check_names(files)
     head = MAGIC + salt + nonce
     plain = encode({str(name): data for name, data in files.items()})
@@ -171,12 +159,7 @@ def seal(files: Mapping[str, bytes], passphrase: str, *, salt: bytes, nonce: byt
 
 
 def unseal(data: bytes, passphrase: str) -> dict[str, bytes]:
-    """Return the files in a backup.
-
-    Raises:
-        BackupRefused: not a backup, truncated, or too large.
-        PassphraseRefused: the passphrase is wrong, or a byte was changed.
-    """
+    """Return the files in a backup."""
     if len(data) > MAX_BACKUP or len(data) < _HEAD or not data.startswith(MAGIC):
         raise BackupRefused(
             "this is not a backup of an authority", "name the file that `rossec ca backup` wrote"

@@ -55,12 +55,7 @@ def generate() -> ec.EllipticCurvePrivateKey:
 def write_private(
     path: Path, key: ec.EllipticCurvePrivateKey, passphrase: str | None = None
 ) -> None:
-    """Write `key` to the new file `path`, readable by its owner only, durable on return.
-
-    Raises:
-        PassphraseRefused: the passphrase is empty.
-        KeyRefused: the file exists, or cannot be written; no partial file is left.
-    """
+    """Write `key` to the new file `path`, readable by its owner only, durable on return."""
     pem = _to_pem(key, passphrase)
     try:
         descriptor = os.open(path, _CREATE, 0o600)
@@ -81,14 +76,7 @@ def write_private(
 
 
 def load_private(path: Path, passphrase: str | None = None) -> ec.EllipticCurvePrivateKey:
-    """Return the P-256 key in the file `path`.
-
-    Raises:
-        PassphraseRefused: the passphrase is missing, wrong, or given for a key without one.
-        PathRefused: another user owns or can replace it.
-        KeyRefused: not a readable regular file, accessible by others, not a P-256 key, or
-            trying the passphrase would cost too much.
-    """
+    """Return the P-256 key in the file `path`."""
     pem = _read(path)
     _check_passphrase(path, passphrase, encrypted=_ENCRYPTED in pem)
     try:
@@ -108,7 +96,6 @@ def load_private(path: Path, passphrase: str | None = None) -> ec.EllipticCurveP
 
 
 def _open(pem: bytes, passphrase: str) -> PrivateKeyTypes:
-    """The encrypted key in a file, after its cost was checked: of the same bytes."""
     before, _, text = pem.partition(_ENCRYPTED)
     text, _, after = text.partition(_END)
     if b"-----" in before + after:
@@ -139,7 +126,6 @@ def _write_durably(descriptor: int, data: bytes, directory: Path) -> None:
 
 
 def _sync_directory(directory: Path) -> None:
-    """Make a new directory entry durable."""
     descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         os.fsync(descriptor)
@@ -164,7 +150,7 @@ def _read(path: Path) -> bytes:
 
 
 def _check_file(path: Path, status: os.stat_result) -> None:
-    """Check the opened file, not the path, which may have been replaced meanwhile."""
+    # Check the opened file, not the path, which may have been replaced meanwhile.
     if not stat.S_ISREG(status.st_mode):
         raise KeyRefused(f"{path} is not a regular file", "name the file of the private key")
     if status.st_mode & 0o077:
@@ -303,7 +289,6 @@ class TokenSigner:
 
     @property
     def public_key(self) -> ec.EllipticCurvePublicKey:
-        """The public key."""
         return self._public_key
 
     def sign(self, message: bytes) -> bytes:
@@ -321,7 +306,6 @@ class TokenSigner:
             raise TokenRefused(f"the token does not sign{_reason(error)}", _LIST_HINT) from error
 
     def close(self) -> None:
-        """Log out."""
         self._session.close()
 
 
@@ -353,7 +337,6 @@ def _session(uri: KeyUri, pin: str) -> Any:
 
 
 def _log_in(token: Any, pin: str) -> Any:
-    """A token has one login per process: after the first one, sessions need no PIN."""
     try:
         return token.open(rw=True, user_pin=pin)
     except _library().exceptions.UserAlreadyLoggedIn:
@@ -374,7 +357,7 @@ def _public(uri: KeyUri, point: bytes) -> ec.EllipticCurvePublicKey:
 
 
 def _fields(text: str, separator: str) -> dict[str, str]:
-    """Attributes of RFC 7512, percent-decoded; none if one is repeated."""
+    # Attributes of RFC 7512, percent-decoded; none if one is repeated.
     pairs = [part.partition("=") for part in text.split(separator) if part]
     names = [name for name, _, _ in pairs]
     if len(set(names)) != len(names):

@@ -113,7 +113,6 @@ class Signer(Protocol):
 
     @property
     def public_key(self) -> ec.EllipticCurvePublicKey:
-        """The public key."""
         ...
 
     def sign(self, message: bytes) -> bytes:
@@ -131,7 +130,6 @@ class KeySigner:
 
     @property
     def public_key(self) -> ec.EllipticCurvePublicKey:
-        """The public key."""
         return self._key.public_key()
 
     def sign(self, message: bytes) -> bytes:
@@ -158,17 +156,14 @@ class X509Signer(ec.EllipticCurvePrivateKey):
         return encode_dss_signature(int.from_bytes(raw[:32]), int.from_bytes(raw[32:]))
 
     def public_key(self) -> ec.EllipticCurvePublicKey:
-        """The public key."""
         return self._signer.public_key
 
     @property
     def curve(self) -> ec.EllipticCurve:
-        """P-256."""
         return ec.SECP256R1()
 
     @property
     def key_size(self) -> int:
-        """256 bits."""
         return 256
 
     def exchange(self, algorithm: ec.ECDH, peer_public_key: ec.EllipticCurvePublicKey) -> NoReturn:
@@ -216,17 +211,15 @@ class Profile:
 
     @cached_property
     def protected(self) -> bytes:
-        """The one protected header this profile allows, encoded."""
         return encode({_ALG: _COSE_ES256, _CRIT: [_TYP], _TYP: self.typ})
 
     @cached_property
     def _frame(self) -> bytes:
-        """The prefix of every statement of this kind, up to its payload."""
         return _SIGN1_TAG + b"\x84" + encode(self.protected) + b"\xa0"
 
     @cached_property
     def _signed_frame(self) -> bytes:
-        """Sig_structure of RFC 9052 section 4.4 with empty external data, up to its payload."""
+        # Sig_structure of RFC 9052 section 4.4 with empty external data, up to its payload.
         return b"\x84" + encode("Signature1") + encode(self.protected) + b"\x40"
 
     def sign(self, signer: Signer, payload: Value) -> bytes:
@@ -284,15 +277,13 @@ class Profile:
         _verify(key, data[len(statement) :], self._signed_frame + text)
 
     def peek(self, data: bytes, *, limit: int = MAX_SIZE) -> Value:
-        """Return the payload *without* verifying: to display, or to find the key to verify with."""
         return decode(self.peek_body(data, limit=limit), limit=limit)
 
     def peek_body(self, data: bytes, *, limit: int = MAX_SIZE) -> bytes:
-        """Return the payload as `open_body` does, *without* verifying."""
         return self._split(data, limit)[0]
 
     def _split(self, data: bytes, limit: int) -> tuple[bytes, bytes]:
-        """Return payload and signature: compare with the only allowed form instead of decoding."""
+        # Return payload and signature: compare with the only allowed form instead of decoding.
         if len(data) > limit:
             raise EncodingError(f"{len(data)} bytes of CBOR where at most {limit} are allowed")
         start, end = len(self._frame), len(data) - len(_SIGNATURE_HEAD) - 2 * _COORDINATE
@@ -307,7 +298,6 @@ class Profile:
         return self._split_by_decoding(data, limit)
 
     def _split_by_decoding(self, data: bytes, limit: int) -> tuple[bytes, bytes]:
-        """As `_split`, for any other form: decode it to report the error."""
         if data[:1] != _SIGN1_TAG:
             raise SignatureError("not a COSE_Sign1 statement")
         match decode(data[1:], limit=limit):

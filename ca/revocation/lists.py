@@ -60,7 +60,6 @@ class RevocationList:
 
     @property
     def number(self) -> tuple[int, int]:
-        """The order of lists: (epoch, seq)."""
         return self.epoch, self.seq
 
 
@@ -179,11 +178,7 @@ def _check_list(revocations: RevocationList) -> None:
 
 
 def check_entry(entry: object) -> bytes:
-    """Return `entry` if it has the form of a grant id or a key thumbprint.
-
-    Raises:
-        RevocationRefused: anything else.
-    """
+    """Return `entry` if it has the form of a grant id or a key thumbprint."""
     if not isinstance(entry, bytes) or len(entry) not in _SIZES:
         raise RevocationRefused("an entry is a grant id of 16 bytes or a key thumbprint of 32")
     return entry
@@ -255,7 +250,6 @@ class RevocationTree:
 
     @property
     def number(self) -> tuple[int, int]:
-        """The order of lists and trees: (epoch, seq)."""
         return self.epoch, self.seq
 
 
@@ -313,7 +307,6 @@ def finished(steps: Generator[None, None, _T]) -> _T:
 
 
 def _count(data: bytes) -> tuple[int, int]:
-    """How many entries an encoded array of them has, by its head; where the first begins."""
     if len(data) > MAX_TREE_ENTRIES_SIZE:
         raise RevocationRefused("too many entries for a revocation tree")
     for length in (1, 2, 3):
@@ -327,7 +320,6 @@ def _count(data: bytes) -> tuple[int, int]:
 
 
 def _entry(data: bytes, position: int) -> tuple[bytes, int]:
-    """The entry that begins there, and where it ends."""
     for size, form in (_SHORT, _LONG):
         end = position + size
         if data.startswith(form, position) and end <= len(data):
@@ -382,18 +374,15 @@ class TreeEntries:
         return found
 
     def encoded(self) -> bytes:
-        """The entries, encoded for the master."""
         entries: list[Value] = [*self._entries]
         return encode(entries)
 
     @property
     def entries(self) -> frozenset[bytes]:
-        """All of them."""
         return frozenset(self._entries)
 
     @property
     def size_and_root(self) -> tuple[int, bytes]:
-        """What the authority signs."""
         return len(self._entries), self._tree.root()
 
     def check(self, tree: RevocationTree) -> None:
@@ -421,11 +410,7 @@ class TreeEntries:
 
 
 def is_revoked(tree: RevocationTree, entry: bytes, proof: bytes) -> bool:
-    """Whether `proof` shows that `entry` is in `tree`, or that it is not.
-
-    Raises:
-        RevocationRefused: it shows neither.
-    """
+    """Whether `proof` shows that `entry` is in `tree`, or that it is not."""
     leaves = [_leaf(tree, part) for part in _parts(proof)]
     match leaves:
         case [(_, leaf)] if leaf == entry:

@@ -90,7 +90,6 @@ class Tree:
         return size
 
     def _hash(self, start: int, end: int) -> bytes:
-        """MTH(D[start:end]); complete subtrees are stored, and `start` is aligned to them."""
         width = end - start
         if width & (width - 1) == 0:
             return self._levels[width.bit_length() - 1][start // width]
@@ -98,7 +97,7 @@ class Tree:
         return node_hash(self._hash(start, middle), self._hash(middle, end))
 
     def _path(self, index: int, start: int, end: int) -> list[bytes]:
-        """PATH(index, D[start:end]), RFC 6962 section 2.1.1."""
+        # PATH(index, D[start:end]), RFC 6962 section 2.1.1.
         if end - start == 1:
             return []
         middle = start + _split(end - start)
@@ -107,7 +106,7 @@ class Tree:
         return [*self._path(index, middle, end), self._hash(start, middle)]
 
     def _subproof(self, first: int, start: int, end: int, *, whole: bool) -> list[bytes]:
-        """SUBPROOF(first, D[start:end], whole), RFC 6962 section 2.1.2; `first` counts from 0."""
+        # SUBPROOF(first, D[start:end], whole), RFC 6962 section 2.1.2; `first` counts from 0.
         if first == end:
             return [] if whole else [self._hash(start, end)]
         middle = start + _split(end - start)
@@ -119,7 +118,6 @@ class Tree:
 
 
 def _split(width: int) -> int:
-    """The largest power of two below `width`, which is at least 2."""
     return 1 << ((width - 1).bit_length() - 1)
 
 
@@ -128,9 +126,6 @@ def extend(peaks: Sequence[bytes], size: int, data: bytes) -> tuple[bytes, ...]:
 
     The *peaks* of a tree of `size` leaves are the roots of its complete subtrees, the largest
     first: enough to append to it.
-
-    Raises:
-        ProofRefused: a tree of `size` leaves has another number of peaks.
     """
     if len(peaks) != size.bit_count():
         raise ProofRefused(f"a tree of {size} leaves does not have {len(peaks)} peaks")
@@ -154,11 +149,7 @@ def root_of(peaks: Sequence[bytes]) -> bytes:
 def verify_inclusion(
     data: bytes, index: int, size: int, proof: Sequence[bytes], root: bytes
 ) -> None:
-    """Return if `proof` shows a leaf with the content `data` at `index` (RFC 9162, 2.1.3.2).
-
-    Raises:
-        ProofRefused: it does not.
-    """
+    """Return if `proof` shows a leaf with the content `data` at `index` (RFC 9162, 2.1.3.2)."""
     _check_form(proof)
     if not 0 <= index < size:
         raise ProofRefused(f"there is no leaf {index} in a tree of {size}")
@@ -180,11 +171,7 @@ def verify_inclusion(
 def verify_consistency(
     first: int, second: int, proof: Sequence[bytes], first_root: bytes, second_root: bytes
 ) -> None:
-    """Return if `proof` shows that the second tree extends the first (RFC 9162, 2.1.4.2).
-
-    Raises:
-        ProofRefused: it does not.
-    """
+    """Return if `proof` shows that the second tree extends the first (RFC 9162, 2.1.4.2)."""
     _check_form(proof)
     if not 0 < first <= second:
         raise ProofRefused(f"a tree of {second} leaves does not extend one of {first}")

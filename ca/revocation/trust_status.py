@@ -100,22 +100,18 @@ class Revocations:
 
     @property
     def floor(self) -> tuple[int, int]:
-        """The (epoch, seq) below which lists are refused; the caller persists it."""
         return self._floor
 
     @property
     def data(self) -> bytes:
-        """The current signed list, as received; empty if there is none."""
         return self._data
 
     @property
     def current(self) -> RevocationList | RevocationTree | None:
-        """The current list or tree, if any."""
         return self._list
 
     @property
     def entries(self) -> frozenset[bytes]:
-        """Everything known to be revoked, fresh or not."""
         return self._entries
 
     @property
@@ -132,12 +128,10 @@ class Revocations:
         return min(self.fresh_until, self._received + MAX_AGE)
 
     def is_proved(self, entry: bytes) -> bool:
-        """Whether it is known if `entry` is revoked, confirmed or not."""
         return self._complete or entry in self._absent or entry in self._entries
 
     @property
     def unproved(self) -> list[bytes]:
-        """Entries that were checked against a tree and have no proof yet."""
         return list(self._unproved)
 
     def add_proof(self, entry: bytes, proof: bytes) -> None:
@@ -221,7 +215,6 @@ class Revocations:
             self._confirmed = timestamp
 
     def expire_confirmation(self, until: int = 0) -> None:
-        """End the last confirmation at `until` at the latest; a new one is needed."""
         self._relied_until = min(self.fresh_until, until)
         self._confirmed = None
 
@@ -271,7 +264,6 @@ class Revocations:
             raise RevocationsStale("the clock is behind the revocation list", "set the clock")
 
     def _end(self, timestamp: Timestamp) -> int:
-        """The last second of a confirmation."""
         return timestamp.issued + (timestamp.max_age if self.fresh is None else self.fresh)
 
     def check_number(self, new: RevocationList | RevocationTree) -> None:
@@ -293,7 +285,7 @@ class Revocations:
 
     @staticmethod
     def _is_replay(confirmed: Timestamp, new: Timestamp, now: int) -> bool:
-        """Ignore an older timestamp, unless the confirmed one is now in the future."""
+        # Ignore an older timestamp, unless the confirmed one is now in the future.
         return new.issued <= confirmed.issued <= now + SKEW
 
 
@@ -319,8 +311,6 @@ _SILENT: Final = "does this side's master reach that domain's? rossec federation
 
 @dataclass
 class _Foreign:
-    """One foreign domain: its root, its list, the keys of its masters by thumbprint."""
-
     root: bytes
     revocations: Revocations
     masters: dict[bytes, ec.EllipticCurvePublicKey] = field(default_factory=dict)
@@ -503,7 +493,6 @@ class Standing:
         return listed
 
     def _held(self, domain: str) -> _Foreign | None:
-        """The state of a listed domain, made or brought up to date with the list."""
         listed = self.anchors.listed_domain(domain)
         if listed is None:
             return None
@@ -515,7 +504,6 @@ class Standing:
         return held
 
     def _check_master(self, revocations: Revocations, master: Identity, now: int) -> None:
-        """A revoked master confirms nothing; nor does one without a proof that it is not."""
         for key in master.keys:
             for each in (self.own, revocations):
                 with suppress(RevocationsStale):  # the timestamp may end it
@@ -525,7 +513,7 @@ class Standing:
 
 
 def _master(listed: ListedDomain, chain: Sequence[bytes], now: int) -> Identity:
-    """The identity of a master of a foreign domain; it need not be admitted as a peer."""
+    # The identity of a master of a foreign domain; it need not be admitted as a peer.
     identity = listed.anchor.verify(chain, now)
     if not is_master_name(identity.name) or identity.wildcard:
         raise NotAdmitted(

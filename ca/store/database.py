@@ -264,9 +264,6 @@ def check_no_foreign_objects(db: sqlite3.Connection) -> None:
     """Return if this file has no other tables, triggers and views than those created here.
 
     A trigger could drop an inserted row, a view or a virtual table could replace a table.
-
-    Raises:
-        StoreError: names the first object that is foreign, missing or changed.
     """
     expected_db = sqlite3.connect(":memory:")
     create(expected_db)
@@ -282,16 +279,13 @@ def check_no_foreign_objects(db: sqlite3.Connection) -> None:
 
 
 def _objects(db: sqlite3.Connection) -> dict[str, tuple[str, str, str]]:
-    """The objects in a file: kind, table and SQL by name, without SQLite's own indexes."""
     rows = db.execute("SELECT name, type, tbl_name, sql FROM sqlite_master WHERE sql IS NOT NULL")
     return {name: (kind, table, _canonical(text)) for name, kind, table, text in rows}
 
 
 def _canonical(text: str) -> str:
-    """A statement in canonical form: whitespace, case, quotes and IF NOT EXISTS do not matter.
-
-    Nor does the order of a set: until 0.1.0 that of `csr_moves` differed in each process.
-    """
+    # A statement in canonical form: whitespace, case, quotes and IF NOT EXISTS do not matter.
+    # Nor does the order of a set: until 0.1.0 that of `csr_moves` differed in each process.
     words = text.lower().replace('"', "").replace("if not exists ", "").replace(";", " ").split()
     return _SET.sub(lambda found: str(sorted(found[1].split(", "))), " ".join(words))
 
@@ -303,11 +297,7 @@ def version(db: sqlite3.Connection) -> int:
 
 
 def check(db: sqlite3.Connection) -> None:
-    """Return if the tables are those created here, with strict types.
-
-    Raises:
-        StoreError: one is missing or different.
-    """
+    """Return if the tables are those created here, with strict types."""
     rows = db.execute("SELECT name, sql FROM sqlite_master WHERE type = 'table'")
     found = {name: _normal(sql) for name, sql in rows}
     for statement in _TABLES:
@@ -414,7 +404,7 @@ def _add_tables(
 
 
 def _taken(db: sqlite3.Connection, table: str, columns: str) -> list[tuple[Any, ...]]:
-    """The rows of a table that may not be there, oldest first; the table is dropped."""
+    # The rows of a table that may not be there, oldest first; the table is dropped.
     if not _has_table(db, table):
         return []
     rows = db.execute(f"SELECT {columns} FROM {table} ORDER BY rowid").fetchall()  # noqa: S608  (constants)
@@ -434,7 +424,6 @@ def _has_table(db: sqlite3.Connection, name: str) -> bool:
 
 
 def _rows_of(db: sqlite3.Connection, what: str) -> Iterator[tuple[int | str | bytes, ...]]:
-    """The rows of the log entries of kind `what`, oldest first."""
     table, columns = LOGGED_TABLES[what]
     return iter(db.execute(f"SELECT {columns} FROM {table} ORDER BY rowid").fetchall())  # noqa: S608  (constants)
 
@@ -497,7 +486,6 @@ class Database:
         return database
 
     def close(self) -> None:
-        """Close the file."""
         self.connection.close()
 
     def snapshot(self) -> bytes:
@@ -573,7 +561,6 @@ class Database:
             self.connection.execute("ROLLBACK")
 
     def _check_not_replaced(self) -> None:
-        """Refuse to write to a record that was moved away while this command waited."""
         try:
             found = self._path.stat()
         except OSError:
@@ -616,7 +603,7 @@ def _connect(path: Path) -> sqlite3.Connection:
 
 
 def _check_kind(db: sqlite3.Connection, path: Path) -> None:
-    """Before any PRAGMA is set: a database of another program must not be changed."""
+    # Before any PRAGMA is set: a database of another program must not be changed.
     (application,) = db.execute("PRAGMA application_id").fetchone()
     if application == APPLICATION_ID and version(db) > VERSION:
         raise StoreError(

@@ -64,24 +64,20 @@ class IdentityTable:
         self._database = database
 
     def all(self) -> list[CertificateRow]:
-        """Every identity signed, oldest first."""
         return self._find("ORDER BY rowid")
 
     def by_name(self, name: str) -> list[CertificateRow]:
-        """Every identity of `name`, oldest first."""
         return self._find("WHERE name = ? ORDER BY rowid", name)
 
     def valid(self, name: str, now: int) -> list[CertificateRow]:
-        """The valid identities of `name`: not expired, and no key of the chain is revoked."""
+        # The valid identities of `name`: not expired, and no key of the chain is revoked.
         return self.with_valid_issuer(self.unrevoked(name, now))
 
     def all_valid(self, now: int) -> list[CertificateRow]:
-        """As `valid`, of every name, oldest first."""
         alive = "WHERE not_after >= ? AND thumbprint NOT IN (SELECT entry FROM revocation)"
         return self.with_valid_issuer(self._find(f"{alive} ORDER BY rowid", now))
 
     def valid_masters(self, now: int) -> list[CertificateRow]:
-        """As `valid`, of every name that a master is certified for, oldest first."""
         found = self._find(
             f"WHERE (name = ? OR {_BEGINS}) AND not_after >= ?"  # noqa: S608  (constants)
             " AND thumbprint NOT IN (SELECT entry FROM revocation) ORDER BY rowid",
@@ -90,7 +86,7 @@ class IdentityTable:
         return self.with_valid_issuer([row for row in found if is_master_name(row.name)])
 
     def unrevoked(self, name: str, now: int) -> list[CertificateRow]:
-        """Those not expired whose own key is not revoked: the ones that can still be revoked."""
+        # Those not expired whose own key is not revoked: the ones that can still be revoked.
         return self._find(
             "WHERE name = ? AND not_after >= ?"
             " AND thumbprint NOT IN (SELECT entry FROM revocation) ORDER BY rowid",
@@ -98,7 +94,7 @@ class IdentityTable:
         )  # fmt: skip
 
     def with_valid_issuer(self, rows: list[CertificateRow]) -> list[CertificateRow]:
-        """Those of `rows` that were not signed by a revoked intermediate."""
+        # Those of `rows` that were not signed by a revoked intermediate.
         ended = self._find(
             f"WHERE {_BEGINS} AND thumbprint IN (SELECT entry FROM revocation)",  # noqa: S608  (constants)
             *_beginning(INTERMEDIATE),
@@ -106,28 +102,19 @@ class IdentityTable:
         return [row for row in rows if _signer(row, ended) is None]
 
     def issuer(self, row: CertificateRow) -> CertificateRow | None:
-        """The intermediate of this record that signed `row`, newest first; None: the authority."""
         clause = f"WHERE {_BEGINS} ORDER BY rowid DESC"
         return _signer(row, self._find(clause, *_beginning(INTERMEDIATE)))
 
     def certified_name(self, name: str, now: int) -> str:
-        """The certified name that grants, rules and revocations of the node `name` refer to.
-
-        It is `name` itself or, for an anonymous node, that of the valid identity that covers it.
-        """
+        # It is `name` itself or, for an anonymous node, that of the valid identity that covers it.
         covering = (row.name for row in self._related(name, now) if row.covers(name))
         return max(covering, key=len, default=name)
 
     def check_names(
         self, name: str, thumbprint: bytes, now: int, covers: Callable[[str], bool]
     ) -> None:
-        """Return if no two keys would share a name, also not through a wildcard tail.
-
-        `covers(other)`: whether the new identity would cover `other`.
-
-        Raises:
-            NameCovered: they would.
-        """
+        # Return if no two keys would share a name, also not through a wildcard tail.
+        # `covers(other)`: whether the new identity would cover `other`.
         for known in self._related(name, now):
             overlap = known.covers(name) or covers(known.name)
             if known.thumbprint != thumbprint and known.name != name and overlap:
@@ -139,11 +126,9 @@ class IdentityTable:
     def ever_shared(
         self, name: str, thumbprint: bytes, covers: Callable[[str], bool]
     ) -> list[CertificateRow]:
-        """Identities of another key that `name` was or would be shared with, oldest first.
-
-        Also those that were revoked or have expired, and through a wildcard tail of either: who
-        gets a name gets what people and policies mean by it. `covers`: as for `check_names`.
-        """
+        # Identities of another key that `name` was or would be shared with, oldest first.
+        # Also those that were revoked or have expired, and through a wildcard tail of either: who gets a name
+        # gets what people and policies mean by it. `covers`: as for `check_names`.
         return [
             row
             for row in self._beside(name)
@@ -152,14 +137,12 @@ class IdentityTable:
         ]
 
     def issued_for(self, request: bytes) -> CertificateRow | None:
-        """The certificate that was issued for the request with this digest."""
         found = self._find("WHERE serial = (SELECT serial FROM answer WHERE request = ?)", request)
         return found[0] if found else None
 
     def add(
         self, db: sqlite3.Connection, row: CertificateRow, now: int, request: bytes | None
     ) -> None:
-        """Add an identity, inside the caller's transaction."""
         values = (row.serial.to_bytes(20), *row[1:])
         db.execute("INSERT INTO certificate VALUES (?, ?, ?, ?, ?, ?, ?)", (*values, now))
         if request is not None:
@@ -175,13 +158,6 @@ class IdentityTable:
         replace_key: str | None = None,
         renews: bytes | None = None,
     ) -> None:
-        """Return if `name` may be certified with the key `thumbprint`.
-
-        Raises:
-            KeyChanged: it has another key, and `replace_key` was not given.
-            RenewalRefused: `renews` is not its newest key.
-            StoreError: the key is revoked, or `replace_key` is another name.
-        """
         self.check_not_revoked(name, thumbprint)
         if replace_key is not None and replace_key != name:
             raise StoreError(
@@ -199,23 +175,17 @@ class IdentityTable:
             )
 
     def check_not_revoked(self, name: str, thumbprint: bytes) -> None:
-        """Return if the key `thumbprint` of `name` is not revoked.
-
-        Raises:
-            StoreError: it is.
-        """
+        # Return if the key `thumbprint` of `name` is not revoked.
         if self._database.rows("SELECT 1 FROM revocation WHERE entry = ?", thumbprint):
             raise StoreError(
                 f"the key of {name} is revoked", "make a new key and request on the node"
             )
 
     def _related(self, name: str, now: int) -> list[CertificateRow]:
-        """Unexpired, unrevoked identities whose name is a prefix of `name`, or the reverse."""
         alive = " AND not_after >= ? AND thumbprint NOT IN (SELECT entry FROM revocation)"
         return self.with_valid_issuer(self._beside(name, alive, now))
 
     def _beside(self, name: str, clause: str = "", *values: object) -> list[CertificateRow]:
-        """All identities whose name is `name`, or a prefix of it, or the reverse."""
         prefixes = json.dumps([name[:size] for size in range(1, len(name))])
         return self._find(
             f"WHERE (name IN (SELECT value FROM json_each(?)) OR {_BEGINS}){clause}",  # noqa: S608  (constants)
@@ -228,7 +198,6 @@ class IdentityTable:
 
 
 def _beginning(prefix: str) -> tuple[str, str]:
-    """The bounds of `_BEGINS` for names that begin with `prefix`, in the order of their UTF-8."""
     return prefix, f"{prefix}\U0010ffff"
 
 
@@ -239,7 +208,7 @@ def _signer(row: CertificateRow, made: list[CertificateRow]) -> CertificateRow |
 
 
 def _check_newest(name: str, known: list[bytes], renews: bytes) -> None:
-    """Refuse older keys; an authority without a record of the name (an intermediate) cannot."""
+    # Refuse older keys; an authority without a record of the name (an intermediate) cannot.
     if known and known[-1] != renews:
         raise RenewalRefused(
             f"{name} was renewed already, by another key",
@@ -265,13 +234,7 @@ class RequestTable:
         self._identities = identities
 
     def add(self, request: IdentityRequest, der: bytes, source: str, now: int) -> RequestRow:
-        """Record a verified request as pending; an already recorded one is returned unchanged.
-
-        `source` is where it came from, for the approver.
-
-        Raises:
-            RequestClosed: too many are open, or it got its certificate and was deleted since.
-        """
+        # `source` is where it came from, for the approver.
         self.collect(now)
         with self._database.transaction() as db:
             stored = self.find(request.digest)
@@ -289,31 +252,20 @@ class RequestTable:
         return row
 
     def all(self, now: int = 0) -> list[RequestRow]:
-        """Every request that has not expired at `now` (0: expired ones too), oldest first."""
+        # Every request that has not expired at `now` (0: expired ones too), oldest first.
         return self._rows(f"WHERE {_EXPIRES} >= ? ORDER BY arrived, rowid", now)
 
     def open(self, now: int = 0) -> list[RequestRow]:
-        """Those that wait for an answer or their identity; at `now` without expired ones."""
         return self._rows(f"WHERE state IN ({_OPEN}) AND {_EXPIRES} >= ?", now)
 
     def find(self, digest: bytes) -> RequestRow | None:
-        """The request with this digest, if it is recorded."""
         return next(iter(self._rows("WHERE digest = ?", digest)), None)
 
     def get(self, digest: bytes) -> RequestRow:
-        """One request, by its digest.
-
-        Raises:
-            StoreError: there is none.
-        """
         return self.begun(digest.hex())
 
     def begun(self, beginning: str) -> RequestRow:
-        """The one request whose digest begins so, in hexadecimal digits.
-
-        Raises:
-            StoreError: there is none, or more than one.
-        """
+        # The one request whose digest begins so, in hexadecimal digits.
         begins = "WHERE substr(lower(hex(digest)), 1, ?) = ?"
         found = self._rows(begins, len(beginning), beginning.lower())
         if len(found) != 1 or not beginning:
@@ -331,15 +283,7 @@ class RequestTable:
         replace_key: str | None = None,
         wildcard: bool = False,
     ) -> RequestRow:
-        """Approve a request. `replace_key` is the name again, when it has another key.
-
-        `wildcard`: the identity shall cover anonymous nodes too, whatever the request says.
-
-        Raises:
-            RequestClosed: it is not pending, or has expired.
-            NameCovered: two keys would share a name.
-            KeyChanged, NameContested: the name has another key, or another key requests it.
-        """
+        # `wildcard`: the identity shall cover anonymous nodes too, whatever the request says.
         with self._database.transaction():
             row = self.get(digest)
             self._check_name(row, now, replace_key, wildcard=wildcard)
@@ -347,20 +291,13 @@ class RequestTable:
             return self._advance(approved, RequestState.APPROVED, now, reason)
 
     def deny(self, digest: bytes, now: int, reason: str = "") -> RequestRow:
-        """Deny a request, also an approved one that is not issued yet.
-
-        Raises:
-            RequestClosed: it was issued, or denied before.
-        """
+        # Deny a request, also an approved one that is not issued yet.
         with self._database.transaction():
             return self._advance(self.get(digest), RequestState.DENIED, now, reason)
 
     def collect(self, now: int) -> list[RequestRow]:
-        """Delete what expired long ago and many came after; returns the deleted ones.
-
-        A clock that is ahead for one look would else delete what comes back when it is right: so
-        the newest `KEPT_EXPIRED` stay, whatever the clock says, and count nowhere.
-        """
+        # A clock that is ahead for one look would else delete what comes back when it is right: so the newest
+        # `KEPT_EXPIRED` stay, whatever the clock says, and count nowhere.
         if not self._collectable(now):  # without the lock of a transaction
             return []
         with self._database.transaction() as db:
@@ -370,11 +307,6 @@ class RequestTable:
         return over
 
     def mark_issued(self, db: sqlite3.Connection, digest: bytes, now: int) -> None:
-        """Mark as issued, inside the transaction that records the certificate.
-
-        Raises:
-            RequestClosed: it was not approved.
-        """
         stored = self.find(digest)
         if stored is None:
             raise RequestClosed(
@@ -383,14 +315,13 @@ class RequestTable:
         _update(db, advance(stored, RequestState.ISSUED, now))
 
     def _collectable(self, now: int) -> list[RequestRow]:
-        """All but the newest of those that expired, if they did so `COLLECTED_AFTER` ago."""
+        # All but the newest of those that expired, if they did so `COLLECTED_AFTER` ago.
         newest_first = f"WHERE {_EXPIRES} < ? ORDER BY changed DESC, rowid DESC LIMIT -1 OFFSET ?"
         return self._rows(newest_first, now - COLLECTED_AFTER, KEPT_EXPIRED)
 
     def _check_name(
         self, row: RequestRow, now: int, replace_key: str | None, *, wildcard: bool
     ) -> None:
-        """Return if the key of the request may have the name, as for `approve`."""
         for other in self.open(now):
             if other.name == row.name and other.thumbprint != row.thumbprint:
                 raise NameContested(
@@ -439,7 +370,6 @@ def _delete(db: sqlite3.Connection, row: RequestRow, now: int) -> None:
 
 
 def _update(db: sqlite3.Connection, row: RequestRow) -> None:
-    """Triggers refuse other transitions, also when two commands run at once."""
     db.execute(
         "UPDATE csr SET state = ?, reason = ?, changed = ?, replaces = ?, wildcard = ?"
         " WHERE digest = ?",
@@ -493,12 +423,6 @@ class InvitationTable:
         self._database = database
 
     def add(self, row: InvitationRow) -> None:
-        """Record an invitation.
-
-        Raises:
-            ValueError: `id` is not that of `key`.
-            StoreError: it is recorded already.
-        """
         if hashlib.sha256(row.key).digest() != row.id:
             raise ValueError("the id of an invitation is the hash of its key")
         values = (*row[:4], int(row.wildcard), *row[5:])
@@ -508,22 +432,15 @@ class InvitationTable:
             append_entry(db, row.at, "invitation", row.pattern, detail, digest_of(values))
 
     def all(self) -> list[InvitationRow]:
-        """Every invitation, oldest first, also those that have ended."""
         return self._rows("ORDER BY rowid")
 
     def get(self, id: bytes) -> InvitationRow:  # noqa: A002 - as in the row
-        """One invitation.
-
-        Raises:
-            InvitationRefused: there is none.
-        """
         found = self._rows("WHERE id = ?", id)
         if not found:
             raise InvitationRefused("there is no such invitation", "see: rossec ca invitations")
         return found[0]
 
     def uses(self, id: bytes) -> list[InvitationUse]:  # noqa: A002 - as in the row
-        """The identities that were issued by an invitation, oldest first."""
         query = (
             "SELECT invitation, request, name, thumbprint, at FROM invitation_use"
             " WHERE invitation = ? ORDER BY rowid"
@@ -531,18 +448,11 @@ class InvitationTable:
         return [InvitationUse(*row) for row in self._database.rows(query, id)]
 
     def ended(self, id: bytes) -> str | None:  # noqa: A002 - as in the row
-        """Why an invitation was ended, if it was."""
         rows = self._database.rows("SELECT reason FROM invitation_end WHERE invitation = ?", id)
         return str(rows[0][0]) if rows else None
 
     def take(self, use: InvitationUse) -> None:
-        """Record a use; again for the same request: nothing.
-
-        To be called inside the transaction that issues the identity.
-
-        Raises:
-            InvitationRefused: unknown, ended, expired at `use.at`, or used up.
-        """
+        # To be called inside the transaction that issues the identity.
         row, taken = self.get(use.invitation), self.uses(use.invitation)
         if any(known.request == use.request for known in taken):
             return
@@ -552,21 +462,11 @@ class InvitationTable:
             append_entry(db, use.at, "join", use.name, use.invitation.hex(), digest_of(use))
 
     def check_open(self, id: bytes, now: int) -> InvitationRow:  # noqa: A002 - as in the row
-        """The invitation, if it can be used at `now`.
-
-        Raises:
-            InvitationRefused: as `take`.
-        """
         row = self.get(id)
         self._check(row, len(self.uses(id)), now)
         return row
 
     def end(self, id: bytes, reason: str, now: int) -> None:  # noqa: A002 - as in the row
-        """End an invitation; ending it again changes nothing.
-
-        Raises:
-            InvitationRefused: there is none.
-        """
         pattern = self.get(id).pattern
         with self._database.transaction() as db:
             row = (id, reason, now)
@@ -577,10 +477,8 @@ class InvitationTable:
                 append_entry(db, now, "invitation ended", pattern, reason, digest_of(row))
 
     def end_all(self, reason: str, now: int) -> None:
-        """End every invitation that has not ended.
-
-        Also those that have expired: the clock may be ahead, and is set back some day.
-        """
+        # End every invitation that has not ended.
+        # Also those that have expired: the clock may be ahead, and is set back some day.
         with self._database.transaction():
             for row in self.all():
                 self.end(row.id, reason, now)

@@ -65,11 +65,7 @@ Row = tuple[Any, ...]
 def replay_approvals(
     entries: Iterable[LogEntry], rows: Mapping[str, Iterable[Row]], tree: Tree
 ) -> None:
-    """Check every passkey and approval; `rows` are those of the tables, by kind of entry.
-
-    Raises:
-        LogDamaged: names the first entry that could not have been made.
-    """
+    """Check every passkey and approval; `rows` are those of the tables, by kind of entry."""
     replay = _Replay(rows, tree)
     for entry in entries:
         step = replay.steps.get(entry.what)
@@ -148,14 +144,12 @@ class AuthorityLog:
         self._database = database
 
     def entries(self) -> list[LogEntry]:
-        """All entries, oldest first."""
         rows = self._database.rows(
             "SELECT number, at, what, subject, detail, digest FROM log ORDER BY number"
         )
         return [LogEntry(*row) for row in rows]
 
     def newest(self, count: int, before: int | None = None) -> list[LogEntry]:
-        """At most `count` entries, newest first; with `before`, older than that number."""
         clause, values = ("", ()) if before is None else ("WHERE number < ?", (before,))
         rows = self._database.rows(
             f"SELECT number, at, what, subject, detail, digest FROM log {clause}"  # noqa: S608  (constants)
@@ -165,51 +159,39 @@ class AuthorityLog:
         return [LogEntry(*row) for row in rows]
 
     def head(self, now: int) -> Head:
-        """The current head of the log, to be signed."""
         rows = self._database.rows("SELECT number, peaks FROM log ORDER BY number DESC LIMIT 1")
         size, peaks = (rows[0][0] + 1, rows[0][1]) if rows else (0, b"")
         return Head(size, root_of(split_peaks(peaks)), now)
 
     def root_at(self, size: int) -> bytes | None:
-        """The root of the first `size` entries; None if there are not so many."""
+        # The root of the first `size` entries; None if there are not so many.
         if size == 0:
             return root_of(())
         rows = self._database.rows("SELECT peaks FROM log WHERE number = ?", size - 1)
         return root_of(split_peaks(rows[0][0])) if rows else None
 
     def subjects(self, what: str) -> frozenset[str]:
-        """The subjects of all entries of this kind."""
         rows = self._database.rows("SELECT DISTINCT subject FROM log WHERE what = ?", what)
         return frozenset(subject for (subject,) in rows)
 
     def last_restore(self) -> int:
-        """The number of the entry about the last restore from a backup; -1: there was none."""
         query = "SELECT number FROM log WHERE what = ? ORDER BY number DESC LIMIT 1"
         rows = self._database.rows(query, RESTORED)
         return int(rows[0][0]) if rows else -1
 
     def add_head(self, data: bytes, now: int) -> None:
-        """Store a signed head."""
         with self._database.transaction() as db:
             db.execute("INSERT INTO head VALUES (?, ?) ON CONFLICT DO NOTHING", (data, now))
 
     def heads(self) -> list[bytes]:
-        """Every signed head, oldest first."""
         rows = self._database.rows("SELECT data FROM head ORDER BY rowid")
         return [bytes(data) for (data,) in rows]
 
     def tree(self) -> Tree:
-        """The tree of all entries, for proofs."""
         return Tree(map(leaf, self.entries()))
 
     def audit(self, key: ec.EllipticCurvePublicKey, *more: bytes) -> Head:
-        """Verify the whole log; returns the newest signed head.
-
-        `key` is the authority's; `more` are heads stored elsewhere.
-
-        Raises:
-            LogDamaged: names the first difference.
-        """
+        # `key` is the authority's; `more` are heads stored elsewhere.
         with self._database.read_transaction():  # another command may be writing
             return self._audit(key, more)
 
@@ -236,7 +218,6 @@ class AuthorityLog:
         return [(LogEntry(*row[:-1]), row[-1]) for row in rows]
 
     def _check_rows(self, what: str, entries: list[LogEntry]) -> None:
-        """Check that the rows of a table are those in the log, in the same order."""
         for row, entry in zip_longest(self._rows_of(what), entries):
             if entry is None:
                 raise LogDamaged(f"a {what} is recorded that is not in the log", _LOG_HINT)
@@ -250,7 +231,6 @@ class AuthorityLog:
         return self._database.rows(f"SELECT {columns} FROM {table} ORDER BY rowid")  # noqa: S608  (constants)
 
     def _check_requests(self, entries: list[LogEntry]) -> None:
-        """Check that every request took allowed transitions, and is in the state the log says."""
         states = _replay(entries)
         rows = self._database.rows("SELECT digest, state, der FROM csr")
         found = {bytes(digest): RequestState(state) for digest, state, _ in rows}
@@ -259,7 +239,7 @@ class AuthorityLog:
 
 
 def _replay(entries: list[LogEntry]) -> dict[bytes, RequestState]:
-    """The states of all requests that were not collected, from the log."""
+    # The states of all requests that were not collected, from the log.
     states: dict[bytes, RequestState] = {}
     for entry in entries:
         current = states.get(entry.digest)
@@ -289,11 +269,6 @@ class PasskeyTable:
         self._database = database
 
     def add(self, passkey: Passkey) -> None:
-        """Record a passkey.
-
-        Raises:
-            StoreError: it is, or was, recorded already, or one in use has its name.
-        """
         with self._database.transaction() as db:
             if any(known.name == passkey.name for known in self.active()):
                 raise StoreError(
@@ -306,19 +281,12 @@ class PasskeyTable:
             )
 
     def all(self) -> list[Passkey]:
-        """Every passkey, oldest first, also those that have ended."""
         return self._rows("ORDER BY rowid")
 
     def active(self) -> list[Passkey]:
-        """The passkeys that can approve, oldest first."""
         return self._rows("WHERE id NOT IN (SELECT passkey FROM passkey_end) ORDER BY rowid")
 
     def get(self, id: bytes) -> Passkey:  # noqa: A002 - as in the row
-        """A passkey that can approve.
-
-        Raises:
-            PasskeyUnknown: there is none, or it has ended.
-        """
         for passkey in self.active():
             if passkey.id == id:
                 return passkey
@@ -328,22 +296,15 @@ class PasskeyTable:
         )
 
     def ended(self) -> dict[bytes, str]:
-        """Why passkeys ended, by their credential id."""
         return dict(self._database.rows("SELECT passkey, reason FROM passkey_end"))
 
     def end(self, id: bytes, reason: str, now: int) -> None:  # noqa: A002 - as in the row
-        """End a passkey for ever.
-
-        Raises:
-            PasskeyUnknown: there is none, or it has ended.
-        """
         with self._database.transaction() as db:
             passkey, row = self.get(id), (id, reason, now)
             db.execute("INSERT INTO passkey_end VALUES (?, ?, ?)", row)
             append_entry(db, now, "passkey ended", passkey.name, reason, digest_of(row))
 
     def end_all(self, reason: str, now: int) -> int:
-        """End every passkey; returns how many."""
         with self._database.transaction():
             active = self.active()
             for passkey in active:
@@ -388,17 +349,8 @@ class ApprovalTable:
         self._log = log
 
     def add(self, approval: Approval, counter: int = 0) -> Statement:
-        """Verify and record an approval; returns its statement.
-
-        `counter` is the largest of the passkey that is known besides the recorded ones, as from a
-        login. To be called inside the transaction that carries it out, if it is carried out now.
-
-        Raises:
-            ApprovalUsed: the statement was approved before.
-            ApprovalOutdated: too late, or about a record that was restored or replaced since.
-            PasskeyUnknown: the passkey is not registered, or has ended.
-            ApprovalRefused: as `ca.approvals.passkeys.ApprovalVerifier`.
-        """
+        # `counter` is the largest of the passkey that is known besides the recorded ones, as from a login. To
+        # be called inside the transaction that carries it out, if it is carried out now.
         with self._database.transaction() as db:
             passkey = self._passkeys.get(approval.passkey)
             last = max(counter, self.counter(passkey.id))
@@ -412,62 +364,41 @@ class ApprovalTable:
         return statement
 
     def get(self, id: bytes) -> Approval:  # noqa: A002 - as in the row
-        """One approval.
-
-        Raises:
-            ApprovalOver: there is none.
-        """
         found = self._rows("WHERE id = ?", id)
         if not found:
             raise ApprovalOver("there is no such approval", "see: rossec console approvals")
         return found[0]
 
     def all(self) -> list[Approval]:
-        """Every approval, oldest first."""
         return self._rows("ORDER BY rowid")
 
     def newest(self, count: int) -> list[Approval]:
-        """The `count` newest approvals, newest first."""
         return self._rows("ORDER BY rowid DESC LIMIT ?", count)
 
     def last_used(self) -> dict[bytes, int]:
-        """When each passkey approved something last, by its credential id."""
         return dict(self._database.rows("SELECT passkey, max(at) FROM approval GROUP BY passkey"))
 
     def approvers(self, kind: Kind) -> dict[bytes, bytes]:
-        """Which passkey approved, by the id of the approval; for one kind."""
         query = "SELECT id, passkey FROM approval WHERE kind = ?"
         return dict(self._database.rows(query, int(kind)))
 
     def about(self, kind: Kind, subject: bytes) -> list[Approval]:
-        """The approvals of one kind about one thing, oldest first."""
         return self._rows("WHERE kind = ? AND subject = ? ORDER BY rowid", int(kind), subject)
 
     def waiting(self) -> list[Approval]:
-        """The approvals that were neither carried out nor ended, oldest first."""
         return self._rows("WHERE id NOT IN (SELECT approval FROM approval_end) ORDER BY rowid")
 
     def ends(self) -> dict[bytes, ApprovalEnd]:
-        """How approvals ended, by their id; those that wait are not in it."""
+        # How approvals ended, by their id; those that wait are not in it.
         rows = self._database.rows("SELECT approval, state, result, at FROM approval_end")
         return {row[0]: ApprovalEnd(*row) for row in rows}
 
     def state(self, id: bytes) -> ApprovalState:  # noqa: A002 - as in the row
-        """What became of an approval.
-
-        Raises:
-            ApprovalOver: there is none.
-        """
         query = "SELECT state FROM approval_end WHERE approval = ?"
         rows = self._database.rows(query, self.get(id).id)
         return ApprovalState(rows[0][0]) if rows else ApprovalState.WAITING
 
     def end(self, id: bytes, state: ApprovalState, result: str, now: int) -> None:  # noqa: A002
-        """Record what became of an approval that waits.
-
-        Raises:
-            ApprovalOver: there is none, or it has ended.
-        """
         if state is ApprovalState.WAITING:
             raise ValueError("waiting is not an end")
         with self._database.transaction() as db:
@@ -480,7 +411,6 @@ class ApprovalTable:
             append_entry(db, now, "approval ended", id.hex(), f"{state}: {result}", digest_of(row))
 
     def end_waiting(self, reason: str, now: int) -> int:
-        """End every approval that waits, without carrying it out; returns how many."""
         with self._database.transaction():
             waiting = self.waiting()
             for approval in waiting:
@@ -488,7 +418,6 @@ class ApprovalTable:
         return len(waiting)
 
     def counter(self, passkey: bytes) -> int:
-        """The largest counter in the recorded assertions of a passkey; 0: none, or it has none."""
         rows = self._database.rows(
             "SELECT authenticator_data FROM approval WHERE passkey = ? ORDER BY rowid DESC LIMIT 1",
             passkey,

@@ -65,7 +65,6 @@ class Store:
         return cls(Database.open(path))
 
     def close(self) -> None:
-        """Close the file."""
         self.database.close()
 
     def transaction(self) -> AbstractContextManager[sqlite3.Connection]:
@@ -177,10 +176,7 @@ class Store:
         return ended
 
     def _newest_unrevoked(self, name: str) -> CertificateRow | None:
-        """The newest identity of `name`, over or not; None: there is none, or its key is revoked.
-
-        An older key does not come back in its place.
-        """
+        # An older key does not come back in its place.
         rows = self.identities.by_name(name)
         if not rows or rows[-1].thumbprint in self.revoked_entries():
             return None
@@ -216,11 +212,9 @@ class Store:
         return dict(self.database.rows(of_nodes, json.dumps([*names])))
 
     def grants(self) -> list[GrantRow]:
-        """Every grant signed, oldest first."""
         return self._grants("")
 
     def signed_at(self) -> dict[bytes, int]:
-        """When each grant was signed, by its id."""
         return dict(self.database.rows("SELECT id, at FROM grant_"))
 
     def unrevoked_grants(self, names: Collection[str] | None = None) -> list[GrantRow]:
@@ -231,7 +225,6 @@ class Store:
         return self._grants(f"{alive} AND {_OF_NODES}", json.dumps([*names]))
 
     def revoked_grants(self) -> list[GrantRow]:
-        """The revoked grants, oldest first."""
         return self._grants("WHERE id IN (SELECT entry FROM revocation)")
 
     def _grants(self, clause: str, *values: str) -> list[GrantRow]:
@@ -242,22 +235,18 @@ class Store:
         return [GrantRow(*row) for row in rows]
 
     def revoke(self, entry: bytes, reason: str, now: int) -> None:
-        """Record that a grant id or key thumbprint is revoked; idempotent."""
         with self.database.transaction() as db:
             _revoke(db, entry, reason, now)
 
     def revocations(self) -> list[RevocationRow]:
-        """Everything revoked, oldest first."""
         rows = self.database.rows("SELECT entry, reason, at FROM revocation ORDER BY rowid")
         return [RevocationRow(*row) for row in rows]
 
     def count_revoked(self) -> int:
-        """How many entries are revoked; none is ever taken back."""
         ((count,),) = self.database.rows("SELECT COUNT(*) FROM revocation")
         return int(count)
 
     def revoked_entries(self) -> frozenset[bytes]:
-        """Everything revoked."""
         return frozenset(row.entry for row in self.revocations())
 
     def remove_passkey(self, id: bytes, reason: str, now: int) -> None:  # noqa: A002 - as in the row
@@ -274,7 +263,6 @@ class Store:
                     self.approvals.end(approval.id, ApprovalState.FAILED, why, now)
 
     def next_number(self) -> tuple[int, int]:
-        """Epoch and sequence number for the next revocation list."""
         number = self._newest("epoch, seq")
         return (1, 1) if number is None else (number[0], number[1] + 1)
 
@@ -291,12 +279,10 @@ class Store:
             )
 
     def newest_list(self) -> bytes | None:
-        """The signed revocation list with the highest number, if there is one."""
         found = self._newest("data")
         return None if found is None else bytes(found[0])
 
     def log_event(self, what: str, subject: str, detail: str, now: int) -> None:
-        """Append a log entry for an event that changes no table, such as a restore."""
         with self.database.transaction() as db:
             append_entry(db, now, what, subject, detail, b"")
 

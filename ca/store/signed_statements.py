@@ -54,7 +54,6 @@ class DomainRow(NamedTuple):
     at: int
 
     def read(self) -> ForeignDomain:
-        """The terms, as a value."""
         return ForeignDomain.from_terms(self.terms)
 
 
@@ -75,39 +74,25 @@ class DomainTable:
         self._database = database
 
     def accepted(self) -> list[DomainRow]:
-        """The domains that are trusted, sorted by name; the time of some may be over."""
         return self._rows(f"WHERE {_NEWEST} AND {_NOT_ENDED} ORDER BY domain")
 
     def all(self) -> list[DomainRow]:
-        """Every acceptance and change, oldest first."""
         return self._rows("ORDER BY number")
 
     def get(self, label: str) -> DomainRow:
-        """The trusted domain that has this label.
-
-        Raises:
-            DomainUnknown: there is none.
-        """
         for row in self.accepted():
             if row.label == label:
                 return row
         raise DomainUnknown(f"no domain is called {label!a} here", "see: rossec domain list")
 
     def labelled(self, label: str) -> list[DomainRow]:
-        """Every row with this label, oldest first, also of domains that have ended."""
         return self._rows("WHERE label = ? ORDER BY number", label)
 
     def ends(self) -> dict[int, tuple[str, int]]:
-        """Why and when domains ended, by the number of their row."""
         rows = self._database.rows("SELECT number, reason, at FROM foreign_domain_end")
         return {number: (reason, at) for number, reason, at in rows}
 
     def accept(self, domain: ForeignDomain, now: int) -> None:
-        """Trust a domain, or change the terms of one that is trusted.
-
-        Raises:
-            StoreError: another domain has the label or the root key, or this one another of both.
-        """
         with self._database.transaction() as db:
             root = domain.anchor.thumbprint
             for known in self.accepted():
@@ -118,11 +103,6 @@ class DomainTable:
             append_entry(db, now, "domain", row.domain, row.label, digest_of(row))
 
     def end(self, label: str, reason: str, now: int) -> DomainRow:
-        """End the trust in a domain; returns what ended.
-
-        Raises:
-            DomainUnknown: no trusted domain has this label.
-        """
         with self._database.transaction() as db:
             row = self.get(label)
             ended = (row.number, reason, now)
@@ -131,32 +111,24 @@ class DomainTable:
         return row
 
     def next_number(self) -> tuple[int, int]:
-        """Epoch and sequence number for the next list of domains."""
         rows = self._database.rows(
             "SELECT epoch, seq FROM domain_list ORDER BY epoch DESC, seq DESC LIMIT 1"
         )
         return (rows[0][0], rows[0][1] + 1) if rows else (1, 1)
 
     def save_list(self, number: tuple[int, int], data: bytes, now: int) -> None:
-        """Record a signed list of domains.
-
-        Raises:
-            StoreError: its number is taken.
-        """
         with self._database.transaction() as db:
             db.execute("INSERT INTO domain_list VALUES (?, ?, ?, ?)", (*number, data, now))
             subject = f"{number[0]}.{number[1]}"
             append_entry(db, now, "domain list", subject, "", digest_of((*number, data)))
 
     def newest_list(self) -> bytes:
-        """The signed list with the highest number; empty: none was ever signed."""
         rows = self._database.rows(
             "SELECT data FROM domain_list ORDER BY epoch DESC, seq DESC LIMIT 1"
         )
         return bytes(rows[0][0]) if rows else b""
 
     def add_certificate(self, root: bytes, identity: Identity, now: int) -> None:
-        """Record the certificate of a foreign node, verified below the root key `root`; once."""
         row = ForeignCertificateRow(
             identity.thumbprint, root, identity.certified_name, identity.certificate, now
         )
@@ -168,7 +140,6 @@ class DomainTable:
             append_entry(db, now, "foreign certificate", row.name, key, digest_of(row))
 
     def certificates(self, root: bytes) -> list[ForeignCertificateRow]:
-        """The recorded certificates below a root key, oldest first."""
         rows = self._database.rows(
             "SELECT thumbprint, root, name, der, at FROM foreign_certificate"
             " WHERE root = ? ORDER BY rowid",
@@ -222,11 +193,7 @@ def replay_domains(
     rows: Mapping[str, Iterable[Row]],
     key: ec.EllipticCurvePublicKey,
 ) -> None:
-    """Check every domain and list; `rows` are those of the tables, by kind; `key` is the root's.
-
-    Raises:
-        LogDamaged: names the first entry that could not have been made.
-    """
+    """Check every domain and list; `rows` are those of the tables, by kind; `key` is the root's."""
     replay = _Replay(rows, key)
     for entry in entries:
         step = replay.steps.get(entry.what)
@@ -294,7 +261,6 @@ class ThingRow(NamedTuple):
     expires: int
 
     def read(self) -> ThingStatement:
-        """What it states."""
         return peek_statement(self.data)
 
 
@@ -305,23 +271,15 @@ class ThingTable:
         self._database = database
 
     def all(self) -> list[ThingRow]:
-        """Every statement signed, oldest first."""
         return self._rows("ORDER BY rowid")
 
     def in_force(self, now: int) -> list[ThingRow]:
-        """Those neither expired nor revoked, oldest first; the newest of a name counts."""
         return self._rows(f"WHERE {_IN_FORCE} ORDER BY rowid", now)
 
     def newest(self, now: int) -> dict[str, ThingRow]:
-        """The statement in force of each name that counts."""
         return {row.name: row for row in self.in_force(now)}
 
     def get(self, name: str, now: int) -> ThingRow:
-        """The statement in force about `name`.
-
-        Raises:
-            ThingUnknown: there is none.
-        """
         found = self._rows(f"WHERE name = ? AND {_IN_FORCE} ORDER BY rowid", name, now)
         if not found:
             raise ThingUnknown(
@@ -330,11 +288,7 @@ class ThingTable:
         return found[-1]
 
     def last(self, name: str) -> ThingRow:
-        """The last statement about `name` that was not revoked; it may have expired.
-
-        Raises:
-            ThingUnknown: there is none.
-        """
+        # The last statement about `name` that was not revoked; it may have expired.
         alive = "WHERE name = ? AND id NOT IN (SELECT entry FROM revocation) ORDER BY rowid"
         found = self._rows(alive, name)
         if not found:
@@ -342,24 +296,15 @@ class ThingTable:
         return found[-1]
 
     def revoked(self) -> list[ThingRow]:
-        """The revoked statements, oldest first."""
         return self._rows("WHERE id IN (SELECT entry FROM revocation) ORDER BY rowid")
 
     def ids(self, name: str, now: int) -> frozenset[bytes]:
-        """The ids of all statements in force about `name`."""
         return frozenset(row.id for row in self.in_force(now) if row.name == name)
 
     def of_border(self, border: str, now: int) -> list[ThingRow]:
-        """The statements in force that name a key of this border router, oldest first."""
         return [row for row in self.in_force(now) if row.border == border]
 
     def add(self, row: ThingRow, statement: ThingStatement, now: int) -> None:
-        """Record a statement before it is delivered.
-
-        Raises:
-            ThingChanged: another thing in force has the name, the credential, or the kid.
-            StoreError: the id is taken.
-        """
         with self._database.transaction() as db:
             for known in self.in_force(now):
                 check_things_apart(known.read(), statement)
@@ -372,11 +317,7 @@ class ThingTable:
 
 
 def check_things_apart(known: ThingStatement, new: ThingStatement) -> None:
-    """Return if both may be in force at the same time.
-
-    Raises:
-        ThingChanged: they share a name, a credential or a kid, and are not about one thing.
-    """
+    """Return if both may be in force at the same time."""
     same_thing = known.credential.thumbprint == new.credential.thumbprint
     if (known.name, known.border) == (new.name, new.border) and known.credential == new.credential:
         return
@@ -405,11 +346,7 @@ _REVOCATION: Final = "revocation"
 def replay_things(
     entries: Iterable[LogEntry], rows: Iterable[Row], key: ec.EllipticCurvePublicKey
 ) -> None:
-    """Check every statement; `rows` are those of the table, `key` is the root's.
-
-    Raises:
-        LogDamaged: names the first entry that could not have been made.
-    """
+    """Check every statement; `rows` are those of the table, `key` is the root's."""
     made, in_force = iter(rows), dict[str, ThingStatement]()
     for entry in entries:
         if entry.what == _REVOCATION:

@@ -45,16 +45,13 @@ class CertificateRow(NamedTuple):
 
     @property
     def wildcard(self) -> bool:
-        """Whether it also covers anonymous nodes."""
         return svid.is_wildcard(self.der)
 
     def covers(self, name: str) -> bool:
-        """Whether its holder may use `name`."""
         related = names.covers(self.name, name, wildcard=True)
         return related and (self.name == name or self.wildcard)
 
     def is_signed_by(self, issuer: "CertificateRow") -> bool:
-        """Whether the key of `issuer`, an intermediate, signed it."""
         by = svid.parse(issuer.der)
         return svid.is_signed_by(svid.parse(self.der), svid.subject(by), svid.key_of(by))
 
@@ -147,16 +144,11 @@ class RequestRow(NamedTuple):
 
     @property
     def expires(self) -> int:
-        """The last second at which it may be used; afterwards it counts nowhere."""
         return self.changed + RETENTION[self.state]
 
 
 def advance(row: RequestRow, state: RequestState, now: int, reason: str = "") -> RequestRow:
-    """Return the request in its next state.
-
-    Raises:
-        RequestClosed: no such transition, or the request has expired.
-    """
+    """Return the request in its next state."""
     if state not in TRANSITIONS[row.state]:
         raise RequestClosed(
             f"the request of {row.name} is {row.state} and cannot be {state}", _HINTS[row.state]
@@ -219,11 +211,7 @@ def split_peaks(peaks: bytes) -> tuple[bytes, ...]:
 
 
 def check_entries(rows: Iterable[tuple[LogEntry, bytes]]) -> merkle.Tree:
-    """Return the tree of all entries, each given with the peaks recorded with it.
-
-    Raises:
-        LogDamaged: names the first entry that was changed.
-    """
+    """Return the tree of all entries, each given with the peaks recorded with it."""
     tree, peaks = merkle.Tree(), b""
     for position, (entry, recorded) in enumerate(rows):
         if entry.number != position:
@@ -236,11 +224,7 @@ def check_entries(rows: Iterable[tuple[LogEntry, bytes]]) -> merkle.Tree:
 
 
 def check_head(tree: merkle.Tree, head: Head) -> None:
-    """Return if the log extends this head.
-
-    Raises:
-        LogDamaged: it was truncated or rewritten since.
-    """
+    """Return if the log extends this head."""
     if head.size > len(tree):
         raise LogDamaged(
             f"the log has {len(tree)} entries where {head.size} were signed: its end is missing",

@@ -85,12 +85,10 @@ class ThingKey:
 
     @cached_property
     def public_key(self) -> ec.EllipticCurvePublicKey:
-        """The key."""
         return from_coordinates(self.coordinates)
 
     @cached_property
     def thumbprint(self) -> bytes:
-        """Its COSE thumbprint, as that of any other key."""
         return thumbprint_of(self.coordinates)
 
     @property
@@ -102,7 +100,6 @@ class ThingKey:
 
     @property
     def ccs(self) -> bytes:
-        """The credential as the thing has it: CRED_R or CRED_I of its handshakes."""
         subject: dict[int | str, Value] = {_SUB: self.subject} if self.subject else {}
         return encode({**subject, _CNF: self.confirmation})
 
@@ -149,11 +146,7 @@ Credential = ThingKey | ThingSecret
 
 
 def secret_thumbprint(secret: bytes) -> bytes:
-    """The COSE thumbprint of a master secret: of the symmetric key {1: 4, -1: k} (RFC 9679).
-
-    Raises:
-        ThingRefused: it has not 16 octets.
-    """
+    """The COSE thumbprint of a master secret: of the symmetric key {1: 4, -1: k} (RFC 9679)."""
     if len(secret) != SECRET_SIZE:
         raise ThingRefused(f"a secret of {len(secret)} octets, not of {SECRET_SIZE}")
     return hashlib.sha256(encode({_KTY: _SYMMETRIC, _K: secret})).digest()
@@ -203,12 +196,7 @@ def read_description(data: bytes) -> ThingSecret:
 
 
 def read_key(confirmation: Value, subject: str) -> ThingKey:
-    """The key in a claim `cnf`.
-
-    Raises:
-        ThingRefused: not {1: COSE_Key}, or a COSE_Key of another form.
-        KeyRefused: its key is not a point of P-256.
-    """
+    """The key in a claim `cnf`."""
     match confirmation:
         case {
             1: {1: 2, 2: bytes() as kid, -1: 1, -2: bytes() as x, -3: bytes() as y, **more},
@@ -223,11 +211,7 @@ def read_key(confirmation: Value, subject: str) -> ThingKey:
 
 
 def read_confirmation(confirmation: Value, subject: str) -> Credential:
-    """The credential in the claim `cnf` of a statement: of either class.
-
-    Raises:
-        CAError: neither of them, or a secret that has a subject.
-    """
+    """The credential in the claim `cnf` of a statement: of either class."""
     match confirmation:
         case {3: bytes() as kid, 5: bytes() as thumbprint, **rest} if not rest:
             if subject:
@@ -261,11 +245,7 @@ def secret_text(kid: bytes, secret: bytes) -> str:
 
 
 def parse_secret(text: str) -> tuple[bytes, bytes]:
-    """The kid and the secret in such a text; whitespace around it is ignored.
-
-    Raises:
-        ThingRefused: it is none.
-    """
+    """The kid and the secret in such a text; whitespace around it is ignored."""
     found = _TEXT.fullmatch(text.strip())
     if found is None:
         raise ThingRefused("not the secret of a thing", "OSCORE:KID:SECRET, in hexadecimal digits")
@@ -327,12 +307,10 @@ class ThingStatement:
 
     @property
     def kind(self) -> str:
-        """Its class: `EDHOC` or `PSK`."""
         return EDHOC if isinstance(self.credential, ThingKey) else PSK
 
     @property
     def id(self) -> bytes:
-        """The 16 octets that identify it on the revocation list."""
         return _id(encode(_claims(self)))
 
     def check_time(self, now: int) -> None:
@@ -379,10 +357,6 @@ def open_statement(
     """Verify a statement and read it: of the authority with `ca_key`, for `domain`, valid at `now`.
 
     Whether it is revoked, and for whose border router it is, is for the caller to check.
-
-    Raises:
-        ThingRefused: malformed, or not signed by `ca_key` for `domain`.
-        ThingOutdated: not valid at `now`.
     """
     statement = verify_statement(data, ca_key, domain=domain)
     statement.check_time(now)
@@ -415,11 +389,7 @@ def peek_statement(data: bytes) -> ThingStatement:
 
 
 def statement_id(data: bytes) -> bytes:
-    """The 16 octets that identify a statement: the same for every valid signature.
-
-    Raises:
-        ThingRefused: malformed.
-    """
+    """The 16 octets that identify a statement: the same for every valid signature."""
     body = _body(data)
     _read(body)
     return _id(body)

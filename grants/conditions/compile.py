@@ -67,11 +67,7 @@ _TIMESTAMP: Final = re.compile(
 
 
 def clock_field(name: str, zone: str) -> Callable[[int], int]:
-    """The function from seconds since the epoch to the field `name` in `zone`.
-
-    Raises:
-        ConditionRefused: unknown zone.
-    """
+    """The function from seconds since the epoch to the field `name` in `zone`."""
     in_zone = _datetime_in(zone)
     field = FIELDS[name]
     return lambda now: field(in_zone(now))
@@ -93,7 +89,7 @@ def parse_timestamp(text: str) -> int:
 
 @lru_cache(maxsize=64)
 def _datetime_in(zone: str) -> Callable[[int], datetime]:
-    """Local time in a zone; the last second is cached, since most messages share it."""
+    # Local time in a zone; the last second is cached, since most messages share it.
     from zoneinfo import ZoneInfo, ZoneInfoNotFoundError  # noqa: PLC0415 - 0.3 MB, few conditions need it
 
     # A name outside the database must not be used as a path.
@@ -155,8 +151,6 @@ def compile_condition(layout: Layout | None, text: str) -> Condition:
 
 
 class _Compiler:
-    """Turns the tree into one Python expression over variables; fields are read before it."""
-
     def __init__(self, layout: Layout | None) -> None:
         self._layout = layout
         self._source = SourceWriter("b,now")
@@ -169,7 +163,6 @@ class _Compiler:
         return self._source.compile()
 
     def compile(self, node: Expression) -> tuple[str, str]:  # noqa: PLR0911 - one per node
-        """The CEL type of `node` and its Python source, in parentheses where needed."""
         match node:
             case Literal(value):
                 return _type_of(value), self._source.bind(value)
@@ -257,8 +250,6 @@ class _Compiler:
 
 
 class _FieldReader(Cursor):
-    """Reads the named fields into variables and skips the others, up to the last named one."""
-
     def __init__(self, source: SourceWriter, fields: dict[tuple[str, ...], str]) -> None:
         super().__init__(source)
         self._fields = fields
@@ -301,7 +292,6 @@ class _FieldReader(Cursor):
 
 
 def _field_type(root: Struct, names: tuple[str, ...]) -> str:
-    """The CEL type of the field at `names`."""
     kind: Type = root
     for n, name in enumerate(names):
         members = dict(kind.fields) if isinstance(kind, Struct) else {}

@@ -102,11 +102,7 @@ class Token(NamedTuple):
 
 
 def parse_expression(text: str) -> Expression:
-    """Parse a condition.
-
-    Raises:
-        ConditionRefused: outside the language, or larger than its limits.
-    """
+    """Parse a condition."""
     if len(text) > MAX_CONDITION:
         raise ConditionRefused(f"a condition of more than {MAX_CONDITION} characters")
     return _Parser(_tokens(text)).parse()
@@ -130,8 +126,6 @@ def _tokens(text: str) -> list[Token]:
 
 
 class _Parser:
-    """Recursive descent, one method per precedence level; depth and nodes are bounded."""
-
     def __init__(self, tokens: list[Token]) -> None:
         self._tokens = tokens
         self._position = 0
@@ -152,7 +146,6 @@ class _Parser:
         return ConditionRefused(f"unexpected {self._next.text!r} at character {self._next.at}")
 
     def _take(self, *operators: str) -> str | None:
-        """The next operator (or `in`) if it is one of these."""
         token = self._next
         if token.text in operators and token.kind in ("operator", "identifier"):
             self._position += 1

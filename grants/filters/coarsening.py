@@ -58,8 +58,6 @@ __all__ = ["Vector", "np"]
 
 
 class _LazyNumpy:
-    """Imports numpy on the first access to an attribute."""
-
     def __getattr__(self, name: str) -> Any:
         found = getattr(import_module("numpy"), name)
         setattr(self, name, found)
@@ -153,12 +151,10 @@ class BodyFields:
         return self._bound.setdefault(field if key in self._bound else key, HysteresisState())
 
     def load(self, frame: bytes) -> None:
-        """Use the values of `frame`."""
         for key, state in self._bound.items():
             state.value = self._common.hysteresis((frame, *key)).value
 
     def store(self, frame: bytes) -> None:
-        """Keep the values for `frame`."""
         for key, state in self._bound.items():
             self._common.hysteresis((frame, *key)).value = state.value
 
@@ -235,11 +231,7 @@ def round_floats(kind: Primitive, step: float) -> Rounding:
 
 
 def round_integers(kind: Primitive, step: float) -> Rounding:
-    """For all integers; exact.
-
-    Raises:
-        FilterRefused: the step is not whole, or larger than the type's range.
-    """
+    """For all integers; exact."""
     bits = 8 * kind.size
     low, high = (
         (0, (1 << bits) - 1) if kind.code.isupper() else (-(1 << bits - 1), (1 << bits - 1) - 1)
@@ -262,11 +254,7 @@ def round_integers(kind: Primitive, step: float) -> Rounding:
 
 
 def round_times(kind: Primitive, step: float) -> Rounding:
-    """For time and duration, as pairs (seconds, nanoseconds); `step` in seconds.
-
-    Raises:
-        FilterRefused: the step is not between a nanosecond and 2^31 seconds.
-    """
+    """For time and duration, as pairs (seconds, nanoseconds); `step` in seconds."""
     ticks = round(step * _SECOND) if step < 1 << 31 else 0
     if ticks < 1:
         raise FilterRefused(f"a step for {kind.name} must lie between 1e-9 and 2^31 seconds")
@@ -340,7 +328,6 @@ class Room:
 
     @property
     def edges(self) -> Iterable[tuple[Point, Point]]:
-        """From each corner to the next."""
         return pairwise((*self.corners, self.corners[0]))
 
     def covers(self, x: float, y: float) -> bool:
@@ -352,7 +339,6 @@ class Room:
         return within
 
     def is_within(self, reach: float, x: float, y: float) -> bool:
-        """Whether the point is in the room, or at most `reach` from its walls."""
         return self.covers(x, y) or any(_distance(edge, x, y) <= reach for edge in self.edges)
 
 
@@ -397,7 +383,6 @@ def _corner(pair: str) -> Point:
 
 
 def _middle(name: str, corners: tuple[Point, ...]) -> Point:
-    """A point inside: the middle of the largest piece between two corners' heights."""
     flat = Room(name, corners, (0.0, 0.0))
     best, point = 0.0, (0.0, 0.0)
     for low, high in pairwise(sorted({y for _, y in corners})):
@@ -521,7 +506,6 @@ def pixelation(
 
 
 def _squares(found: _Pixels, block: int, shape: tuple[int, ...]) -> _Pixels:
-    """A picture of this shape, each of its squares filled with its pixel in `found`."""
     height, width = shape
     across = np.repeat(found, min(block, width), axis=1)[:, :width]
     # Few rows are repeated along the row first, then whole rows are copied.
@@ -529,7 +513,7 @@ def _squares(found: _Pixels, block: int, shape: tuple[int, ...]) -> _Pixels:
 
 
 def _means(pixels: _Pixels, block: int, levels: int, channels: tuple[int, int]) -> _Pixels:
-    """The pixel of every square: opaque, and the mean of its colours as one of so many greys."""
+    # The pixel of every square: opaque, and the mean of its colours as one of so many greys.
     every, colours = channels
     height, width = pixels.shape
     values = pixels.view(np.uint8).reshape(height, width * every)
@@ -546,6 +530,5 @@ def _means(pixels: _Pixels, block: int, levels: int, channels: tuple[int, int]) 
 
 
 def _lengths(size: int, block: int) -> Vector:
-    """How many pixels each square has along a side of `size`."""
     starts = np.arange(0, size, block)
     return np.minimum(block, size - starts).astype(np.uint64)

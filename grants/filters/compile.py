@@ -107,8 +107,6 @@ def _rewriter(
 
 @dataclass(frozen=True)
 class _Branch:
-    """Rules by field; a field written `name[*]` has its own entry."""
-
     children: dict[str, "_Branch | TreatmentForType"]
 
 
@@ -138,7 +136,6 @@ def _no_element(path: str) -> FilterRefused:
 
 
 def _resolve(kind: Struct, branch: _Branch, path: str) -> Node:
-    """The treatment of a message, field by field."""
     fields = dict(kind.fields)
     for step in branch.children:
         if step.removesuffix("[*]") not in fields:
@@ -153,7 +150,7 @@ def _resolve(kind: Struct, branch: _Branch, path: str) -> Node:
 
 
 def _check_siblings(kind: Struct, name: str, treatment: SiblingTreatment, path: str) -> None:
-    """The field needs others of its message: they must precede it and have the right types."""
+    # The field needs others of its message: they must precede it and have the right types.
     before = [(field, member.name) for field, member in kind.fields]
     before = before[: before.index((name, dict(kind.fields)[name].name))]
     if kind.name != treatment.message or not set(treatment.siblings) <= set(before):
@@ -165,7 +162,6 @@ def _check_siblings(kind: Struct, name: str, treatment: SiblingTreatment, path: 
 def _bind_hysteresis(
     node: Node, states: Callable[[FieldKey], HysteresisState], path: FieldKey
 ) -> Node:
-    """Bind every field with hysteresis to its state; a field of another type has another."""
     match node:
         case FieldTreatment(
             kind, Numbers(hysteresis=HysteresisBinding(parameters, bind)) as numbers
@@ -203,7 +199,7 @@ _Memo: TypeAlias = dict[Type, Node]
 
 
 def _apply(treat: TreatmentForType, kind: Type, path: str, memo: _Memo) -> Node:
-    """One treatment for everything in `kind`; equal types share it, so arrays can merge them."""
+    # One treatment for everything in `kind`; equal types share it, so arrays can merge them.
     if kind not in memo:
         try:
             found = treat(kind)
@@ -274,11 +270,6 @@ class Preset:
     outdoors: int | None = None
 
     def restriction(self, layout: Layout) -> Restriction:
-        """The preset for messages of `layout`.
-
-        Raises:
-            FilterRefused: the preset does not support this type.
-        """
         large = layout.type_name == _OUTDOORS and self.outdoors is not None
         return Restriction(
             type=layout.type_name, filters=filter_rules(self._rules(layout)), rate=self.rate,
@@ -306,7 +297,7 @@ def _for(types: Mapping[str, _Rules]) -> Callable[[Layout], _Rules]:
 
 
 def _everything(layout: Layout) -> _Rules:
-    """All fields cleared; only arrays of fixed length keep their length."""
+    # All fields cleared; only arrays of fixed length keep their length.
     return {name: _CLEAR for name, _ in layout.root.fields}
 
 

@@ -72,11 +72,7 @@ def _personal(name: str) -> str:
 def pseudonyms(
     name: object, length: int, keys: Keys | None, *, personal: bool = False
 ) -> "Callable[[Buffer], tuple[Buffer, int]]":
-    """The function from a text to the first `length` hexadecimal digits of its HMAC.
-
-    Raises:
-        FilterRefused: the key is not among `keys`, or too short.
-    """
+    """The function from a text to the first `length` hexadecimal digits of its HMAC."""
     name = check_key_name(name)
     if keys is None:
         return _no_key

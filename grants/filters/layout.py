@@ -65,7 +65,6 @@ class Array:
 
     @property
     def name(self) -> str:
-        """The type as written in a definition."""
         return f"{self.element.name}[{'' if self.length is None else self.length}]"
 
     @cached_property
@@ -97,7 +96,6 @@ class Struct:
         return total
 
     def explain_missing(self, name: str) -> str:
-        """One line for a missing field."""
         has = ", ".join(known for known, _ in self.fields) or "no fields"
         return f"no field {name!r} in {self.name} (has {has})"
 
@@ -134,7 +132,6 @@ class Layout:
 
     @property
     def is_proven(self) -> bool:
-        """Whether the md5 proves the position of every field: no field has a message type."""
         return not any(_contains_messages(kind) for _, kind in self.root.fields)
 
 
@@ -161,11 +158,7 @@ def _contains_messages(kind: Type) -> bool:
 
 
 def dependencies(type_name: str, definition: str) -> frozenset[str]:
-    """The message types that the fields of one definition (a .msg file) use.
-
-    Raises:
-        DefinitionRefused: malformed.
-    """
+    """The message types that the fields of one definition (a .msg file) use."""
     _, declared = _statements(type_name, definition.split("\n"))
     bases = ((_base(type_name, text)[0], text) for text in declared.values())
     return frozenset(
@@ -179,7 +172,6 @@ def service_md5(request: Layout, response: Layout) -> str:
 
 
 def _sections(type_name: str, definition: str) -> dict[str, list[str]]:
-    """The lines of each definition in the text, by type name."""
     sections: dict[str, list[str]] = {type_name: []}
     lines = iter(definition.split("\n"))
     current = sections[type_name]
@@ -218,8 +210,6 @@ class _Built:
 
 @dataclass
 class _Builder:
-    """Builds each message type once, even if used often (2^20 fields cost 20 steps)."""
-
     sections: dict[str, list[str]]
     built: dict[str, _Built] = field(default_factory=dict)
 
@@ -254,7 +244,6 @@ class _Builder:
         return _Built(struct, md5_text, _md5(md5_text), leaves, full_digest.digest())
 
     def _full_type(self, kind: Type) -> str:
-        """The type of a field with all nested types, as one string."""
         match kind:
             case Array(element, length):
                 return f"{self._full_type(element)}[{'' if length is None else length}]"
@@ -264,7 +253,6 @@ class _Builder:
                 return kind.name
 
     def _resolve(self, inside: str, text: str, parents: tuple[str, ...]) -> tuple[Type, str, int]:
-        """The type named by `text` in a message, its part of the checksum, and its leaf count."""
         base, length = _base(inside, text)
         digest, leaves = text, 1
         if base in _BUILT_IN:
@@ -278,7 +266,6 @@ class _Builder:
 
 
 def _base(inside: str, text: str) -> tuple[str, str | None]:
-    """A field's type without brackets, and their content; None without brackets."""
     matched = _FIELD_TYPE.fullmatch(text)
     if matched is None:
         raise DefinitionRefused(f"not a field type in {inside}: {text[:80]!r}")
@@ -294,7 +281,6 @@ def _full_name(inside: str, base: str, text: str) -> str:
 
 
 def _statements(name: str, lines: list[str]) -> tuple[list[str], dict[str, str]]:
-    """The constants in the form of the checksum, and the fields: type by name."""
     constants: list[str] = []
     fields: dict[str, str] = {}
     for line in lines:
@@ -362,7 +348,6 @@ class SourceWriter:
         }
 
     def new(self, prefix: str) -> str:
-        """A unique variable name."""
         self._count += 1
         return f"{prefix}{self._count}"
 
@@ -373,18 +358,15 @@ class SourceWriter:
         return name
 
     def line(self, text: str) -> int:
-        """Append one statement; return its number for `replace`."""
         self._lines.append(" " * self._depth + text)
         return len(self._lines) - 1
 
     def replace(self, number: int, text: str) -> None:
-        """Fill in a statement that depends on later ones."""
         line = self._lines[number]
         self._lines[number] = line[: len(line) - len(line.lstrip(" "))] + text
 
     @property
     def nested(self) -> bool:
-        """Whether the next statement is inside a loop or a branch."""
         return self._depth > 1
 
     @contextmanager
@@ -399,7 +381,6 @@ class SourceWriter:
 
     @property
     def text(self) -> str:
-        """The whole source."""
         return "\n".join(self._lines) + "\n"
 
     def compile(self) -> Callable[..., Any]:
@@ -421,7 +402,6 @@ class Cursor:
         self.position: Position = ("", 0)
 
     def at(self, extra: int = 0) -> str:
-        """The position as an expression."""
         return expression(self.position, extra)
 
     def skip(self, kind: Type) -> None:

@@ -59,7 +59,6 @@ class Column:
     vector: Callable[[Vector], Vector]
 
     def is_continued_by(self, other: "Column") -> bool:
-        """Whether `other` follows this column with the same treatment."""
         end = self.offset + self.count * np.dtype(self.code).itemsize
         return (end, self.code, self.vector) == (other.offset, other.code, other.vector)
 
@@ -107,7 +106,6 @@ class Table:
     treatments: tuple[tuple[str, Callable[[Vector], Vector]], ...]
 
     def apply(self, elements: Vector) -> None:
-        """TreatmentForType `elements` (of `dtype`) in place."""
         for name, vector in self.treatments:
             elements[name] = vector(elements[name])
 
@@ -147,8 +145,6 @@ def table_rewriter(element: Node, size: int) -> Callable[[Buffer, int, int], Buf
 def _numbers_rewriter(
     code: str, values: int, vector: Callable[[Vector], Vector]
 ) -> Callable[[Buffer, int, int], Buffer]:
-    """For arrays of numbers: without a table, and without a copy to change."""
-
     def rewrite(message: Buffer, start: int, count: int) -> Buffer:
         if count == 0:
             return b""
@@ -187,8 +183,6 @@ def preserves_sizes(node: Node) -> bool:
 
 @dataclass
 class _Region:
-    """Adjacent treated values in an element; the list `name` has their positions."""
-
     name: str
     end: Position
     size: int
@@ -204,7 +198,6 @@ class ArrayCollector(Cursor):
         self._regions: list[_Region] = []
 
     def collect(self, node: Node) -> None:
-        """Move over `node`, writing code that records positions. Requires `preserves_sizes`."""
         size = node.kind.size
         match node:
             case StructTreatment(_, parts) if size is None:
@@ -230,7 +223,6 @@ class ArrayCollector(Cursor):
         region.end = self.position
 
     def finish(self) -> str:
-        """Declare the lists; return an expression for a function of message, start and end."""
         names = [region.name for region in self._regions]
         self.source.replace(self._declared, ";".join(f"{name}=[]" for name in names))
         tables = [table_from_columns(region.columns, region.size) for region in self._regions]
@@ -246,11 +238,6 @@ def _patcher(
 def _patch(
     tables: list[Table], positions: tuple[list[int], ...], message: Buffer, start: int, end: int
 ) -> Buffer:
-    """A copy of `message[start:end]` with the values at `positions` treated.
-
-    Raises:
-        ValueError: the message is too short.
-    """
     if end > len(message):
         raise ValueError
     copy = bytearray(message[start:end])
@@ -291,16 +278,12 @@ def _limit_pieces(pieces: list[Buffer]) -> list[Buffer]:
 
 @dataclass
 class _Run:
-    """Adjacent treated values: one unpack, one pack."""
-
     start: Position
     end: Position
     items: list[tuple[Primitive, Numbers] | bytes] = field(default_factory=list)
 
 
 class _Writer(Cursor):
-    """A cursor that collects pieces of the message, which are complete up to `_copied`."""
-
     def __init__(self, source: SourceWriter) -> None:
         super().__init__(source)
         self._copied: Position = ("", 0)
@@ -332,7 +315,6 @@ class _Writer(Cursor):
                 values[name] = self._value(member, start)
 
     def _value(self, kind: Type, start: Position) -> str:
-        """A variable with the value that begins at `start`, before the present position."""
         name = self.source.new("v")
         if isinstance(kind, Primitive):
             read = self.source.bind(struct.Struct(f"<{kind.code}").unpack_from)
@@ -342,7 +324,6 @@ class _Writer(Cursor):
         return name
 
     def finish(self) -> list[str]:
-        """All pieces as expressions, the rest of the message last."""
         self._flush()
         pieces, self._pieces = self._pieces, []
         if self._copied != self.position or not pieces:
@@ -365,7 +346,6 @@ class _Writer(Cursor):
                 self._content(kind, treatment.rewrite, [])
 
     def _replace(self, kind: Type, *pieces: str) -> None:
-        """Replace one value of `kind` by these pieces."""
         self._flush()
         self.skip(kind)
         self._pieces.extend(pieces)
@@ -384,7 +364,6 @@ class _Writer(Cursor):
         self._copied = self.position
 
     def _extend(self, kind: Type, item: tuple[Primitive, Numbers] | bytes) -> None:
-        """Add a fixed-size value to the run, or begin one."""
         if self._run is None or self._run.end != self.position:
             self._close()
             self._run = _Run(self.position, self.position)
@@ -393,7 +372,6 @@ class _Writer(Cursor):
         self._run.end = self.position
 
     def _flush(self) -> None:
-        """Collect everything up to the current position."""
         self._close()
         self._keep_until(self.position)
 
@@ -403,7 +381,6 @@ class _Writer(Cursor):
             self._copied = end
 
     def _close(self) -> None:
-        """Write the run as one piece."""
         if self._run is None:
             return
         run, self._run = self._run, None
@@ -441,7 +418,6 @@ class _Writer(Cursor):
             self._table(kind, size, element)
 
     def _table(self, kind: Array, size: int, element: Node) -> None:
-        """All elements at once, by numpy."""
         count = self.count(kind)
         start = self.position
         self._flush()
@@ -453,7 +429,6 @@ class _Writer(Cursor):
         self._copied = self.position
 
     def _loop(self, kind: Array, element: Node) -> None:
-        """One element after another; a kept part may extend into the next element."""
         self._close()
         pieces, kept = self.source.new("l"), self.source.new("s")
         self.source.line(f"{pieces}=[]")
@@ -481,7 +456,7 @@ class _Writer(Cursor):
             self._pieces = []
 
     def _collected(self, element: Node, count: str, mark: str, pieces: str, kept: str) -> None:
-        """Only collect the positions in the loop; numpy then treats all of them in one copy."""
+        # Only collect the positions in the loop; numpy then treats all of them in one copy.
         collector = ArrayCollector(self.source)
         collector.position = (mark, 0)
         with collector.times(count, mark):
@@ -492,7 +467,6 @@ class _Writer(Cursor):
 
 
 def _siblings(node: Node) -> tuple[str, ...]:
-    """The fields whose values the treatment of `node` needs."""
     match node:
         case FieldTreatment(_, SiblingTreatment(siblings=siblings)):
             return tuple(name for name, _ in siblings)

@@ -175,22 +175,14 @@ Parameters: TypeAlias = dict[str, Scalar]
 
 
 def expect(parameters: Parameters, *names: str) -> None:
-    """Return if there are these parameters and no others.
-
-    Raises:
-        FilterRefused: there are others.
-    """
+    """Return if there are these parameters and no others."""
     if parameters.keys() != set(names):
         wanted = ", ".join(names) or "no parameters"
         raise FilterRefused(f"expected {wanted}, found {', '.join(sorted(parameters)) or 'none'}")
 
 
 def number(parameters: Parameters, name: str) -> float:
-    """The number `name`, within 64 bits if it is an integer.
-
-    Raises:
-        FilterRefused: it is missing, or no number.
-    """
+    """The number `name`, within 64 bits if it is an integer."""
     value = parameters.get(name)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise FilterRefused(f"{name} must be a number")
@@ -202,11 +194,7 @@ def number(parameters: Parameters, name: str) -> float:
 
 
 def integer(parameters: Parameters, name: str, maximum: int, minimum: int = 1) -> int:
-    """The whole number `name`.
-
-    Raises:
-        FilterRefused: it is missing, or not in this range.
-    """
+    """The whole number `name`."""
     value = parameters.get(name)
     if isinstance(value, bool) or not isinstance(value, int) or not minimum <= value <= maximum:
         raise FilterRefused(f"{name} must be a whole number from {minimum} to {maximum}")
@@ -220,11 +208,7 @@ _FLOATS: Final = (PRIMITIVES["float32"], PRIMITIVES["float64"])
 
 
 def rooms(parameters: Parameters) -> TreatmentForType:
-    """A position becomes the point of its room; see `grants.filters.coarsening`.
-
-    Raises:
-        FilterRefused: no plan, or a hysteresis out of range.
-    """
+    """A position becomes the point of its room; see `grants.filters.coarsening`."""
     reach = number(parameters, _HYSTERESIS) if _HYSTERESIS in parameters else None
     if reach is not None and not 0 < reach <= _MAX_REACH:
         raise FilterRefused(f"hysteresis of rooms is above zero and at most {_MAX_REACH} m")
@@ -246,7 +230,6 @@ def rooms(parameters: Parameters) -> TreatmentForType:
 
 
 def _as_one_value(kind: Type) -> Primitive:
-    """A message with a position, as one value of several numbers."""
     if isinstance(kind, Struct) and tuple(name for name, _ in kind.fields) in _POSITIONS:
         for float_type in _FLOATS:
             if all(member is float_type for _, member in kind.fields):
@@ -293,7 +276,6 @@ _INTEGERS: Final = frozenset("bBhHiIqQ")
 
 
 def _clear(parameters: Parameters) -> TreatmentForType:
-    """The zero value: 0, false, "", no elements; a fixed array keeps its length."""
     expect(parameters)
     return _zero_value
 
@@ -306,7 +288,6 @@ def _zero_value(kind: Type) -> Treatment:
 
 
 def _drop(parameters: Parameters) -> TreatmentForType:
-    """No elements."""
     expect(parameters)
 
     def treat(kind: Type) -> Treatment:
@@ -318,7 +299,7 @@ def _drop(parameters: Parameters) -> TreatmentForType:
 
 
 def _zero(parameters: Parameters) -> TreatmentForType:
-    """Zeros in place of the elements; the length stays, so images remain consistent."""
+    # Zeros in place of the elements; the length stays, so images remain consistent.
     expect(parameters)
 
     def treat(kind: Type) -> Treatment:
@@ -337,10 +318,7 @@ def _zero(parameters: Parameters) -> TreatmentForType:
 
 
 def _round(parameters: Parameters) -> TreatmentForType:
-    """To multiples of `step` (seconds for times): floor(x / step + 1/2) * step; NaN, inf pass.
-
-    With `hysteresis` a value keeps its cell until it is that far beyond the border.
-    """
+    # With `hysteresis` a value keeps its cell until it is that far beyond the border.
     step = number(parameters, "step")
     hysteresis = number(parameters, "hysteresis") if "hysteresis" in parameters else None
     expect(parameters, "step", *(["hysteresis"] if hysteresis is not None else []))
@@ -374,7 +352,6 @@ def _rounding(kind: Primitive | Text, step: float) -> Numbers:
 
 
 def _clamp(parameters: Parameters) -> TreatmentForType:
-    """Into [low, high]; NaN becomes low."""
     low, high = number(parameters, "low"), number(parameters, "high")
     expect(parameters, "low", "high")
     if not low <= high:
@@ -404,7 +381,6 @@ def _clamping(low: float, high: float) -> Numbers:
 
 
 def _set(parameters: Parameters) -> TreatmentForType:
-    """Replace the value by this one."""
     value = parameters.get("value")
     expect(parameters, "value")
 
@@ -419,7 +395,6 @@ def _set(parameters: Parameters) -> TreatmentForType:
 
 
 def _redact(parameters: Parameters) -> TreatmentForType:
-    """Replace any text by this one."""
     text = parameters.get("text")
     expect(parameters, "text")
     if not isinstance(text, str):
@@ -434,7 +409,6 @@ def _redact(parameters: Parameters) -> TreatmentForType:
 
 
 def _truncate(parameters: Parameters) -> TreatmentForType:
-    """At most `length` characters of a string or elements of an array."""
     length = number(parameters, "length")
     expect(parameters, "length")
     if not isinstance(length, int) or not 0 <= length < 1 << 32:
@@ -472,7 +446,6 @@ def _keyless(operator: Callable[[Parameters], TreatmentForType]) -> _Operator:
 
 
 def _hash(parameters: Parameters, keys: Keys | None) -> TreatmentForType:
-    """Replace a text by a pseudonym, equal for equal text and key (`filters.hashing`)."""
     length = integer(parameters, "length", 64) if "length" in parameters else DEFAULT_LENGTH
     expect(parameters, "key", *(parameters.keys() & {"length", "per"}))
     if parameters.get("per", RECEIVER) != RECEIVER:
@@ -495,10 +468,7 @@ _SMALLEST: Final = 2  # pixels: a square of one is the picture
 
 
 def _pixelate(parameters: Parameters) -> TreatmentForType:
-    """Replace a picture, or a region of it, by squares of pixels; see `pictures`.
-
-    They are of `block` pixels, or at most `across` along the longer side; of both the coarser.
-    """
+    # They are of `block` pixels, or at most `across` along the longer side; of both the coarser.
     names = _REGION if parameters.keys() & set(_REGION) else ()
     across = integer(parameters, "across", MAX_SIDE) if "across" in parameters else None
     sized = across is None or "block" in parameters
@@ -518,7 +488,6 @@ def _pixelate(parameters: Parameters) -> TreatmentForType:
 
 
 def _sort(parameters: Parameters) -> TreatmentForType:
-    """Elements in the order of their bytes, after all other filters; see `sorting`."""
     expect(parameters)
 
     def treat(kind: Type) -> Treatment:

@@ -91,11 +91,7 @@ class Passing(NamedTuple):
 
 
 def passing(rule: FilterRule, kind: Kind, path: str) -> Passing:
-    """What `rule` lets through of the value at `path`, of type `kind`, which it covers.
-
-    Raises:
-        FilterRefused: it depends on other fields of the message, so nothing can be said.
-    """
+    """What `rule` lets through of the value at `path`, of type `kind`, which it covers."""
     return _OPERATORS[rule.operator](dict(rule.parameters), kind, path)
 
 
@@ -134,7 +130,6 @@ def _pixelate(_: _Parameters, _kind: Kind, path: str) -> Passing:
 
 
 def _rooms(parameters: _Parameters, _kind: Kind, path: str) -> Passing:
-    """A room is known by x and y together; the rest is cleared."""
     name = path.rpartition(".")[2]
     if name not in _ROOM_FIELDS:
         return Passing(Through.TOLD)  # zero in a room, NaN outside
@@ -145,11 +140,8 @@ def _rooms(parameters: _Parameters, _kind: Kind, path: str) -> Passing:
 
 
 def _inner(room: Room, axis: int) -> float:
-    """Metres of the shortest line through the room that is known by its point: none of a corner.
-
-    Of a rectangle along the axes its side; of another polygon a line through a corner is as short
-    as one likes.
-    """
+    # Of a rectangle along the axes its side; of another polygon a line through a corner is as short as one
+    # likes.
     is_rectangle = len(room.corners) == 4 and all(
         (x0 == x1) != (y0 == y1) for (x0, y0), (x1, y1) in room.edges
     )
@@ -192,7 +184,6 @@ def size_of(passed: Iterable[Passing]) -> float:
 
 
 def _is_multiple(small: Passing, large: Passing) -> bool:
-    """Whether every border of the large cells is one of the small: even ratios need exact sums."""
     if small.size == large.size and not (small.is_joint or large.is_joint):
         return True
     if small.is_joint or large.is_joint or not small.size:
@@ -239,18 +230,14 @@ class Sight:
         self._guard = Guard(layout, decision, keys)
 
     def is_hidden(self, path: str) -> bool:
-        """Whether the leaf at `path` is the same whatever is sent, and whether or not it is."""
+        # Whether the leaf at `path` is the same whatever is sent, and whether or not it is.
         return not self._is_read(path) and self._is_constant(path)
 
     def is_exact(self, path: str) -> bool:
-        """Whether the leaf at `path` is seen as it is sent."""
         return all(each.through is Through.ALL for each in self._passing(path))
 
     def is_no_finer_than(self, path: str, step: float) -> bool:
-        """Whether every number seen at `path` stands for an interval of at least `step`.
-
-        Not NaN and the infinities, which pass `round` and are no interval.
-        """
+        # Not NaN and the infinities, which pass `round` and are no interval.
         if self._is_read(path):
             return False
         size = size_of(self._passing(path))
@@ -273,7 +260,6 @@ class Sight:
         return len({self._seen(path, value) for value in _ends(kind)}) == 1
 
     def _seen(self, path: str, value: Value) -> str:
-        """What is seen of `value` at `path`, as text: NaN is equal to itself, zeros differ."""
         pieces = self._guard.apply(serialize(self._layout, {path: value}), _NOW)
         if pieces is None:
             raise MessageRefused("no message passes")
@@ -281,12 +267,11 @@ class Sight:
 
 
 def _stateless(rule: FilterRule) -> FilterRule:
-    """Without hysteresis, which only makes cells overlap: what was sent before counts for it."""
+    # Without hysteresis, which only makes cells overlap: what was sent before counts for it.
     return replace(rule, parameters=tuple(x for x in rule.parameters if x[0] != "hysteresis"))
 
 
 def _ends(kind: Primitive) -> tuple[Value, ...]:
-    """Between these are all values of the type, and NaN beside them."""
     if kind.code in "fd":
         return (-math.inf, -0.0, 0.0, math.inf, math.nan)
     bits = 8 * kind.size
@@ -299,12 +284,7 @@ _WORDS: Final = frozenset(word.value for word in DataWord)
 def seen_too_well(
     policy: Policy, layout_of: Callable[[str], Layout], verdict: Verdict, seen: SeenField
 ) -> str:
-    """The first field, or the word, that is seen otherwise than `seen` says; empty if none is.
-
-    Raises:
-        GrantError: it cannot be told: no such type, field or level, or filters that refuse what is
-            tried.
-    """
+    """The first field, or the word, that is seen otherwise than `seen` says; empty if none is."""
     kind = policy.type_of(seen.topic)
     if kind is None:
         hint = f"add it to types: {{{seen.topic}: package/Type}}"
@@ -336,7 +316,6 @@ def _holds(sight: Sight, path: str, kind: Primitive | Text, seen: SeenField) -> 
 
 
 def _word(description: Description, verdict: Verdict, seen: SeenField) -> str:
-    """The word, if more of it is seen than the test says; else empty."""
     word = DataWord(seen.path)
     if isinstance(seen.limit, str) and seen.limit not in LEVELS[word]:
         hint = suggest(seen.limit, LEVELS[word])
@@ -420,11 +399,9 @@ class _Checker:
             yield _first_failure(self._seen(each, seen) for each in (first, *allowed))
 
     def _variants(self, test: Assertion) -> list[Assertion]:
-        """The test about all who may be its node: what must not be may be for none of them.
-
-        The node itself first; then with each key that a rule pins for it or for any node, with a
-        wildcard tail, and of a pattern each node of it that a rule names.
-        """
+        # The test about all who may be its node: what must not be may be for none of them.
+        # The node itself first; then with each key that a rule pins for it or for any node, with a wildcard
+        # tail, and of a pattern each node of it that a rule names.
         subject = test.subject
         rules = self._policy.rules
         named = [who for rule in rules for who in (*rule.who, *rule.exceptions)]
@@ -452,7 +429,7 @@ class _Checker:
         return Outcome(claim.line, node, says, failure and f"{node} {failure}", rules, needed)
 
     def _refuted(self, test: Assertion, claim: Claim, verdict: Verdict) -> tuple[str, str]:
-        """Why the claim does not hold, and what would be needed; empty if it holds."""
+        # Why the claim does not hold, and what would be needed; empty if it holds.
         what = f"{claim.right.label} {claim.name}"
         wanted = {Says.MAY: Effect.ALLOW, Says.MAY_NOT: Effect.DENY, Says.ASKS: Effect.PROMPT}
         is_whole = is_pattern(verdict.name) or (not verdict and claim.right & TREE_RIGHTS)
@@ -474,10 +451,7 @@ class _Checker:
         return "", ""
 
     def _some_allowed(self, subject: Subject, claim: Claim) -> tuple[str, str]:
-        """The first rule that gives a name of the pattern, or a parameter below or above the name.
-
-        No part of it may be given: who sets /safety/max_speed has set a part of /safety.
-        """
+        # No part of it may be given: who sets /safety/max_speed has set a part of /safety.
         name = claim.name
         if is_own(name):
             own = resolve(name, subject.name, tail=subject.tail)
@@ -509,7 +483,7 @@ class _Checker:
         return "", ""
 
     def _closed(self, verdict: Verdict, test: Assertion, now: int) -> str:
-        """The first condition that is not true then; empty if all are."""
+        # The first condition that is not true then; empty if all are.
         for restriction in verdict.restrictions:
             layout, message = None, b""
             if restriction.type is not None:
@@ -548,18 +522,18 @@ class _Checker:
 
 
 def _first_failure(outcomes: Iterable[Outcome]) -> Outcome:
-    """The first that does not hold, else the first."""
+    # The first that does not hold, else the first.
     found = list(outcomes)
     return next((each for each in found if not each), found[0])
 
 
 def _is_one_node(name: str, others: Iterable[str]) -> bool:
-    """Whether another node has a name that would be its own if it had a wildcard tail."""
+    # Whether another node has a name that would be its own if it had a wildcard tail.
     return any(other != name and names_cover(name, other, wildcard=True) for other in others)
 
 
 def _keys_of(named: Iterable[SubjectPattern], name: str, subject: Subject) -> list[bytes]:
-    """The keys that rules pin for a node or for any, unless the test is about one key."""
+    # The keys that rules pin for a node or for any, unless the test is about one key.
     if subject.key != _ANY_KEY:
         return []
     return [

@@ -45,20 +45,12 @@ def below(paths: Mapping[str, Primitive | Text], path: str) -> list[str]:
 
 
 def serialize(layout: Layout, values: Mapping[str, Value]) -> bytes:
-    """A message with these values.
-
-    Raises:
-        struct.error, OverflowError, ValueError: a value does not fit its field.
-    """
+    """A message with these values."""
     return b"".join(_write(layout.root, "", values))
 
 
 def read_back(layout: Layout, message: bytes) -> dict[str, Value | None]:
-    """The values of all leaves; of an array the first, None if it is empty.
-
-    Raises:
-        MessageRefused: the message does not have the layout.
-    """
+    """The values of all leaves; of an array the first, None if it is empty."""
     found: dict[str, Value | None] = {}
     try:
         end = _read(layout.root, "", message, 0, found)
@@ -113,7 +105,6 @@ def _packed(kind: Primitive, value: Value) -> bytes:
 
 
 def _read(kind: Type, path: str, data: bytes, at: int, found: dict[str, Value | None]) -> int:
-    """Read the value at `at`; returns where it ends."""
     if isinstance(kind, Struct):
         for name, member in kind.fields:
             at = _read(member, _member(kind, path, name), data, at, found)
@@ -230,7 +221,6 @@ class _Reader:
         ]
 
     def _subjects(self, part: Part | None) -> list[tuple[Subject, str]]:
-        """The nodes, each with the pattern it stands for, if any."""
         label = source.text(part, "who", self._mistakes)
         if label is None or part is None:
             return []
@@ -258,7 +248,6 @@ class _Reader:
         return found
 
     def _seen(self, part: Part | None, claims: list[Claim]) -> list[SeenField]:
-        """The fields; a topic of which nothing is seen is a claim."""
         topics = source.mapping(part, "sees", self._mistakes)
         found: list[SeenField] = []
         for key, value in topics.entries.values() if topics is not None else ():
@@ -296,7 +285,6 @@ class _Reader:
         return found
 
     def _message(self, part: Part | None) -> dict[str, Value]:
-        """The values of a message, by path: `{pose: {x: 1}}` and `{pose.x: 1}` are the same one."""
         first: dict[str, YamlScalar] = {}
         for path, value in self._values(part, ""):
             if path in first:
@@ -305,7 +293,6 @@ class _Reader:
         return {path: value.value for path, value in first.items()}
 
     def _values(self, part: Part | None, path: str) -> list[tuple[str, YamlScalar]]:
-        """The values in a message, by path."""
         if isinstance(part, YamlScalar) and path:
             return [(path, part)]
         mapping = source.mapping(part, path or "message", self._mistakes)
@@ -318,7 +305,6 @@ class _Reader:
 
 
 def _sample(who: SubjectPattern) -> tuple[Subject, str]:
-    """A node that `who` is for, and the pattern it stands for, if any."""
     written = who.node or "/x"
     node = written.replace("**", "x").replace("*", "x")
     return Subject(node, who.key or bytes(32)), "" if node == written else written

@@ -49,12 +49,6 @@ class Index:
                 self._insert(rule, clause)
 
     def find(self, subject: Subject, right: Right, name: str) -> list[Hit]:
-        """Every clause that decides on the exact `name` for `subject`; unordered.
-
-        Args:
-            right: exactly one.
-            name: an absolute name, or a pattern (then by `hits`).
-        """
         if is_pattern(name):
             return list(hits(self.rules_of(subject), subject, right, name))
         return [*self._find_own(subject, right, name), *self._find(subject, right, name)]
@@ -85,7 +79,6 @@ class Index:
         return found
 
     def rules_of(self, subject: Subject) -> list[PolicyRule]:
-        """The rules that apply to `subject`, in the order of the policy."""
         named = {**self._rules.get(_ANY_NODE, {}), **self._rules.get(subject.name, {})}
         return [named[at] for at in sorted(named) if named[at].applies_to(subject)]
 
@@ -136,10 +129,7 @@ def _decides(rule: PolicyRule, clause: Clause, requested: str) -> bool:
 
 
 def _keys(rule: PolicyRule) -> set[str]:
-    """The node names under which the rule is found.
-
-    A denial by pinned key applies to any name.
-    """
+    # A denial by pinned key applies to any name.
     nodes = {who.node for who in rule.who}
     by_key = rule.effect is Effect.DENY and any(who.key is not None for who in rule.who)
     if by_key or any(node is None or "*" in node for node in nodes):
@@ -148,7 +138,7 @@ def _keys(rule: PolicyRule) -> set[str]:
 
 
 def _reach(root: _Branch, name: str, *, tree: bool) -> Iterator[tuple[_Branch, bool]]:
-    """Branches whose pattern covers `name` (True), or is below it (False, trees only)."""
+    # Branches whose pattern covers `name` (True), or is below it (False, trees only).
     states = {(id(root), False): (root, False)}
     for segment in segments(name):
         following: dict[tuple[int, bool], tuple[_Branch, bool]] = {}
@@ -207,22 +197,18 @@ class Verdict:
 
     @property
     def restrictions(self) -> tuple[Restriction, ...]:
-        """The restrictions of the right; all of them apply together."""
         return merge(clause.restriction for clause in self.clauses)
 
     @property
     def rate(self) -> float | None:
-        """The maximum of messages a second, or None."""
         return min((c.rate for c in self.clauses if c.rate is not None), default=None)
 
     @property
     def keep_when_stale(self) -> bool:
-        """Whether every deciding rule says `on_stale: keep`."""
         return len(self.rules) > 0 and all(rule.keep_when_stale for rule in self.rules)
 
     @property
     def headline(self) -> str:
-        """`ALLOW: /heating subscribe /robot/pose`."""
         return f"{self.effect.upper()}: {self.subject.name} {self.right.label} {self.name}"
 
 
@@ -256,7 +242,6 @@ class Decider:
         return self._evaluate(subject, right, name, self._index.find(subject, right, name))
 
     def rules_of(self, subject: Subject) -> list[PolicyRule]:
-        """The rules that apply to `subject`."""
         return self._index.rules_of(subject)
 
     def decide_by(
@@ -332,7 +317,7 @@ def _order(hit: Hit) -> tuple[str, str]:
 
 
 def _complete(matching: Iterable[Hit], right: Right, name: str) -> bool:
-    """Whether some rule gives the *whole* request; others only add their restrictions."""
+    # Whether some rule gives the *whole* request; others only add their restrictions.
     return any(gives(clause.pattern, right, name) for _, clause in matching)
 
 
@@ -373,7 +358,7 @@ def _deciding_rules(verdict: Verdict) -> str:
 
 
 def _near_miss(rule: PolicyRule, verdict: Verdict) -> str:
-    """Why an allowing rule did not match, if it differs in one point only."""
+    # Why an allowing rule did not match, if it differs in one point only.
     if rule.effect is Effect.DENY:
         return ""
     clauses = [each for c in rule.clauses if (each := c.of(verdict.subject)) is not None]

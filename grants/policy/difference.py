@@ -39,7 +39,6 @@ class Kind(StrEnum):
 
     @property
     def sign(self) -> str:
-        """One character: `+`, `~`, `-` or `=`."""
         return {Kind.NEW: "+", Kind.GONE: "-", Kind.KEPT: "="}.get(self, "~")
 
 
@@ -70,7 +69,6 @@ class Before(NamedTuple):
     longest: int
 
     def lines(self) -> tuple[str, ...]:
-        """It as text."""
         return (*_lines(self.entries), _validity(self.lifetime, self.longest))
 
 
@@ -97,7 +95,6 @@ def withdrawn(subject: Subject, atom: Atom, verdict: Verdict, before: Before) ->
 
 
 def _lines(entries: Iterable[Permission]) -> tuple[str, ...]:
-    """The restrictions of entries that hold together, as text."""
     found = [item.restriction for item in entries if item.restriction is not None]
     return tuple(sorted({line for item in found for line in item.lines()}))
 
@@ -112,8 +109,6 @@ def _validity(lifetime: int, longest: int) -> str:
 
 
 class _Measure(NamedTuple):
-    """How much is allowed: `facts` narrow it, the others widen it."""
-
     facts: frozenset[str]
     rate: float
     keeps: bool
@@ -121,7 +116,6 @@ class _Measure(NamedTuple):
     longest: int
 
     def allows(self, other: "_Measure") -> bool:
-        """Whether it allows at least what `other` does."""
         return self.facts <= other.facts and self[1:] == tuple(map(max, self[1:], other[1:]))
 
 
@@ -134,7 +128,6 @@ def _measure(entries: Iterable[Permission], lifetime: int, longest: int) -> _Mea
 
 
 def _facts(restriction: Restriction) -> Iterator[str]:
-    """What narrows by being there, each alone."""
     if restriction.type is not None:
         yield f"only {restriction.type}"
     for line in restriction.lines():
@@ -237,11 +230,9 @@ class Moment:
     renewed_until: int | None = None
 
     def end(self, grant: Grant) -> int:
-        """When `grant` ends, if nothing else is signed."""
         return self._end(grant.expires, grant.cap)
 
     def end_of(self, wanted: WantedRight) -> int:
-        """When a grant signed now for `wanted` ends."""
         longest = max(wanted.lifetime, wanted.renew_until)
         return self._end(self.now + wanted.lifetime, self.now + longest)
 
@@ -251,7 +242,6 @@ class Moment:
         return cap if self.renewed_until is None else max(expires, min(cap, self.renewed_until))
 
     def is_due(self, grant: Grant) -> bool:
-        """Whether two thirds of its time are over."""
         begin, end = grant.not_before + self.skew, self.end(grant)
         return self.now >= begin + (end - begin) * 2 // 3
 
@@ -294,8 +284,6 @@ def difference(
 
 
 class _Chosen(NamedTuple):
-    """What is signed and what goes; `rights` are those that are wanted, without what is refused."""
-
     rights: dict[Atom, WantedRight]
     sign: list[tuple[WantedRight, ...]]
     gone: list[Grant]
@@ -347,7 +335,6 @@ def atoms(grant: Grant) -> dict[Atom, frozenset[Permission]]:
 
 
 def _is_exact(state: WantedState, subject: Subject, grant: Grant, skew: int) -> bool:
-    """Whether the policy decides each right of `grant` exactly as it says, for as long."""
     for atom, entries in atoms(grant).items():
         verdict = state.decide(subject, atom)
         if verdict.effect is not Effect.ALLOW:
@@ -359,7 +346,6 @@ def _is_exact(state: WantedState, subject: Subject, grant: Grant, skew: int) -> 
 
 
 def _lasts(wanted: WantedRight, grant: Grant, skew: int) -> bool:
-    """Whether the grant has the validity of the rules."""
     renewal = max(wanted.lifetime, wanted.renew_until)
     begin = grant.not_before + skew
     return (grant.expires - begin, grant.cap - begin) == (wanted.lifetime, renewal)
@@ -368,7 +354,7 @@ def _lasts(wanted: WantedRight, grant: Grant, skew: int) -> bool:
 def _still_allowed(
     state: WantedState, subject: Subject, gone: Iterable[Grant], wanted: Mapping[Atom, WantedRight]
 ) -> dict[Atom, WantedRight]:
-    """What grants that go gave on request, and the policy allows otherwise than before."""
+    # What grants that go gave on request, and the policy allows otherwise than before.
     asked = {atom for grant in gone for atom in atoms(grant)} - wanted.keys()
     verdicts = (state.decide(subject, atom) for atom in sorted(asked))
     found = [WantedRight.of(verdict) for verdict in verdicts if verdict.effect is Effect.ALLOW]
@@ -376,7 +362,6 @@ def _still_allowed(
 
 
 def _due(ending: Iterable[Grant], moment: Moment) -> list[Grant]:
-    """The grants that end soon, and whose rights are in no grant that lasts longer."""
     last: dict[Atom, int] = {}
     held = list(ending)
     for grant in held:
@@ -392,7 +377,7 @@ def _due(ending: Iterable[Grant], moment: Moment) -> list[Grant]:
 def _drop_unsignable(
     subject: Subject, rights: dict[Atom, WantedRight], satisfied: AbstractSet[Atom]
 ) -> Iterator[str]:
-    """Take out of `rights` what is to be signed and cannot be; yields why, for each."""
+    # Take out of `rights` what is to be signed and cannot be; yields why, for each.
     for atom, each in [*rights.items()]:
         if atom not in satisfied and (reason := why_unsignable(each.permissions)):
             del rights[atom]
@@ -410,10 +395,7 @@ def _too_many(subject: Subject, number: int) -> str:
 def _groups(
     rights: Iterable[WantedRight], *, by_rules: bool = True
 ) -> list[tuple[WantedRight, ...]]:
-    """The rights by grant: those of the same rules and validity, at most `MAX_ENTRIES` each.
-
-    Tail patterns have grants of their own: a verifier that does not know them refuses the grant.
-    """
+    # Tail patterns have grants of their own: a verifier that does not know them refuses the grant.
     groups: dict[tuple[str, int, int, bool], list[WantedRight]] = {}
     for each in rights:
         rules, tail = each.rule_ids if by_rules else "", tail_base(each.pattern) is not None

@@ -138,20 +138,12 @@ def free_id(taken: Iterable[str], preferred: str) -> str:
 
 
 class _TextResolver(VersionedResolver):
-    """Each plain scalar is its text: written as it was read, whatever it may stand for."""
-
     @property
     def versioned_resolver(self) -> dict[str, Any]:
-        """No kinds of scalars."""
         return {}
 
 
 def _check(before: str, after: str, rules: Iterable[NewRule]) -> None:
-    """Return if `after` says what `before` does, and `rules`, and nothing else.
-
-    Raises:
-        PolicyRefused: it does not.
-    """
     expected, found = _values(before), _values(after)
     assert isinstance(expected, dict)  # noqa: S101 - it was loaded as a policy
     for rule in rules:
@@ -165,7 +157,6 @@ def _check(before: str, after: str, rules: Iterable[NewRule]) -> None:
 
 
 def _values(text: str) -> object:
-    """What a text says, each scalar with its kind; keys in any order, as in a policy."""
     mistakes = Mistakes("the policy")
     source = read_source(text, mistakes)
     mistakes.raise_if_any()
@@ -185,7 +176,6 @@ def _text(value: str) -> object:
 
 
 def _add_values(policy: dict[str, Any], rule: NewRule) -> None:
-    """`rule` as `add_rules` adds it, in the values of a policy."""
     if rule.types:
         types = policy["types"] if isinstance(policy.get("types"), dict) else {}
         policy["types"] = {**{name: _text(kind) for name, kind in rule.types.items()}, **types}
@@ -225,7 +215,6 @@ def _add_types(data: Any, types: Mapping[str, str]) -> None:
 
 
 def _rules(data: Any) -> dict[str, Any]:
-    """The existing rules by id; afterwards `data` has a list of rules."""
     if not data["rules"]:
         data["rules"] = CommentedSeq()
     if isinstance(data["rules"], CommentedMap):  # a single rule may be written without a dash
@@ -356,7 +345,6 @@ def needs_basics(observed: Iterable[Observation]) -> bool:
 
 
 def _id_for(rules: Iterable[PolicyRule], taken: Collection[str], node: str) -> str:
-    """The rule that was learned for `node` and for nobody else, or a new one's id."""
     for rule in rules:
         if rule.id.startswith(_LEARNED) and _is_learned(rule, node):
             return rule.id
@@ -364,7 +352,6 @@ def _id_for(rules: Iterable[PolicyRule], taken: Collection[str], node: str) -> s
 
 
 def _is_learned(rule: PolicyRule, node: str) -> bool:
-    """Whether it is as `learn` writes it: what is added to it is for `node` alone, as it is."""
     plain = not any(clause.restriction or clause.rate for clause in rule.clauses)
     return (
         rule.effect is Effect.ALLOW
@@ -381,7 +368,6 @@ def _rule(
     day: str,
     kinds: Mapping[str, Collection[str]],
 ) -> NewRule:
-    """A rule for `node`. The own topics of nodes that differ in type have types by their names."""
     rights: dict[str, list[str]] = {}
     for item in observed:
         rights.setdefault(item.right.label, []).append(item.name)
@@ -394,7 +380,7 @@ def _rule(
 
 
 def _decided(decider: Decider, observed: Observation) -> bool:
-    """Whether a rule decides it; for any key, since observations have none."""
+    # Whether a rule decides it; for any key, since observations have none.
     keys = {who.key for rule in decider.policy.rules for who in rule.who if who.key is not None}
     return any(
         decider.decide(Subject(observed.node, key), observed.right, observed.name).rules

@@ -105,7 +105,7 @@ def _rate(view: View, what: str) -> Iterator[Finding]:
 
 
 def _treated(view: View) -> dict[FilterRule, list[str]]:
-    """The leaves that show something, by the filter that treats them; not what another hides."""
+    # The leaves that show something, by the filter that treats them; not what another hides.
     found: dict[FilterRule, list[str]] = {}
     for path in view.aspects:
         if view.left(path) is not Precision.HIDDEN:
@@ -148,7 +148,6 @@ def _hysteresis(view: View, rule: FilterRule) -> Iterator[Finding]:
 
 
 def _has_hysteresis(view: View, rule: FilterRule) -> bool:
-    """Whether another filter of the same field has it."""
     others = (each for each in view.filters if each.path == rule.path)
     return any("hysteresis" in dict(each.parameters) for each in others)
 
@@ -227,7 +226,6 @@ def _block(rule: FilterRule) -> int:
 
 
 def _has_whole(view: View, rule: FilterRule) -> bool:
-    """Whether another filter treats all of the picture."""
     others = (each for each in filters_of(view.filters, rule.path) if each != rule)
     return any("width" not in dict(each.parameters) for each in others)
 
@@ -294,7 +292,6 @@ def _for_others(rule: PolicyRule, clause: Clause, what: str) -> Finding:
 
 
 def _own_names(rule: PolicyRule, pattern: str) -> str | None:
-    """What was meant: `{node}/pose`, if the pattern is that of the nodes and a name below it."""
     nodes = [who.node for who in rule.who]
     if len(nodes) == 1 and nodes[0] is not None and pattern.startswith(f"{nodes[0]}/"):
         return NODE + pattern.removeprefix(nodes[0])
@@ -302,7 +299,6 @@ def _own_names(rule: PolicyRule, pattern: str) -> str | None:
 
 
 def _owns(who: SubjectPattern, pattern: str) -> bool:
-    """Whether the names are below the node's own: `/heating/**` of `/heating`."""
     if is_own(pattern):
         return True
     base = (who.node or "*").removesuffix("/**")
@@ -343,7 +339,6 @@ def shadowed(scene: Scene) -> Iterator[Finding]:
 
 
 def _always_decides(other: PolicyRule, rule: PolicyRule, clause: Clause) -> bool:
-    """Whether `other`, of a stronger effect, decides wherever `clause` of `rule` matches."""
     covered = any(
         each.right is clause.right and _gives(each.pattern, clause.right, clause.pattern)
         for each in other.clauses
@@ -364,14 +359,12 @@ def _applies_to_all(rule: PolicyRule, who: SubjectPattern) -> bool:
 
 
 def _may_be_of(one: SubjectPattern, other: SubjectPattern) -> bool:
-    """Whether some node may be both."""
     if one.key is not None and other.key is not None and one.key != other.key:
         return False
     return one.node is None or other.node is None or intersects(one.node, other.node)
 
 
 def _is_wider(one: SubjectPattern, other: SubjectPattern) -> bool:
-    """Whether every node of `other` is certainly one of `one`."""
     if one.key is not None and one.key != other.key:
         return False
     if is_alias(other.node or "") and not is_alias(one.node or ""):
@@ -411,7 +404,6 @@ def _unused_types(types: Iterable[str], named: set[str]) -> Iterator[Finding]:
 
 
 def _giving(scene: Scene) -> Iterator[PolicyRule]:
-    """The rules that allow or prompt."""
     return (rule for rule in scene.policy.rules if rule.effect is not Effect.DENY)
 
 

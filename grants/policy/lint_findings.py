@@ -207,11 +207,9 @@ class Finding:
 
     @property
     def is_leak(self) -> bool:
-        """Whether it gives something away or allows too much, beyond the form of a rule."""
         return self.code not in FORM
 
     def as_json(self) -> dict[str, object]:
-        """For programs."""
         names = ("line", "code", "message", "hint")
         return {name: getattr(self, name) for name in names}
 
@@ -249,7 +247,6 @@ def closing(view: View, open_fields: Sequence[str]) -> Closed:
 
 
 def _wholes(view: View, open_fields: Sequence[str]) -> Iterable[list[str]]:
-    """Ways to name all of the leaves, the shortest first."""
     depth = max(path.count(".") for path in open_fields)
     for steps in range(1, depth + 1):
         paths = list(dict.fromkeys(_first_steps(path, steps) for path in open_fields))
@@ -263,7 +260,6 @@ def _first_steps(path: str, steps: int) -> str:
 
 
 def _is_only(view: View, path: str, open_fields: Sequence[str]) -> bool:
-    """Whether all below `path` are of the open fields."""
     leaves = leaf_paths(view.layout) if view.layout is not None else []
     return all(leaf in open_fields for leaf in leaves if _is_below(leaf, path))
 
@@ -335,13 +331,7 @@ def limiting(view: View, rate: float = COARSE_RATE) -> tuple[str, tuple[Suggesti
 
 
 def fits(view: View, rules: Iterable[FilterRule], beside: FilterRule | None = None) -> bool:
-    """Whether the filters of one rule compile with `rules` in place of those of the same paths.
-
-    Args:
-        view: of the topic.
-        rules: the new filters.
-        beside: a filter of the rule that gets them; without, it is the first that has any.
-    """
+    """Whether the filters of one rule compile with `rules` in place of those of the same paths."""
     new = {rule.path: rule for rule in rules}
     if view.layout is None or not new:
         return False

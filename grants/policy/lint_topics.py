@@ -126,7 +126,6 @@ def related(scene: Scene) -> Iterator[Finding]:
 
 
 def _is_hidden(view: View, row: Related) -> bool:
-    """Whether the view hides what the row is about, and shows nothing that tells it."""
     if row.own == _MOVES and view.treated(Aspect.POSITION):
         return False  # that of a position
     told = row.own if row.own == (Aspect.NAME,) else row.told_by  # marks of a device are beside
@@ -138,7 +137,6 @@ def _is_hidden(view: View, row: Related) -> bool:
 
 
 def _told(view: View, row: Related, hidden: View) -> list[str]:
-    """The leaves of another topic that give it away."""
     if view.treated(*row.own):
         return []
     if row.own == (Aspect.STATE,) and view.layout is not hidden.layout:
@@ -149,7 +147,7 @@ def _told(view: View, row: Related, hidden: View) -> list[str]:
 
 
 def _is_list(view: View, path: str, row: Related) -> bool:
-    """Whether it is a list of names, as of joints: those are not the names of devices."""
+    # Whether it is a list of names, as of joints: those are not the names of devices.
     fields = view.described.fields if view.described is not None else ()
     return row.own == (Aspect.NAME,) and any(
         field.path == path and isinstance(field.kind, Array) and view.aspects[path] is Aspect.NAME
@@ -183,7 +181,7 @@ def presence(scene: Scene) -> Iterator[Finding]:
 
 
 def _is_beside(view: View, slotted: View) -> bool:
-    """Whether both are of one robot, by the folder of their names; not what tells nothing."""
+    # Whether both are of one robot, by the folder of their names; not what tells nothing.
     if conventional(view.topic) is Aspect.NOTHING or "*" in view.topic:
         return False
     mine, other = (each.topic.rpartition("/")[0] for each in (view, slotted))
@@ -206,7 +204,6 @@ def services(scene: Scene) -> Iterator[Finding]:
 
 
 def _callable(scene: Scene, receiver: Receiver) -> list[str]:
-    """The services that rules name, and usual ones: patterns may cover them."""
     own = f"{receiver.subject.name}/"
     named = {
         found.pattern
@@ -309,19 +306,17 @@ def _exact(
 
 
 def _shows_by_type(view: View, aspect: Aspect) -> bool:
-    """A cloud of points beside a picture, the climate beside a position."""
     if aspect is Aspect.IMAGE:
         return view.shows_depth
     return aspect is Aspect.POSITION and view.shows_climate
 
 
 def _pattern(view: View) -> str:
-    """The pattern by which the topic is seen."""
     return view.verdict.clauses[0].pattern
 
 
 def _same_type(one: View, other: View) -> bool:
-    """Whether two topics have one type: names of joints are not those of devices."""
+    # Whether two topics have one type: names of joints are not those of devices.
     return one.layout is not None and one.layout is other.layout
 
 
@@ -345,7 +340,6 @@ def _judge(view: View) -> str:
 
 
 def _is_own(view: View) -> bool:
-    """Whether the topic is below the receiver's name: what comes there is sent for it."""
     return view.topic.startswith(f"{view.receiver.subject.name}/")
 
 
@@ -395,21 +389,18 @@ def versions(scene: Scene) -> Iterator[Finding]:
 
 
 def _grids(views: Iterable[View]) -> Iterator[tuple[View, float]]:
-    """The views with a coarse position, and the step; of rooms 0."""
     for view in views:
         if (step := _step(view)) or _plan(view):
             yield view, step
 
 
 def _differ(one: View, other: View) -> bool:
-    """Whether the cells are of two plans of rooms, or of two frames by the conditions of each."""
     plans = _plan(one), _plan(other)
     frames = _frames(one), _frames(other)
     return (all(plans) and plans[0] != plans[1]) or (all(frames) and not frames[0] & frames[1])
 
 
 def _plan(view: View) -> frozenset[tuple[str, Scalar]]:
-    """The rooms of a position; empty if it has none."""
     for path in view.coarse(Aspect.POSITION):
         rule = view.filter_on(path)
         if rule.operator == "rooms":
@@ -418,13 +409,11 @@ def _plan(view: View) -> frozenset[tuple[str, Scalar]]:
 
 
 def _frames(view: View) -> frozenset[str]:
-    """The frames that conditions let through; empty if they name none."""
     texts = (text for item in view.verdict.restrictions for text in item.conditions)
     return frozenset(name for text in texts for _, name in _FRAME.findall(text))
 
 
 def _step(view: View) -> float:
-    """The step in which the position is rounded; 0 if it is not."""
     for path in view.coarse(Aspect.POSITION):
         step = dict(view.filter_on(path).parameters).get("step")
         if isinstance(step, int | float):
@@ -433,7 +422,6 @@ def _step(view: View) -> float:
 
 
 def _of_one_owner(receivers: list[Receiver]) -> Iterator[tuple[Receiver, Receiver]]:
-    """All pairs of receivers, in both orders, that belong to one owner."""
     owned: dict[object, list[Receiver]] = {}
     below: dict[str, list[Receiver]] = {}
     for receiver in receivers:
@@ -451,7 +439,6 @@ def _of_one_owner(receivers: list[Receiver]) -> Iterator[tuple[Receiver, Receive
 
 
 def _owners(receiver: Receiver) -> Iterator[object]:
-    """The pinned key, and the foreign domain."""
     if any(receiver.subject.key):  # else none is pinned
         yield receiver.subject.key
     if is_alias(receiver.subject.name):

@@ -170,7 +170,6 @@ def _is_value(kind: Type) -> bool:
 
 
 def _is_of_velocity(field: FieldContent, described: Description) -> bool:
-    """Whether the message the field is in has a velocity."""
     above = field.path.rpartition(".")[0]
     return any(
         other.content is Content.VELOCITY and other.path.startswith(above)
@@ -224,7 +223,6 @@ class Receiver:
 
     @property
     def label(self) -> str:
-        """The name of the subject in the policy; of a member of a group that of the group."""
         return self.who.group or self.who.label
 
 
@@ -240,27 +238,22 @@ class View:
 
     @cached_property
     def filters(self) -> tuple[FilterRule, ...]:
-        """All filters together."""
         return tuple(rule for item in self.verdict.restrictions for rule in item.filters)
 
     @cached_property
     def aspects(self) -> dict[str, Aspect]:
-        """What each leaf of the message shows."""
         return aspects(self.described, self.topic) if self.described is not None else {}
 
     @cached_property
     def is_known(self) -> bool:
-        """Whether it is known what the topic shows: by its type, else by its name."""
         if self.described is not None:
             return is_known(self.described)
         return conventional(self.topic) is not None
 
     def of(self, *wanted: Aspect) -> list[str]:
-        """The leaves that show one of these."""
         return [path for path, aspect in self.aspects.items() if aspect in wanted]
 
     def left(self, path: str) -> Precision:
-        """What all filters together leave of the leaf at `path`."""
         aspect = self.aspects.get(path, Aspect.NOTHING)
         return max(
             (_left_by(rule, aspect, path) for rule in filters_of(self.filters, path)),
@@ -269,66 +262,60 @@ class View:
         )
 
     def exact(self, *wanted: Aspect) -> list[str]:
-        """The leaves that show one of these exactly."""
         return [path for path in self.of(*wanted) if self.left(path) is Precision.EXACT]
 
     def treated(self, *wanted: Aspect) -> list[str]:
-        """The leaves that show one of these coarsely or not at all."""
+        # The leaves that show one of these coarsely or not at all.
         return [path for path in self.of(*wanted) if self.left(path) is not Precision.EXACT]
 
     def coarse(self, *wanted: Aspect) -> list[str]:
-        """The leaves that show one of these coarsely."""
         return [path for path in self.of(*wanted) if self.left(path) is Precision.COARSE]
 
     def shows(self, first: Aspect, *others: Aspect) -> bool:
-        """Whether one of these is seen exactly, and the first is not treated."""
+        # Whether one of these is seen exactly, and the first is not treated.
         if self.layout is None:
             return conventional(self.topic) in (first, *others)
         return bool(self.exact(first, *others)) and not self.treated(first)
 
     @property
     def shows_climate(self) -> bool:
-        """Whether it shows exactly what a sensor measures that may be carried about."""
         fields = self.described.fields if self.described is not None else ()
         ambient = {field.path for field in fields if field.content in AMBIENT}
         return any(self.left(path) is Precision.EXACT for path in ambient)
 
     @property
     def shows_depth(self) -> bool:
-        """Whether it shows exactly what a camera of depth sees: points in space, not one plane."""
+        # Whether it shows exactly what a camera of depth sees: points in space, not one plane.
         if self.layout is None:
             return self.topic.rpartition("/")[2] in CLOUDS
         return self.layout.type_name in DEPTH and bool(self.exact(Aspect.SURROUNDINGS))
 
     @property
     def is_slow(self) -> bool:
-        """Whether something limits how often messages come, or tells only in which slot."""
+        # Whether something limits how often messages come, or tells only in which slot.
         return self.verdict.rate is not None or self.has_slot
 
     @property
     def has_slot(self) -> bool:
-        """Whether only one message in each slot comes."""
+        # Whether only one message in each slot comes.
         return any(item.slot is not None for item in self.verdict.restrictions)
 
     @property
     def hides_presence(self) -> bool:
-        """Whether its slots are about when messages come, not what is left of their content."""
+        # Whether its slots are about when messages come, not what is left of their content.
         return self.has_slot and (self.is_empty or not self.filters)
 
     @cached_property
     def is_empty(self) -> bool:
-        """Whether filters leave nothing of the message but that it was sent."""
         if self.layout is None or not self.filters:
             return False
         return all(self.left(path) is Precision.HIDDEN for path in leaf_paths(self.layout))
 
     @property
     def rule(self) -> PolicyRule:
-        """The deciding rule that filters the topic, else the first."""
         return self.place()[0]
 
     def place(self, of: FilterRule | None = None) -> tuple[PolicyRule, Clause]:
-        """The rule and clause with the filter `of`; without: the first with any, else the first."""
         places = list(zip(self.verdict.rules, self.verdict.clauses, strict=True))
         for rule, clause in places:
             own = clause.restriction.filters if clause.restriction is not None else ()
@@ -338,11 +325,9 @@ class View:
 
     @property
     def is_below_pattern(self) -> bool:
-        """Whether no rule names the topic itself: a pattern covers it."""
         return all(clause.pattern != self.topic for clause in self.verdict.clauses)
 
     def filter_on(self, path: str) -> FilterRule:
-        """The first filter that treats the leaf at `path`."""
         return filters_of(self.filters, path)[0]
 
 
@@ -391,16 +376,13 @@ class Scene:
 
     @cached_property
     def decider(self) -> Decider:
-        """Decides by the policy."""
         return Decider(self.policy)
 
     @cached_property
     def views(self) -> dict[Receiver, list[View]]:
-        """All views, by receiver."""
         return {receiver: list(self._views(receiver)) for receiver in receivers(self.policy)}
 
     def contents(self, topic: str) -> tuple[Layout, Description] | tuple[None, None]:
-        """The messages of `topic`, and what they contain, if the policy says their type."""
         if topic not in self._contents:
             kind = self.policy.type_of(topic)
             self._contents[topic] = (None, None) if kind is None else self._read(kind, topic)
@@ -421,7 +403,6 @@ class Scene:
 
 
 def _topics(policy: Policy, rules: Iterable[PolicyRule], subject: Subject) -> list[str]:
-    """What the rules name, and what is known of the topics below their patterns."""
     named = {
         found.pattern
         for rule in rules

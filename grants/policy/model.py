@@ -82,7 +82,6 @@ class Vocabulary:
         return found
 
     def _said(self, topic: str) -> dict[str, Content]:
-        """What is said of the fields on `topic`; the narrowest pattern that covers it decides."""
         covering = [pattern for pattern in self.topics if topic and self._covers(pattern, topic)]
         here: dict[str, Content] = {}
         for pattern in sorted(
@@ -95,14 +94,11 @@ class Vocabulary:
         return includes(any_node(pattern), any_node(topic))
 
     def _narrower(self, pattern: str, others: Iterable[str]) -> int:
-        """How many of the others lie in `pattern`."""
         return sum(self._covers(pattern, other) for other in others)
 
     def _decides(self, pattern: str, topic: str) -> bool:
-        """Whether `pattern` covers `topic`, and what it says is said again or not contradicted.
-
-        So it is if `topic` itself is in the vocabulary, or all that cover it are nested.
-        """
+        # Whether `pattern` covers `topic`, and what it says is said again or not contradicted.
+        # So it is if `topic` itself is in the vocabulary, or all that cover it are nested.
         covering = [each for each in self.topics if self._covers(each, topic)]
         return pattern in covering and (
             topic in covering
@@ -159,7 +155,6 @@ def read_vocabulary(
 
 
 def _is_below(leaf: str, path: str) -> bool:
-    """Whether a field is the one at `path`, or in it."""
     return f"{leaf}.".replace("[*]", "").startswith(f"{path}.")
 
 
@@ -250,11 +245,9 @@ class SubjectPattern:
     group: str = ""
 
     def matches(self, subject: Subject) -> bool:
-        """Whether `subject` matches for certain: by name, and by key if one is pinned."""
         return self._name_fits(subject) and self.key in (None, subject.key)
 
     def may_match(self, subject: Subject) -> bool:
-        """Whether `subject` matches by name *or* by pinned key: enough for a denial."""
         by_key = self.key is not None and self.key == subject.key
         by_name = self.node is not None and pattern_covers(self.node, subject.name)
         return by_key or by_name
@@ -284,7 +277,6 @@ class Clause:
     written: str = ""
 
     def of(self, subject: Subject) -> "Clause | None":
-        """It for `subject`: `{node}/pose` with its name; None if it is about nothing then."""
         if not is_own(self.pattern):
             return self
         pattern = resolve(self.pattern, subject.name, tail=subject.tail)
@@ -292,11 +284,9 @@ class Clause:
 
     @property
     def shown(self) -> str:
-        """The pattern, for people."""
         return f"{self.written}, here {self.pattern}" if self.written else self.pattern
 
     def lines(self) -> list[str]:
-        """The restrictions as text."""
         lines = self.restriction.lines() if self.restriction is not None else []
         return lines if self.rate is None else [*lines, rate_text(self.rate)]
 
@@ -333,13 +323,11 @@ class PolicyRule:
 
     @property
     def subjects_text(self) -> str:
-        """The subjects, by their labels in the policy; of a group its name."""
         exceptions = _labels(self.exceptions)
         return _labels(self.who) + (f" except {exceptions}" if exceptions else "")
 
     @property
     def reason(self) -> str:
-        """The id and the reason as text."""
         return f"rule {self.id}" + (f": {self.why}" if self.why else "")
 
 
@@ -380,7 +368,6 @@ class Policy:
     titles: Mapping[str, str] = field(default_factory=dict)
 
     def type_of(self, name: str) -> str | None:
-        """The message type of the topic or pattern `name`, if the policy has one."""
         return type_of(self.types, name)
 
 
@@ -398,7 +385,6 @@ def type_of(types: Mapping[str, str], name: str) -> str | None:
 
 
 def _is_of(pattern: str, name: str) -> bool:
-    """Whether a type given for `pattern` is that of `name`, which may be a tail pattern."""
     if "*" not in pattern and not is_own(pattern):
         return pattern == name  # most are names, and each is compared for each name without a type
     return includes(any_node(pattern), name)

@@ -79,7 +79,6 @@ def gives(pattern: str, right: Right, requested: str) -> bool:
 
 
 def _walk(one: tuple[str, ...], other: tuple[str, ...], ends: Callable[[bool, bool], bool]) -> bool:
-    """Advance in both at once; True if `ends(end of one reached, end of other reached)`."""
     seen: set[tuple[int, int]] = set()
     todo = [(0, 0)]
     while todo:
@@ -98,7 +97,6 @@ def _walk(one: tuple[str, ...], other: tuple[str, ...], ends: Callable[[bool, bo
 
 
 def _moves(pattern: tuple[str, ...], position: int) -> list[tuple[str, int]]:
-    """The segments possible at a position, and the next position; `**` may stay."""
     moves: list[tuple[str, int]] = []
     if position < len(pattern):
         moves.append((_ANY if pattern[position] == "**" else pattern[position], position + 1))
@@ -188,9 +186,6 @@ def speaks_for_others(pattern: str, nodes: Collection[str | None]) -> str | None
 
     `/*/pose` for more than one node lets each of them be `/robot2/pose`: it is `{node}/pose` that
     was meant. None for every other pattern, and where the rule is for one node only.
-
-    Args:
-        nodes: of the subjects of the rule: names or patterns; None for any with a key.
     """
     head, _, rest = pattern[1:].partition("/")
     several = len(nodes) > 1 or any(node is None or "*" in node for node in nodes)

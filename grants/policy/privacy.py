@@ -126,7 +126,6 @@ def rows(
 def _in_words(
     access: ReceiverAccess, layout: Layout | None, vocabulary: Vocabulary
 ) -> tuple[dict[str, str], str]:
-    """The word that each field tells, by path, and what is seen in all, as a sentence."""
     if layout is None:
         return {}, ""
     described = vocabulary.describe(layout, access.topic)
@@ -285,7 +284,7 @@ class Trial:
             return None
 
     def _failed_condition(self, message: Buffer, now: int) -> str:
-        """The reason why the message is withheld: the first condition that is not true."""
+        # The reason why the message is withheld: the first condition that is not true.
         for restriction in self._verdict.restrictions:
             layout = self._layout if restriction.type is not None else None
             for text in restriction.conditions:
@@ -299,7 +298,6 @@ class Trial:
 
 
 def _placeholder_keys(verdict: Verdict) -> dict[str, bytes]:
-    """Keys for pseudonyms in place of the publisher's; the result has the same form."""
     rules = (rule for item in verdict.restrictions for rule in item.filters)
     return {name: bytes(FILTER_KEY_SIZE) for name in key_names(rules)}
 

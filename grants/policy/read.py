@@ -120,7 +120,6 @@ def _title(name: str, part: Part, mistakes: Mistakes) -> str | None:
 def _names(
     text: str, key: YamlScalar, groups: Mapping[str, tuple[SubjectPattern, ...]], mistakes: Mistakes
 ) -> tuple[str, ...]:
-    """The names that a key stands for; none if it is a mistake."""
     if text.startswith("/") or ":" in text:
         name = source.subject(key, "title", mistakes)
         return () if name is None else (name,)
@@ -275,7 +274,6 @@ class _PolicyReader:
         return SubjectPattern(name, node, pinned)
 
     def _types(self, part: Part | None) -> tuple[dict[str, Layout], dict[str, str]]:
-        """Layouts by type name, and type names by topic pattern."""
         layouts: dict[str, Layout] = {}
         types: dict[str, str] = {}
         mapping = source.mapping(part, "types", self._mistakes)

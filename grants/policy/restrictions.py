@@ -107,7 +107,6 @@ def _read_field(key: YamlScalar, part: Part, mistakes: Mistakes) -> FieldRule | 
 
 
 def _parameters(operator: str, part: Part) -> dict[str, Scalar] | None:
-    """By name; a bare value is the operator's first parameter, a list all of them."""
     if isinstance(part, YamlMapping):
         named = {name: value for name, (_, value) in part.entries.items()}
         if not named or not all(isinstance(value, YamlScalar) for value in named.values()):

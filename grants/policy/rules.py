@@ -85,11 +85,10 @@ class Subjects:
 
     @property
     def unused(self) -> tuple[str, ...]:
-        """The groups that no rule names, also not through another group."""
+        # The groups that no rule names, also not through another group.
         return tuple(sorted(self.groups.keys() - self._used))
 
     def read(self, part: Part | None) -> _Members:
-        """The subjects of a rule, each member of a group with the name of the group."""
         return tuple(who for item in source.items(part) for who in self._subjects(item))
 
     def _subjects(self, part: Part) -> Iterable[SubjectPattern]:
@@ -119,7 +118,7 @@ class Subjects:
         return ()
 
     def _named(self, mapping: YamlMapping | None) -> Iterator[tuple[str, Part]]:
-        """The groups by name, those with a wrong name too, so that rules report no more."""
+        # The groups by name, those with a wrong name too, so that rules report no more.
         for name, (key, value) in mapping.entries.items() if mapping is not None else ():
             self._check_name(name, key)
             yield name, value
@@ -132,7 +131,6 @@ class Subjects:
             self._mistakes.add(key, f"{name[:60]!r} cannot be the name of a group", hint)
 
     def _members_of(self, name: str, above: tuple[str, ...]) -> _Members:
-        """The members of a group, read once; `above` are the groups that are being read."""
         if name not in self.groups:
             self.groups[name], self._within[name] = (), frozenset({name})
             found: dict[SubjectPattern, None] = {}
@@ -182,8 +180,6 @@ _Fields = tuple[FieldRule, ...]
 
 @dataclass(frozen=True)
 class _TopicFilter:
-    """The filter of one topic: fields, or a preset by name; and the levels of what is seen."""
-
     position: SourcePosition
     fields: _Fields = ()
     preset: str | None = None
@@ -212,7 +208,6 @@ class RuleReader:
         self._vocabulary = vocabulary
 
     def read(self, part: Part) -> PolicyRule | None:
-        """One rule, or None if its structure is invalid."""
         mapping = source.mapping(part, "a rule", self._mistakes)
         if mapping is None:
             return None
@@ -288,7 +283,6 @@ class RuleReader:
         return tuple(clauses)
 
     def _check_written(self, filters: Mapping[str, _TopicFilter]) -> None:
-        """Filters of what is published: its receivers apply them, and have no keys for it."""
         for each in filters.values():
             if each.preset is not None or key_names(item.rule for item in each.fields):
                 self._mistakes.add(
@@ -300,7 +294,6 @@ class RuleReader:
     def _named_rights(
         self, rights: YamlMapping, name: str
     ) -> list[tuple[Right, str, SourcePosition]]:
-        """Every right and pattern in the rule."""
         if not rights.entries:
             self._mistakes.add(rights, f"rule {name} has no rights", suggest("", RIGHTS))
         found: list[tuple[Right, str, SourcePosition]] = []
@@ -369,7 +362,7 @@ class RuleReader:
     def _levels(
         self, topic_filter: _TopicFilter, pattern: str, kind: str | None
     ) -> Resolved | None:
-        """What `see` of the rule adds for one topic; None if it does not fit."""
+        # What `see` of the rule adds for one topic; None if it does not fit.
         if topic_filter.see is None or kind is None:
             return Resolved()
         layout = self._layouts[kind]
@@ -380,7 +373,6 @@ class RuleReader:
     def _treatment(
         self, topic_filter: _TopicFilter, kind: str | None, *given: Resolved
     ) -> Resolved:
-        """The rules, the lowest rate and the longest slot of the filter and of these."""
         found = [Resolved(tuple(item.rule for item in topic_filter.fields)), *given]
         if topic_filter.preset is not None and kind is not None:
             named = preset(topic_filter.preset).restriction(self._layouts[kind])
@@ -391,7 +383,6 @@ class RuleReader:
         self, right: Right, pattern: str, position: SourcePosition, kind: str | None,
         conditions: list[ConditionRule], topic_filter: _TopicFilter,
     ) -> bool:  # fmt: skip
-        """Whether conditions and filters on messages of `pattern` fit their type."""
         if not right & (Right.SUBSCRIBE | Right.PUBLISH):
             message = f"{right.label} {pattern}: conditions on messages are for topics"
             self._mistakes.add(position, message, "put this right into a separate rule")
@@ -418,7 +409,6 @@ class RuleReader:
     def _filters_of(
         self, part: Part | None, topics: list[str], name: str, right: Right
     ) -> dict[str, _TopicFilter]:
-        """The filter of every topic: `{use: NAME}`, fields, or either of them by topic."""
         mapping = source.mapping(part, f"filter of rule {name}", self._mistakes)
         if mapping is None:
             return {}
@@ -443,7 +433,6 @@ class RuleReader:
         return found
 
     def _topic_filter(self, position: SourcePosition, mapping: YamlMapping) -> _TopicFilter:
-        """Fields, or `{use: NAME}` of a filter of this policy or else of a preset."""
         if "use" not in mapping.entries:
             return _TopicFilter(position, read_fields(mapping, self._mistakes))
         source.check_keys(mapping, "a filter with use", ("use",), (), self._mistakes)

@@ -91,11 +91,7 @@ class Bounds:
 
 
 def events(text: str, bounds: Bounds, *, tags: bool = False) -> Iterator[Any]:
-    """The events of the one document in `text`; with `tags`, scalars may have the tags of `load`.
-
-    Raises:
-        YamlRefused: not YAML, beyond the bounds, or outside the subset; with its position.
-    """
+    """The events of the one document in `text`; with `tags`, scalars may have the tags of `load`."""
     if len(text) > bounds.size:
         raise YamlRefused(f"{len(text)} characters where at most {bounds.size} are allowed")
     depth = documents = 0
@@ -124,7 +120,6 @@ def events(text: str, bounds: Bounds, *, tags: bool = False) -> Iterator[Any]:
 
 
 def _remedy(problem: str) -> str:
-    """What to do about what the parser says, for the mistakes that people make most."""
     if "'\\t'" in problem:
         return "indent with spaces: YAML allows no tabs"
     if problem.startswith("expected alphabetic or numeric character"):
@@ -140,9 +135,6 @@ def load_yaml(text: str, bounds: Bounds | None = None) -> object:
     A date with a time (`2026-01-02 03:04:05`) is a datetime, since XML-RPC has them; an
     invalid date stays a text. The tags `!!str`, `!!int`, `!!float`, `!!bool`, `!!null` and
     `!!binary` are accepted if the text is a value of that type.
-
-    Raises:
-        YamlRefused: as for `events`; a key that is not a scalar, or a duplicate key.
     """
     stream = events(text, bounds or Bounds(), tags=True)
     found = None
@@ -210,7 +202,6 @@ def _bytes(text: str) -> bytes | None:
 
 
 def _tag(event: Any) -> str | None:
-    """The core schema type in the tag of a scalar."""
     tag = None if event.ctag is None else str(event.ctag)
     return None if tag in (None, "!") else str(tag).removeprefix(_CORE_TAG)
 
@@ -256,11 +247,11 @@ class SourcePosition(Protocol):
 
     @property
     def line(self) -> int:
-        """Line."""
+        ...
 
     @property
     def column(self) -> int:
-        """Column."""
+        ...
 
 
 @dataclass(frozen=True, order=True)
@@ -360,7 +351,6 @@ class YamlMapping:
     column: int
 
     def get(self, key: str) -> "Part | None":
-        """The value of `key`, or None."""
         entry = self.entries.get(key)
         return None if entry is None else entry[1]
 
@@ -383,21 +373,18 @@ def read_source(text: str, mistakes: Mistakes, bounds: Bounds = BOUNDS) -> Part 
 
 
 def _unquoted_own_name(text: str, line: int) -> str:
-    """What to write where `{node}/pose` has no quotes, and so begins a mapping of YAML."""
+    # What to write where `{node}/pose` has no quotes, and so begins a mapping of YAML.
     lines = text.splitlines()[line - 1 : line] if line > 0 else []
     found = any(_UNQUOTED.search(each) for each in lines)
     return 'put own names in quotes: "{node}/pose", or write ~/pose' if found else ""
 
 
 class _Builder:
-    """Events to parts."""
-
     def __init__(self, events: Iterator[Any], mistakes: Mistakes) -> None:
         self._events = events
         self._mistakes = mistakes
 
     def document(self) -> Part | None:
-        """The document, None if the text is empty; reads the whole text."""
         found = None
         for event in self._events:
             if isinstance(event, NodeEvent):
@@ -567,7 +554,6 @@ def pattern(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
 
 
 def _pattern_text(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
-    """The text of a pattern; `{node}` without quotes is a mapping of YAML."""
     if isinstance(part, YamlMapping) and list(part.entries) == [NODE[1:-1]]:
         mistakes.add(part, f"{what}: {NODE} without quotes", f'put it in quotes: "{NODE}"')
         return None

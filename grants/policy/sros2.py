@@ -105,7 +105,7 @@ class _Found:
 
 
 def _check_structure(root: Any, xml: str, found: _Found) -> None:
-    """Note every element and attribute that is not read: it may deny something."""
+    # Note every element and attribute that is not read: it may deny something.
     for item in root.iter():
         tag = str(item.tag)
         if tag.endswith("}include"):
@@ -148,7 +148,7 @@ def _parse(xml: str) -> Any:
 
 
 def _bounded(xml: str) -> Any:
-    """The root; the cost of a tree is in its elements and attributes, so they are counted first."""
+    # The root; the cost of a tree is in its elements and attributes, so they are counted first.
     root, depth, count = None, 0, 0
     data = io.BytesIO(xml.encode(errors="replace"))
     for event, element in iterparse(data, events=("start", "end"), forbid_dtd=True):
@@ -164,7 +164,6 @@ def _bounded(xml: str) -> Any:
 
 
 def _profile(profile: Any, found: _Found) -> Iterator[NewRule]:
-    """The rules of one node: allowed and denied rights."""
     namespace = "/" + profile.get("ns", "/").strip("/")
     node = f"{namespace.rstrip('/')}/{profile.get('node', '').strip('/')}"
     if profile.get("node") == _DEFAULT:
@@ -191,8 +190,6 @@ def _profile(profile: Any, found: _Found) -> Iterator[NewRule]:
 
 
 class _Group(NamedTuple):
-    """One effect of one element: of which node, about what."""
-
     node: str
     namespace: str
     child: str
@@ -227,15 +224,11 @@ def _read_group(
 
 
 def _deep(pattern: str) -> str:
-    """As fnmatch reads it: a segment `*` stands for one or more segments."""
     return "/".join("**" if part == "*" else part for part in pattern.split("/"))
 
 
 def _is_kept(pattern: str) -> bool:
-    """Whether `_deep` denies all that fnmatch does: no other character of its language is there.
-
-    `/a/*` is also `/a/` for fnmatch, which is no name.
-    """
+    # `/a/*` is also `/a/` for fnmatch, which is no name.
     return not any(mark in pattern for mark in "?[]")
 
 

@@ -42,11 +42,7 @@ class Plan:
 
 
 def plan(decider: Decider, subject: Subject, rights: Iterable[RequestedRight]) -> Plan:
-    """Decide on every requested right separately.
-
-    Raises:
-        PatternRefused, PolicyRefused: as `Decider.decide`.
-    """
+    """Decide on every requested right separately."""
     verdicts = [
         decider.decide(subject, requested.right, requested.pattern)
         for requested in sorted(set(rights))
@@ -184,12 +180,10 @@ class WantedRight:
 
     @property
     def atom(self) -> Atom:
-        """What it is about."""
         return self.right, self.pattern
 
     @property
     def rule_ids(self) -> str:
-        """The deciding rules by id, as the record has them."""
         return rule_ids(self.rules)
 
 
@@ -246,7 +240,6 @@ class WantedState:
         return replace(verdict, subject=subject)
 
     def _rules_of(self, subject: Subject) -> tuple[list[PolicyRule], _Key]:
-        """The rules for `subject`, and what names them: the policy keeps them alive."""
         if self._last[0] != subject:
             rules = self._decider.rules_of(subject)
             # No master renews grants of foreigners, so they share nothing with own nodes.
@@ -278,7 +271,6 @@ def _has_own_names(rule: PolicyRule) -> bool:
 
 
 def _clauses(rules: list[PolicyRule], subject: Subject) -> Iterator[tuple[PolicyRule, Atom]]:
-    """The rights that the rules have for `subject`, of allowing and of prompting rules."""
     for rule in rules:
         if rule.effect is not Effect.DENY:
             for clause in rule.clauses:

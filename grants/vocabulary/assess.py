@@ -74,12 +74,10 @@ class Seen(NamedTuple):
 
     @property
     def size_text(self) -> str:
-        """`2 m` for a position between two levels; else empty."""
         return "" if self.is_often else self.step_text
 
     @property
     def step_text(self) -> str:
-        """As `size_text`, of steps that are known better by their number."""
         between = self.level == EXACT and 0 < self.size < math.inf
         return f"{self.size:.3g} m" if between else ""
 
@@ -124,10 +122,7 @@ class _Limits(NamedTuple):
     outdoors: bool
 
     def hold(self, word: DataWord, level: Level) -> bool:
-        """Whether messages are as seldom as at `level`: a slot of s seconds lets one in s pass.
-
-        A rate is no slot for what is about times, and as seldom for the rest.
-        """
+        # A rate is no slot for what is about times, and as seldom for the rest.
         slot = level.slot_for(outdoors=self.outdoors) or 0
         interval = max(1 / self.rate, self.slot)
         if word is DataWord.PRESENCE:
@@ -138,7 +133,6 @@ class _Limits(NamedTuple):
 
     @property
     def are_often(self) -> bool:
-        """Whether movement tells a position better than its steps."""
         return max(1 / self.rate, self.slot) * _SELDOM * _ALMOST < 1
 
 
@@ -169,7 +163,7 @@ def _seen(word: DataWord, treated: _Treated, limits: _Limits, conditions: Sequen
 
 
 def _are_shared(word: DataWord, telling: _Treated, limits: _Limits) -> bool:
-    """Whether only `per: receiver` is missing to a level of pseudonyms."""
+    # Whether only `per: receiver` is missing to a level of pseudonyms.
     personal = [
         (field, [each._replace(parameters=(*each.parameters, _PER_RECEIVER)) for each in found])
         for field, found in telling
@@ -178,7 +172,7 @@ def _are_shared(word: DataWord, telling: _Treated, limits: _Limits) -> bool:
 
 
 def _level(word: DataWord, telling: _Treated, limits: _Limits) -> str:
-    """What is hidden altogether is so at any rate."""
+    # What is hidden altogether is so at any rate.
     if NO in LEVELS[word] and _holds(Level(), telling):
         return NO
     for one in reversed(LEVELS[word][1:]):
@@ -197,13 +191,11 @@ def _holds(level: Level, telling: _Treated) -> bool:
 
 
 def _others(word: DataWord, telling: _Treated) -> tuple[DataWord, ...]:
-    """The words whose fields tell this one, if its own fields are all hidden; else none."""
     shown = {field.meaning.own for field, found in telling if not any(map(_hides, found))}
     return () if word in shown else tuple(other for other in DataWord if other in shown)
 
 
 def _is_at_least(found: Treatment, wanted: Treatment) -> bool:
-    """Whether `found` hides at least what `wanted` does."""
     if _hides(found):
         return True
     if found.operator == levels.OPERATOR:
@@ -223,7 +215,7 @@ def _is_at_least(found: Treatment, wanted: Treatment) -> bool:
 
 
 def _are_rooms(found: Treatment) -> bool:
-    """Whether they are as large, and their hysteresis as wide, as a policy's `rooms` must be."""
+    # Whether they are as large, and their hysteresis as wide, as a policy's `rooms` must be.
     kept = float(dict(found.parameters).get("hysteresis", 0))
     wide = levels.narrowest(found) >= levels.NARROWEST and levels.smallest(found) >= levels.SMALLEST
     return wide and kept >= levels.HYSTERESIS
@@ -235,14 +227,13 @@ def _hides(treatment: Treatment) -> bool:
 
 
 def _width(treatment: Treatment) -> float:
-    """Metres of the cells of one treatment: of rooms, the side of the smallest as a square."""
+    # Metres of the cells of one treatment: of rooms, the side of the smallest as a square.
     if treatment.operator == levels.OPERATOR:
         return min(math.sqrt(levels.smallest(treatment)), 2 * levels.narrowest(treatment))
     return float(dict(treatment.parameters)["step"]) if treatment.operator == "round" else 0.0
 
 
 def _size(telling: _Treated) -> float:
-    """Metres of the finest step; 0 if anything that tells the position is open."""
     finest = math.inf
     for field, found in telling:
         if any(_hides(one) for one in found):
@@ -254,7 +245,6 @@ def _size(telling: _Treated) -> float:
 
 
 def _cell(field: FieldContent, found: Iterable[Treatment]) -> float:
-    """Metres of the cells that a relative tells, as a charge in quarters; 0 if it is finer."""
     for name in ("area", "room"):
         level = level_of(DataWord.POSITION, name)
         wanted = treatment_at(level, field)
@@ -265,7 +255,6 @@ def _cell(field: FieldContent, found: Iterable[Treatment]) -> float:
 
 
 def _of(rules: Iterable[FilterRule], path: str) -> list[Treatment]:
-    """The treatments of the field at `path`: its own, and those of what it lies in."""
     steps = path.replace("[*]", "").split(".")
     found = []
     for rule in rules:
@@ -341,7 +330,6 @@ def details(one: Seen) -> str:
 
 
 def _told(one: Seen) -> str:
-    """What conditions tell, beside what the fields do: `whether pose.position.x < 5`."""
     texts = " and ".join(_condition(text) for text in one.conditions[:_MAX_CONDITIONS])
     more = len(one.conditions) - _MAX_CONDITIONS
     told = f"whether {texts}" + (f" and {more} more" if more > 0 else "")

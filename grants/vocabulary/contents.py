@@ -120,7 +120,6 @@ class Meaning(NamedTuple):
 
     @classmethod
     def of(cls, own: DataWord, *tells: DataWord) -> Self:
-        """A content of `own` that tells these words as well."""
         return cls(own, frozenset((own, *tells)))
 
 
@@ -181,11 +180,7 @@ FRAMES: Final = frozenset({Content.FRAME, Content.CHILD_FRAME})
 
 
 def fields_by(**contents: str) -> Fields:
-    """Fields by content: `fields_by(coordinate="x y", child_frame="child_frame_id")`.
-
-    Raises:
-        ValueError: there is no such content.
-    """
+    """Fields by content: `fields_by(coordinate="x y", child_frame="child_frame_id")`."""
     return {
         field: Content(content.replace("_", "-"))
         for content, fields in contents.items()
@@ -388,7 +383,6 @@ class FieldContent:
 
     @property
     def meaning(self) -> Meaning:
-        """The words it tells."""
         return MEANINGS[self.content]
 
 
@@ -401,18 +395,15 @@ class Description:
 
     @cached_property
     def unknown(self) -> tuple[str, ...]:
-        """Paths of fields of which nothing is known; a bare value's meaning is its topic's."""
         return tuple(field.path for field in self.fields if field.content in NOT_KNOWN)
 
     @cached_property
     def words(self) -> tuple[DataWord, ...]:
-        """The words that its fields have as their own, in order; `presence` is left out."""
         own = {field.meaning.own for field in self.fields if field.content not in TIMES}
         return tuple(word for word in DataWord if word in own)
 
     @cached_property
     def has_names(self) -> bool:
-        """Whether it has names that can become pseudonyms, those of frames apart."""
         return any(field.content in NAMES for field in self.fields)
 
     @cached_property
@@ -421,7 +412,6 @@ class Description:
         return any(field.content is Content.DEGREES for field in self.fields)
 
     def carrying(self, word: DataWord) -> tuple[FieldContent, ...]:
-        """The fields whose own word it is: `pose.position.x` for position."""
         return tuple(field for field in self.fields if field.meaning.own is word)
 
     def relatives(self, word: DataWord) -> tuple[FieldContent, ...]:
@@ -447,18 +437,15 @@ class Description:
         )
 
     def tells(self, word: DataWord) -> bool:
-        """Whether anything but a time tells it: a level of the word concerns this type."""
         carried = self.carrying(word) or self.relatives(word) or self.hints(word)
         return word is DataWord.PRESENCE or len(carried) > 0
 
     @cached_property
     def fixed_arrays(self) -> frozenset[str]:
-        """Paths of outermost arrays of messages that always have the same length."""
         return frozenset(field.array for field in self.fields if field.is_fixed)
 
     @cached_property
     def times(self) -> tuple[FieldContent, ...]:
-        """Stamps and sequence numbers."""
         return tuple(field for field in self.fields if field.content in TIMES)
 
 
@@ -477,8 +464,6 @@ def describe(
 
 
 class _Outermost(NamedTuple):
-    """The outermost array of messages around a field, if any."""
-
     path: str = ""
     is_fixed: bool = False
 

@@ -67,7 +67,6 @@ class Level(NamedTuple):
     outdoors: int | None = None
 
     def slot_for(self, *, outdoors: bool) -> int | None:
-        """The seconds of a slot for a type with degrees on the earth, or one without."""
         return self.outdoors if outdoors and self.outdoors is not None else self.slot
 
 
@@ -205,17 +204,12 @@ def _circumference(room: Room) -> float:
 
 
 def _area(corners: tuple[tuple[float, float], ...]) -> float:
-    """By the shoelace formula."""
     pairs = zip(corners, (*corners[1:], corners[0]), strict=True)
     return abs(math.fsum(x0 * y1 - x1 * y0 for (x0, y0), (x1, y1) in pairs)) / 2
 
 
 def in_rooms(layout: Layout, rule: FilterRule, rooms: Treatment) -> FilterRule:
-    """`rule`, or `rooms` in its place if it shows the cell of a room of a whole position.
-
-    Raises:
-        FilterRefused: it shows the area of one.
-    """
+    """`rule`, or `rooms` in its place if it shows the cell of a room of a whole position."""
     given = (rule.operator, rule.parameters)
     if given not in (_ROOM, _AREA) or not _is_position(layout.root, rule.path, rooms):
         return rule
@@ -227,7 +221,6 @@ def in_rooms(layout: Layout, rule: FilterRule, rooms: Treatment) -> FilterRule:
 
 
 def _is_position(kind: Type, path: str, rooms: Treatment) -> bool:
-    """Whether the operator can be used for the field at `path`."""
     for name in path.split("."):
         found = dict(kind.fields).get(name) if isinstance(kind, Struct) else None
         if found is None:  # within an array
@@ -327,11 +320,8 @@ def _check_known(description: Description, coarse: Levels) -> None:
 def _treatment(
     field: FieldContent, coarse: Levels, levels: Levels, description: Description
 ) -> Treatment | None:
-    """The strictest treatment of a field, or None: it is kept.
-
-    A time is told of identity beside names: it is the same for every receiver, so two would know
-    by it which pseudonyms are one.
-    """
+    # A time is told of identity beside names: it is the same for every receiver, so two would know by it
+    # which pseudonyms are one.
     matches = field.content in TIMES and description.has_names
     found: list[Treatment] = []
     for word, level in coarse.items():
@@ -342,13 +332,11 @@ def _treatment(
 
 
 def _is_told(field: FieldContent, word: DataWord, levels: Levels) -> bool:
-    """A rule that says a level for the field's own word has decided what may be recognised."""
     recognised = word in field.meaning.hints and field.meaning.own not in levels
     return word in field.meaning.tells or recognised
 
 
 def _is_concerned(description: Description, word: DataWord, levels: Levels) -> bool:
-    """Whether anything but times and names of frames tells the word; presence is told by any."""
     if word is DataWord.PRESENCE:
         return True
     telling = [one for one in description.fields if _is_told(one, word, levels)]
@@ -369,11 +357,8 @@ def treatment_at(level: Level, field: FieldContent) -> Treatment | None:
 
 
 def _fits(field: FieldContent, wanted: Treatment) -> bool:
-    """Whether the operator can be used here.
-
-    Elements of an array have no hysteresis, and the place of a pseudonym in an array of names, as
-    of joints, says whose it is.
-    """
+    # Elements of an array have no hysteresis, and the place of a pseudonym in an array of names, as of
+    # joints, says whose it is.
     if "hysteresis" in dict(wanted.parameters) and (field.array or isinstance(field.kind, Array)):
         return False
     if wanted.operator == "hash" and isinstance(field.kind, Array):
@@ -388,7 +373,7 @@ def _fits(field: FieldContent, wanted: Treatment) -> bool:
 def _empty_arrays(
     description: Description, treated: dict[str, Treatment | None], concerned: Levels
 ) -> None:
-    """An array of messages is emptied if what is hidden in it would show by its number."""
+    # An array of messages is emptied if what is hidden in it would show by its number.
     in_place = _IN_PLACE if concerned.keys() - _OF_NAMES else _IN_PLACE | NAMES
     emptied = {
         field.array
@@ -421,7 +406,7 @@ def _check_exact(
 def _sorted_arrays(
     description: Description, treated: Mapping[str, Treatment | None]
 ) -> Iterator[FilterRule]:
-    """Arrays whose elements lose their names: the order would tell which is which."""
+    # Arrays whose elements lose their names: the order would tell which is which.
     kept = {field.array for field in description.fields if treated[field.path] != CLEAR}
     nameless = {
         field.array
@@ -438,10 +423,7 @@ _Common = Treatment | None
 def _fold(
     kind: Type, path: str, treated: Mapping[str, Treatment | None]
 ) -> tuple[_Common, list[FilterRule]]:
-    """The rules below `path`, one for a whole message where all of it is treated alike.
-
-    The first value is that one treatment; None if there is none.
-    """
+    # The first value is that one treatment; None if there is none.
     inner = kind.element if isinstance(kind, Array) else kind
     if not isinstance(inner, Struct):
         found = treated[path]

@@ -74,7 +74,6 @@ class ApprovalQueue:
         self.denied = list[Denial]()
 
     def close(self) -> None:
-        """Close the record."""
         self._store.close()
 
     def add_request(self, data: bytes) -> GrantRequest:
@@ -112,7 +111,6 @@ class ApprovalQueue:
         return errors
 
     def pending(self) -> list[PendingApproval]:
-        """The unanswered requests; those denied by the policy or too late are denied here."""
         with self._store.transaction():
             return self._pending()
 
@@ -161,7 +159,6 @@ class ApprovalQueue:
         return found
 
     def deny(self, approval: PendingApproval, reason: str) -> None:
-        """Record that a person denied the request."""
         self._requests.answer(approval.stored, DENIED, reason, self._now)
 
     def sign(
@@ -216,7 +213,7 @@ class ApprovalQueue:
         return signed, refused
 
     def _refuse(self, approval: PendingApproval, why: HintedError) -> Denial:
-        """Deny what cannot be granted; it may have been answered meanwhile."""
+        # Deny what cannot be granted; it may have been answered meanwhile.
         denial = Denial(approval.stored, f"it cannot be granted: {why}")
         with contextlib.suppress(StoreError):
             self.deny(approval, denial.reason)
@@ -252,14 +249,12 @@ class ApprovalQueue:
         return self._decider.decide(subject, stored.requested.right, stored.requested.pattern)
 
     def _had_identity(self, stored: StoredRequest) -> bool:
-        """Whether its node has a key that is not revoked, and was valid when it asked."""
+        # Whether its node has a key that is not revoked, and was valid when it asked.
         return bool(self._store.identities.valid(stored.request.node, stored.at))
 
     def _is_for_good(self, stored: StoredRequest, counts: Counter[str]) -> bool:
-        """Whether to record what only the clock says; else it comes back when that is set right.
-
-        `counts`: what has no answer yet, by node; oldest first, so the newest stay.
-        """
+        # Whether to record what only the clock says; else it comes back when that is set right.
+        # `counts`: what has no answer yet, by node; oldest first, so the newest stay.
         counts[stored.request.node] -= 1
         return counts[stored.request.node] >= MAX_LATE
 
@@ -272,7 +267,6 @@ class ApprovalQueue:
 
 
 def _parts(approvals: list[PendingApproval]) -> list[list[PendingApproval]]:
-    """The rights of several requests by request, those of one request one by one."""
     by_request: dict[bytes, list[PendingApproval]] = {}
     for item in approvals:
         by_request.setdefault(item.stored.request.id, []).append(item)
@@ -301,7 +295,6 @@ def verdict_change(
 
 
 def _restriction(policy: Policy, topic: str, name: str) -> Restriction:
-    """The filter `name` of the policy, or the preset of that name, for a topic."""
     kind = policy.type_of(topic)
     if kind is None:
         raise ConfigurationError(f"the type of {topic} is not known here", "add it to types")
@@ -317,7 +310,6 @@ def _denial_reason(verdict: Verdict) -> str:
 
 
 def _why(verdict: Verdict) -> str:
-    """As `_denial_reason`, for who reads it now."""
     if verdict.rules:
         return f"by {verdict.rules[0].reason}"
     return "no rule gives it, and where none does the policy denies (defaults: decision)"

@@ -78,11 +78,7 @@ def undeclared(directory: Path) -> list[str]:
 
 
 def kept(directory: Path) -> dict[str, bytes]:
-    """What a backup has of an authority's directory, except the record.
-
-    Raises:
-        PathRefused: another user could have written one of them, or it is a symbolic link.
-    """
+    """What a backup has of an authority's directory, except the record."""
     content: dict[str, bytes] = {}
     for name in _files(directory):
         found = owner(name)
@@ -99,13 +95,7 @@ def staying(directory: Path) -> list[str]:
 
 
 def read(directory: Path, name: str) -> bytes:
-    """One file of an authority's directory.
-
-    Raises:
-        PathRefused: another user could have written it, or it is a symbolic link; the policy, the
-            operator's own file, may be one.
-        ConfigurationError: it was removed meanwhile.
-    """
+    """One file of an authority's directory."""
     gone = ConfigurationError(f"{directory / name} was removed meanwhile", "do it again")
     return read_own(directory / name, MAX_BACKUP, gone, link=name == policyfile.NAME)
 
@@ -115,9 +105,6 @@ def restorable(content: Mapping[str, bytes]) -> tuple[dict[str, bytes], list[str
 
     A backup is of whoever made it: only what a part of rossec says is its own, and is kept in
     backups, is written. An older version may have taken other files along from some places.
-
-    Raises:
-        BackupRefused: a name that no version has put into a backup.
     """
     found = {name: owner(name) for name in content}
     for name, owned in found.items():
@@ -159,12 +146,7 @@ class Restored:
 
 
 def back_up(home: AuthorityHome, passphrase: str) -> bytes:
-    """Return a backup of the authority, encrypted with `passphrase`.
-
-    Raises:
-        PathRefused: another user could have written one of its files.
-        BackupRefused: there is too much.
-    """
+    """Return a backup of the authority, encrypted with `passphrase`."""
     content = kept(home.path)
     with contextlib.closing(home.store()) as store:
         content[RECORD] = store.database.snapshot()
@@ -191,32 +173,7 @@ def restore(
     module: str | None = None,
     policy_of_backup: bool = False,
 ) -> Restored:
-    """Restore an authority into ROSSEC_HOME `home`.
-
-    Args:
-        home: ROSSEC_HOME.
-        data: the backup.
-        passphrase: of the backup.
-        now: the time.
-        secret: the passphrase or PIN of the key, if it is another one.
-        newest_list: a signed revocation list, or tree, that may be newer than the backup.
-        entries: those of the tree, which does not contain them.
-        newest_domains: a signed list of domains that may be newer than the backup.
-        over: the trust domain of the authority that may be replaced.
-        forget: the number of its log entries that the backup lacks, and that may be lost.
-        needs_list: refuse to restore a root without `newest_list`.
-        module: the PKCS#11 module of the token that has the key.
-        policy_of_backup: its policy comes back also where the replaced authority has another.
-
-    Raises:
-        ConfigurationError: the authority's service runs.
-        BackupRefused: not a backup, incomplete, or what was said does not match.
-        RevocationRefused: the list, tree or entries are not the authority's.
-        DomainsRefused: the list of domains is not, or is older than the backup.
-        PassphraseRefused: the passphrase is wrong.
-        TokenRefused: the operator does not name the module of the token that has the key.
-        LogDamaged: the backup's own log does not verify.
-    """
+    """Restore an authority into ROSSEC_HOME `home`."""
     said = _Said(over, forget, needs_list and newest_list is None, policy_of_backup)
     target = home / "ca"
     with _staging_beside(target) as staging:
@@ -231,8 +188,6 @@ def restore(
 
 @dataclass(frozen=True)
 class _Said:
-    """What the operator said: see `restore`."""
-
     over: str | None
     forget: int
     lacks_list: bool
@@ -241,7 +196,7 @@ class _Said:
 
 @contextlib.contextmanager
 def _staging_beside(target: Path) -> Iterator[Path]:
-    """A new private directory, removed if it was not moved."""
+    # A new private directory, removed if it was not moved.
     staging = target.with_name(f".ca.{secrets.token_hex(8)}")
     files.make_private_directory(staging)
     made = staging.stat().st_ino
@@ -256,7 +211,6 @@ def _staging_beside(target: Path) -> Iterator[Path]:
 def _put_in_place(
     authority: SigningAuthority, target: Path, newer: NewerLists, said: _Said, now: int
 ) -> Restored:
-    """Replace what is at `target` by a verified authority, and let it begin anew."""
     staging, size = AuthorityHome(authority.path), authority.store.log.head(now).size
     with _locked(target):
         policy = "of the backup" if (staging.path / policyfile.NAME).exists() else ""
@@ -274,7 +228,6 @@ def _put_in_place(
 
 
 def _settle_uri(content: dict[str, bytes], home: Path, module: str | None) -> KeyUri | None:
-    """Where the key is, if it is in a token; the operator's module is in the file from now on."""
     if KEY_URI not in content:
         return None
     uri = authority_token_modules.restored_uri(content[KEY_URI], home, module)
@@ -283,7 +236,6 @@ def _settle_uri(content: dict[str, bytes], home: Path, module: str | None) -> Ke
 
 
 def _commit(staging: Path, target: Path, now: int) -> None:
-    """Put what is restored in its place in one step, and the authority that was there aside."""
     if not target.exists():
         files.commit_directory(staging, target)
         return
@@ -293,12 +245,6 @@ def _commit(staging: Path, target: Path, now: int) -> None:
 
 
 def _open_verified(staging: AuthorityHome, secret: str, uri: KeyUri | None) -> SigningAuthority:
-    """The authority in a backup, if key, certificate and record are valid and match.
-
-    Raises:
-        BackupRefused: a part is missing or invalid.
-        PassphraseRefused, LogDamaged: as `restore`.
-    """
     try:
         key = staging.load_key(secret, () if uri is None else (uri.module,))
         authority = staging.open(key)
@@ -320,7 +266,6 @@ def _open_verified(staging: AuthorityHome, secret: str, uri: KeyUri | None) -> S
 
 @contextlib.contextmanager
 def _locked(target: Path) -> Iterator[None]:
-    """Lock the service and the record at `target` from the comparison until it is moved."""
     with contextlib.ExitStack() as stack:
         if target.is_dir() and not target.is_symlink():  # nothing is written behind a link
             stack.enter_context(service_lock(target))
@@ -338,7 +283,7 @@ def _write(directory: Path, content: dict[str, bytes]) -> None:
 
 
 def _keep_what_stays(target: Path, staging: Path, policy: str, said: _Said) -> str:
-    """Let what an older one would bring back stay as it is here; returns whose policy it is."""
+    # Let what an older one would bring back stay as it is here; returns whose policy it is.
     for name in staying(target):
         here, there = target / name, staging / name
         if name == policyfile.NAME:
@@ -356,7 +301,7 @@ def _keep_what_stays(target: Path, staging: Path, policy: str, said: _Said) -> s
 
 
 def _check_replacement(there: AuthorityHome, found: SigningAuthority, said: _Said) -> None:
-    """Refuse to replace an existing authority unless `said.over` and `said.forget` match."""
+    # Refuse to replace an existing authority unless `said.over` and `said.forget` match.
     anchor, held = _read(there)
     if anchor.thumbprint != found.authority.anchor.thumbprint:
         raise BackupRefused(
@@ -382,7 +327,6 @@ def _check_replacement(there: AuthorityHome, found: SigningAuthority, said: _Sai
 
 
 def _read(there: AuthorityHome) -> tuple[TrustAnchor, list[LogEntry]]:
-    """The trust anchor and the log of an existing authority."""
     try:
         with contextlib.closing(there.store()) as store:
             return there.anchor(), store.log.entries()
@@ -394,7 +338,6 @@ def _read(there: AuthorityHome) -> tuple[TrustAnchor, list[LogEntry]]:
 
 
 def _with_what_is_known(there: AuthorityHome, newer: NewerLists) -> NewerLists:
-    """Add what the authority that is replaced has revoked, and the epochs it has used."""
     with contextlib.closing(there.store()) as store:
         revoked = store.revoked_entries()
         epoch, domains_epoch = store.next_number()[0], store.domains.next_number()[0]
@@ -409,10 +352,7 @@ def _with_what_is_known(there: AuthorityHome, newer: NewerLists) -> NewerLists:
 def _begin_anew(
     authority: SigningAuthority, entries: int, newer: NewerLists, now: int
 ) -> tuple[int, int, int]:
-    """End what was open, start a new epoch, close the record.
-
-    Returns how many passkeys and domains ended, and how many revocations came back.
-    """
+    # Returns how many passkeys and domains ended, and how many revocations came back.
     with authority.store.transaction():
         phones = _end_what_was_open(authority, entries, now)
         ended = restored_lists.end_domains(authority, newer.domains, now)
@@ -422,11 +362,9 @@ def _begin_anew(
 
 
 def _end_what_was_open(authority: SigningAuthority, entries: int, now: int) -> int:
-    """Note the restore, and end what the backup does not know enough of; returns how many passkeys.
-
-    Of an invitation's uses some may have been taken since, a passkey may have been removed, an
-    approval been carried out, and a request that was approved been denied.
-    """
+    # Note the restore, and end what the backup does not know enough of; returns how many passkeys.
+    # Of an invitation's uses some may have been taken since, a passkey may have been removed, an approval
+    # been carried out, and a request that was approved been denied.
     store = authority.store
     store.log_event(RESTORED, "record", f"from {entries} entries", now)
     store.invitations.end_all(restored_lists.RESTORED, now)

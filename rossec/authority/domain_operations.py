@@ -36,11 +36,7 @@ from rossec.ros.names import UPDATE_DOMAINS
 
 
 def split(alias: str) -> tuple[str, str]:
-    """The label and the name there.
-
-    Raises:
-        ConfigurationError: a node of this domain.
-    """
+    """The label and the name there."""
     found = split_alias(alias)
     if found is None:
         raise ConfigurationError(f"{alias} is a node of this domain", "leave --certificate out")
@@ -48,14 +44,7 @@ def split(alias: str) -> tuple[str, str]:
 
 
 def verify(store: Store, alias: str, pem: bytes, now: int) -> tuple[Identity, bytes]:
-    """The identity a certificate of the node `alias` proves, and the thumbprint of its root.
-
-    Raises:
-        DomainUnknown: no trusted domain has the label.
-        NotAdmitted: the trust has ended, or does not extend to the name.
-        CertificateRefused: not a certificate below the listed root, or invalid now.
-        ConfigurationError: it is another node's.
-    """
+    """The identity a certificate of the node `alias` proves, and the thumbprint of its root."""
     label, _ = split(alias)
     row = store.domains.get(label)
     entry = row.read()
@@ -69,12 +58,7 @@ def verify(store: Store, alias: str, pem: bytes, now: int) -> tuple[Identity, by
 
 
 def holder(store: Store, alias: str, now: int) -> bytes:
-    """The key of a foreign node, by the newest certificate of it in the record.
-
-    Raises:
-        ConfigurationError: there is none that is valid.
-        DomainUnknown: no trusted domain has the label.
-    """
+    """The key of a foreign node, by the newest certificate of it in the record."""
     if found := split_alias(alias):
         store.domains.get(found[0])
     for subject in subjects(store, now):
@@ -89,9 +73,6 @@ def unrevoked_keys(store: Store, root: bytes, alias: str) -> frozenset[bytes]:
     """The keys of a foreign node that are recorded below the root key `root` and not revoked.
 
     Also those of certificates that are not valid: keys live longer.
-
-    Raises:
-        ConfigurationError: there are none.
     """
     label, name = split(alias)
     known = store.domains.certificates(root)
@@ -147,36 +128,24 @@ class DomainOperations(ABC):
     @property
     @abstractmethod
     def home(self) -> AuthorityHome:
-        """The directory of the authority, if there is one."""
+        ...
 
     @abstractmethod
     def unlock(self) -> SigningAuthority:
-        """The authority with its key."""
+        ...
 
     @abstractmethod
     def deliver(self, call: MasterCall) -> object:
-        """Make a call at the master; returns the value of its answer. Raises `NotDelivered`."""
+        ...
 
     def domain_card(
         self, names: tuple[str, ...], masters: tuple[str, ...] = (), lifetime: int = CARD_LIFETIME
     ) -> bytes:
-        """Sign a card of this domain, for another authority.
-
-        Raises:
-            CardRefused, PatternRefused: it would not be one.
-        """
         authority, at = self.unlock(), self._now()
         root = authority.authority.anchor.certificate
         return sign_card(authority.signer, Card(root, names, masters, at, at + lifetime))
 
     def accept_domain(self, domain: ForeignDomain) -> DomainList:
-        """Trust a domain, or change the terms of one that is trusted; returns the new list.
-
-        Raises:
-            ConfigurationError: a grant can live that names its label for another domain.
-            StoreError: another domain has its label or root key.
-            DomainsRefused: it is the own domain, or there are too many.
-        """
         authority, at = self.unlock(), self._now()
         with authority.store.transaction():
             authority.store.domains.accept(domain, at)
@@ -184,17 +153,11 @@ class DomainOperations(ABC):
             return authority.sign_domains(at)
 
     def changed_domain(self, label: str, **changes: Any) -> ForeignDomain:
-        """What the terms of a trusted domain would be; see `limit_domain`."""
+        # What the terms of a trusted domain would be; see `limit_domain`.
         with contextlib.closing(self.home.store()) as store:
             return replace(store.domains.get(label).read(), **changes)
 
     def limit_domain(self, label: str, **changes: Any) -> DomainList:
-        """Change fields of the terms of a trusted domain; returns the new list.
-
-        Raises:
-            DomainUnknown: no domain is trusted under this label.
-            CAError: the terms would not be in form.
-        """
         authority, at = self.unlock(), self._now()
         with authority.store.transaction():
             held = authority.store.domains.get(label).read()
@@ -202,11 +165,6 @@ class DomainOperations(ABC):
             return authority.sign_domains(at)
 
     def remove_domain(self, label: str, reason: str, *, revoke_grants: bool) -> Removed:
-        """End the trust in a domain; with `revoke_grants`, also every grant for its nodes.
-
-        Raises:
-            DomainUnknown: no domain is trusted under this label.
-        """
         authority, at = self.unlock(), self._now()
         with authority.store.transaction():
             row = authority.store.domains.end(label, reason, at)
@@ -220,16 +178,8 @@ class DomainOperations(ABC):
     def revoke_foreigner(
         self, alias: str, reason: str, certificate: bytes = b""
     ) -> tuple[RevocationList, int]:
-        """Revoke keys of a node of another domain here; returns the list, and their number.
-
-        All that are recorded, or the one in `certificate` (PEM), which is recorded with it. It
-        needs nothing from the other domain, whose trust may have ended.
-
-        Raises:
-            DomainUnknown: no domain has the label.
-            NotAdmitted, CertificateRefused: as `foreign_nodes.verify`.
-            ConfigurationError: there is no key to revoke, or the certificate is another node's.
-        """
+        # All that are recorded, or the one in `certificate` (PEM), which is recorded with it. It needs
+        # nothing from the other domain, whose trust may have ended.
         authority, at = self.unlock(), self._now()
         store = authority.store
         with store.transaction():
@@ -244,12 +194,6 @@ class DomainOperations(ABC):
             return authority.revoke_all(keys, reason, at), len(keys)
 
     def publish_domains(self) -> bool:
-        """Deliver the newest list of domains to the master; whether there is one.
-
-        Raises:
-            ConfigurationError: it has expired.
-            NotDelivered: the master is out of reach, or refuses it.
-        """
         home, at = self.home, self._now()
         found = home.domain_list()
         if found is None:
@@ -278,11 +222,7 @@ def living_grants(store: Store, label: str, now: int) -> list[GrantRow]:
 
 
 def check_label_free(store: Store, domain: ForeignDomain, now: int) -> None:
-    """Return if no grant can live that names the label of `domain` and means another one.
-
-    Raises:
-        ConfigurationError: one can.
-    """
+    """Return if no grant can live that names the label of `domain` and means another one."""
     root = domain.anchor.thumbprint
     former = [row for row in store.domains.labelled(domain.label) if row.root != root]
     if not former:

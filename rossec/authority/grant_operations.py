@@ -95,23 +95,21 @@ class GrantDelivery(ABC):
     @property
     @abstractmethod
     def home(self) -> AuthorityHome:
-        """The directory of the authority, if there is one."""
+        ...
 
     @abstractmethod
     def deliver(self, call: MasterCall) -> object:
-        """Make a call at the master; returns the value of its answer. Raises `NotDelivered`."""
+        ...
 
     @abstractmethod
     def publish(self) -> None:
-        """Deliver the newest list to the master. Raises `NotDelivered`, `ConfigurationError`."""
+        ...
 
     @property
     def outgoing(self) -> Path:
-        """The directory of grants that somebody carries to another domain."""
         return self.home.path / DIRECTORY
 
     def store_grant(self, data: bytes) -> Path | None:
-        """Store a grant in its node's directory if that is in this home; returns the directory."""
         grant = document.peek(data)
         home = NodeHome.of(self.rossec_home, grant.subject)
         if not home.path.is_dir():
@@ -120,17 +118,10 @@ class GrantDelivery(ABC):
         return home.path
 
     def deposit(self, grants: Iterable[bytes]) -> list[RefusedDeposit]:
-        """Deliver grants: deposit each at the master, and store it where its node is in this home.
-
-        Those of nodes of other domains, who ask another master, are put into `outgoing`.
-
-        What the master has already does no harm. One that lacks the newest list refuses every
-        grant: it is given the list, and asked again. Returns those it refuses, and those that
-        cannot be stored: the disk of one node keeps no other from its grants.
-
-        Raises:
-            NotDelivered: the master is out of reach; `rossec grant deliver` tries again.
-        """
+        # Those of nodes of other domains, who ask another master, are put into `outgoing`.
+        # What the master has already does no harm. One that lacks the newest list refuses every grant: it is
+        # given the list, and asked again. Returns those it refuses, and those that cannot be stored: the disk
+        # of one node keeps no other from its grants.
         everything, refused = [], list[RefusedDeposit]()
         for data in grants:
             failed = self.try_to_store(data)
@@ -142,7 +133,6 @@ class GrantDelivery(ABC):
         return refused
 
     def try_to_store(self, data: bytes) -> RefusedDeposit | None:
-        """Store a grant where its node is in this home, or in `outgoing`; returns what failed."""
         grant = document.peek(data)
         try:
             if is_alias(grant.subject):
@@ -156,13 +146,8 @@ class GrantDelivery(ABC):
         return None
 
     def deposit_missing(self) -> tuple[int, list[RefusedDeposit]]:
-        """Deposit every grant in force that the master does not have.
-
-        Returns how many it has now besides, and those it refuses or that cannot be stored here.
-
-        Raises:
-            NotDelivered: the master is out of reach.
-        """
+        # Deposit every grant in force that the master does not have.
+        # Returns how many it has now besides, and those it refuses or that cannot be stored here.
         states = self.delivery_states(within=DEPOSIT_SECONDS)
         missing = [
             data
@@ -173,14 +158,7 @@ class GrantDelivery(ABC):
         return len(missing) - sum(not each.is_here for each in refused), refused
 
     def delivery_states(self, within: float = STATES_SECONDS) -> dict[bytes, str]:
-        """What the master says of each grant in force, by its id.
-
-        `held` (the node has presented it), `fetched`, `waiting`, or empty: the master does not
-        have it.
-
-        Raises:
-            NotDelivered: the master did not answer `within` seconds, or is of an older version.
-        """
+        # `held` (the node has presented it), `fetched`, `waiting`, or empty: the master does not have it.
         ids = [(grant.id, grant.holder) for grant, _ in self._in_force()]
         states: dict[bytes, str] = {}
         for begin in range(0, len(ids), STATES_LIMIT):
@@ -191,12 +169,6 @@ class GrantDelivery(ABC):
         return states
 
     def master_has_list(self) -> bool:
-        """Whether the list in force at the master is the newest that was signed here.
-
-        Raises:
-            ConfigurationError: none was signed here, or none that is valid.
-            NotDelivered: the master does not answer, or is of a version that does not tell.
-        """
         call = MasterCall(
             self.home.node(), "rossec.revocationStanding", (), "the question for its list",
             "rossec ca publish", within=DEPOSIT_SECONDS,
@@ -209,7 +181,6 @@ class GrantDelivery(ABC):
         return isinstance(answer, dict) and answer.get("list") == f"{epoch}.{seq}"
 
     def _ask(self, method: str, items: list[bytes], within: float) -> list[str]:
-        """The text that the master answers for each item."""
         what = "the grants" if len(items) != 1 else "the grant"
         call = MasterCall(self.home.node(), method, (items,), what, LATER, within=within)
         answer = self.deliver(call)
@@ -220,7 +191,6 @@ class GrantDelivery(ABC):
         return texts
 
     def _in_force(self) -> Iterator[tuple[Grant, bytes]]:
-        """The grants that a node can use now or after a renewal, the oldest first."""
         now = self._now()
         with contextlib.closing(self.home.store()) as store:
             rows, revoked = store.grants(), store.revoked_entries()
@@ -268,7 +238,6 @@ def require_delivered(refused: Iterable[RefusedDeposit]) -> None:
 
 
 def _batches(grants: Iterable[bytes]) -> Iterator[list[bytes]]:
-    """The grants in calls that the master takes."""
     batch: list[bytes] = []
     size = 0
     for data in grants:
@@ -305,50 +274,43 @@ class PolicyOperations(ABC):
     @property
     @abstractmethod
     def home(self) -> AuthorityHome:
-        """The directory of the authority, if there is one."""
+        ...
 
     @abstractmethod
     def unlock(self) -> SigningAuthority:
-        """The authority with its key."""
+        ...
 
     @abstractmethod
     def publish(self) -> None:
-        """Deliver the newest list to the master."""
+        ...
 
     @abstractmethod
     def deposit(self, grants: Iterable[bytes]) -> list[RefusedDeposit]:
-        """Deliver grants to their nodes, by the master."""
+        ...
 
     @abstractmethod
     def try_to_store(self, data: bytes) -> "RefusedDeposit | None":
-        """Store a grant where its node is in this home."""
+        ...
 
     @abstractmethod
     def deposit_missing(self) -> "tuple[int, list[RefusedDeposit]]":
-        """Deliver the grants in force that the master does not have."""
+        # Deliver the grants in force that the master does not have.
+        ...
 
     def collect_grant_requests(
         self, policy: "PolicyFile", given: Iterable[bytes] = ()
     ) -> list[str]:
-        """Record the requests `given` and those in the inbox; returns the errors of the inbox."""
         with self._queue(policy) as queue:
             for data in given:
                 queue.add_request(data)
             return queue.read_inbox()
 
     def pending_grants(self, policy: "PolicyFile") -> "list[PendingApproval]":
-        """The collected requests that wait for a person."""
         with self._queue(policy) as queue:
             return [item for item in queue.pending() if not item.is_allowed]
 
     def decide_grants(self, policy: "PolicyFile") -> Decided:
-        """Sign the collected requests that the policy allows; without any, no key is needed.
-
-        One that no grant can have is denied, and keeps no other from its answer.
-
-        Raises:
-            PolicyRefused: it allows one, and a test of the policy does not hold.
-        """
+        # One that no grant can have is denied, and keeps no other from its answer.
         with self._queue(policy) as queue:
             pending, grants, refused = queue.pending(), list[SignedGrant](), list["Denial"]()
             allowed = [item for item in pending if item.is_allowed]
@@ -362,13 +324,13 @@ class PolicyOperations(ABC):
     def approve_grants(
         self, policy: "PolicyFile", beginning: str, change: "VerdictChange"
     ) -> list[SignedGrant]:
-        """Approve the one pending request whose id begins so, and sign its grants."""
+        # Approve the one pending request whose id begins so, and sign its grants.
         with self._queue(policy) as queue:
             chosen = queue.chosen(beginning)
             return queue.sign(self.unlock(), chosen, change, "a person")
 
     def deny_grants(self, policy: "PolicyFile", beginning: str) -> "list[PendingApproval]":
-        """Deny the pending request whose id begins so; returns the rights that were denied."""
+        # Deny the pending request whose id begins so; returns the rights that were denied.
         with self._queue(policy) as queue:
             chosen = queue.chosen(beginning)
             for item in chosen:
@@ -376,10 +338,7 @@ class PolicyOperations(ABC):
             return chosen
 
     def opt_out(self, policy: "PolicyFile", name: str, *, is_node: bool = False) -> "OptOut":
-        """Deny the topic `name` in the policy, or all topics to the node of that name.
-
-        An anonymous node is denied with all others of its identity: a rule tells them not apart.
-        """
+        # An anonymous node is denied with all others of its identity: a rule tells them not apart.
         from rossec.authority.policyfile import add_denial  # noqa: PLC0415 - see above
 
         with contextlib.closing(self.home.store()) as store:
@@ -391,7 +350,6 @@ class PolicyOperations(ABC):
         return add_denial(policy, name, self._now(), is_node=is_node or known)
 
     def revoke_opted_out(self, opted_out: "OptOut") -> list[tuple[Grant, bytes | None]]:
-        """Revoke the grants that show what is denied; see `opt_out.revoke_shown`."""
         from rossec.authority.policyfile import revoke_shown  # noqa: PLC0415 - see above
 
         return revoke_shown(self.unlock(), opted_out, self._now())
@@ -409,12 +367,7 @@ class PolicyOperations(ABC):
         renew_due: bool = False,
         prune: bool = False,
     ) -> "PolicyPlan":
-        """What applying `policy` would change, for the nodes `names` or for all; needs no key.
-
-        Raises:
-            RevocationRefused: as `policy_plan.make_plan`.
-            PolicyRefused: a test of the policy does not hold.
-        """
+        # What applying `policy` would change, for the nodes `names` or for all; needs no key.
         from grants.policy.difference import Moment  # noqa: PLC0415 - see above
         from rossec.authority.policyfile import PlanOptions, make_plan  # noqa: PLC0415 - see above
 
@@ -428,15 +381,7 @@ class PolicyOperations(ABC):
             return make_plan(store, policy, PlanOptions(names, prune), moment)
 
     def grant_outright(self, *names: str, place: Path | None = None) -> list[SignedGrant]:
-        """Sign what the policy in force gives the nodes `names` outright, if there is a policy.
-
-        `place`: of its file; None: the usual one. What it no longer allows waits for
-        `apply_policy`.
-
-        Raises:
-            ConfigurationError, PathRefused, PolicyRefused: the policy cannot be used, or one of its
-                tests does not hold.
-        """
+        # `place`: of its file; None: the usual one. What it no longer allows waits for `apply_policy`.
         from rossec.authority import policyfile
         from rossec.authority import policyfile as policy_apply  # noqa: PLC0415 - see above
 
@@ -453,15 +398,7 @@ class PolicyOperations(ABC):
     def apply_policy(
         self, plan: "PolicyPlan", report: Callable[[str], None] = lambda _: None
     ) -> list[SignedGrant]:
-        """Carry out a plan: sign and deposit what is new, then revoke what goes, and publish that.
-
-        `report` is called with each step that was done. Returns the new grants.
-
-        Raises:
-            ConfigurationError, StoreError: as `policy_apply.sign_planned`; nothing was done.
-            NotDelivered: all is signed and recorded, but the master did not take all of it.
-            PolicyIncomplete: all is done but what is refused for some nodes, each reported.
-        """
+        # `report` is called with each step that was done. Returns the new grants.
         from rossec.authority import policyfile as policy_apply  # noqa: PLC0415 - see above
 
         authority, failed = self.unlock(), list[HintedError | OSError]()
@@ -492,7 +429,7 @@ class PolicyOperations(ABC):
     def _publish_new(
         self, report: Callable[[str], None], failed: list[HintedError | OSError]
     ) -> None:
-        """Deliver the list; a failure is kept, since what comes after it does not need it."""
+        # Deliver the list; a failure is kept, since what comes after it does not need it.
         try:
             self.publish()
         except (HintedError, OSError) as error:
@@ -501,11 +438,6 @@ class PolicyOperations(ABC):
             report("the master has the new list")
 
     def complete_policy(self) -> None:
-        """Deliver what an interrupted `apply_policy` may have left: grants, and revocations.
-
-        Raises:
-            NotDelivered: the master is out of reach, or refuses some of them.
-        """
         with contextlib.closing(self.home.store()) as store:
             ours, revoked = store.policy_grants().keys(), store.revoked_entries()
         refused = self._deposit_all() if ours else []
@@ -516,13 +448,9 @@ class PolicyOperations(ABC):
     def _deliver_new(
         self, signed: list[SignedGrant], plan: "PolicyPlan", failed: list[HintedError | OSError]
     ) -> list[RefusedDeposit]:
-        """Deliver new grants; returns those that the master refuses, and keeps a failure.
-
-        What is not allowed is revoked all the same.
-
-        Before a revocation, also those that an interrupted command signed. A node of this
-        ROSSEC_HOME has its grants as files, also while no master runs.
-        """
+        # What is not allowed is revoked all the same.
+        # Before a revocation, also those that an interrupted command signed. A node of this ROSSEC_HOME has
+        # its grants as files, also while no master runs.
         try:
             if plan.revoke:
                 return self._deposit_all()
@@ -536,7 +464,6 @@ class PolicyOperations(ABC):
         return []
 
     def _deposit_all(self) -> list[RefusedDeposit]:
-        """Deliver every grant that its node or the master lacks; returns the refused ones."""
         with contextlib.closing(self.home.store()) as store:
             rules, rows = store.policy_grants(), store.unrevoked_grants()
         refused = []

@@ -42,12 +42,7 @@ _MAX: Final = 64 * 1024
 
 
 def trusted(home: Path) -> frozenset[str]:
-    """The modules that were named for ROSSEC_HOME `home`; none is named without the file.
-
-    Raises:
-        PathRefused: another user could have written the file.
-        ConfigurationError: it is not UTF-8.
-    """
+    """The modules that were named for ROSSEC_HOME `home`; none is named without the file."""
     if not exists(home):
         return frozenset()
     missing = ConfigurationError(f"there is no {FILE} any more", "do it again")
@@ -67,12 +62,7 @@ def exists(home: Path) -> bool:
 
 
 def trust(home: Path, module: str) -> None:
-    """Record that the operator named `module`; durable on return.
-
-    Raises:
-        TokenRefused: not an absolute path.
-        NotWritten, PathRefused: it cannot be recorded.
-    """
+    """Record that the operator named `module`; durable on return."""
     check_absolute(module)
     known = trusted(home)
     if module in known:
@@ -83,11 +73,7 @@ def trust(home: Path, module: str) -> None:
 
 
 def check_absolute(module: str) -> None:
-    """Return if `module` is one file wherever a command runs.
-
-    Raises:
-        TokenRefused: it is not.
-    """
+    """Return if `module` is one file wherever a command runs."""
     if not module.startswith("/") or not module.isprintable():
         raise TokenRefused(
             f"{module!a} is not the absolute path of a PKCS#11 module",
@@ -96,11 +82,7 @@ def check_absolute(module: str) -> None:
 
 
 def require(uri: KeyUri, modules: Collection[str], home: Path) -> KeyUri:
-    """Return `uri` if the operator named its module.
-
-    Raises:
-        TokenRefused: nobody but the file with the URI did.
-    """
+    """Return `uri` if the operator named its module."""
     if uri.module not in modules:
         raise TokenRefused(
             f"the key is in a token behind {uri.module!a}, a module that is not trusted here",
@@ -110,16 +92,7 @@ def require(uri: KeyUri, modules: Collection[str], home: Path) -> KeyUri:
 
 
 def restored_uri(data: bytes, home: Path, named: str | None) -> KeyUri:
-    """Where the key of a backup is, behind a module that the operator names.
-
-    Args:
-        data: `ca.uri` of the backup, which does not decide about the module.
-        home: ROSSEC_HOME, whose modules are trusted.
-        named: the module that the operator names for it now.
-
-    Raises:
-        TokenRefused: no URI, or the operator names no module.
-    """
+    """Where the key of a backup is, behind a module that the operator names."""
     uri = KeyUri.parse(data.decode(errors="replace").strip())
     if named is not None:
         check_absolute(named)
@@ -222,7 +195,6 @@ class AuthorityHome:
 
     @property
     def domain(self) -> str:
-        """Its trust domain."""
         return self.anchor().domain
 
     def anchor(self) -> TrustAnchor:
@@ -232,11 +204,9 @@ class AuthorityHome:
         return TrustAnchor.load(der)
 
     def store(self) -> Store:
-        """Its record."""
         return Store.open(self.path / RECORD)
 
     def node(self) -> NodeHome:
-        """The node whose identity its tools use to call the master."""
         return NodeHome(self.path / NODE, OWN_NODE)
 
     def unlock(self, passphrase: str) -> SigningAuthority:
@@ -295,11 +265,9 @@ class AuthorityHome:
 
     @property
     def is_intermediate(self) -> bool:
-        """Whether it is an intermediate of a root on another host."""
         return self.intermediate() is not None
 
     def own_key(self) -> ec.EllipticCurvePublicKey:
-        """The key it signs with: that of the root or of the intermediate."""
         anchor, der = self.anchor(), self.intermediate()
         return anchor.public_key if der is None else anchor.read_intermediate(der).public_key
 
@@ -382,7 +350,6 @@ class AuthorityHome:
 
 
 def _build(path: Path, signer: Signer, root: bytes, now: int) -> None:
-    """Create everything of a new authority except its key."""
     files.make_private_directory(path)
     with contextlib.closing(Store.create(path / RECORD)) as store:
         unlocked = SigningAuthority(Authority(signer, root), store, path)

@@ -55,12 +55,7 @@ _OTHER: Final = RefuseReason.DENIED  # a revoked key, an identity that is not va
 
 
 def join(authority: SigningAuthority, request: JoinRequest, now: int) -> JoinAnswer:
-    """Decide a request to join; what is issued is recorded, with its use, before this returns.
-
-    Raises:
-        RecordUnusable: the record cannot be used now; nothing was changed.
-        IssueRefused: this authority cannot issue now.
-    """
+    """Decide a request to join; what is issued is recorded, with its use, before this returns."""
     invitation = _proved(authority.store, request)
     if invitation is None:
         return Refused(RefuseReason.REFUSED)
@@ -75,11 +70,7 @@ def join(authority: SigningAuthority, request: JoinRequest, now: int) -> JoinAns
 
 
 def join_locked(store: Store, request: JoinRequest, now: int) -> JoinAnswer:
-    """The answer while the authority is locked: only the holder of an open invitation is told so.
-
-    Raises:
-        RecordUnusable: the record cannot be used now.
-    """
+    """The answer while the authority is locked: only the holder of an open invitation is told so."""
     invitation = _proved(store, request)
     if invitation is None:
         return Refused(RefuseReason.REFUSED)
@@ -97,9 +88,6 @@ def allowed_pattern(store: Store, asked: JoinClaim | JoinRequest, now: int) -> s
 
     What a node says of itself may be looked at only then. An invitation that somebody has joined by
     is answered also after its end, as that may be the node which asks: it may have lost its answer.
-
-    Raises:
-        RecordUnusable: the record cannot be used now.
     """
     invitation = _proved(store, asked)
     if invitation is None:
@@ -113,11 +101,7 @@ def allowed_pattern(store: Store, asked: JoinClaim | JoinRequest, now: int) -> s
 
 
 def is_proved(store: Store, asked: JoinClaim | JoinRequest) -> bool:
-    """Whether it was made with the secret of an invitation: what is cheap to know of a stranger.
-
-    Raises:
-        RecordUnusable: the record cannot be used now.
-    """
+    """Whether it was made with the secret of an invitation: what is cheap to know of a stranger."""
     return _proved(store, asked) is not None
 
 
@@ -127,7 +111,7 @@ def source(invitation: InvitationRow) -> str:
 
 
 def _proved(store: Store, request: JoinClaim | JoinRequest) -> InvitationRow | None:
-    """The invitation whose secret the request proves; None if it does not."""
+    # The invitation whose secret the request proves; None if it does not.
     try:
         found = store.invitations.get(request.invitation)
         request.verify(found.key)
@@ -139,12 +123,6 @@ def _proved(store: Store, request: JoinClaim | JoinRequest) -> InvitationRow | N
 def _asked(
     authority: SigningAuthority, invitation: InvitationRow, request: JoinRequest
 ) -> IdentityRequest:
-    """What is asked for, if the invitation allows it.
-
-    Raises:
-        RequestRefused: the CSR is invalid, or not the one that the proof is about.
-        NameRefused: another name.
-    """
     found = check_request(request.csr, authority.domain, wildcard=invitation.wildcard)
     if found.name != request.name or found.wildcard != invitation.wildcard:
         raise RequestRefused("the request is not the one that was proved")
@@ -160,7 +138,6 @@ def _decide(
     csr: bytes,
     now: int,
 ) -> JoinAnswer:
-    """Inside the transaction: repeat an answer, wait for a person, or issue."""
     store, origin = authority.store, source(invitation)
     row = store.requests.find(asked.digest)
     if store.identities.issued_for(asked.digest) is None:
@@ -180,18 +157,12 @@ def _decide(
 
 
 def _repeated(row: RequestRow) -> JoinAnswer:
-    """The answer to a recorded request without an identity."""
     if row.state is RequestState.PENDING:
         return Waiting(WaitReason.PERSON)
     return Refused(RefuseReason.DENIED)
 
 
 def _needs_person(authority: SigningAuthority, asked: IdentityRequest, now: int) -> bool:
-    """Whether another key had one of the names, or may have had it, or asks for it.
-
-    Raises:
-        NameCovered: another key has one of the names now, through a wildcard tail.
-    """
     store, name, key = authority.store, asked.name, asked.thumbprint
 
     def shared(other: str) -> bool:
@@ -211,7 +182,6 @@ def _needs_person(authority: SigningAuthority, asked: IdentityRequest, now: int)
 
 
 def _reason(error: CAError) -> RefuseReason:
-    """What the holder of an invitation is told."""
     return next((reason for kind, reason in _REASONS if isinstance(error, kind)), _OTHER)
 
 
@@ -227,7 +197,6 @@ class InvitationStatus(NamedTuple):
 
     @property
     def short_id(self) -> str:
-        """The first 8 hexadecimal digits of its id, for people."""
         return self.row.id.hex()[:8]
 
     def state(self, now: int) -> str:

@@ -137,7 +137,6 @@ class PolicyFile:
 
     @property
     def decider(self) -> Decider:
-        """The decider for this policy."""
         return Decider(self.policy)
 
 
@@ -197,7 +196,6 @@ class PolicyPlan:
 
     @property
     def is_empty(self) -> bool:
-        """Whether there is nothing to do."""
         return not self.revoke and self.signs == 0
 
     @property
@@ -209,18 +207,15 @@ class PolicyPlan:
 
     @property
     def revoke(self) -> tuple[Grant, ...]:
-        """The grants to revoke."""
         gone = [grant for node in self.nodes for grant in node.revoke]
         return (*gone, *(grant for grant, _ in self.pruned))
 
     @property
     def refused(self) -> tuple[str, ...]:
-        """Why some of what the policy allows is in no grant: of these nodes, and of no other."""
         return tuple(reason for node in self.nodes for reason in node.refused)
 
     @property
     def taken(self) -> tuple[Grant, ...]:
-        """Of the grants to revoke those of which nothing is signed anew."""
         return tuple(grant for node in self.nodes for grant in node.taken)
 
     def without(self, taken: Iterable[Grant], entries: int) -> "PolicyPlan":
@@ -241,12 +236,10 @@ class PolicyPlan:
 
     @property
     def needs_tree(self) -> bool:
-        """Whether there will be more revocations than a list holds."""
         return self.listed > MAX_ENTRIES
 
     @property
     def ends(self) -> int | None:
-        """When the first right from the policy ends, seconds; None without any."""
         return min((node.ends for node in self.nodes if node.ends is not None), default=None)
 
     def effect(self, domain: str) -> bytes:
@@ -283,9 +276,6 @@ def make_plan(store: Store, policy: PolicyFile, options: PlanOptions, moment: Mo
 
     A node that cannot get all of it, or has more to lose than a list has room for, is among its
     `refused`, and changes nothing for the others.
-
-    Raises:
-        RevocationRefused: more would be pruned than a list can hold.
     """
     state = WantedState(policy.decider)
     with store.database.read_transaction():
@@ -304,7 +294,6 @@ def make_plan(store: Store, policy: PolicyFile, options: PlanOptions, moment: Mo
 
 
 def _subjects(store: Store, names: Collection[str] | None, now: int) -> dict[_Holder, Subject]:
-    """The nodes that may get grants, with their present keys."""
     found = (
         store.identities.all_valid(now)
         if names is None
@@ -324,7 +313,6 @@ def _subjects(store: Store, names: Collection[str] | None, now: int) -> dict[_Ho
 def _recorded(
     store: Store, names: Collection[str] | None, now: int
 ) -> dict[_Holder, list[RecordedGrant]]:
-    """The grants that are or can be in force, by node and key."""
     revoked, rules = store.revoked_entries(), store.policy_grants(names)
     found: dict[_Holder, list[RecordedGrant]] = {}
     for row in store.unrevoked_grants(names):
@@ -350,7 +338,7 @@ def _pruned(
 
 
 def _measured(store: Store, plan: PolicyPlan) -> PolicyPlan:
-    """The plan with the length of the list that it would make."""
+    # The plan with the length of the list that it would make.
     gone = {grant.id for grant in plan.revoke}
     if not gone:
         return plan
@@ -364,7 +352,6 @@ def _measured(store: Store, plan: PolicyPlan) -> PolicyPlan:
 
 
 def _within(plan: PolicyPlan, room: int, why: str) -> PolicyPlan:
-    """What of a plan can be revoked: of each node all, of those with fewest first."""
     room, nodes = max(0, room), list(plan.nodes)
     left = room
     for at in sorted(range(len(nodes)), key=lambda at: len(nodes[at].revoke)):
@@ -390,13 +377,7 @@ def _draft(
 def sign_planned(
     authority: SigningAuthority, plan: PolicyPlan, now: int
 ) -> list[tuple[Draft, bytes]]:
-    """Sign and record the grants of a plan, all or none.
-
-    Raises:
-        ConfigurationError: the record or the policy has changed since the plan was made, or this is
-            an intermediate.
-        StoreError: a key was revoked meanwhile.
-    """
+    """Sign and record the grants of a plan, all or none."""
     drafts = list(plan.drafts(authority.domain, now, lambda: secrets.token_bytes(ID_SIZE)))
     if not drafts:
         plan.policy.check_unchanged()  # what it revokes is to be what this policy denies
@@ -413,11 +394,7 @@ def sign_planned(
 def take_away(
     authority: SigningAuthority, plan: PolicyPlan, now: int
 ) -> tuple[RevocationList | None, PolicyPlan]:
-    """Revoke what is only taken away, if something else is signed; returns what is left to do.
-
-    Raises:
-        ConfigurationError: as `sign_planned`.
-    """
+    """Revoke what is only taken away, if something else is signed; returns what is left to do."""
     taken = plan.taken
     if not taken or not plan.signs:
         return None, plan
@@ -434,10 +411,6 @@ def sign_each(
     """As `sign_planned`, and where it refuses, for each node alone.
 
     Returns the grants, and the plan with what is refused: what it revokes is left to do.
-
-    Raises:
-        ConfigurationError: as `sign_planned`.
-        HintedError: nothing can be signed at all.
     """
     try:
         return sign_planned(authority, plan, now), plan
@@ -495,10 +468,6 @@ def grant_outright(
     """Sign what `policy` gives the nodes `names` outright and they do not have; revokes nothing.
 
     `renewed_until`: until when the master can renew grants; None: it cannot.
-
-    Raises:
-        PolicyRefused: one of several cannot get all, or a single one nothing; nothing is signed.
-        ConfigurationError, StoreError: as `sign_planned`.
     """
     renews = renewed_until is not None
     moment = Moment(now, SKEW, renews=renews, renewed_until=renewed_until)
@@ -547,12 +516,10 @@ class OptOut(NamedTuple):
     is_node: bool
 
     def denies(self, permission: Permission) -> bool:
-        """Whether the permission shows what is denied."""
         shows = Right.SUBSCRIBE in permission.rights
         return shows and (self.is_node or intersects(permission.pattern, self.name))
 
     def affects(self, grant: Grant) -> bool:
-        """Whether the grant shows what is denied."""
         concerns = not self.is_node or grant.subject == self.name
         return concerns and any(self.denies(permission) for permission in grant.permissions)
 
@@ -590,7 +557,6 @@ def revoke_shown(
 def _revoke(
     authority: SigningAuthority, grant: Grant, opted_out: OptOut, now: int, rules: str
 ) -> bytes | None:
-    """Revoke `grant`; returns what gives its holder the other rights, signed, if there are any."""
     authority.revoke(grant.id, f"opted out of {opted_out.name}", now)
     permissions: list[Permission] = []
     for item in grant.permissions:

@@ -65,11 +65,7 @@ def renew(
 
 
 def renew_recorded(authority: SigningAuthority, data: bytes, now: int) -> bytes:
-    """As `renew`, at the authority itself: only what its record knows, for as long as before.
-
-    Raises:
-        RenewalRefused: besides, the identity is not in the record, or not the newest of its name.
-    """
+    """As `renew`, at the authority itself: only what its record knows, for as long as before."""
     with authority.store.transaction():
         check = _check_in_record(authority)
         renewal = open_renewal(data, authority.authority.anchor, now, check)
@@ -120,10 +116,8 @@ def _renew(
 def _already_renewed(
     authority: SigningAuthority, renewal: Renewal, now: int
 ) -> CertificateRow | None:
-    """A newer identity for the same key that is not due itself: the answer to other requests.
-
-    Otherwise a node could have any number signed and recorded, as long as its old one is valid.
-    """
+    # A newer identity for the same key that is not due itself: the answer to other requests.
+    # Otherwise a node could have any number signed and recorded, as long as its old one is valid.
     identities, wanted = authority.store.identities, renewal.request.thumbprint
     for row in reversed(identities.valid(renewal.identity.name, now)):
         is_newer = row.thumbprint == wanted and row.not_after > renewal.identity.not_after
@@ -146,10 +140,6 @@ def renew_by_name(
 
     A node enrolled by an intermediate is then certified by this authority, for the same key.
     With `expired`, the newest identity may have ended: its key, and so its grants, are kept.
-
-    Raises:
-        StoreError: the name has no valid identity, its key or its intermediate's is revoked.
-        NameCovered: another identity covers the name by now.
     """
     authority.refresh_list(now)
     with authority.store.transaction():
@@ -164,7 +154,6 @@ def renew_by_name(
 
 
 def _identity(authority: SigningAuthority, row: CertificateRow, now: int) -> Identity:
-    """The identity of a row, verified with the intermediate that signed it, if any."""
     signer = authority.store.identities.issuer(row)
     if signer is None:
         return authority.verify(row.der, now)
@@ -193,11 +182,7 @@ def sign_intermediate(
     may_enroll: bool,
     lifetime: int = INTERMEDIATE_LIFETIME,
 ) -> tuple[str, bytes]:
-    """Sign and record an intermediate; returns its name for revocation, and its bundle (PEM).
-
-    Raises:
-        RequestRefused, IssueRefused: as `ca.authority.Authority.issue_intermediate`.
-    """
+    """Sign and record an intermediate; returns its name for revocation, and its bundle (PEM)."""
     authority.refresh_list(now)
     root = authority.authority
     der = root.issue_intermediate(
@@ -216,12 +201,6 @@ def import_identity(
     """Record an identity signed by an intermediate of this root; the boolean says if it is new.
 
     `replaced` are names whose current key may be replaced; that key is revoked.
-
-    Raises:
-        CertificateRefused: not a valid identity of this root.
-        StoreError: its key, or the intermediate's, is revoked or unknown here.
-        KeyChanged, NameCovered: the name belongs to another key.
-        ConfigurationError: this is not a root, or the name is the authority's own.
     """
     identity = authority.authority.anchor.verify(from_pem(bundle)[:-1], now)
     if identity.name == OWN_NODE or not authority.authority.is_root:
@@ -247,7 +226,7 @@ def import_identity(
 
 
 def _check_issuers(store: Store, identity: Identity) -> None:
-    """Check that its intermediate was signed by this root and is not revoked."""
+    # Check that its intermediate was signed by this root and is not revoked.
     made = {row.thumbprint for row in store.identities.all() if row.name.startswith(INTERMEDIATE)}
     for issuer in identity.issuers:
         store.identities.check_not_revoked(f"the intermediate of {identity.name}", issuer)
@@ -277,12 +256,7 @@ OWNED: Final = (files.Owned(r"intermediate\.csr"), files.Owned(r"intermediate\.p
 
 
 def begin(home: Path, domain: str, passphrase: str) -> Path:
-    """Create the key of an intermediate and its request for the root; returns its path.
-
-    Raises:
-        ConfigurationError: there is an authority here already.
-        KeyRefused: there is a key already.
-    """
+    """Create the key of an intermediate and its request for the root; returns its path."""
     path = home / "ca"
     if (path / "ca.pem").exists():
         raise ConfigurationError(
@@ -299,13 +273,7 @@ def begin(home: Path, domain: str, passphrase: str) -> Path:
 
 
 def install(home: Path, bundle: bytes, passphrase: str, now: int) -> Intermediate:
-    """Install what the root signed; a newer certificate for the same key replaces the older.
-
-    Raises:
-        CertificateRefused: not an intermediate, or not valid now.
-        IssueRefused: for another key than the one here.
-        ConfigurationError: below another root than before.
-    """
+    """Install what the root signed; a newer certificate for the same key replaces the older."""
     path = home / "ca"
     der, root = _split(bundle)
     anchor = TrustAnchor.load(root)

@@ -31,7 +31,6 @@ class StoredRequest(NamedTuple):
 
     @property
     def short_id(self) -> str:
-        """The first 8 hexadecimal digits of the request's id, for people."""
         return self.request.id.hex()[:8]
 
 

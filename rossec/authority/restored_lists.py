@@ -66,12 +66,7 @@ def read_newer(
     entries: bytes | None,
     newest_domains: bytes | None,
 ) -> NewerLists:
-    """What the lists say that the operator gave for a restore of `authority`.
-
-    Raises:
-        BackupRefused: the list is older than the backup, or a tree without its entries.
-        RevocationRefused, DomainsRefused: as `read_revoked` and `read_domains`.
-    """
+    """What the lists say that the operator gave for a restore of `authority`."""
     anchor = authority.authority.anchor
     revoked, epoch = read_revoked(newest_list, entries, anchor)
     held = authority.store.newest_list()
@@ -87,11 +82,7 @@ def read_newer(
 
 
 def require_list(authority: SigningAuthority, home: Path, now: int) -> None:
-    """Return if no list is needed to restore `authority` into ROSSEC_HOME `home`.
-
-    Raises:
-        BackupRefused: it is a root; the hint says where a list is.
-    """
+    """Return if no list is needed to restore `authority` into ROSSEC_HOME `home`."""
     if not authority.authority.is_root:
         return
     here = newest_here(home, authority.authority.anchor)
@@ -128,12 +119,7 @@ def newest_here(home: Path, anchor: TrustAnchor) -> Path | None:
 def read_revoked(
     data: bytes | None, entries: bytes | None, anchor: TrustAnchor
 ) -> tuple[frozenset[bytes], int]:
-    """What a signed list or tree revokes, and its epoch; nothing without one.
-
-    Raises:
-        RevocationRefused: it is not the authority's, or `entries` are not those of the tree.
-        BackupRefused: a tree without its entries.
-    """
+    """What a signed list or tree revokes, and its epoch; nothing without one."""
     if data is None:
         return frozenset(), 0
     if not is_tree(data):
@@ -153,11 +139,7 @@ def read_revoked(
 def read_domains(
     data: bytes | None, authority: SigningAuthority
 ) -> tuple[tuple[ForeignDomain, ...], int]:
-    """The domains that a signed list names, and its epoch; none without one.
-
-    Raises:
-        DomainsRefused: it is not the authority's, or older than the record.
-    """
+    """The domains that a signed list names, and its epoch; none without one."""
     if data is None:
         return (), 0
     anchor = authority.authority.anchor
@@ -206,10 +188,6 @@ def take_over(
 
     It is for a record that lacks revocations, and can be done at any time: it only takes away. If
     the list has a later epoch than the record, the new list has one after that.
-
-    Raises:
-        RevocationRefused, BackupRefused: as `read_revoked`.
-        ConfigurationError: this is an intermediate.
     """
     revoked, epoch = read_revoked(data, entries, authority.authority.anchor)
     with authority.store.transaction():

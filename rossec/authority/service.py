@@ -100,23 +100,13 @@ class ThingOperations(ABC):
     @property
     @abstractmethod
     def home(self) -> AuthorityHome:
-        """The directory of the authority, if there is one."""
+        ...
 
     @abstractmethod
     def unlock(self) -> SigningAuthority:
-        """The authority with its key."""
+        ...
 
     def sign_thing(self, order: ThingOrder) -> SignedThing:
-        """State what a thing is, and certify its node if there is a request.
-
-        Raises:
-            ThingChanged: another thing in force has the name, the credential or the kid.
-            ThingUnknown: there is nothing about a name in `replaced`.
-            ThingRefused, NameRefused: the name is not one for a thing, or its router's.
-            StoreError: the router has no valid identity, or a key is revoked or taken.
-            RequestRefused: not a request.
-            ConfigurationError: the request is of another node, or this is an intermediate.
-        """
         authority, at = self.unlock(), self._now()
         if not authority.authority.is_root:
             raise ConfigurationError("an intermediate cannot say what a thing is", "at the root")
@@ -148,14 +138,7 @@ class ThingOperations(ABC):
         return SignedThing(statement, data, bundle, len(ended))
 
     def renew_thing(self, name: str, lifetime: int) -> SignedThing:
-        """State the same again, for `lifetime` from now.
-
-        Of a router that has another key by now: the former statement ends.
-
-        Raises:
-            ThingUnknown: there is no statement about it that was not revoked.
-            StoreError: its router has no valid identity.
-        """
+        # Of a router that has another key by now: the former statement ends.
         at = self._now()
         with contextlib.closing(self.home.store()) as store:
             row = store.things.last(name)
@@ -166,13 +149,7 @@ class ThingOperations(ABC):
         return self.sign_thing(ThingOrder(name, row.border, held.credential, lifetime, replaced))
 
     def revoke_thing(self, name: str, reason: str) -> tuple[RevocationList, int]:
-        """Revoke all statements in force about a thing; returns the list, and their number.
-
-        The node that stands for it keeps its identity, so that a new thing may take its place.
-
-        Raises:
-            ThingUnknown: there is none.
-        """
+        # The node that stands for it keeps its identity, so that a new thing may take its place.
         authority, at = self.unlock(), self._now()
         with authority.store.transaction():
             authority.store.things.get(name, at)
@@ -180,18 +157,11 @@ class ThingOperations(ABC):
             return authority.revoke_all(found, reason, at), len(found)
 
     def things(self) -> list[signing.ThingState]:
-        """Every statement, oldest first, with what it is now."""
         with contextlib.closing(self.home.store()) as store:
             return signing.states(store, self._now())
 
     def store_thing(self, data: bytes, bundle: bytes = b"") -> Path | None:
-        """Install a statement where its router's directory is in this home; returns where.
-
-        The identity that was signed with it as well, where the key of its node is here.
-
-        Raises:
-            HintedError: what is in that directory does not belong to the statement.
-        """
+        # The identity that was signed with it as well, where the key of its node is here.
         statement = peek_statement(data)
         with contextlib.closing(self.home.store()) as store:
             border = store.things.last(statement.name).border
@@ -206,7 +176,6 @@ class ThingOperations(ABC):
 
 
 def _certify(authority: SigningAuthority, order: ThingOrder, now: int) -> bytes:
-    """The bundle of the identity that is asked for, if one is."""
     if not order.request:
         return b""
     asked = check_request(order.request, authority.domain)
@@ -222,7 +191,6 @@ def _certify(authority: SigningAuthority, order: ThingOrder, now: int) -> bytes:
 
 
 def _key_of(authority: SigningAuthority, order: ThingOrder) -> frozenset[bytes]:
-    """The thumbprint of the key that the request is for."""
     if not order.request:
         return frozenset()
     return frozenset({check_request(order.request, authority.domain).thumbprint})
@@ -238,8 +206,6 @@ _DELEGATE: Final = "it is signed and stored in {}; start the master and run this
 
 
 class _Signed(NamedTuple):
-    """How much was revoked, and the numbers of the next lists, at some moment."""
-
     revoked: int
     revocations: tuple[int, int]
     domains: tuple[int, int]
@@ -282,7 +248,6 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
 
     @property
     def home(self) -> AuthorityHome:
-        """The directory of the authority, if there is one."""
         return AuthorityHome.at(self.rossec_home)
 
     def unlock(self) -> SigningAuthority:
@@ -336,7 +301,6 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
             return store.requests.begun(beginning)
 
     def deny_request(self, row: RequestRow, reason: str) -> None:
-        """Deny a request for an identity."""
         with contextlib.closing(self.home.store()) as store:
             store.requests.deny(row.digest, self._now(), reason)
 
@@ -349,7 +313,6 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
         )
 
     def renew_own_node(self) -> int:
-        """Renew the authority's own node in place; returns when its identity expires."""
         return renewals.renew_own_node(self.unlock(), self._now())
 
     def renew(self, name: str, lifetime: int, *, expired: bool = False) -> bytes:
@@ -364,7 +327,6 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
     def import_identity(
         self, bundle: bytes, replaced: Collection[str] = ()
     ) -> tuple[Identity, bool]:
-        """Record an identity that an intermediate signed; see `renewals.import_identity`."""
         return renewals.import_identity(self.unlock(), bundle, self._now(), replaced)
 
     def sign_intermediate(
@@ -376,7 +338,6 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
         )
 
     def revoke_identity(self, name: str, reason: str) -> tuple[RevocationList, int]:
-        """Revoke every key of `name`; returns the list to publish, and the number of keys."""
         return self.unlock().revoke_identity(name, reason, self._now())
 
     def intermediates(self) -> list[str]:
@@ -406,7 +367,6 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
         return restored_lists.take_over(self.unlock(), data, entries, self._now())[1]
 
     def complete_list(self) -> None:
-        """Sign the list anew if it lacks a revocation (`AuthorityHome.count_unlisted`)."""
         self.unlock().refresh_list(self._now())
 
     @property
@@ -428,7 +388,6 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
         return opened is not None and _signed(opened).domains != self._before.domains
 
     def sign_head(self) -> bytes:
-        """Sign the head of the log."""
         self.complete_list()
         return self.unlock().sign_head(self._now())
 
@@ -496,7 +455,6 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
         self.home.confirm_delegation(delegation.id, self._now())
 
     def revoke_delegations(self, reason: str) -> tuple[RevocationList, int]:
-        """Revoke every delegation in force; returns the list to publish, and their number."""
         return self.unlock().revoke_delegations(reason, self._now())
 
     def publish(self) -> None:

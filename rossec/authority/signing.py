@@ -81,11 +81,7 @@ OF_ALL: Final = (
 
 
 def check_own_names(permissions: Iterable[Permission]) -> None:
-    """Return if an authority may grant these: of others' names it shows its own graph, no more.
-
-    Raises:
-        ConfigurationError: a right on a name below `/remote`, which another authority grants.
-    """
+    """Return if an authority may grant these: of others' names it shows its own graph, no more."""
     for permission in permissions:
         if is_alias(permission.pattern) and permission.rights & ~Right.GRAPH:
             raise ConfigurationError(
@@ -95,14 +91,7 @@ def check_own_names(permissions: Iterable[Permission]) -> None:
 
 
 def check_tail(draft: Draft, valid: Iterable[CertificateRow]) -> None:
-    """Return if no names of anonymous nodes are granted, or the holder has their wildcard tail.
-
-    Args:
-        valid: the valid identities of the subject, oldest first; the newest of the key counts.
-
-    Raises:
-        ConfigurationError: its identity has none.
-    """
+    """Return if no names of anonymous nodes are granted, or the holder has their wildcard tail."""
     if not draft.has_tail_patterns:
         return
     tails = [row.wildcard for row in valid if row.thumbprint == draft.holder]
@@ -135,9 +124,6 @@ def missing_entries(store: Store, key: ec.EllipticCurvePublicKey, now: int) -> f
     """The entries that the newest signed list lacks; all, where that is unknown.
 
     `key` is the authority's.
-
-    Raises:
-        RevocationRefused: the list in the record is not signed by the authority.
     """
     with store.database.read_transaction():
         data = store.newest_list()
@@ -146,11 +132,7 @@ def missing_entries(store: Store, key: ec.EllipticCurvePublicKey, now: int) -> f
 
 
 def tree_entries(store: Store, tree: RevocationTree) -> TreeEntries:
-    """The entries of a signed tree, from the record.
-
-    Raises:
-        RevocationRefused: those in the record do not give its root.
-    """
+    """The entries of a signed tree, from the record."""
     listing = TreeEntries(required_entries(store, tree.issued))
     listing.check(tree)
     return listing
@@ -188,11 +170,7 @@ def required_masters(store: Store, now: int) -> tuple[bytes, ...]:
 
 
 def is_domain_list_due(store: Store, anchor: TrustAnchor, now: int) -> bool:
-    """Whether a list has to be signed: there is none, or it is old, or it says something else.
-
-    Raises:
-        DomainsRefused: the list in the record is not signed by the authority.
-    """
+    """Whether a list has to be signed: there is none, or it is old, or it says something else."""
     with store.database.read_transaction():
         data, domains = store.domains.newest_list(), required_domains(store, now)
         if not data:
@@ -208,11 +186,7 @@ def is_domain_list_due(store: Store, anchor: TrustAnchor, now: int) -> bool:
 def sign_domain_list(
     authority: Authority, store: Store, now: int, *, new_epoch: bool = False, above: int = 0
 ) -> DomainList:
-    """Sign and record a list with the next number; `new_epoch`, `above`: as for a revocation list.
-
-    Raises:
-        DomainsRefused: there are too many domains or masters, or their terms are too long.
-    """
+    """Sign and record a list with the next number; `new_epoch`, `above`: as for a revocation list."""
     with store.transaction():
         epoch, seq = store.domains.next_number()
         if new_epoch:
@@ -251,7 +225,6 @@ def states(store: Store, now: int) -> list[ThingState]:
 
 
 def _newest_key(store: Store, name: str, now: int) -> bytes:
-    """The thumbprint of the newest valid key of a node; empty: it has none."""
     valid = store.identities.valid(name, now)
     return valid[-1].thumbprint if valid else b""
 
@@ -309,9 +282,6 @@ def replaced_by(
 
     For each thing that it replaces: the statements in force, and the keys of its node where that
     node has to be another one, under the new name or at another router.
-
-    Raises:
-        ThingUnknown: there is nothing about one of them to replace.
     """
     entries: set[bytes] = set()
     for former in sorted(replaced):
@@ -343,12 +313,10 @@ class SigningAuthority:
 
     @property
     def domain(self) -> str:
-        """Its trust domain."""
         return self.authority.anchor.domain
 
     @property
     def signer(self) -> Signer:
-        """Its key."""
         return self.authority.signer
 
     def issue(
@@ -409,7 +377,6 @@ class SigningAuthority:
             return self.authority.anchor.verify([der], now)
 
     def bundle(self, der: bytes) -> bytes:
-        """The bundle a node installs: leaf, intermediate if there is one, root (PEM)."""
         return to_pem(der, *self.authority.chain, self.authority.anchor.certificate)
 
     def issued_bundle(self, row: record_CertificateRow, now: int, *, wildcard: bool) -> bytes:
@@ -503,11 +470,9 @@ class SigningAuthority:
             return self._revoke(living, reason, now), len(living)
 
     def revoke(self, entry: bytes, reason: str, now: int) -> RevocationList:
-        """Revoke a grant id or key thumbprint, and sign a new list."""
         return self.revoke_all(frozenset({entry}), reason, now)
 
     def revoke_all(self, entries: frozenset[bytes], reason: str, now: int) -> RevocationList:
-        """As `revoke`, all of `entries` with one list."""
         self._check_root()
         return self._revoke(entries, reason, now)
 
@@ -539,14 +504,12 @@ class SigningAuthority:
         )
 
     def _revoke(self, entries: frozenset[bytes], reason: str, now: int) -> RevocationList:
-        """Record revocations and sign the new list, in one transaction."""
         with self.store.transaction():
             for entry in sorted(entries):
                 self.store.revoke(entry, reason, now)
             return self.sign_list(now)
 
     def _sign_list_or_tree(self, listed: RevocationList) -> bytes:
-        """Sign the list, or a tree if it has too many entries."""
         if len(listed.entries) <= MAX_ENTRIES:
             return sign_list(self.signer, listed)
         size, root = TreeEntries(listed.entries).size_and_root

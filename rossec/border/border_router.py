@@ -83,19 +83,18 @@ class Server:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Where it listens: host and port."""
         host, port = self._socket.getsockname()[:2]
         return str(host), int(port)
 
     @property
     def lost(self) -> int:
-        """How many datagrams were not looked at: too many of one port, host or thing, or in all."""
+        # How many datagrams were not looked at: too many of one port, host or thing, or in all.
         return self._intake.lost
 
     def request(
         self, name: str, request: Request, on_answer: OnAnswer
     ) -> Callable[[], None] | None:
-        """Ask the thing `name`; returns what cancels it. None: it is not there."""
+        # Ask the thing `name`; returns what cancels it. None: it is not there.
         conversation = self.endpoint.conversations.of(name)
         if conversation is None:
             return None
@@ -105,11 +104,9 @@ class Server:
         return lambda: self.endpoint.requests.cancel(exchange)
 
     def drop(self, name: str) -> None:
-        """End the conversation with a thing."""
         self.endpoint.conversations.drop(name)
 
     def close(self) -> None:
-        """Stop."""
         self._loop.remove_reader(self._socket.fileno())
         self._socket.close()
         for handle in (self._timer, self._turn):
@@ -152,7 +149,6 @@ class Server:
             self._socket.sendto(data, address)
 
     def _arm(self) -> None:
-        """Wake when the next timer is due."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -205,31 +201,26 @@ class BorderNode(Node):
         self._on_news, self._on_session = on_news, on_session
 
     def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
-        """Take them, and tell at once."""
         try:
             super().revocations_arrived(revocations, timestamp, master)
         finally:
             self._on_news()
 
     def push_arrived(self, method: str, params: tuple[object, ...], master: Identity) -> None:
-        """Take it, and tell at once."""
         try:
             super().push_arrived(method, params, master)
         finally:
             self._on_news()
 
     def maintain(self) -> None:
-        """Once a second."""
         super().maintain()
         self._on_news()
 
     async def restore(self) -> None:
-        """A new session: the master may have been restarted."""
         await super().restore()
         self._on_session()
 
     async def prove(self) -> int:
-        """Ask for proofs where revocations are a tree; raises as `prove`."""
         return await prove(self._context.call, self.access)
 
 
@@ -288,7 +279,6 @@ class BorderRouter:
         await self.node.close()
 
     async def wait_ended(self) -> None:
-        """Wait until the router's own node ends; raises as `Node.wait_ended`."""
         await self.node.wait_ended()
 
     # --- events of the endpoint
@@ -303,7 +293,6 @@ class BorderRouter:
         self._tasks.spawn(self._attend(name), f"{name}: registered")
 
     def left(self, name: str) -> None:
-        """A thing takes its leave."""
         self.server.drop(name)
         self._end(name, "the thing has left")
 
@@ -324,7 +313,6 @@ class BorderRouter:
             self._attending.discard(name)
 
     async def _follow(self, name: str) -> None:
-        """Offer what the thing has now."""
         if self.server.endpoint.conversations.of(name) is None:
             return  # it left, or was ended, before its turn came
         try:
@@ -336,7 +324,6 @@ class BorderRouter:
             _log.warning("%s: %s", name, error)
 
     async def _bridge(self, name: str) -> ThingBridge:
-        """The thing's node, started if it is not."""
         statement = self.roster.statement(name)
         if statement is None:
             raise ThingUnreachable(f"{name} is not served any more")
@@ -359,7 +346,6 @@ class BorderRouter:
         return self.server.request(name, request, on_answer)
 
     async def _links(self, name: str) -> bytes:
-        """The thing's list of resources."""
         future: asyncio.Future[Answer | ThingUnreachable] = (
             asyncio.get_running_loop().create_future()
         )
@@ -376,12 +362,10 @@ class BorderRouter:
     # --- news of the router's own node
 
     def _session(self) -> None:
-        """The master may have been restarted: every node registers again."""
         for bridge in self.bridges.values():
             self._tasks.spawn(bridge.update(), f"{bridge.node.name}: registers again")
 
     def _news(self) -> None:
-        """Once a second, and when something signed arrived."""
         if not hasattr(self, "server"):
             return
         if self.roster.reload():
@@ -403,7 +387,7 @@ class BorderRouter:
                 self._tasks.spawn(bridge.update(), f"{bridge.node.name}: update")
 
     def _check_conversations(self) -> None:
-        """End those of things that are not served any more, or silent for very long."""
+        # End those of things that are not served any more, or silent for very long.
         oldest = asyncio.get_running_loop().time() - SILENT
         for conversation in self.server.endpoint.conversations.all():
             statement = self.roster.statement(conversation.name)
@@ -421,7 +405,6 @@ class BorderRouter:
             self._tasks.spawn(bridge.close(reason), f"{name}: ended")
 
     def _prove(self) -> None:
-        """Of a new tree of revocations, learn at once which things are revoked."""
         data = self.node.revocations.data
         if data == self._proved_for:
             return
@@ -485,11 +468,7 @@ def write_status(directory: Path, status: dict[str, Any]) -> None:
 
 
 def read_status(directory: Path, now: int) -> dict[str, Any]:
-    """What the router said last.
-
-    Raises:
-        ConfigurationError: no router runs there, or the file is not its own.
-    """
+    """What the router said last."""
     idle = ConfigurationError("no border router runs here", "start it: rossec border")
     data = files.read_own(directory / STATUS_FILE, MAX_STATUS, idle)
     try:

@@ -75,16 +75,13 @@ class Roster:
 
     @property
     def names(self) -> list[str]:
-        """Of all things that have a statement here."""
         return sorted(self._things)
 
     def statement(self, name: str) -> ThingStatement | None:
-        """The statement about a thing."""
         found = self._things.get(name)
         return None if found is None else found.statement
 
     def reload(self) -> bool:
-        """Read the directory again if it has changed; returns whether it has."""
         try:
             changed = self._files.path.stat().st_mtime_ns
         except OSError:
@@ -112,7 +109,6 @@ class Roster:
         return True
 
     def by_key(self, kid: bytes) -> tuple[str, ThingKey] | None:
-        """The thing with a key that has this kid, if it is served."""
         self.reload()
         found = self._usable(self._keys, kid)
         if found is None or not isinstance(found.statement.credential, ThingKey):
@@ -120,17 +116,14 @@ class Roster:
         return found.statement.name, found.statement.credential
 
     def by_secret(self, kid: bytes) -> tuple[str, bytes] | None:
-        """The thing with a secret that has this kid, if it is served."""
+        # The thing with a secret that has this kid, if it is served.
         self.reload()
         found = self._usable(self._secrets, kid)
         return None if found is None else (found.statement.name, found.secret)
 
     def is_served(self, name: str, credential: bytes) -> bool:
-        """Whether the thing that began with this credential may go on.
-
-        A thing that is there stays while it is not known whether something is revoked: its
-        connections end by their own rules.
-        """
+        # A thing that is there stays while it is not known whether something is revoked: its connections end
+        # by their own rules.
         found = self._things.get(name)
         if found is None or found.statement.credential.thumbprint != credential:
             return False
@@ -139,7 +132,6 @@ class Roster:
         return not ends and revoked.isdisjoint((found.statement.id, credential))
 
     def entries(self) -> list[bytes]:
-        """What may be revoked of the things here: statements and credentials."""
         things = self._things.values()
         return [
             entry
@@ -148,7 +140,6 @@ class Roster:
         ]
 
     def _usable(self, kids: dict[bytes, list[str]], kid: bytes) -> ServedThing | None:
-        """The thing with this kid that may be served: one that was renamed has two statements."""
         for name in reversed(kids.get(kid, [])):
             found = self._things[name]
             if self._is_usable(found):
@@ -187,7 +178,8 @@ class Ask(Protocol):
     """Asks the thing."""
 
     def __call__(self, request: Request, on_answer: OnAnswer) -> Cancel | None:
-        """Send a request; returns what cancels it. None: the thing is not there."""
+        # Send a request; returns what cancels it. None: the thing is not there.
+        ...
 
 
 class ThingBridge:
@@ -222,11 +214,9 @@ class ThingBridge:
 
     @property
     def offered(self) -> int:
-        """How many of its resources are offered in ROS."""
         return len(self._offered)
 
     async def follow(self, resources: list[Resource]) -> None:
-        """Offer exactly `resources`; one that the master refuses is offered again later."""
         async with self._lock:
             await self._follow(resources)
 
@@ -241,7 +231,7 @@ class ThingBridge:
         self.observe()
 
     def observe(self) -> None:
-        """Observe what is published, unless notifications came since the last time."""
+        # Observe what is published, unless notifications came since the last time.
         for resource, publisher in self._offered.items():
             if isinstance(publisher, Publisher) and resource not in self._seen:
                 self._cancel(resource)
@@ -254,12 +244,10 @@ class ThingBridge:
         self._seen.clear()
 
     def lost(self) -> None:
-        """The conversation is over: nothing is observed any more."""
         self._running.clear()
         self._seen.clear()
 
     async def update(self) -> None:
-        """Visit the master, and offer again what was refused: grants may be new."""
         async with self._lock:
             if self.node.closed:
                 return
@@ -268,7 +256,6 @@ class ThingBridge:
                 await self._follow(list(self.resources))
 
     async def close(self, reason: str) -> None:
-        """End everything: at once what others see, then what the master knows."""
         self.node.cut(reason)
         async with self._lock:  # what is offered in this moment is withdrawn, too
             for resource in tuple(self._running):
@@ -329,7 +316,7 @@ class ThingBridge:
             _log.info("%s: dropped a message: %s", resource.name, error)
 
     async def _write(self, resource: Resource, subscriber: Subscriber) -> None:
-        """Write each message; while one is under way, only the newest of the others is kept."""
+        # Write each message; while one is under way, only the newest of the others is kept.
         async for data in subscriber.raw():
             try:
                 body = from_ros(data, resource.format, subscriber.endpoint.type.layout)
@@ -355,11 +342,6 @@ class ThingBridge:
             raise ServiceFailed("the thing does not answer in time") from None
 
     async def _answered(self, request: Request) -> Answer:
-        """The answer of the thing.
-
-        Raises:
-            ThingUnreachable: none, or an error.
-        """
         future: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
         cancel = self._ask(request, partial(_settle, future))
         if cancel is None:
@@ -382,11 +364,6 @@ def _settle(future: asyncio.Future[Answer], answer: Answer | ThingUnreachable) -
 
 
 def _message(answer: Answer, resource: Resource, layout: Layout) -> bytes:
-    """The ROS message in an answer.
-
-    Raises:
-        BodyRefused: an error, another format, or not one message.
-    """
     if not answer.code.is_successful():
         raise BodyRefused(f"it answers {answer.code.dotted}")
     form: Any = resource.format if answer.format is None else answer.format

@@ -133,22 +133,15 @@ class MasterVisits:
 
     @property
     def is_open(self) -> bool:
-        """Whether there is a connection now."""
         return self._client is not None and not self._client.closed
 
     def renewal_is_due(self, now: int) -> bool:
-        """Whether a grant is to be renewed."""
         return any(
             due_at(held) <= now < held.grant.cap and held.grant.expires < held.grant.cap
             for held in self._access.held_grants()
         )
 
     async def call(self, method: str, *params: object) -> object:
-        """The value of the master's answer.
-
-        Raises:
-            HintedError, OSError, TimeoutError, Fault: refused, or out of reach.
-        """
         client = await self._connected()
         self._used += 1
         try:
@@ -158,7 +151,6 @@ class MasterVisits:
             self._rest()
 
     async def update(self) -> int:
-        """Fetch and renew grants; returns how many are new or renewed. Raises as `call`."""
         if self.is_open:  # a new connection presents all: what came from the disk since
             await self.present(self._access.current(clock.now())[:MAX_CALL])
         await self._connected()
@@ -171,13 +163,11 @@ class MasterVisits:
         return delivery.taken + renewed
 
     async def present(self, grants: list[bytes]) -> None:
-        """Present grants to the master, if there is a connection; a new one presents all."""
         if self.is_open:
             for batch in batches(grants):
                 await self.call(PRESENT_GRANTS, batch)
 
     async def close(self) -> None:
-        """Disconnect."""
         client, self._client = self._client, None
         if self._idle is not None:
             self._idle.cancel()
@@ -210,7 +200,6 @@ class MasterVisits:
         return client
 
     async def _confirm(self, client: RpcClient, master: Identity) -> None:
-        """Take the master's timestamp: it is this master, and its key may renew grants."""
         answer = await client.ask(
             "rossec.revocationsSince", self._name, digest(self._shared.held_list())
         )
@@ -223,7 +212,6 @@ class MasterVisits:
                 raise CAError(*NO_LIST)
 
     def _rest(self) -> None:
-        """Disconnect when nothing is called for a while."""
         if self._idle is not None:
             self._idle.cancel()
         self._idle = asyncio.get_running_loop().call_later(IDLE, self._disconnect)
@@ -304,7 +292,6 @@ class ThingNode:
         )  # fmt: skip
 
     def _load(self, now: int) -> Identity:
-        """Verify the identity in the directory, by the anchor that all share."""
         own = self._shared.standing.anchors.own
         if self._home.anchor().thumbprint != own.thumbprint:
             raise ConfigurationError(
@@ -321,42 +308,34 @@ class ThingNode:
 
     @property
     def connections(self) -> ConnectionTable[SecureStream[Identity]]:
-        """Its connections with other nodes."""
         return self._connections
 
     @property
     def context(self) -> NodeContext:
-        """What its parts share."""
         return self._context
 
     def cut(self, reason: str) -> None:
-        """Cut every connection at once."""
         self.closed = True
         self._connections.close(reason)
 
     async def start(self) -> None:
-        """Take its grants and listen. Raises `OSError`."""
         self.take_grants()
         await self._listener.start(self._host)
         self._context.uri = names.build_uri(self._host, self._listener.slave_port)
         self._context.rosrpc = names.build_uri(*self.topic_endpoint(), scheme="rosrpc")
 
     async def publish(self, topic: str, type_name: str) -> Publisher:
-        """Register a publisher; raises as `Topics.publish`."""
         endpoint = TopicEndpoint(topic, message_type(type_name))
         return await self._topics.publish(endpoint, latch=False, queue_size=10)
 
     async def subscribe(self, topic: str, type_name: str) -> Subscriber:
-        """Register a subscriber; raises as `Topics.subscribe`."""
         endpoint = TopicEndpoint(topic, message_type(type_name))
         return await self._topics.subscribe(endpoint, queue_size=1)
 
     async def unpublish(self, topic: str) -> None:
-        """Unregister a publisher, and cut its subscribers."""
         await self._topics.unpublish(self._topics.publishers[topic])
 
     def take_grants(self) -> list[bytes]:
-        """Hold what is new in its directory; nothing is read while the directory is unchanged."""
         try:
             changed = (self._home.path / "grants").stat().st_mtime_ns
         except OSError:
@@ -367,10 +346,7 @@ class ThingNode:
         return self._directory.take_new()
 
     async def update(self) -> None:
-        """Visit the master: fetch and renew grants, the identity too, and register again.
-
-        A master that is out of reach is visited again later (`is_due`).
-        """
+        # A master that is out of reach is visited again later (`is_due`).
         self.take_grants()
         what = f"{self.name}: grants"
         self._failed = not await quietly(self._visits.update(), what)
@@ -383,22 +359,20 @@ class ThingNode:
             await quietly(self.restore(), f"{self.name}: registrations")
 
     async def restore(self) -> None:
-        """Make every registration again: the master was restarted, or grants are new."""
         await self._topics.restore()
         await self.services.restore()
 
     def is_due(self, now: int) -> bool:
-        """Whether something must be renewed, or grants are new: `update` is to be called."""
+        # Whether something must be renewed, or grants are new: `update` is to be called.
         new = bool(self.take_grants())
         return new or self._failed or self._is_old(now) or self._visits.renewal_is_due(now)
 
     def maintain(self, now: int) -> None:
-        """Cut connections that must end; called every second, and when something is revoked."""
+        # Cut connections that must end; called every second, and when something is revoked.
         self._connections.cut_ended(now)
         self._topics.drop_expired_publishers()
 
     async def close(self, reason: str) -> None:
-        """Unregister, and close every connection."""
         self.cut(reason)
         for publisher in self._topics.publishers.values():
             publisher.close()
@@ -409,7 +383,6 @@ class ThingNode:
         await self._visits.close()
 
     def _is_old(self, now: int) -> bool:
-        """Whether its identity is to be renewed now, whatever a clock that was ahead has set."""
         return now >= self._renew_at and not now < self._retry_at <= now + _RETRY
 
     async def _renew(self) -> None:
@@ -426,35 +399,27 @@ class ThingNode:
     # --- calls of the slave API (SlaveEvents) ---
 
     def publishers_changed(self, topic: str, uris: list[str]) -> None:
-        """Follow the master's list of publishers."""
         self._topics.publishers_changed(topic, uris)
 
     def parameter_changed(self, key: str, value: object) -> None:
-        """Nothing: a thing has no parameters."""
+        ...
 
     def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
-        """Hand a list to the border router's node, whose lists all things share.
-
-        A timestamp alone is of no use: that node has one by its own session.
-        """
+        # A timestamp alone is of no use: that node has one by its own session.
         if revocations:
             self._shared.take_push(REVOCATION_UPDATE, (revocations, timestamp), master)
 
     def push_arrived(self, method: str, params: tuple[object, ...], master: Identity) -> None:
-        """Hand it to the border router's node."""
         self._shared.take_push(method, params, master)
 
     def shutdown_requested(self, reason: str) -> None:
-        """Close what this node has: another one took its name, or an administrator ends it."""
         _log.warning("%s: the master ended this node: %s", self.name, reason)
         self._shared.tasks.spawn(self.close(reason), f"{self.name}: ended by the master")
 
     def topic_endpoint(self) -> tuple[str, int]:
-        """Where TCPROS connections are accepted."""
         return self._host, self._listener.topic_port
 
     def describe(self) -> dict[str, object]:
-        """Values of the informational slave methods, by method name."""
         return {
             "getName": self.name,
             "getUri": self._context.uri,

@@ -48,7 +48,6 @@ class Quota:
         self.dropped = 0
 
     def take(self, now: float) -> bool:
-        """Whether it is within the rate; if not, it counts as dropped."""
         if self._bucket.refill(now) < 1:
             self.dropped += 1
             self._beyond.tokens -= min(1.0, self._beyond.refill(now))
@@ -57,7 +56,6 @@ class Quota:
         return True
 
     def is_spent(self, now: float) -> bool:
-        """Whether nothing of this thing is looked at now; then it counts as dropped."""
         spent = self._bucket.refill(now) < 1 and self._beyond.refill(now) < 1
         self.dropped += spent
         return spent
@@ -80,7 +78,6 @@ class Unauthenticated:
         self._sources: OrderedDict[Hashable, TokenBucket] = OrderedDict()
 
     def take(self, host: str, port: int, now: float) -> bool:
-        """Whether an attempt of this sender is looked at."""
         half = self._total / 2
         buckets = (
             self._bucket((host, port), SOURCE_RATE, SOURCE_BURST),
@@ -138,23 +135,21 @@ class Conversation:
 
     @property
     def kid(self) -> bytes:
-        """How it names its context."""
         kid: bytes = self.context.recipient_id
         return kid
 
     def new_mid(self) -> int:
-        """A message ID that this thing was not sent for long (RFC 7252 section 4.4)."""
+        # A message ID that this thing was not sent for long (RFC 7252 section 4.4).
         self._mid = (self._mid + 1) & 0xFFFF
         return self._mid
 
     def remember(self, address: Address, mid: int, answer: bytes) -> None:
-        """Keep an answer: a request that is repeated is not carried out again."""
+        # Keep an answer: a request that is repeated is not carried out again.
         if self._answers is None:
             self._answers = deque(maxlen=REMEMBERED)
         self._answers.append((address, mid, answer))
 
     def remembered(self, address: Address, mid: int) -> bytes | None:
-        """The answer to a request that is repeated."""
         for source, number, answer in self._answers or ():
             if source == address and number == mid:
                 return answer
@@ -178,23 +173,18 @@ class Conversations:
         return len(self._by_name)
 
     def all(self) -> list[Conversation]:
-        """All of them."""
         return list(self._by_name.values())
 
     def find(self, kid: bytes) -> Conversation | None:
-        """The one whose thing uses this ID."""
         return self._by_kid.get(kid)
 
     def of(self, name: str) -> Conversation | None:
-        """That of a thing."""
         return self._by_name.get(name)
 
     def at(self, address: Address) -> Conversation | None:
-        """That of the authenticated thing that was there last."""
         return self._by_address.get(address)
 
     def add(self, conversation: Conversation) -> None:
-        """Begin one, and end what it replaces: of this thing, or of what it was called before."""
         self.drop(conversation.name)
         if (former := self._by_kid.get(conversation.kid)) is not None:
             self.drop(former.name)
@@ -205,7 +195,6 @@ class Conversations:
         self._by_address[conversation.address] = conversation
 
     def used(self, conversation: Conversation, address: Address) -> None:
-        """It is the most recent now, and there."""
         self._by_name.move_to_end(conversation.name)
         if conversation.address != address:
             self._leave(conversation)
@@ -217,7 +206,6 @@ class Conversations:
             del self._by_address[conversation.address]
 
     def drop(self, name: str) -> None:
-        """End that of a thing, if there is one."""
         found = self._by_name.pop(name, None)
         if found is not None:
             del self._by_kid[found.kid]
@@ -235,14 +223,11 @@ _network_of = lru_cache(4096)(network_of)
 
 
 class _Host:
-    """What waits of one host, by its ports."""
-
     def __init__(self) -> None:
         self._ports: OrderedDict[Address, deque[bytes]] = OrderedDict()
         self._count = 0
 
     def put(self, data: bytes, address: Address) -> bool:
-        """Whether there is room for it."""
         queue = self._ports.get(address)
         if self._count >= OF_HOST or (queue is not None and len(queue) >= OF_PORT):
             return False
@@ -253,7 +238,6 @@ class _Host:
         return True
 
     def take(self) -> tuple[bytes, Address]:
-        """The oldest of the port whose turn it is."""
         address, queue = self._ports.popitem(last=False)
         data = queue.popleft()
         self._count -= 1
@@ -278,7 +262,6 @@ class Intake:
         return self._count
 
     def is_first(self, address: Address, now: float) -> bool:
-        """Whether the next datagram from where a thing was last is taken at all: at once."""
         bucket = self._things.pop(address, None) or TokenBucket(RATE, BURST)
         self._things[address] = bucket
         if len(self._things) > CAPACITY:
@@ -290,7 +273,6 @@ class Intake:
         return True
 
     def put(self, data: bytes, address: Address) -> None:
-        """Let a datagram wait, or lose it."""
         network = _network_of(str(address[0]))
         host = self._waiting.get(network) or _Host()
         if self._count >= OF_ALL or not host.put(data, address):
@@ -300,7 +282,6 @@ class Intake:
         self._count += 1
 
     def take(self) -> tuple[bytes, Address] | None:
-        """The next datagram, of the host whose turn it is."""
         if not self._waiting:
             return None
         network, host = self._waiting.popitem(last=False)

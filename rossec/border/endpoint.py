@@ -121,13 +121,11 @@ class Requests:
     def start(
         self, conversation: Conversation, request: Request, on_answer: OnAnswer, now: float
     ) -> PendingRequest:
-        """Send a request; `on_answer` is called once, of an observation with each state."""
         exchange = PendingRequest(conversation, request, on_answer)
         self._send(exchange, now)
         return exchange
 
     def cancel(self, exchange: PendingRequest) -> None:
-        """Expect nothing more; the next notification is answered by a reset."""
         self._exchanges.pop(exchange.token, None)
         exchange.conversation.tokens.discard(exchange.token)
         self._timers.cancel(exchange.deadline)
@@ -136,23 +134,16 @@ class Requests:
         self._transmissions.acknowledge(exchange.conversation.address, exchange.mid)
 
     def end(self, conversation: Conversation) -> None:
-        """Fail everything that was asked in a conversation that is over."""
         for token in tuple(conversation.tokens):
             self._fail(self._exchanges[token], "its conversation has ended")
 
     def find(self, message: Message, address: Any) -> PendingRequest | None:
-        """The request that a response is for."""
         found = self._exchanges.get(bytes(message.token))
         if found is None or found.conversation.address != address:
             return None
         return found
 
     def take(self, exchange: PendingRequest, message: Message, now: float) -> None:
-        """Take a response.
-
-        Raises:
-            DatagramRefused: it is not of the thing, or an old notification.
-        """
         if message.opt.oscore is None:
             self._unprotected(exchange, now)
         opened, _ = exchange.conversation.context.open(message, exchange.identifier)
@@ -171,10 +162,8 @@ class Requests:
             self._answered(exchange, opened, now)
 
     def _unprotected(self, exchange: PendingRequest, now: float) -> None:
-        """Ask again: a thing that just registered may not know its new context everywhere.
-
-        Nobody has vouched for such an answer, so it ends nothing.
-        """
+        # Ask again: a thing that just registered may not know its new context everywhere.
+        # Nobody has vouched for such an answer, so it ends nothing.
         if exchange.retry < 0 and exchange.newest == _NONE and exchange.tries < RETRIES:
             pause = RETRY * 2**exchange.tries
             exchange.tries += 1
@@ -222,7 +211,6 @@ class Requests:
         self._send(exchange, now)
 
     def _next_block(self, exchange: PendingRequest, opened: Message, now: float) -> None:
-        """Ask for the next block of an answer."""
         block, before = opened.opt.block2, exchange.received or b""
         body = before + bytes(opened.payload)
         fits = _continues(exchange, opened) and len(opened.payload) == block.size <= MAX_BLOCK
@@ -268,7 +256,7 @@ class Requests:
 
 
 def _continues(exchange: PendingRequest, opened: Message) -> bool:
-    """Whether a block is the next one, and of the same state (RFC 7959 section 2.4)."""
+    # Whether a block is the next one, and of the same state (RFC 7959 section 2.4).
     before = exchange.received
     if before is not None and opened.opt.etag != exchange.tag:
         return False
@@ -301,23 +289,24 @@ class Served(Protocol):
     """Which things are served."""
 
     def by_key(self, kid: bytes) -> tuple[str, ThingKey] | None:
-        """The thing with a key that has this kid: its name, and the key."""
+        ...
 
     def by_secret(self, kid: bytes) -> tuple[str, bytes] | None:
-        """The thing with a secret that has this kid: its name, and the secret."""
+        # The thing with a secret that has this kid: its name, and the secret.
+        ...
 
 
 class Events(Protocol):
     """What happens."""
 
     def registered(self, conversation: Conversation) -> None:
-        """A thing is there: it is new, was restarted, or says again that it is there."""
+        ...
 
     def left(self, name: str) -> None:
-        """A thing takes its leave."""
+        ...
 
     def ended(self, conversation: Conversation) -> None:
-        """A conversation is over."""
+        ...
 
 
 @dataclass
@@ -369,7 +358,6 @@ class Endpoint:
         self._decoy = OscoreContext(random(16), b"", b"\0", b"\1")
 
     def receive(self, data: bytes, address: Address, now: float) -> None:
-        """Take a datagram; whatever is wrong with it ends here."""
         self.counts.datagrams += 1
         try:
             message = messages.read(data)
@@ -378,7 +366,6 @@ class Endpoint:
             self.counts.refused += 1
 
     def run_timers(self, now: float) -> None:
-        """Do what is due."""
         self.timers.run(now)
 
     def _take(self, message: Message, address: Address, now: float) -> None:
@@ -482,7 +469,7 @@ class Endpoint:
     def _take_derived(
         self, message: Message, kid: bytes, kid_context: bytes, address: Address, now: float
     ) -> None:
-        """A request that names the context it is in (RFC 8613 appendix B.2)."""
+        # A request that names the context it is in (RFC 8613 appendix B.2).
         value = messages.unwrapped(kid_context)
         current = self.conversations.find(kid)
         if current is not None and current.context.id_context == value:
@@ -510,7 +497,6 @@ class Endpoint:
         self, message: Message, value: bytes, secret: bytes, kid: bytes, identifier: RequestId,
         address: Address, now: float,
     ) -> None:  # fmt: skip
-        """Answer the first request of a derivation, which may be an old one that is repeated."""
         value_2 = self._challenges.make(kid, now, self._random(2))
         context = border_context(secret, kid, value_2 + value)
         sealed, _ = context.seal(Message(code=codes.UNAUTHORIZED), identifier)
@@ -526,7 +512,6 @@ class Endpoint:
         address: Address,
         now: float,
     ) -> None:
-        """Carry out a request of a thing, and answer it."""
         conversation.seen = now
         self.conversations.used(conversation, address)
         is_registration = opened.opt.uri_path == REGISTRATION_PATH
@@ -586,11 +571,6 @@ class Endpoint:
 
 
 def _split_message_3(payload: bytes) -> tuple[bytes, bytes]:
-    """C_R and message_3, as they are sent without a request.
-
-    Raises:
-        ThingUnauthenticated: no C_R of the length that is given out here.
-    """
     head = bytes((0x40 | ID_SIZE,))
     if payload[:1] != head or len(payload) <= 1 + ID_SIZE:
         raise ThingUnauthenticated("a message_3 without a connection identifier")
@@ -598,11 +578,7 @@ def _split_message_3(payload: bytes) -> tuple[bytes, bytes]:
 
 
 def _split_combined(payload: bytes) -> tuple[bytes, bytes]:
-    """message_3, and the protected request that came with it (RFC 9668 section 3.3).
-
-    Raises:
-        ThingUnauthenticated: it does not begin with a byte string.
-    """
+    # message_3, and the protected request that came with it (RFC 9668 section 3.3).
     size = payload[1] if payload[:1] == b"\x58" and len(payload) > 1 else -1
     begin, length = (2, size) if size >= 0 else (1, payload[0] - 0x40 if payload else -1)
     if not 0 < length <= MAX_MESSAGE_3 or (begin == 1 and length >= _ALONE):

@@ -99,16 +99,10 @@ class Handshakes:
         return len(self._pending)
 
     def repeated(self, message_1: bytes, source: Hashable) -> bytes | None:
-        """The message_2 that answers a repeated message_1 of the same sender, if there is one."""
         known = self._answered.get((source, message_1))
         return None if known is None else self._pending[known].message_2
 
     def begin(self, message_1: bytes, source: Hashable, now: float) -> bytes:
-        """Answer message_1; returns message_2.
-
-        Raises:
-            ThingUnauthenticated: malformed, or of another method or suite.
-        """
         if len(message_1) > MAX_MESSAGE_1:
             raise ThingUnauthenticated(f"a message_1 of {len(message_1)} octets")
         _check_point(message_1)
@@ -131,11 +125,6 @@ class Handshakes:
         return message_2
 
     def finish(self, own_id: bytes, message_3: bytes, now: float) -> Authenticated:
-        """Take message_3 of the handshake `own_id`, which ends in either case.
-
-        Raises:
-            ThingUnauthenticated: there is none, or it does not prove the key of a thing.
-        """
         self.expire(now)
         pending = self._drop(own_id)
         if pending is None or not _is_message_3(message_3):
@@ -157,7 +146,7 @@ class Handshakes:
         return Authenticated(key, context, message_4)
 
     def expire(self, now: float) -> None:
-        """Drop what was not finished in time."""
+        # Drop what was not finished in time.
         while self._pending and next(iter(self._pending.values())).until <= now:
             self._drop(next(iter(self._pending)))
 
@@ -176,7 +165,7 @@ class Handshakes:
 
 
 def _is_message_3(data: bytes) -> bool:
-    """Whether it is one byte string and nothing after it: lakers does not look."""
+    # Whether it is one byte string and nothing after it: lakers does not look.
     try:
         return isinstance(decode(data, limit=MAX_MESSAGE_3), bytes)
     except EncodingError:
@@ -184,7 +173,6 @@ def _is_message_3(data: bytes) -> bool:
 
 
 def _kid(id_cred: bytes) -> bytes:
-    """The kid in ID_CRED_I; empty for anything else, which is the kid of no thing."""
     try:
         value = decode(id_cred, limit=MAX_MESSAGE_3)
     except EncodingError:
@@ -202,7 +190,7 @@ def _check_extensions(extensions: Any) -> None:
 
 
 def _check_point(message_1: bytes) -> None:
-    """Check G_X, after METHOD and SUITES_I (RFC 9528 section 5.2.1); the rest is for lakers."""
+    # Check G_X, after METHOD and SUITES_I (RFC 9528 section 5.2.1); the rest is for lakers.
     head = _BEFORE_POINT.match(message_1)
     x = message_1[head.end() : head.end() + _POINT] if head else b""
     try:
@@ -212,7 +200,6 @@ def _check_point(message_1: bytes) -> None:
 
 
 def _guarded(function: Callable[..., Any], *arguments: object) -> Any:
-    """Call lakers; a panic in it is a refusal, too."""
     try:
         return function(*arguments)
     except _LEAVES:

@@ -51,11 +51,7 @@ __all__ = [
 
 
 def read(data: bytes) -> Message:
-    """The message in a datagram.
-
-    Raises:
-        DatagramRefused: too long, or not a CoAP message.
-    """
+    """The message in a datagram."""
     if not 4 <= len(data) <= MAX_DATAGRAM:
         raise DatagramRefused(f"a datagram of {len(data)} octets")
     if data[0] & 0x0F > 8 or (data[1] == 0 and len(data) != 4):
@@ -117,27 +113,25 @@ class Timers:
 
     @property
     def next_due(self) -> float | None:
-        """When `run` has something to do next; None: never."""
+        # When `run` has something to do next; None: never.
         while self._heap and self._heap[0][1] not in self._calls:
             heapq.heappop(self._heap)
         return self._heap[0][0] if self._heap else None
 
     def at(self, due: float, call: Callable[[float], None]) -> int:
-        """Call `call(now)` at `due`; returns what cancels it."""
         number = next(self._numbers)
         self._calls[number] = call
         heapq.heappush(self._heap, (due, number))
         return number
 
     def cancel(self, number: int) -> None:
-        """Do not make this call; one that was made, or cancelled, is ignored."""
+        # Do not make this call; one that was made, or cancelled, is ignored.
         self._calls.pop(number, None)
         if len(self._heap) > _SLACK + 2 * len(self._calls):  # most of what waits was cancelled
             self._heap = [entry for entry in self._heap if entry[1] in self._calls]
             heapq.heapify(self._heap)
 
     def run(self, now: float) -> None:
-        """Make every call that is due."""
         while (due := self.next_due) is not None and due <= now:
             _, number = heapq.heappop(self._heap)
             self._calls.pop(number)(now)
@@ -180,7 +174,6 @@ class Transmissions:
     def send(
         self, data: bytes, mid: int, address: Address, now: float, failed: Callable[[], None]
     ) -> None:
-        """Send a confirmable message, again and again; `failed()` when nobody acknowledges it."""
         pause = ACK_TIMEOUT * (1 + self._rand() / 2)
         key = (address, mid)
         self.acknowledge(address, mid)
@@ -189,7 +182,6 @@ class Transmissions:
         self._send(data, address)
 
     def acknowledge(self, address: Address, mid: int) -> None:
-        """It arrived; a message that nobody waits for is ignored."""
         found = self._open.pop((address, mid), None)
         if found is not None:
             self._timers.cancel(found.timer)
@@ -218,7 +210,7 @@ RequestId = Any
 
 
 def _nothing() -> None:
-    """Nothing is written when the window moves."""
+    ...
 
 
 class OscoreContext(oscore.CanProtect, oscore.CanUnprotect, oscore.SecurityContextUtils):  # type: ignore[misc]
@@ -261,19 +253,14 @@ class OscoreContext(oscore.CanProtect, oscore.CanUnprotect, oscore.SecurityConte
         self.recipient_replay_window.initialize_empty()
 
     def post_seqnoincrease(self) -> None:
-        """Nothing: a sequence number is of this process only."""
+        # Nothing: a sequence number is of this process only.
+        ...
 
     def seal(self, message: Message, request: RequestId = None) -> tuple[Message, RequestId]:
-        """Protect a request, or the answer to `request`; returns it with the ID of the request."""
         sealed, identifier = self.protect(message, request, kid_context=False)
         return sealed, identifier
 
     def open(self, message: Message, request: RequestId = None) -> tuple[Message, RequestId]:
-        """Verify and decrypt a request, or the answer to `request`.
-
-        Raises:
-            DatagramRefused: forged, repeated, or malformed.
-        """
         try:
             _strip_context(message)  # whoever calls has chosen the context by it
             opened, identifier = self.unprotect(message, request)
@@ -283,11 +270,7 @@ class OscoreContext(oscore.CanProtect, oscore.CanUnprotect, oscore.SecurityConte
 
 
 def unprotected(message: Message) -> tuple[bytes, bytes | None]:
-    """The kid and the kid context that a protected request names.
-
-    Raises:
-        DatagramRefused: not a protected request, or a malformed option.
-    """
+    """The kid and the kid context that a protected request names."""
     try:
         _, _, found, _ = oscore.CanUnprotect._extract_encrypted0(message)  # noqa: SLF001
     except Exception as error:  # noqa: BLE001 - as above
@@ -319,7 +302,6 @@ def name_context(message: Message, kid_context: bytes) -> None:
 
 
 def _strip_context(message: Message) -> None:
-    """Remove the kid context of a message: aiocoap compares it with that of the derivation."""
     option: bytes = message.opt.oscore or b""
     if not option or not option[0] & _H:
         return
@@ -345,11 +327,7 @@ def wrapped(value: bytes) -> bytes:
 
 
 def unwrapped(kid_context: bytes) -> bytes:
-    """The value in a kid context.
-
-    Raises:
-        DatagramRefused: not a CBOR byte string of a length that is used.
-    """
+    """The value in a kid context."""
     try:
         value = decode(kid_context, limit=MAX_ID1 + 2)
     except EncodingError as error:
@@ -378,12 +356,11 @@ class Challenges:
     _answered: dict[bytes, int] = field(default_factory=dict)  # by kids that proved their secret
 
     def make(self, kid: bytes, now: float, random: bytes) -> bytes:
-        """R2 for the thing `kid`; `random` has 2 octets, `now` are seconds of one clock."""
         head = int(now * 1000).to_bytes(_TIME) + random
         return head + self._tag(kid, head)
 
     def issued(self, kid: bytes, value: bytes, now: float) -> int:
-        """When the R2 that `value` begins with was made, milliseconds; 0: not here, or long ago."""
+        # When the R2 that `value` begins with was made, milliseconds; 0: not here, or long ago.
         head, tag = value[: R2_SIZE // 2], value[R2_SIZE // 2 : R2_SIZE]
         if not hmac.compare_digest(tag, self._tag(kid, head)):
             return 0
@@ -391,7 +368,6 @@ class Challenges:
         return made if int(now * 1000) - made <= LIFETIME else 0
 
     def take(self, kid: bytes, value: bytes, now: float) -> bool:
-        """Whether `value`, which the thing `kid` has protected, is its first answer to an R2."""
         if len(value) != R2_SIZE + NONCE_SIZE:
             return False
         issued = self.issued(kid, value, now)

@@ -58,14 +58,7 @@ class Resource:
 
 
 def read_links(data: bytes, thing: str) -> list[Resource]:
-    """The resources in a list that are for ROS; others are ignored.
-
-    Args:
-        thing: the name of the thing.
-
-    Raises:
-        ThingLinksRefused: malformed, too long, too many, or two with one name.
-    """
+    """The resources in a list that are for ROS; others are ignored."""
     if len(data) > MAX_LIST:
         raise ThingLinksRefused(f"a list of resources of {len(data)} octets, at most {MAX_LIST}")
     try:
@@ -146,11 +139,7 @@ _BOOL: Final = PRIMITIVES["bool"]
 
 
 def to_ros(body: bytes, form: int, layout: Layout) -> bytes:
-    """The ROS message in the body of a resource.
-
-    Raises:
-        BodyRefused: not exactly one message of the type, or too long.
-    """
+    """The ROS message in the body of a resource."""
     if len(body) > MAX_BODY:
         raise BodyRefused(f"a body of {len(body)} octets, at most {MAX_BODY}")
     if form != CBOR_BODY:
@@ -166,11 +155,7 @@ def to_ros(body: bytes, form: int, layout: Layout) -> bytes:
 
 
 def from_ros(message: bytes, form: int, layout: Layout) -> bytes:
-    """The body for a ROS message.
-
-    Raises:
-        BodyRefused: too long, or bytes that are not one message of the type.
-    """
+    """The body for a ROS message."""
     if form != CBOR_BODY:
         body = message
         _check_whole(message, layout)

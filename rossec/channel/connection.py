@@ -87,7 +87,7 @@ class OpenStreams(Protocol):
     """Keeps the open connections of an identity, to present its renewed certificate on them."""
 
     def add(self, stream: "PresentsIdentity") -> None:
-        """A connection has begun."""
+        ...
 
 
 class PresentsIdentity(Protocol):
@@ -130,29 +130,21 @@ class Outbound(Generic[PeerT]):
 
     @property
     def protocol(self) -> WireProtocol:
-        """The protocol in which the connection opened."""
         return self._preamble.protocol
 
     @property
     def unit_limit(self) -> int:
-        """How long a unit may be."""
         return self._limits.unit
 
     @property
     def has_unfinished_unit(self) -> bool:
-        """Whether a unit is incomplete: `deadline` says when to check its progress."""
         return self._session is not None and self._session.deadline is not None
 
     def raise_unit_limit(self, limit: int | None = None) -> None:
-        """Accept units of up to `limit`, or `ChannelLimits.unit`: the peer is authorized.
-
-        Raises:
-            ChannelClosed: there is no open connection.
-        """
         self._open_session().raise_unit_limit(limit)
 
     def pad_units(self, multiple: int) -> None:
-        """Pad what is sent from now on to a multiple of so many bytes; 0: do not."""
+        # Pad what is sent from now on to a multiple of so many bytes; 0: do not.
         if self._session is not None:  # else nothing is sent any more
             self._session.pad = multiple
 
@@ -164,32 +156,17 @@ class Outbound(Generic[PeerT]):
     # -- sending
 
     def seal_unit(self, *pieces: Bytes, reuse: bool = False) -> Iterator[Bytes]:
-        """Yield what to send for a unit, record by record; write each before taking the next.
-
-        With `reuse` a record holds until the next is taken: write it, or copy it, before that.
-        A unit that has begun must be finished: if that is not possible, drop the connection.
-
-        Raises:
-            LimitExceeded: too long, at once, and nothing has happened.
-            ChannelClosed: there is no open connection (any more).
-            ProtocolViolation: a unit begun before is not finished.
-        """
+        # With `reuse` a record holds until the next is taken: write it, or copy it, before that. A unit that
+        # has begun must be finished: if that is not possible, drop the connection.
         self.check_unit(pieces)
         return self._sealed(pieces, reuse=reuse)
 
     def check_unit(self, pieces: Sequence[Bytes]) -> None:
-        """Refuse a unit that `seal_unit` would refuse; nothing has happened to the connection.
-
-        Raises:
-            LimitExceeded, ChannelClosed: as for `seal_unit`.
-        """
+        # Refuse a unit that `seal_unit` would refuse; nothing has happened to the connection.
         self._sendable().check_unit(pieces)
 
     def seal_small(self, unit: Bytes) -> Bytes | None:
-        """Seal a unit in one record: the fast path.
-
-        None: it does not apply, use `seal_unit`.
-        """
+        # None: it does not apply, use `seal_unit`.
         small = 0 < len(unit) <= min(_ONE_RECORD, self._limits.unit)
         if (
             self._out
@@ -221,11 +198,6 @@ class Outbound(Generic[PeerT]):
         return self._open_session()
 
     def send_unit(self, *pieces: Bytes) -> None:
-        """Seal a unit and queue it for `data_to_send`; an empty one sends nothing.
-
-        Raises:
-            LimitExceeded, ChannelClosed: as for `seal_unit`.
-        """
         records = list(self.seal_unit(*pieces))  # takes what was queued before
         self._out += records
 
@@ -233,7 +205,6 @@ class Outbound(Generic[PeerT]):
 
     @property
     def takes_renewals(self) -> bool:
-        """Whether both sides take renewed certificates and grants."""
         return self._renewals is not None and self.state is ConnectionState.OPEN
 
     @property
@@ -241,8 +212,8 @@ class Outbound(Generic[PeerT]):
         return self.protocol is WireProtocol.TCPROS
 
     def present_identity(self, chain: Sequence[bytes]) -> None:
-        """Queue this side's certificates, unless the peer has them; before the end of the handshake
-        they are queued then. Nothing for a peer that takes none."""
+        # Queue this side's certificates, unless the peer has them; before the end of the handshake they are
+        # queued then. Nothing for a peer that takes none.
         self._own_chain = chain
         renewals = self._renewals
         if chain and renewals is not None and self.takes_renewals:
@@ -251,13 +222,7 @@ class Outbound(Generic[PeerT]):
                 self._out.append(self._open_session().seal_renewal(Frame.IDENTITY, data))
 
     def present_grants(self, data: bytes) -> bool:
-        """Queue grants that take the place of those presented before; false: the peer takes none.
-
-        On a connection for calls they are presented by a call.
-
-        Raises:
-            LimitExceeded: they are too long; nothing has happened.
-        """
+        # On a connection for calls they are presented by a call.
         if not (self.takes_renewals and self._carries_grants):
             return False
         if not 0 < len(data) <= MAX_GRANTS:
@@ -267,28 +232,24 @@ class Outbound(Generic[PeerT]):
 
     @property
     def has_data_to_send(self) -> bool:
-        """Whether `data_to_send` has something to return."""
         return any(self._out)
 
     @property
     def awaits_peer(self) -> bool:
-        """Whether the peer has yet to follow a renewal of the keys."""
         return self._session is not None and self._session.awaits_peer
 
     def data_to_send(self) -> Bytes:
-        """Return, once, everything queued for the peer."""
         if not self._out:
             return b""
         out, self._out = self._out, []
         return out[0] if len(out) == 1 else b"".join(out)
 
     def put_back(self, rest: Bytes) -> None:
-        """Put what could not be written yet in front of the queue."""
+        # Put what could not be written yet in front of the queue.
         if rest:
             self._out.insert(0, rest)
 
     def close(self) -> None:
-        """Queue the authenticated close; what the peer still sends is discarded."""
         if self.state in SENDING:
             self._out.append(self._sendable().close_record())
             self._session = None
@@ -297,13 +258,12 @@ class Outbound(Generic[PeerT]):
             self.state = ConnectionState.CLOSED
 
     def abandon(self) -> None:
-        """Forget keys and counters at once; nothing is sent (a forked process must not)."""
+        # Forget keys and counters at once; nothing is sent (a forked process must not).
         self._terminate()
 
     # -- time and ends
 
     def deadline(self) -> int | None:
-        """When `tick` has to be called at the latest."""
         if self.state in ENDED:
             return None
         if self.state is not ConnectionState.OPEN or self._session is None or self._peer is None:
@@ -313,13 +273,7 @@ class Outbound(Generic[PeerT]):
         return last if unit is None else min(last, unit)
 
     def tick(self, now: int, *, reading: bool = True) -> None:
-        """Handle timeouts: renew keys, or end a connection whose time is over.
-
-        While the shell is not `reading`, the peer cannot complete a unit: no time-out for it.
-
-        Raises:
-            HandshakeTimeout, IdentityExpired, LimitExceeded: the connection has ended.
-        """
+        # While the shell is not `reading`, the peer cannot complete a unit: no time-out for it.
         self._now = now
         deadline = self.deadline()
         if deadline is None or now < deadline:
@@ -342,7 +296,7 @@ class Outbound(Generic[PeerT]):
         self._out.append(self._session.renew(now))
 
     def _terminate(self) -> None:
-        """End; an error, which others may keep, must not keep what was received alive."""
+        # End; an error, which others may keep, must not keep what was received alive.
         self.state = ConnectionState.CLOSED
         if self._session is not None:
             self._session.discard()
@@ -429,7 +383,6 @@ class Connection(Outbound[PeerT]):
     # -- receiving
 
     def get_buffer(self) -> memoryview:
-        """Where the next bytes from the socket go; valid until the next call of any method."""
         return self._buffer.free()
 
     def receive_data(self, data: Bytes, now: int) -> list[Event[PeerT]]:
@@ -509,7 +462,7 @@ class Connection(Outbound[PeerT]):
             buffer.consume(len(buffer))
 
     def _expect(self, length: int, *, in_unit: bool) -> None:
-        """A frame has begun whose header was checked; a stranger's gets room as it arrives."""
+        # A frame has begun whose header was checked; a stranger's gets room as it arrives.
         if self._session is not None:
             if in_unit:
                 self._session.check_room(length)
@@ -612,7 +565,7 @@ class Connection(Outbound[PeerT]):
         return ConnectionState.CLOSED
 
     def _last_flight(self, refusal: bytes) -> None:
-        """End; send an error to a peer not authenticated yet, unless it sent one first."""
+        # End; send an error to a peer not authenticated yet, unless it sent one first.
         answer = self.state in UNAUTHENTICATED and not self._negotiation.peer_sent_error
         out = self._out if self.state in UNAUTHENTICATED | PREAMBLE else []
         self._terminate()

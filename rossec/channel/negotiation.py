@@ -176,11 +176,6 @@ class Renewals(Generic[PeerT]):
         self._charged_at = now
 
     def charge(self, now: int) -> None:
-        """Count what the peer presents.
-
-        Raises:
-            LimitExceeded: it presents too often.
-        """
         passed = max(0, now - self._charged_at)
         self._charged_at = now
         self._left = min(MOST_AT_ONCE * SECONDS_EACH, self._left + passed) - SECONDS_EACH
@@ -188,11 +183,6 @@ class Renewals(Generic[PeerT]):
             raise LimitExceeded("the peer presents certificates or grants too often")
 
     def identity(self, data: bytes, held: PeerT, now: int) -> PeerT:
-        """The peer's identity by the certificates in `data`, an ID_CRED as in the handshake.
-
-        Raises:
-            HintedError: they are refused; `held` stays.
-        """
         try:
             value: Value = decode(data, limit=MAX_MESSAGE)
         except EncodingError as error:
@@ -206,7 +196,6 @@ class Renewals(Generic[PeerT]):
         return renewed
 
     def own(self, chain: Sequence[bytes]) -> bytes | None:
-        """What to send when `chain` is this side's; None: the peer has it already."""
         if chain[0] == self._sent:
             return None
         self._sent = chain[0]
@@ -228,17 +217,10 @@ class Preamble:
         self._drain = 0
 
     def take(self) -> bytes:
-        """Return, once, what to send."""
         reply, self._reply = self._reply, b""
         return reply
 
     def feed(self, buffer: ReceiveBuffer, state: ConnectionState) -> ConnectionState:
-        """Consume what belongs to the preamble; return the state that follows.
-
-        Raises:
-            PlainPeer: the peer speaks plain ROS; `take` may hold a readable refusal.
-            ProtocolViolation: the peer speaks neither.
-        """
         if state is ConnectionState.OPENING:
             prefix = bytes(buffer.unread()[:MAX_OPENING])
             if self._accept is None:
@@ -297,29 +279,26 @@ class Negotiation(Generic[PeerT]):
 
     @classmethod
     def begin(cls, config: EdhocConfig[PeerT]) -> tuple["Negotiation[PeerT]", bytes]:
-        """An initiator's, and the frame with its message_1."""
         edhoc = Initiator(config)
         return cls(edhoc), frame(Frame.HANDSHAKE, edhoc.message_1())
 
     def session(self, limits: ChannelLimits, now: int) -> Session:
-        """The record layer under the secret both sides now share."""
+        # The record layer under the secret both sides now share.
         edhoc = self._edhoc
         epochs = Epochs(edhoc.suite, edhoc.exporter, initiator=isinstance(edhoc, Initiator))
         return Session(epochs, limits, now)
 
     def renewals(self, now: int) -> Renewals[PeerT] | None:
-        """What is renewed on the open connection; None: one of the sides takes nothing."""
         config, edhoc = self._edhoc.config, self._edhoc
         if config.renews is None or not edhoc.peer_renews:
             return None
         return Renewals(config.verify, config.renews, edhoc.sent, now)
 
     def forget(self) -> None:
-        """Drop the secrets."""
+        # Drop the secrets.
         self._edhoc.forget()
 
     def on_message_1(self, body: bytes, _: int) -> NegotiationStep[PeerT]:
-        """Answer message_1 with message_2, or once with SUITES_R."""
         edhoc = cast("Responder[PeerT]", self._edhoc)
         try:
             return NegotiationStep(
@@ -333,7 +312,6 @@ class Negotiation(Generic[PeerT]):
             return NegotiationStep(ConnectionState.WAIT_1, frame(Frame.ERROR, text))
 
     def on_message_2(self, body: bytes, now: int) -> NegotiationStep[PeerT]:
-        """Answer message_2 with message_3; the responder is authenticated."""
         edhoc = cast("Initiator[PeerT]", self._edhoc)
         message_3, peer = edhoc.message_2(body, now)
         if (
@@ -345,18 +323,16 @@ class Negotiation(Generic[PeerT]):
         return NegotiationStep(ConnectionState.WAIT_4, frame(Frame.HANDSHAKE, message_3), peer_now)
 
     def on_message_3(self, body: bytes, now: int) -> NegotiationStep[PeerT]:
-        """Answer message_3 with message_4; the initiator is authenticated."""
         edhoc = cast("Responder[PeerT]", self._edhoc)
         message_4, peer = edhoc.message_3(body, now)
         return NegotiationStep(ConnectionState.OPEN, frame(Frame.HANDSHAKE, message_4), peer)
 
     def on_message_4(self, body: bytes, _: int) -> NegotiationStep[PeerT]:
-        """The responder accepted this side and holds the same key."""
         cast("Initiator[PeerT]", self._edhoc).message_4(body)
         return NegotiationStep(ConnectionState.OPEN, peer=self._unconfirmed_peer)
 
     def on_error(self, body: bytes, _: int) -> NegotiationStep[PeerT]:
-        """Fail, or retry where the peer only requires another suite."""
+        # Fail, or retry where the peer only requires another suite.
         self.peer_sent_error = True
         code, reason, suites = decode_error(body)
         edhoc = self._edhoc

@@ -127,7 +127,6 @@ def _http_fields(lines: list[bytes]) -> dict[bytes, bytes]:
 
 
 def _body_length(fields: dict[bytes, bytes]) -> int:
-    """How much body to drain; for an absurd or chunked length none (M10)."""
     text = fields.get(b"content-length", b"0")
     if not text.isdigit() or len(text) > 9:
         return 0
@@ -168,9 +167,6 @@ def classify_answer(data: bytes, protocol: WireProtocol) -> int | None:
 
     A TCPROS answer has no preamble. A handshake frame cannot be mistaken for a TCPROS header:
     the low half of its length is never zero, while that half of a header's (little endian) is.
-
-    Raises:
-        PlainPeer: a plain ROS peer answered; the message quotes it.
     """
     if len(data) < 4:
         return None

@@ -85,12 +85,7 @@ def header(kind: Frame, epoch: int, length: int) -> bytes:
 
 
 def check_header(head: bytes, epoch: int) -> int:
-    """Return the length of the body, before anything is buffered for it.
-
-    Raises:
-        ProtocolViolation: not of `epoch`, the peer's current one, or a length which this type
-            cannot have.
-    """
+    """Return the length of the body, before anything is buffered for it."""
     word = int.from_bytes(head)
     shortest, longest = _LENGTHS[word >> 28]
     if word >> 24 & 15 != epoch & 15:
@@ -129,7 +124,6 @@ class Direction:
     def seal(
         self, kind: Frame, plaintext: Bytes, scratch: bytearray | memoryview | None = None
     ) -> Bytes:
-        """Return the whole record; a large one in `scratch`, where there is one."""
         length = len(plaintext)
         head = (kind << 28 | (self.epoch & 15) << 24 | (length + TAG)).to_bytes(4)
         nonce = self._nonce(length)
@@ -143,22 +137,13 @@ class Direction:
         return record
 
     def open(self, head: bytes, body: memoryview) -> bytes:
-        """Return the plaintext.
-
-        Raises:
-            RecordForged: the tag does not verify.
-        """
         try:
             return self._aead.decrypt(self._nonce(len(body) - TAG), body, head)
         except InvalidTag:
             raise RecordForged("a record does not verify") from None
 
     def open_into(self, head: bytes, body: memoryview, target: memoryview) -> None:
-        """Decrypt into `target`, whose content counts only if this returns.
-
-        Raises:
-            RecordForged: the tag does not verify.
-        """
+        # Decrypt into `target`, whose content counts only if this returns.
         try:
             self._aead.decrypt_into(self._nonce(len(body) - TAG), body, head, target)
         except InvalidTag:
@@ -186,7 +171,6 @@ class Epochs:
         self._waiting: Direction | None = None
 
     def __getattr__(self, name: str) -> Direction:
-        """Derive the first keys on first use: the peer already has its message by then."""
         if name not in {"sender", "receiver"}:
             raise AttributeError(name)
         self.sender, self.receiver = self._derive(0)
@@ -206,7 +190,6 @@ class Epochs:
         return self._derive(epoch)
 
     def next_sender(self) -> None:
-        """Move this side's direction on; at most one epoch ahead of the other."""
         if self.sender.epoch > self.receiver.epoch:
             raise ProtocolViolation("a second rekey before the peer followed the first")
         if self._waiting is not None:
@@ -215,11 +198,6 @@ class Epochs:
             self.sender, self._waiting = self._advance()
 
     def next_receiver(self) -> None:
-        """Move the peer's direction on.
-
-        Raises:
-            ProtocolViolation: it is ahead already, or it renews keys that it has not used.
-        """
         if self.receiver.epoch > self.sender.epoch:
             raise ProtocolViolation("the peer renewed its keys twice in a row")
         if self._waiting is not None:
@@ -242,11 +220,7 @@ def padded(plaintext: Bytes, multiple: int) -> bytes | None:
 
 
 def unpadded(plaintext: bytes) -> bytes:
-    """The data that `padded` padded.
-
-    Raises:
-        ProtocolViolation: nothing says where the data ends, or there is none.
-    """
+    """The data that `padded` padded."""
     data = plaintext.rstrip(b"\0")
     if not data[:-1] or data[-1] != 1:
         raise ProtocolViolation("a padded record without data, or without its end")

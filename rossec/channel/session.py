@@ -70,11 +70,10 @@ class ReceiveBuffer:
 
     @property
     def capacity(self) -> int:
-        """How many bytes fit."""
         return len(self._data)
 
     def free(self) -> memoryview:
-        """Return the free tail, never empty; valid until the next call of any method."""
+        # Return the free tail, never empty; valid until the next call of any method.
         if self._data is _NOTHING:
             self._data = bytearray(self._least)
             self._view = memoryview(self._data)
@@ -83,19 +82,17 @@ class ReceiveBuffer:
         return self._view[self._end :]
 
     def enlarge(self, size: int = OPEN) -> None:
-        """Read more at a time from now on, by default because the peer is authenticated."""
+        # Read more at a time from now on, by default because the peer is authenticated.
         self._least = size
 
     def filled(self, count: int) -> None:
-        """Note that `count` bytes were written at the start of the free tail."""
         self._end += count
 
     def unread(self) -> memoryview:
-        """Return the bytes not consumed yet."""
+        # Return the bytes not consumed yet.
         return self._view[self._start : self._end]
 
     def consume(self, count: int) -> None:
-        """Drop `count` bytes from the front."""
         self._start += count
         if self._start < self._end:
             return
@@ -104,7 +101,6 @@ class ReceiveBuffer:
             self._data, self._view = _NOTHING, _NO_VIEW
 
     def expect(self, count: int, grow_to: int) -> None:
-        """Move, or grow towards `grow_to`, as a frame of `count` bytes from the front has begun."""
         if self._start + count <= len(self._data):
             return
         if count <= len(self._data):
@@ -114,12 +110,10 @@ class ReceiveBuffer:
         self._make_room(wanted if earned >= wanted else min(earned, count - 1))
 
     def clear(self) -> None:
-        """Give all memory back; views that were handed out keep what they show."""
         self._data, self._view = _NOTHING, _NO_VIEW
         self._start = self._end = 0
 
     def _make_room(self, size: int) -> None:
-        """Move what is unread to the front, of a buffer of at least `size` bytes."""
         unread, length = self.unread(), len(self)
         if size > len(self._data):
             self._data = bytearray(size)
@@ -151,12 +145,6 @@ class UnitAssembly:
         self.length = 0
 
     def add(self, direction: Direction, head: bytes, body: memoryview) -> None:
-        """Verify a record and append it.
-
-        Raises:
-            RecordForged: it does not verify.
-            LimitExceeded: the unit is longer than allowed.
-        """
         end = self.check_room(len(body))
         if self.length == 0:
             self._begin()
@@ -167,11 +155,6 @@ class UnitAssembly:
         self.length = end
 
     def finish(self, direction: Direction, head: bytes, body: memoryview) -> bytes:
-        """Verify the last record of the unit and return the unit.
-
-        Raises:
-            RecordForged, LimitExceeded: as for `add`.
-        """
         if self.length == 0:
             self.check_room(len(body))
             return direction.open(head, body)
@@ -179,12 +162,6 @@ class UnitAssembly:
         return self._finished()
 
     def finish_padded(self, direction: Direction, head: bytes, body: memoryview) -> bytes:
-        """As `finish`, for a record with padding behind its data.
-
-        Raises:
-            RecordForged, LimitExceeded: as for `add`.
-            ProtocolViolation: nothing says where the data ends, or there is none.
-        """
         self.check_room(len(body))
         last = unpadded(direction.open(head, body))
         if self.length == 0:
@@ -206,17 +183,11 @@ class UnitAssembly:
         return unit
 
     def discard(self) -> None:
-        """Drop an incomplete unit, and memory that is kept for the next one."""
         self._buffer = BytesIO()
         self._handed_out.clear()
         self._room = self.length = 0
 
     def check_room(self, body: int) -> int:
-        """How long the unit is with a record whose sealed body has `body` bytes.
-
-        Raises:
-            LimitExceeded: longer than allowed.
-        """
         end = self.length + body - TAG
         if end > self.limit:
             raise LimitExceeded(f"the peer sends a unit of more than {self.limit} bytes")
@@ -257,39 +228,30 @@ class Session:
 
     @property
     def receive_epoch(self) -> int:
-        """The epoch the peer's next record must be of."""
+        # The epoch the peer's next record must be of.
         return self._epochs.receiver.epoch
 
     @property
     def awaits_peer(self) -> bool:
-        """Whether this direction was renewed, and the peer has not followed yet."""
+        # Whether this direction was renewed, and the peer has not followed yet.
         return self._epochs.sender.epoch > self._epochs.receiver.epoch
 
     def raise_unit_limit(self, limit: int | None) -> None:
-        """Accept units of up to `limit` from now on, never more than `ChannelLimits.unit`."""
+        # Accept units of up to `limit` from now on, never more than `ChannelLimits.unit`.
         most = self._limits.unit
         self._unit.limit = most if limit is None else min(limit, most)
 
     @property
     def deadline(self) -> int | None:
-        """When `check_progress` is due; None: no unit is incomplete."""
         return self._progress.deadline
 
     def check_progress(self, now: int, *, reading: bool) -> None:
-        """Check that an incomplete unit grows; time counts only while this side is `reading`.
-
-        Raises:
-            LimitExceeded: it does not.
-        """
+        # Check that an incomplete unit grows; time counts only while this side is `reading`.
         if self._unit.length > 0:
             self._progress.check(now, self._unit.length, reading=reading)
 
     def check_unit(self, pieces: Sequence[Bytes]) -> None:
-        """Refuse a unit that the peer would not take; nothing has happened to the connection.
-
-        Raises:
-            LimitExceeded: longer than `ChannelLimits.unit`.
-        """
+        # Refuse a unit that the peer would not take; nothing has happened to the connection.
         size = _size(pieces)
         if size > self._limits.unit:
             raise LimitExceeded(
@@ -298,7 +260,7 @@ class Session:
             )
 
     def seal_small(self, unit: Bytes) -> Bytes | None:
-        """Seal a unit of one record at once, unless a renewal is due."""
+        # Seal a unit of one record at once, unless a renewal is due.
         limits, sender = self._limits, self._epochs.sender
         if sender.records >= limits.records or sender.octets >= limits.octets:
             return None
@@ -307,14 +269,8 @@ class Session:
         return sender.seal(Frame.DATA_END, unit)
 
     def seal_unit(self, pieces: Sequence[Bytes], *, reuse: bool) -> Iterator[Bytes]:
-        """Yield the records of a unit, and REKEY records where they are due.
-
-        With `reuse` large records share one buffer, several of them at a time: a new one for each
-        costs a sixth of the encryption, for zeroing it, and a system call for each costs more.
-
-        Raises:
-            LimitExceeded: the peer did not follow a rekey in time.
-        """
+        # With `reuse` large records share one buffer, several of them at a time: a new one for each costs a
+        # sixth of the encryption, for zeroing it, and a system call for each costs more.
         if reuse and _size(pieces) > _REUSE_ABOVE:
             yield from self._joined(pieces, memoryview(self._shared_buffer()))
             return
@@ -324,7 +280,7 @@ class Session:
             yield self._epochs.sender.seal(kind, plaintext)
 
     def _joined(self, pieces: Sequence[Bytes], buffer: memoryview) -> Iterator[Bytes]:
-        """Seal one record behind the other; yield what lies there when the next does not fit."""
+        # Seal one record behind the other; yield what lies there when the next does not fit.
         used = 0
         for kind, plaintext in self._kinds(pieces):
             due = self._renewal_is_due()
@@ -340,10 +296,7 @@ class Session:
         yield buffer[:used]
 
     def _kinds(self, pieces: Sequence[Bytes]) -> Iterator[tuple[Frame, Bytes]]:
-        """The plaintexts of a unit's records, the last one marked as such.
-
-        Of a padded unit all but the last are full: else their lengths were those of its pieces.
-        """
+        # Of a padded unit all but the last are full: else their lengths were those of its pieces.
         held: Bytes | None = None
         pad = self.pad
         for plaintext in fragments((b"".join(pieces),) if pad else pieces):
@@ -375,23 +328,16 @@ class Session:
         return record
 
     def close_record(self) -> Bytes:
-        """The authenticated end of this direction."""
         return self._epochs.sender.seal(Frame.CLOSE, b"")
 
     def seal_renewal(self, kind: Frame, data: bytes) -> Bytes:
-        """A record that belongs to no unit, also in the middle of one."""
         return self._epochs.sender.seal(kind, data)
 
     def open_renewal(self, head: bytes, body: memoryview) -> bytes:
-        """Take such a record; the unit that has begun is not touched."""
+        # Take such a record; the unit that has begun is not touched.
         return self._receiver().open(head, body)
 
     def renew(self, now: int) -> Bytes:
-        """Renew this direction's keys if it is time and they were used; return what to send.
-
-        Raises:
-            LimitExceeded: the peer did not follow the last renewal for a whole period.
-        """
         if now < self.renew_at:
             return b""
         self.renew_at = now + self._limits.seconds
@@ -401,31 +347,23 @@ class Session:
         return self._rekey() if sender.records > 0 else b""
 
     def check_room(self, length: int) -> None:
-        """Refuse a record whose header says that its unit becomes too long, before it arrives.
-
-        Raises:
-            LimitExceeded: it does.
-        """
         self._unit.check_room(length)
 
     def discard(self) -> None:
-        """The connection has ended: drop the incomplete unit, whoever still refers to this."""
         self._unit.discard()
         self._scratch = None
 
     def data(self, head: bytes, body: memoryview, now: int) -> None:
-        """Take a record that does not end its unit."""
+        # Take a record that does not end its unit.
         self._unit.add(self._receiver(), head, body)
         self._progress.check(now, self._unit.length)
 
     def data_end(self, head: bytes, body: memoryview) -> bytes:
-        """Take the last record of a unit and return the unit."""
         if self._unit.length > 0:
             self._progress.done()
         return self._unit.finish(self._receiver(), head, body)
 
     def padded_end(self, head: bytes, body: memoryview) -> bytes:
-        """Take the last record of a unit, a padded one, and return the unit."""
         if self._unit.length > 0:
             self._progress.done()
         return self._unit.finish_padded(self._receiver(), head, body)
@@ -437,18 +375,12 @@ class Session:
         return receiver
 
     def rekey(self, head: bytes, body: memoryview) -> Bytes:
-        """Take the peer's REKEY; return this side's own if it has to follow."""
         self._epochs.receiver.open(head, body)
         self._epochs.next_receiver()
         behind = self._epochs.sender.epoch < self._epochs.receiver.epoch
         return self._rekey() if behind else b""
 
     def close(self, head: bytes, body: memoryview) -> None:
-        """Take the peer's CLOSE.
-
-        Raises:
-            ConnectionTruncated: it comes in the middle of a unit.
-        """
         self._epochs.receiver.open(head, body)
         if self._unit.length > 0:
             raise ConnectionTruncated("the peer closed the connection in the middle of a message")

@@ -97,11 +97,6 @@ def show_console_demo(called: click.Context, options: Options) -> None:
 
 
 def _check_port(options: Options) -> None:
-    """Return if nobody listens there: before the story, which takes a while.
-
-    Raises:
-        ConfigurationError: another program does.
-    """
     for sock in listen(read_options(options, "localhost")):
         sock.close()
 

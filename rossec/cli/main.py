@@ -105,11 +105,10 @@ class OneLine(logging.Formatter):
     """Log lines that hold what peers sent, and can neither be forged nor steer the terminal."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - the base's name
-        """One line, arguments included."""
         return printable(super().formatMessage(record))
 
     def formatException(self, ei: Any) -> str:  # noqa: N802 - the base's name
-        """A traceback, indented so that no line of it passes for a log line."""
+        # A traceback, indented so that no line of it passes for a log line.
         lines = super().formatException(ei).split("\n")
         return "\n".join(f"    {printable(line)}" for line in lines)
 

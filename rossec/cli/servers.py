@@ -218,7 +218,6 @@ class GatewayGroup(LazyGroup):
     """Takes what stands behind `--from` out of the command line: click has no such options."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Keep the rules in the context, and parse the rest."""
         if any(word.partition("=")[0] == "--from" for word in args):
             from rossec.cli.gateway.words import split  # noqa: PLC0415 - not needed for help
 

@@ -132,7 +132,6 @@ def _lines(answer: dict[str, Any]) -> list[str]:
 
 
 def _without_figures(answer: dict[str, Any]) -> list[str]:
-    """The lines, but for what changes all the time."""
     still = {"rtt_ms": 0, "retransmissions": 0, "streams": 0}
     sites = [
         {**site, "way": {**site["way"], **still}} if site.get("way") else site
@@ -147,7 +146,6 @@ def _hint(site: dict[str, Any]) -> list[str]:
 
 
 def _way(site: dict[str, Any]) -> list[str]:
-    """How the site is reached, if by a relay; an older master has none."""
     if not site.get("via"):
         return []
     way = site.get("way")
@@ -162,7 +160,6 @@ def _way(site: dict[str, Any]) -> list[str]:
 
 
 def _topics(site: dict[str, Any]) -> list[str]:
-    """The topics that go this way."""
     topics = site.get("topics", [])
     if not topics:
         return []

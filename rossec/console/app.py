@@ -71,12 +71,7 @@ HSTS: Final = "max-age=31536000"
 
 
 def security_headers(*, immutable: bool = False, hsts: bool = False) -> list[tuple[bytes, bytes]]:
-    """The headers of a response as ASGI writes them.
-
-    Args:
-        immutable: it is a static file, whose address changes with its content.
-        hsts: browsers shall insist on https for this name.
-    """
+    """The headers of a response as ASGI writes them."""
     headers = dict(HEADERS)
     if immutable:
         headers["Cache-Control"] = IMMUTABLE
@@ -196,7 +191,6 @@ class Guard:
         self._allowed = Allowed(settings.hosts, settings.origins)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request (ASGI)."""
         if scope["type"] != "http":
             raise HttpRefused("only HTTP is served here")
         answer = _Answer(send, scope["path"], hsts=self._context.settings.hsts)
@@ -214,13 +208,6 @@ class Guard:
             await self._end(scope, receive, answer.send, problem)
 
     async def _pass(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Check a request, and give it to its page.
-
-        Raises:
-            HintedError: it breaks a rule.
-            TimeoutError: its body comes too slowly, or its answer is taken too slowly.
-            ConnectionError: it was broken off.
-        """
         check_peer(scope, self._context.settings.users)
         request = Request(scope)
         session = self._session(request.headers)
@@ -240,11 +227,7 @@ class Guard:
         await self._app(scope, _replay(body, receive), send)
 
     async def _counts(self, session: Session | None, match: Match | None) -> bool:
-        """Whether the phone that began a session was not removed; if it was, the session ends.
-
-        Raises:
-            HintedError: the service does not say.
-        """
+        # Whether the phone that began a session was not removed; if it was, the session ends.
         page = None if match is None else match.page
         if session is None or page is None or page.access is Access.PUBLIC or page.path == LOG_OUT:
             return True
@@ -254,7 +237,6 @@ class Guard:
         return counts
 
     def _answer(self, rule: GuardRule, match: Match | None, request: Request) -> Response:
-        """The answer to a request that breaks a rule."""
         response: Response
         if rule.status == SEE_OTHER and not wants_json(request.headers):
             response = RedirectResponse("/login", SEE_OTHER)
@@ -317,7 +299,6 @@ def facts_of(scope: Scope, *, has_session: bool) -> Facts:
 
 
 def _length(found: list[str]) -> int | None:
-    """The announced length; 0: none was, and reading counts."""
     if not found:
         return 0
     text = found[0]
@@ -325,19 +306,12 @@ def _length(found: list[str]) -> int | None:
 
 
 def _cookie(headers: Headers) -> str:
-    """The value of the session's cookie; empty: there is none, or more than one."""
     pairs = [part.strip() for text in headers.getlist("cookie") for part in text.split(";")]
     found = [pair.partition("=")[2] for pair in pairs if pair.partition("=")[0] == COOKIE]
     return found[0] if len(found) == 1 else ""
 
 
 async def _read_body(receive: Receive, limit: int) -> bytes:
-    """The whole body.
-
-    Raises:
-        HttpRefused: it is larger than `limit`.
-        TimeoutError, ConnectionResetError: it did not come.
-    """
     body = bytearray()
     async with asyncio.timeout(BODY):
         while True:
@@ -352,7 +326,6 @@ async def _read_body(receive: Receive, limit: int) -> bytes:
 
 
 def _replay(body: bytes, receive: Receive) -> Receive:
-    """A `receive` that gives the body once, and then what comes after it."""
     messages: list[Message] = [{"type": "http.request", "body": body, "more_body": False}]
 
     async def read() -> Message:
@@ -362,18 +335,11 @@ def _replay(body: bytes, receive: Receive) -> Receive:
 
 
 class _Answer:
-    """Sends an answer with the headers that every one has, to somebody who takes it."""
-
     def __init__(self, send: Send, path: str, *, hsts: bool) -> None:
         self._send, self._path, self._hsts = send, path, hsts
         self.has_begun = False
 
     async def send(self, message: Message) -> None:
-        """Pass on a piece.
-
-        Raises:
-            TimeoutError: nobody takes it.
-        """
         if message["type"] == "http.response.start":
             self.has_begun = True
             message = {**message, "headers": self._headers(message)}
@@ -443,7 +409,7 @@ def wants_page(request: Request) -> bool:
 
 
 async def _names(context: ConsoleContext) -> Names:
-    """What the policy calls things; nothing from a service that does not say."""
+    # What the policy calls things; nothing from a service that does not say.
     try:
         return Names.of(await context.service.policy_names())
     except HintedError:

@@ -62,13 +62,12 @@ class MadeCodes:
         self._sessions: OrderedDict[bytes, bytes] = OrderedDict()
 
     def add(self, approval: bytes, session: bytes) -> None:
-        """Let `session` see what came of an approval."""
         while len(self._sessions) >= MAX_CODES:
             self._sessions.popitem(last=False)
         self._sessions[approval] = session
 
     def take(self, approval: bytes, session: bytes) -> bool:
-        """Whether this session may see it, now and not again."""
+        # Whether this session may see it, now and not again.
         if self._sessions.get(approval) != session:
             return False
         del self._sessions[approval]
@@ -106,11 +105,9 @@ class RunningEnrollments(Protocol):
     """`Enrollments`, as far as approving needs it."""
 
     def get(self, number: str) -> Enrollment:
-        """The enrollment, or raise EnrollmentUnknown."""
         ...
 
     def approved(self, number: str, outcome: Outcome) -> None:
-        """Its request was approved."""
         ...
 
 
@@ -118,11 +115,9 @@ class RequestSource(Protocol):
     """The service, as far as approving needs it."""
 
     async def identity_requests(self) -> tuple[IdentityRequestView, ...]:
-        """Requests that wait."""
         ...
 
     async def questions(self) -> tuple[GrantQuestion, ...]:
-        """What nodes ask for."""
         ...
 
 
@@ -131,17 +126,14 @@ class Sources(Protocol):
 
     @property
     def enrollments(self) -> RunningEnrollments:
-        """The enrollments that run."""
         ...
 
     @property
     def made_codes(self) -> MadeCodes:
-        """Which session may see a join code."""
         ...
 
     @property
     def service(self) -> RequestSource:
-        """The authority's service."""
         ...
 
 
@@ -149,12 +141,7 @@ Reader = Callable[[Sources, Form], Awaitable[Act]]
 
 
 async def read(sources: Sources, kind: str, form: Form) -> Act:
-    """What the form of a page asks to be approved.
-
-    Raises:
-        FormRefused: an unknown kind, other fields, or a field without an answer.
-        HintedError: a name, a pattern or an enrollment that is refused, with its reason.
-    """
+    """What the form of a page asks to be approved."""
     if kind not in READERS:
         raise FormRefused(f"nothing of the kind {kind!a} can be approved", _RELOAD)
     expected, reader = READERS[kind]
@@ -294,11 +281,7 @@ def certificate_request(text: str) -> bytes:
 
 
 def reason(form: Form) -> str:
-    """The reason that a person gives, in one line; it may be empty.
-
-    Raises:
-        FormRefused: too long, or with a line break or another control character.
-    """
+    """The reason that a person gives, in one line; it may be empty."""
     given = form["reason"]
     if len(given) > MAX_REASON or (given and not given.isprintable()):
         raise FormRefused(f"a reason is one line of at most {MAX_REASON} characters", "shorten it")
@@ -306,11 +289,7 @@ def reason(form: Form) -> str:
 
 
 def check_typed(form: Form, name: str) -> None:
-    """Return if the person has typed this name: its slash at the beginning may be left out.
-
-    Raises:
-        FormRefused: another one.
-    """
+    """Return if the person has typed this name: its slash at the beginning may be left out."""
     if form["name"].strip(" ") not in (name, name.removeprefix("/")):
         raise FormRefused(
             f"you typed {form['name'][:MAX_REASON]!a}, the name is {name}", f"type {name} to go on"
@@ -318,7 +297,7 @@ def check_typed(form: Form, name: str) -> None:
 
 
 def _replaces(form: Form, name: str, *, is_other_key: bool) -> bool:
-    """Whether the key of a known name is to be replaced: then, and only then, it is typed."""
+    # Whether the key of a known name is to be replaced: then, and only then, it is typed.
     if is_other_key is not ("name" in form):
         raise FormRefused("what is known of this name has changed meanwhile", _RELOAD)
     if is_other_key:
@@ -327,7 +306,6 @@ def _replaces(form: Form, name: str, *, is_other_key: bool) -> bool:
 
 
 def _grant_seconds(duration: str, most: int) -> int:
-    """The seconds of a button, of which the policy allows `most`."""
     if duration == "today":
         return min(clock.seconds_left_today(clock.now()), most)
     seconds = _SECONDS[duration]
@@ -339,7 +317,6 @@ def _grant_seconds(duration: str, most: int) -> int:
 
 
 def _octets(form: Form, field: str) -> bytes:
-    """An identifier, as base64url."""
     if not re.fullmatch(r"[A-Za-z0-9_-]{2,120}", form[field], re.ASCII):
         raise FormRefused(f"the field {field} is no identifier", _RELOAD)
     try:
@@ -376,28 +353,17 @@ class PendingActs:
         self._acts: SharedTable[bytes, _Pending] = SharedTable(MAX_PENDING)
 
     def add(self, statement: bytes, session: bytes, act: Act, owner: str = "") -> None:
-        """Keep an act of a session until it is approved; the oldest of who has most makes room.
-
-        Raises:
-            HttpRefused: all places are of phones, or of others who have no more than one.
-        """
         who = owner or messages.of_looker(session)
         if self._acts.add(statement, _Pending(session, act), who, messages.rank(who)) is None:
             raise HttpRefused("too much waits for a phone", "approve that, or wait", status=429)
 
     def get(self, statement: bytes, session: bytes) -> Act:
-        """The act of a statement.
-
-        Raises:
-            HttpRefused: there is none in this session.
-        """
         found = self._acts.get(statement)
         if found is None or found.session != session:
             raise HttpRefused("this was not asked here", "load the page again", status=404)
         return found.act
 
     def remove(self, statement: bytes) -> None:
-        """Forget an act: it was approved."""
         self._acts.pop(statement)
 
 

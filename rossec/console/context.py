@@ -57,40 +57,30 @@ class NewsFeed:
 
     @property
     def number(self) -> str | None:
-        """As of the last question; None: nobody waits, so nobody asked."""
+        # As of the last question; None: nobody waits, so nobody asked.
         return None if self._number is None else f"{self._number}.{self._own}"
 
     async def ask(self) -> str:
-        """The number as of now, for a page that is made from here on; empty: nobody answers.
-
-        What changes while the page is made is news to it then.
-        """
+        # What changes while the page is made is news to it then.
         try:
             return f"{(await self._status()).number}.{self._own}"
         except HintedError:
             return ""
 
     def changed(self) -> None:
-        """Note that something changed in this console; the streams say so within a second."""
+        # Note that something changed in this console; the streams say so within a second.
         self._own += 1
 
     @property
     def streams(self) -> int:
-        """How many there are."""
         return self._streams
 
     def open(self, is_valid: Callable[[], bool], beat: float = BEAT) -> AsyncIterator[bytes]:
-        """A stream: server-sent events, until `is_valid` says no.
-
-        Raises:
-            HttpRefused: there are too many.
-        """
         if self._streams >= MAX_STREAMS:
             raise HttpRefused("too many pages are open", "close some of them", status=503)
         return self._events(is_valid, beat)
 
     async def close(self) -> None:
-        """Stop asking."""
         await self._tasks.close()
 
     async def _events(self, is_valid: Callable[[], bool], beat: float) -> AsyncIterator[bytes]:
@@ -115,7 +105,6 @@ class NewsFeed:
         return ALIVE if is_answered else SILENT
 
     async def _wait(self, told: str | None, beat: float) -> bool:
-        """Wait for another number than `told`; whether there is one."""
         try:
             async with asyncio.timeout(beat), self._news:
                 await self._news.wait_for(lambda: self.number not in {None, told})
@@ -143,11 +132,6 @@ class Scanner(Protocol):
     """Reads codes out of pictures, in a process of its own."""
 
     async def read(self, frame: bytes) -> str | None:
-        """The text of the code in a picture (JPEG, PNG); None: there is none in it.
-
-        Raises:
-            HintedError: it cannot be read now.
-        """
         ...
 
 

@@ -79,23 +79,18 @@ class EnrollmentService(Protocol):
     """The operations of the service that an enrollment needs."""
 
     async def nodes(self) -> tuple[NodeView, ...]:
-        """The identities."""
         ...
 
     async def identity_requests(self) -> tuple[IdentityRequestView, ...]:
-        """The requests that wait."""
         ...
 
     async def deny_request(self, request: bytes, reason: str) -> None:
-        """Deny one."""
         ...
 
     async def revoke_node(self, name: str, reason: str) -> tuple[int, int]:
-        """Revoke every key of a name."""
         ...
 
     async def outcome(self, statement: bytes, /) -> Outcome:
-        """What came of an approval."""
         ...
 
 
@@ -129,32 +124,23 @@ class Enrollment:
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing more happens."""
         return self.stage in OVER
 
     @property
     def source(self) -> str:
-        """Where the code came from, for people and the record."""
         host, port, kind = self._destination
         return f"{kind} at {addresses.join(host, port)}"
 
     @property
     def is_other_key(self) -> bool:
-        """Whether the name has another key by now, which would be revoked."""
+        # Whether the name has another key by now, which would be revoked.
         return self.known is Known.OTHER_KEY
 
     @property
     def deadline(self) -> int:
-        """Until when the next step is possible."""
         return self.core.deadline or self._begun + _PATIENCE
 
     def check_can_approve(self) -> None:
-        """Return if a person may approve it now.
-
-        Raises:
-            EnrollmentOver: there is nothing to approve, or no longer.
-            EnrollmentExpired: too late.
-        """
         if self.stage is Stage.COMPARED:
             self._end_if_late()
         if self.stage is not Stage.COMPARED:
@@ -163,7 +149,7 @@ class Enrollment:
             )
 
     def check_time(self) -> None:
-        """End it if a person decides too late, so that its page says so."""
+        # End it if a person decides too late, so that its page says so.
         if self.stage is Stage.COMPARED:
             try:
                 self._end_if_late()
@@ -171,7 +157,6 @@ class Enrollment:
                 self.fail(error)
 
     async def fetch(self) -> None:
-        """Get the request from the node, and what the record says of its name."""
         try:
             host, port, _ = self._destination
             await fetch(self.core, host, port, self._clock)
@@ -181,11 +166,9 @@ class Enrollment:
             self.fail(error)
 
     def approve(self, outcome: Outcome) -> None:
-        """The service has verified an approval."""
         self._move(Stage.WAITING if outcome.state == WAITING else Stage.DELIVERING)
 
     async def deliver(self, outcome: Outcome) -> None:
-        """Deliver the identity when it is signed, and listen until the node says how it ended."""
         try:
             self.core.approve(self._clock())
             bundle = await self._signed(outcome)
@@ -202,11 +185,7 @@ class Enrollment:
             self.fail(EnrollmentExpired("the node did not answer in time", "look at the node"))
 
     async def reject(self) -> None:
-        """A person has rejected it: the record says so too, if the request got there.
-
-        Raises:
-            EnrollmentOver: it was approved, or has ended.
-        """
+        # A person has rejected it: the record says so too, if the request got there.
         if self.stage is not Stage.COMPARED:
             raise EnrollmentOver("this node is not to be decided on", "load the page anew")
         self.core.deny()
@@ -216,21 +195,12 @@ class Enrollment:
                 await self._service.deny_request(each.id, REJECTED)
 
     def check_has_digits(self) -> None:
-        """Return if there are, or were, digits to compare.
-
-        Raises:
-            EnrollmentOver: there are none.
-        """
         if self.stage not in {Stage.DIGITS, Stage.ENROLLED}:
             raise EnrollmentOver("there are no digits to compare here", "load the page anew")
 
     async def differ(self) -> None:
-        """A person says that the digits differ: it ends, and what was signed is revoked.
-
-        The code may have been another's, and its key has an identity now. A key that was known
-        under this name before got no more than it had, and keeps that. If the revocation is
-        refused, `error` says so.
-        """
+        # The code may have been another's, and its key has an identity now. A key that was known under this
+        # name before got no more than it had, and keeps that. If the revocation is refused, `error` says so.
         self.check_has_digits()
         self.core.state = AuthorityState.OVER
         self._move(Stage.DIFFERED)
@@ -243,18 +213,11 @@ class Enrollment:
             self._changed()
 
     def fail(self, error: HintedError) -> None:
-        """End it with this reason."""
         self.core.state = AuthorityState.OVER
         self.error = error.bare()
         self._move(Stage.SWAPPED if isinstance(error, RequestSwapped) else Stage.FAILED)
 
     async def _signed(self, outcome: Outcome) -> bytes:
-        """The identity (PEM), as soon as the key is unlocked.
-
-        Raises:
-            EnrollmentOver: it was not signed, and never will be.
-            EnrollmentExpired: the node waits no longer.
-        """
         while outcome.state == WAITING:
             self._end_if_late()
             await asyncio.sleep(POLL)
@@ -285,7 +248,6 @@ class Enrollment:
 
 
 def _known(nodes: tuple[NodeView, ...], core: AuthorityEnrollment, now: int) -> Known:
-    """Whether the name is taken: by this key, or by another one that counts."""
     request = core.request
     named = [each for each in nodes if each.name == request.name and not each.revoked_at]
     if any(each.key != request.thumbprint and each.not_after > now for each in named):
@@ -333,19 +295,11 @@ class Enrollments:
         self._tasks = TaskSet()
 
     def __len__(self) -> int:
-        """How many have not ended."""
+        # How many have not ended.
         return sum(not place.found.is_over for _, place in self._running.items())
 
     def begin(self, text: str, given_address: str = "", owner: str = messages.LOOKER) -> str:
-        """Begin with the text of a code; a label's also needs the node's address. Returns its id.
-
-        `owner`: whose it is (`rossec.authority.console.messages`).
-
-        Raises:
-            CodeRefused: not a code, expired, or a label without an address.
-            ConfigurationError: not an address.
-            TooManyEnrollments: so many run already that do not make room.
-        """
+        # `owner`: whose it is (`rossec.authority.console.messages`).
         code, now = qr.parse(text), self._clock()
         code.check_time(now)
         destination = _destination(code, given_address)
@@ -367,19 +321,9 @@ class Enrollments:
         return number
 
     def get(self, number: str) -> Enrollment:
-        """The enrollment with this id.
-
-        Raises:
-            EnrollmentUnknown: there is none, or no longer.
-        """
         return self._place(number).found
 
     def approved(self, number: str, outcome: Outcome) -> None:
-        """The request was approved: deliver the identity, as soon as it is signed.
-
-        Raises:
-            EnrollmentUnknown: there is none, or no longer.
-        """
         place = self._place(number)
         if place.found.stage is Stage.COMPARED:
             place.found.approve(outcome)
@@ -387,21 +331,10 @@ class Enrollments:
             self._spawn(place, partial(place.found.deliver, outcome))
 
     async def reject(self, number: str) -> None:
-        """A person has rejected the request: nothing is signed, and the record says so.
-
-        Raises:
-            EnrollmentUnknown: there is none, or no longer.
-            EnrollmentOver: it is approved, or has ended.
-        """
+        # A person has rejected the request: nothing is signed, and the record says so.
         await self.get(number).reject()
 
     async def differ(self, number: str) -> None:
-        """A person says that the digits differ: nobody listens to the node any more.
-
-        Raises:
-            EnrollmentUnknown: there is none, or no longer.
-            EnrollmentOver: there are no digits.
-        """
         place = self._place(number)
         place.found.check_has_digits()
         if place.task is not None:
@@ -409,7 +342,6 @@ class Enrollments:
         await place.found.differ()
 
     async def close(self) -> None:
-        """End all of them."""
         await self._tasks.close()
 
     def _count(self, owner: str) -> int:
@@ -422,7 +354,7 @@ class Enrollments:
         return place
 
     def _spawn(self, place: _Place, work: Callable[[], Coroutine[None, None, None]]) -> None:
-        """Run a step; a page never waits for one that crashed."""
+        # Run a step; a page never waits for one that crashed.
 
         async def run() -> None:
             try:
@@ -434,14 +366,13 @@ class Enrollments:
         place.task = self._tasks.spawn(run(), name="an enrollment of the console")
 
     def _end(self, place: _Place) -> None:
-        """End one that makes room for another's; its page says so."""
+        # End one that makes room for another's; its page says so.
         place.found.fail(EnrollmentOver("its place was needed for another node", _AGAIN))
         if place.task is not None:
             place.task.cancel()
         self._keep(place)
 
     def _settle(self) -> None:
-        """Free the places of those that have ended; nobody may look at the page of one left."""
         for number, place in self._running.items():
             place.found.check_time()
             if place.found.is_over:

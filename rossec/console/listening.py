@@ -99,7 +99,7 @@ def listen_tcp(addresses: tuple[str, ...], port: int) -> list[socket.socket]:
 
 
 class _NoSuchAddress(Exception):
-    """This host has no such address, or no such family."""
+    pass
 
 
 def _listen_at(address: str, port: int) -> socket.socket:
@@ -130,9 +130,6 @@ def listen_for_proxy(path: Path, *, shared: bool) -> socket.socket:
 
     With `shared` every user can connect, and who does is asked of the kernel: else the mode lets
     no other user in.
-
-    Raises:
-        ConfigurationError: another program listens there, or something else is there.
     """
     if _is_used(path):
         raise ConfigurationError(f"{path} is used by another program", "choose another --unix PATH")
@@ -150,7 +147,7 @@ def listen_for_proxy(path: Path, *, shared: bool) -> socket.socket:
 
 
 def _is_used(path: Path) -> bool:
-    """Whether a program listens at `path`, or it is not a socket."""
+    # Whether a program listens at `path`, or it is not a socket.
     if not os.path.lexists(path):
         return False
     if not path.is_socket():

@@ -50,7 +50,6 @@ class Heard(NamedTuple):
     cut: int = 0
 
     def has(self, ended_at: int, *, keeps: bool) -> bool:
-        """Whether what was ended then is over; `keeps`: it outlives a stale list."""
         return ended_at < (self.all if keeps else max(self.all, self.cut))
 
 
@@ -62,11 +61,9 @@ class Endings:
 
     @property
     def heard(self) -> Heard:
-        """As far as it is known."""
         return self._heard
 
     def note(self, standing: ListStanding, asked_at: int) -> None:
-        """Take note of how far the list of all that was ended before `asked_at` has come."""
         if not (standing.is_signed and standing.is_at_master):
             return
         every, cut = self._heard
@@ -107,7 +104,6 @@ class HeldGrant(NamedTuple):
 
     @property
     def is_over(self) -> bool:
-        """Whether nobody can use it any more."""
         return bool(self.ended_at) and not self.is_ending
 
 
@@ -146,11 +142,9 @@ class TopicRow(NamedTuple):
 
     @property
     def is_pattern(self) -> bool:
-        """Whether it stands for all topics that it covers."""
         return _is_pattern(self.topic)
 
     def seen_by(self) -> list[Cell]:
-        """The cells of receivers that see something now, or may still."""
         return [cell for cell in self.cells if cell.access in SEEING]
 
 
@@ -161,7 +155,6 @@ class Matrix(NamedTuple):
     rows: tuple[TopicRow, ...]
 
     def row(self, topic: str) -> TopicRow | None:
-        """The row of a topic, if it has one."""
         return next((row for row in self.rows if row.topic == topic), None)
 
     def window(self, rows: slice, receivers: slice) -> "Matrix":
@@ -421,7 +414,7 @@ def topics(
 
 
 def _typed(accesses: Iterable[ReceiverAccess]) -> list[ReceiverAccess]:
-    """A topic is one, also where only some of its grants say the type of its messages."""
+    # A topic is one, also where only some of its grants say the type of its messages.
     found = list(accesses)
     kinds: dict[str, set[str]] = {}
     for each in found:
@@ -491,7 +484,7 @@ def _fields(
 def _report_sees(
     access: ReceiverAccess, layout_of: Callable[[str], Layout], vocabulary: Vocabulary | None
 ) -> str:
-    """Nothing of a type that is not known here."""
+    # Nothing of a type that is not known here.
     try:
         return "" if access.type is None else sees(access, layout_of(access.type), vocabulary)
     except (GrantError, MessageError):
@@ -501,7 +494,7 @@ def _report_sees(
 def _paths(
     kind: str | None, layout_of: Callable[[str], Layout], rules: list[FilterRule]
 ) -> list[str]:
-    """The fields of the type; of one that is not known here those with a rule, and the rest."""
+    # The fields of the type; of one that is not known here those with a rule, and the rest.
     try:
         if kind is not None:
             return leaf_paths(layout_of(kind)) or [WHOLE]

@@ -90,7 +90,6 @@ class Endpoint:
 
     @property
     def hsts(self) -> bool:
-        """Whether browsers shall insist on https; an own authority may be removed again."""
         return self.tls is Tls.FILES
 
 
@@ -162,7 +161,7 @@ def check_origin(endpoint: Endpoint, recorded: Collection[str], *, rename: bool)
 
 
 def _check_pairs(options: Options) -> None:
-    """Raise for options that do not go together."""
+    # Raise for options that do not go together.
     has_files = options.tls_certificate is not None or options.tls_key is not None
     ways = [options.lan, has_files, options.unix_path is not None]
     conflicts = (
@@ -209,7 +208,7 @@ def _on_this_host(options: Options, port: int) -> Endpoint:
 
 
 def _behind_proxy(options: Options, path: Path) -> Endpoint:
-    """The origin is the proxy's; headers that a proxy adds are never read."""
+    # The origin is the proxy's; headers that a proxy adds are never read.
     origin = options.origin or ""
     try:
         parts = urlsplit(origin)
@@ -242,7 +241,6 @@ def _origin_refused(origin: str) -> ConfigurationError:
 
 
 def _with_port(name: str, scheme: str, port: int) -> str:
-    """As browsers write it in `Host` and `Origin`: without the scheme's own port."""
     return name if port == _DEFAULT_PORTS[scheme] else f"{name}:{port}"
 
 
@@ -255,7 +253,7 @@ def _is_address(name: str) -> bool:
 
 
 def _default_name(hostname: str) -> str:
-    """`<hostname>.local`, as mDNS announces it (RFC 6762 section 3)."""
+    # `<hostname>.local`, as mDNS announces it (RFC 6762 section 3).
     name = f"{hostname.partition('.')[0].lower()}.local"
     try:
         return check_name(name)

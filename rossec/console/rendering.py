@@ -94,7 +94,6 @@ class PageTable:
         self._pages = [(compile_path(page.path)[0], page) for page in pages]
 
     def find(self, path: str, method: str) -> Match | None:
-        """The pages at `path`; None: there are none. Where there is a GET there is a HEAD."""
         found = [page for pattern, page in self._pages if pattern.match(path)]
         if not found:
             return None
@@ -232,11 +231,7 @@ def asset_path(name: str) -> str:
 
 
 async def show_asset(request: Request, _context: ConsoleContext) -> Response:
-    """Answer with the file.
-
-    Raises:
-        HttpRefused: there is none of this name and digest.
-    """
+    """Answer with the file."""
     found = assets().get(request.path_params["name"])
     if found is None or found.path != request.url.path:
         raise HttpRefused("there is no such file", "load the page again", status=404)
@@ -299,7 +294,7 @@ def render(
 
 
 def _places(context: ConsoleContext) -> tuple[Place, ...]:
-    """The navigation; a console that only shows adds no node."""
+    # The navigation; a console that only shows adds no node.
     only_shows = context.settings.read_only
     return tuple(place for place in NAVIGATION if not (only_shows and place.path == "/add"))
 
@@ -341,5 +336,4 @@ def _title(name: str) -> str:
 
 
 def _titled(name: str) -> str:
-    """The name with its title before it, where there is no room for two elements."""
     return f"{_title(name)} {printable(name)}".strip()

@@ -76,17 +76,12 @@ class Preview(Protocol):
     """Where the pages get real messages from."""
 
     def recorded(self, topic: str) -> Recorded | None:
-        """The last minute of a topic; None if it is not received, or nothing came."""
+        # The last minute of a topic; None if it is not received, or nothing came.
         ...
 
 
 def see(recorded: Recorded, receiver: str, restrictions: Iterable[Restriction]) -> SeenTopic:
-    """What `receiver` gets of `recorded` under all of `restrictions`.
-
-    Raises:
-        GrantError: a restriction does not fit the type of the messages.
-        MessageError: the type is unknown here.
-    """
+    """What `receiver` gets of `recorded` under all of `restrictions`."""
     applied = tuple(restrictions)
     if recorded.is_made_up:
         applied = tuple(_without_conditions(applied))
@@ -187,7 +182,6 @@ def _stamp(message: Any, at: float, number: int) -> None:
 
 
 def _turn(at: float) -> float:
-    """The angle of a drive that goes once around in a little more than a minute."""
     return 0.9 * 2 * math.pi * at / _SECONDS + math.pi / 2
 
 
@@ -210,7 +204,6 @@ def _on_earth(message: Any, at: float) -> None:
 
 
 def _scan(message: Any, at: float) -> None:
-    """A room of 7 by 5 metres with a door, and something round in it that moves a little."""
     message.angle_min, message.angle_increment = -math.pi, 2 * math.pi / _RAYS
     message.angle_max, message.range_max = math.pi, 12.0
     angles = -math.pi + np.arange(_RAYS) * 2 * math.pi / _RAYS
@@ -224,7 +217,6 @@ def _scan(message: Any, at: float) -> None:
 
 
 def _image(message: Any, at: float) -> None:
-    """A room: wall, floor, a window, a lamp, and somebody who stands in it."""
     rows, columns = np.mgrid[0:_HEIGHT, 0:_WIDTH]
     picture = np.empty((_HEIGHT, _WIDTH, 3), dtype=np.uint8)
     picture[:] = (214, 205, 190)
@@ -243,7 +235,6 @@ def _image(message: Any, at: float) -> None:
 
 
 def _anything(message: Any, at: float) -> None:
-    """Every number moves, every text is its field's name."""
     for field in field_names(message):
         value = field_value(message, field)
         if is_dataclass(value):
@@ -350,20 +341,12 @@ def write_preview(message: PreviewMessage) -> bytes:
 
 
 def preview_size(head: bytes) -> int:
-    """The number of bytes that follow the head.
-
-    Raises:
-        KeyMessageRefused: none, or too many.
-    """
+    """The number of bytes that follow the head."""
     return frame_size(head, MAX_FRAME)
 
 
 def read_preview(body: bytes) -> PreviewMessage:
-    """Read the body of a frame.
-
-    Raises:
-        KeyMessageRefused: it is not a message.
-    """
+    """Read the body of a frame."""
     try:
         value = decode(body, limit=MAX_FRAME)
     except EncodingError as error:

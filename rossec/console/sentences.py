@@ -23,12 +23,10 @@ class Part(NamedTuple):
 
     @property
     def is_glued(self) -> bool:
-        """Whether it follows without a space."""
         return not self.is_name and self.text[:1] in (",", ":")
 
     @property
     def spaced(self) -> str:
-        """The text as it follows another part."""
         return self.text if self.is_glued else f" {self.text}"
 
 
@@ -47,7 +45,6 @@ class Sentence(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The whole of it, as plain text."""
         return self.verb + "".join(part.spaced for part in self.parts)
 
 
@@ -148,7 +145,6 @@ def permissions(given: Iterable[Permission], limit: int = 4) -> tuple[Part, ...]
 
 
 def _listed(names: list[str], limit: int) -> list[Part]:
-    """The names with commas between them; a part that is a comma follows without a space."""
     parts: list[Part] = []
     for name in names[:limit]:
         parts += [*([Part(",")] if parts else []), Part(name, is_name=True)]
@@ -164,7 +160,6 @@ def _because(reason: str) -> tuple[Part, ...]:
 
 
 def _repeats(event: EventView, certified: Mapping[str, int]) -> bool:
-    """Whether another entry says it: a name that was given, and asked for before."""
     answered = certified.get(event.subject, -1) > event.number
     return event.what in _FOLDED or (event.what in ("pending", "approved") and answered)
 
@@ -242,8 +237,6 @@ def _collected(event: EventView, _: Known) -> _Told:
 
 
 def _about(tone: str, verb: str, text: str) -> _Tell:
-    """Says `text` of the subject, and why if there is a reason."""
-
     def tell(event: EventView, _: Known) -> _Told:
         return tone, verb, (_name(event.subject), Part(text), *_because(event.detail))
 
@@ -251,8 +244,6 @@ def _about(tone: str, verb: str, text: str) -> _Tell:
 
 
 def _plain(tone: str, verb: str, before: str) -> _Tell:
-    """Says `before`, then the subject; the detail is for programs."""
-
     def tell(event: EventView, _: Known) -> _Told:
         return tone, verb, (Part(before), _name(event.subject))
 

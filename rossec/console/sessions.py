@@ -76,11 +76,7 @@ class Sessions:
         return len(self._sessions)
 
     def begin(self, secret: bytes, phone: str, now: float) -> str:
-        """Begin a session with `secret`, 32 random bytes; returns the value of its cookie.
-
-        Raises:
-            HttpRefused: phones have all places, and this is a session to look.
-        """
+        # Begin a session with `secret`, 32 random bytes; returns the value of its cookie.
         digest = sha256(secret).digest()
         owner = messages.of_phone(phone) if phone else messages.LOOKER
         if (
@@ -95,7 +91,6 @@ class Sessions:
         return base64.urlsafe_b64encode(secret).rstrip(b"=").decode()
 
     def find(self, cookie: str, now: float) -> Session | None:
-        """The session of a cookie's value; None: there is none, or it is over."""
         if len(cookie) != _TEXT_SIZE or not cookie.isascii():
             return None
         try:
@@ -107,7 +102,6 @@ class Sessions:
         return session if session is not None and self.is_valid(session, now) else None
 
     def is_valid(self, session: Session, now: float) -> bool:
-        """Whether a session still counts; one whose time is over is forgotten."""
         if self._sessions.get(session.id) is not session:
             return False
         since_begin, since_use = now - session.began, now - session.used
@@ -117,15 +111,12 @@ class Sessions:
         return False
 
     def use(self, session: Session, now: float) -> None:
-        """Note that a person used it."""
         session.used = now
 
     def end(self, session: Session) -> None:
-        """End a session at once."""
         self._sessions.pop(session.id)
 
     def end_of_phone(self, phone: str) -> None:
-        """End every session that the passkey of this name began."""
         for session in [each for _, each in self._sessions.items() if each.phone == phone]:
             self.end(session)
 
@@ -155,11 +146,6 @@ class KnownPhones:
         self._known: tuple[PhoneView, ...] = ()
 
     async def counts(self, session: Session) -> bool:
-        """Whether the phone of a session is still registered; a session by a code has none.
-
-        Raises:
-            HintedError: the service does not answer.
-        """
         is_fresh = self._elapsed() - self._asked < KEPT
         if not session.phone or (is_fresh and self._is_known(session)):
             return True
@@ -188,14 +174,12 @@ class FailureLimit:
         self._failures: OrderedDict[str, deque[float]] = OrderedDict()
 
     def is_blocked(self, address: str, now: float) -> bool:
-        """Whether this address has to wait."""
         if not address:  # behind a proxy all have none: one would keep out everybody
             return False
         times = self._failures.get(source_of(address))
         return times is not None and len(_recent(times, now)) >= MAX_FAILURES
 
     def note(self, address: str, now: float) -> None:
-        """Note that this address was wrong."""
         key = source_of(address)
         times = self._failures.setdefault(key, deque(maxlen=MAX_FAILURES))
         self._failures.move_to_end(key)
@@ -219,11 +203,6 @@ class Turns:
 
     @contextmanager
     def wait(self, address: str) -> Iterator[None]:
-        """Count one more while the body runs; empty: a proxy's, where all have no address.
-
-        Raises:
-            HttpRefused: so many of this source wait.
-        """
         source = source_of(address)
         if address and self._waiting[source] >= MAX_WAITING:
             raise HttpRefused("too many attempts", "wait a minute", status=429)

@@ -186,7 +186,6 @@ def field_name(path: str, type_name: str | None = None) -> str:
 
 
 def _field(path: str) -> tuple[int, str, str]:
-    """Place in the order, name and unit of the longest end of `path` that is known."""
     fits = [
         (len(end), order, said, unit)
         for order, (end, said, unit) in enumerate(_FIELDS)
@@ -218,7 +217,6 @@ def filter_rule(rule: FilterRule, type_name: str | None = None) -> str:
 
 
 def _squares(given: Mapping[str, str]) -> str:
-    """How large they are and what they show: ` of 32 pixels, at most 16 across`."""
     parts = [f"at most {given['across']} across"] if "across" in given else []
     parts += [f"{given['levels']} shades of grey"] if "levels" in given else []
     parts += ["only in a part of it"] if "width" in given else []
@@ -324,7 +322,6 @@ class Names:
         return cls(titles, types)
 
     def title(self, name: str) -> str:
-        """The title of a node or a topic, by its name as it is or as it is shown; maybe empty."""
         return self.titles.get(name, "")
 
     def type_of(self, topic: str) -> str:

@@ -47,7 +47,6 @@ class StepPrinter:
         self._write(f"    done in {time.perf_counter() - begin:.2f} s\n")
 
     def print(self, text: str) -> None:
-        """One or more indented lines."""
         for line in text.splitlines():
             self._write(f"    {line}\n")
 
@@ -89,7 +88,6 @@ class DemoEnvironment:
         return code, out.getvalue()
 
     def set(self, variable: str, value: str) -> None:
-        """Set an environment variable for what is run from now on."""
         self._environment[variable] = value
 
     async def start(self, module: str, *arguments: str, name: str) -> "DemoProcess":
@@ -122,7 +120,6 @@ class DemoEnvironment:
         raise DemoFailed(f"{ended.name} has ended; it logged: {ended.last_lines()}")
 
     async def stop_all(self) -> None:
-        """Stop every process, last first."""
         for process in reversed(self._processes):
             await process.stop()
 
@@ -150,11 +147,6 @@ class DemoProcess:
         after: int = 0,
         within: float = DEADLINE,
     ) -> Report:
-        """Return the first report past number `after` that is `wanted`.
-
-        Raises:
-            DemoFailed: none came in time, or the process ended first.
-        """
         try:
             async with asyncio.timeout(within), self._changed:
                 await self._changed.wait_for(lambda: self._find(wanted, after) or self._ended)
@@ -166,11 +158,6 @@ class DemoProcess:
         return found
 
     async def logged(self, pattern: str, within: float = DEADLINE) -> str:
-        """Return the first text in its log that matches, at the beginning of a line.
-
-        Raises:
-            DemoFailed: none came in time, or the process ended first.
-        """
         end = time.monotonic() + within
         while True:
             has_ended = self._ended  # before the look: what it wrote last counts
@@ -183,20 +170,17 @@ class DemoProcess:
 
     @property
     def ended(self) -> bool:
-        """The process has ended."""
         return self._ended
 
     async def wait(self) -> None:
-        """Wait until the process has ended."""
         async with self._changed:
             await self._changed.wait_for(lambda: self._ended)
 
     def about(self, topic: str) -> list[Report]:
-        """The reports on one topic."""
         return [report for report in self.reports if report.get("topic") == topic]
 
     async def stop(self) -> None:
-        """Terminate the process; kill it when it does not end."""
+        # Terminate the process; kill it when it does not end.
         if self._process.returncode is None:
             self._process.terminate()
             try:
@@ -220,6 +204,5 @@ class DemoProcess:
         return next((report for report in self.reports[after:] if wanted(report)), None)
 
     def last_lines(self) -> str:
-        """The end of its log."""
         lines = self._log.read_text(errors="replace").strip().splitlines()
         return " / ".join(lines[-3:]) or "nothing"

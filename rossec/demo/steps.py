@@ -43,11 +43,7 @@ _SILENCE: Final = 1.5
 
 
 async def run_steps(demo: DemoEnvironment) -> None:
-    """Run every step in `demo`, whose directory is empty.
-
-    Raises:
-        DemoFailed: a step did not do what it says.
-    """
+    """Run every step in `demo`, whose directory is empty."""
     with demo.printer.step("the home gets its own authority"):
         await found_authority(demo)
     with demo.printer.step("four nodes make their keys and are enrolled by their QR codes"):
@@ -213,7 +209,7 @@ def same_message(one: Report, other: Report) -> bool:
 
 
 def _check_coarse(exact: Report, coarse: Report) -> None:
-    """Raise unless `coarse` is `exact` on a grid of COARSE metres, without its frame."""
+    # Raise unless `coarse` is `exact` on a grid of COARSE metres, without its frame.
     wanted = [math.floor(value / COARSE + 0.5) * COARSE for value in exact["position"]]
     if any(abs(a - b) > _TOLERANCE for a, b in zip(wanted, coarse["position"], strict=True)):
         raise DemoFailed(f"the heating saw {coarse['position']}, expected {wanted}")
@@ -466,6 +462,6 @@ async def _start_console(demo: DemoEnvironment, port: int) -> str:
 
 
 def _free_port() -> int:
-    """A port that nobody listens at now; the join port must be named."""
+    # A port that nobody listens at now; the join port must be named.
     with socket.create_server(("127.0.0.1", 0)) as sock:
         return int(sock.getsockname()[1])

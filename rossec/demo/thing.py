@@ -29,23 +29,17 @@ class Reporter(io.TextIOBase):
         self._line = ""
 
     def write(self, text: str) -> int:
-        """Take what is printed."""
         *lines, self._line = (self._line + text).split("\n")
         for line in lines:
             self._out.write(json.dumps({"said": line}) + "\n")
         return len(text)
 
     def flush(self) -> None:
-        """Pass on what is complete."""
         self._out.flush()
 
 
 def find(places: Sequence[Path] = _PLACES) -> Path:
-    """Where the example is.
-
-    Raises:
-        ConfigurationError: the package was installed without it.
-    """
+    """Where the example is."""
     for place in places:
         if (place / NAME).is_file():
             return place / NAME

@@ -77,11 +77,7 @@ class Announcement:
 
 
 def sign(signer: Signer, chain: tuple[bytes, ...], announcement: Announcement) -> bytes:
-    """The datagram, signed with the master's key.
-
-    Raises:
-        AnnouncementRefused: what `read_claim` would refuse, or more than one datagram.
-    """
+    """The datagram, signed with the master's key."""
     _check(announcement)
     certificates: list[Value] = [*chain]
     version: dict[int | str, Value] = (
@@ -117,11 +113,6 @@ class Claim:
     chain: tuple[bytes, ...]
 
     def verify_chain(self, anchor: TrustAnchor, revoked: frozenset[bytes], now: int) -> Identity:
-        """The identity it claims: a master that the authority certified.
-
-        Raises:
-            AnnouncementRefused: not the master of this trust domain, or revoked.
-        """
         try:
             identity = anchor.verify(self.chain, now)
         except CAError as error:
@@ -133,11 +124,6 @@ class Claim:
         return identity
 
     def verify(self, identity: Identity) -> Announcement:
-        """The announcement, verified with the key of the master `identity`.
-
-        Raises:
-            AnnouncementRefused: it did not sign this.
-        """
         try:
             PROFILE.open_body(self.data, identity.public_key, limit=MAX_SIZE)
         except CAError as error:
@@ -146,11 +132,7 @@ class Claim:
 
 
 def read_claim(data: bytes, now: int) -> Claim:
-    """Check size, form and age of an untrusted datagram; no signature is verified.
-
-    Raises:
-        AnnouncementRefused: not an announcement, or not current.
-    """
+    """Check size, form and age of an untrusted datagram; no signature is verified."""
     try:
         announcement, chain = _read(PROFILE.peek(data, limit=MAX_SIZE))
     except CAError as error:
@@ -222,11 +204,6 @@ class Budget:
         self._totals = {known: TokenBucket(total, total) for known in (True, False)}
 
     def spend(self, source: Hashable, cost: int, clock: float, *, known_chain: bool) -> None:
-        """Charge `cost` signatures to `source`.
-
-        Raises:
-            AnnouncementRefused: the limit is reached.
-        """
         buckets = [self._verified[source]] if source in self._verified else [
             self._of(source), self._totals[known_chain]
         ]  # fmt: skip
@@ -236,7 +213,6 @@ class Budget:
             bucket.tokens -= cost
 
     def note_verified(self, source: Hashable) -> None:
-        """An announcement from `source` verified."""
         if source not in self._verified:
             self._verified[source] = self._of(source)
             _bound(self._verified, MAX_VERIFIED)
@@ -250,7 +226,6 @@ class Budget:
 
 
 def _bound(table: OrderedDict[Hashable, TokenBucket], most: int) -> None:
-    """Drop the least recently used entries."""
     while len(table) > most:
         table.popitem(last=False)
 
@@ -287,13 +262,11 @@ class Candidate:
 
     @property
     def endpoints(self) -> tuple[tuple[str, int], ...]:
-        """Addresses to probe: the announced one, then the source of the announcement."""
         port = self.announcement.port
         return (self.announcement.host, port), (self.source.address, port)
 
     @property
     def ends(self) -> int:
-        """The second after which it is forgotten, without another announcement."""
         return self.announcement.issued + self.announcement.max_age
 
     def age(self, clock: float) -> float:
@@ -316,7 +289,6 @@ class Candidate:
         return 1 - len(self.heard) / self.sent(clock)
 
     def quality(self, clock: float) -> tuple[bool, float, float, str]:
-        """The lower the better: reached at all, loss in coarse steps, the time a probe took."""
         rtt = float("inf") if self.rtt is None else self.rtt
         return self.rtt is None, self.loss(clock) // _LOSS_STEP, rtt, self.source.address
 
@@ -355,17 +327,14 @@ class Candidates:
             raise
 
     def probed(self, candidate: Candidate, endpoint: tuple[str, int], seconds: float) -> None:
-        """A connection to `endpoint` was answered after `seconds`; the shortest time counts."""
         if candidate.rtt is None or seconds < candidate.rtt:
             candidate.rtt, candidate.endpoint = seconds, endpoint
 
     def ranked(self, now: int, clock: float) -> list[Candidate]:
-        """The current masters, the best first; those no probe has reached are last."""
         self._forget(now)
         return sorted(self._candidates.values(), key=lambda one: one.quality(clock))
 
     def best(self, now: int, clock: float) -> Candidate | None:
-        """The best master that a probe has reached."""
         return next((one for one in self.ranked(now, clock) if one.rtt is not None), None)
 
     def _heard(
@@ -382,7 +351,6 @@ class Candidates:
         return self._take(identity, source, announcement, now, clock)
 
     def _identity(self, claim: Claim, source: DatagramSource, now: int, clock: float) -> Identity:
-        """Verify the chain of the claim, or use the cached identity; charges the budget."""
         identity, until = self._chains.get(claim.chain, (None, 0.0))
         if identity is not None and clock < until:
             self._budget.spend(source, 1, clock, known_chain=True)
@@ -419,7 +387,6 @@ class Candidates:
         self._candidates = {key: one for key, one in self._candidates.items() if now <= one.ends}
 
     def _is_repeated(self, announcement: Announcement, source: DatagramSource) -> bool:
-        """Whether one with these numbers has verified: another is a duplicate, or forged."""
         return (announcement.instance, announcement.seq, source.link) in self._seen
 
     def _remember(self, announcement: Announcement, source: DatagramSource) -> None:
@@ -428,7 +395,7 @@ class Candidates:
             self._seen.popitem(last=False)
 
     def _check_newer(self, key: bytes, announcement: Announcement) -> None:
-        """Sequence numbers only rise, and a new instance is later than the previous one."""
+        # Sequence numbers only rise, and a new instance is later than the previous one.
         newest = self._newest.get(key)
         if newest is not None:
             same = newest.instance == announcement.instance

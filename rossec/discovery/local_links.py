@@ -75,11 +75,10 @@ class MulticastSocket:
         self.join()
 
     def fileno(self) -> int:
-        """The descriptor to wait on."""
         return self._socket.fileno()
 
     def join(self) -> None:
-        """Join the group on links that are new; those that cannot multicast are left out."""
+        # Join the group on links that are new; those that cannot multicast are left out.
         if not self._listens:
             return
         for index, _ in socket.if_nameindex():
@@ -88,7 +87,6 @@ class MulticastSocket:
                 self._socket.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_JOIN_GROUP, group)
 
     def send(self, data: bytes) -> int:
-        """Send to the group on every link; returns on how many it was sent."""
         sent = 0
         for index, _ in socket.if_nameindex():
             with suppress(OSError):  # down, or without IPv6
@@ -97,7 +95,6 @@ class MulticastSocket:
         return sent
 
     def receive(self) -> Iterator[tuple[bytes, DatagramSource]]:
-        """Datagrams that were sent on the links themselves."""
         while True:
             try:
                 data, ancillary, flags, where = self._socket.recvmsg(_MAX_DATAGRAM, _ANCILLARY)
@@ -107,7 +104,6 @@ class MulticastSocket:
                 yield data, DatagramSource(where[0], where[3])
 
     def close(self) -> None:
-        """Leave the group."""
         self._socket.close()
 
     def _set_up(self, *, listen: bool) -> None:
@@ -124,7 +120,6 @@ class MulticastSocket:
 
 
 def _is_local(address: str, ancillary: list[tuple[int, int, bytes]]) -> bool:
-    """Whether a datagram came from this link: by its hop limit and its source."""
     hops = [
         struct.unpack("i", value)[0]
         for level, kind, value in ancillary
@@ -203,16 +198,7 @@ async def find(
     patience: float = PATIENCE,
     settle: float = SETTLE,
 ) -> list[Candidate]:
-    """The masters of this trust domain that can be reached, the best link first.
-
-    Args:
-        revoked: entries of the newest revocation list known.
-        patience: seconds to wait for the first; `settle`: then, to measure the loss of all.
-
-    Raises:
-        MasterNotFound: none; the message has what was received instead.
-        OSError: no IPv6 on this host.
-    """
+    """The masters of this trust domain that can be reached, the best link first."""
     candidates = Candidates(anchor, revoked)
     async with listening(candidates):
         end, found = time.monotonic() + patience, False
@@ -390,5 +376,4 @@ def _anchor(node: NodeHome) -> TrustAnchor:
 
 
 def _revoked(node: NodeHome, anchor: TrustAnchor) -> frozenset[bytes]:
-    """The entries of the newest list, even if stale: the handshake requires a fresh one."""
     return saved_revocations(node, anchor, clock.now()).entries

@@ -91,11 +91,9 @@ class WaitingNode:
 
     @property
     def port(self) -> int:
-        """The port it listens on."""
         return self.server.port
 
     async def listen(self, host: str | None, port: int) -> None:
-        """As `SessionServer.listen`."""
         await self.server.listen(host, port)
 
     async def until(self, *states: NodeState, every: Callable[[int], None]) -> None:
@@ -132,7 +130,6 @@ class WaitingNode:
         self._changed.set()
 
     def stop(self, why: EnrollmentRefused) -> None:
-        """End it without an identity, and notify the authority."""
         self.core.stop(why)
         self._state_changed()
 
@@ -193,7 +190,6 @@ class WaitingNode:
             self._waiting.add(writer)
 
     def _state_changed(self) -> None:
-        """Wake `until`; if it is over, notify the waiting callers."""
         self._changed.set()
         if self.core.state is NodeState.OVER and self.core.end_reason is not None:
             self._send_all([_abort(self.core.end_reason)])
@@ -217,11 +213,7 @@ _CREDENTIALS: Final = struct.Struct("3i")  # pid, uid, gid: unix(7), SO_PEERCRED
 
 
 async def serve(directory: Path, answer: Callable[[Answer], Answer]) -> asyncio.Server:
-    """Answer requests on the socket in `directory`.
-
-    Raises:
-        ConfigurationError: another process does so already.
-    """
+    """Answer requests on the socket in `directory`."""
 
     async def call(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
@@ -250,11 +242,7 @@ def remove(directory: Path) -> None:
 
 
 def ask(directory: Path, request: Answer) -> Answer:
-    """Ask the waiting process.
-
-    Raises:
-        ConfigurationError: there is none, or it refused; then with its message.
-    """
+    """Ask the waiting process."""
     sock = _connect(directory)
     if sock is None:
         raise ConfigurationError(
@@ -271,7 +259,6 @@ def ask(directory: Path, request: Answer) -> Answer:
 
 
 def _exchange(sock: socket.socket, request: bytes) -> bytes:
-    """The answer, one line; empty when the other side has closed."""
     sock.settimeout(_PATIENCE)
     with suppress(OSError), sock.makefile("rb") as stream:
         sock.sendall(request)
@@ -300,7 +287,6 @@ def _is_ours(sock: socket.socket) -> bool:
 
 
 def _connect(directory: Path) -> socket.socket | None:
-    """A connection to the waiting process, or None: the socket of a process that has exited."""
     sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         with _socket_path(directory) as path:

@@ -93,15 +93,12 @@ class JoinServer:
 
     @property
     def port(self) -> int:
-        """The port it listens on."""
         return self._server.port
 
     async def listen(self, host: str | None, port: int) -> None:
-        """As `SessionServer.listen`."""
         await self._server.listen(host, port)
 
     async def close(self) -> None:
-        """Stop listening, and end the open sessions."""
         await self._server.close()
 
     async def _serve(
@@ -126,7 +123,6 @@ class JoinServer:
     async def _receive(
         self, core: AuthorityJoin, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
-        """Until there is something to decide."""
         async with asyncio.timeout(self._patience):
             while core.state not in {_S.NAMING, _S.DECIDING}:
                 sent = core.receive(await sessions.receive(reader))
@@ -147,8 +143,6 @@ class JoinServer:
 
 
 class _Turns:
-    """A bounded number of decisions at a time for each invitation; the others wait in order."""
-
     def __init__(self, most: int) -> None:
         self._most = most
         self._waiting: dict[bytes, tuple[asyncio.Semaphore, int]] = {}
@@ -219,7 +213,6 @@ async def join(
 
 
 async def _tried(code: InvitationCode, session: Callable[[], Awaitable[_T]]) -> _T:
-    """The outcome of a session, tried again where that may help."""
     tries, delay = 0, RETRY_DELAY
     while True:
         tries += 1
@@ -243,7 +236,6 @@ class _Connection(NamedTuple):
     writer: asyncio.StreamWriter
 
     async def ask(self, core: NodeJoin, message: bytes, clock: Callable[[], int]) -> None:
-        """Send a message, and let the core take the answer."""
         sessions.send(self.writer, message)
         async with asyncio.timeout(_DECISION):
             core.receive(await sessions.receive(self.reader), clock())
@@ -253,7 +245,6 @@ class _Connection(NamedTuple):
 async def _welcomed(
     code: InvitationCode, core: NodeJoin, clock: Callable[[], int]
 ) -> AsyncIterator[_Connection]:
-    """A connection to the authority, which has shown itself; closed afterwards."""
     host, port = addresses.split(code.address, addresses.JOIN_PORT)
     sock = await dial(host, port, CONNECT_PATIENCE)
     try:

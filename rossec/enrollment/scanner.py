@@ -26,11 +26,7 @@ _FORMATS: Final = ("PNG", "JPEG", "WEBP", "BMP", "PPM")
 
 
 def texts(data: bytes) -> list[str]:
-    """The texts of the rossec codes in a picture, each once.
-
-    Raises:
-        ConfigurationError: not a picture, too large, or the extra `scan` is missing.
-    """
+    """The texts of the rossec codes in a picture, each once."""
     zxingcpp, image = _library(), _open(data)
     found = zxingcpp.read_barcodes(image, formats=zxingcpp.BarcodeFormat.QRCode)
     return sorted({code.text for code in found if code.text.startswith(PREFIX)})[:MAX_CODES]
@@ -52,7 +48,7 @@ def main() -> int:
 
 
 def _limit(what: int, most: int) -> None:
-    """Set soft and hard limit, never above the hard limit of this process."""
+    # Set soft and hard limit, never above the hard limit of this process.
     _, hard = resource.getrlimit(what)
     bound = most if hard == resource.RLIM_INFINITY else min(most, hard)
     resource.setrlimit(what, (bound, bound))

@@ -18,13 +18,7 @@ from rossec.net.limits import HalfOpen, HalfOpenCount, HalfOpenSlot
 
 
 async def receive(reader: asyncio.StreamReader) -> bytes:
-    """The next message; its size is checked before it is read.
-
-    Raises:
-        EnrollmentMessageRefused: too long.
-        EOFError: the other side has closed.
-        OSError: the connection broke.
-    """
+    """The next message; its size is checked before it is read."""
     size = length(await reader.readexactly(HEADER_SIZE))
     return await reader.readexactly(size)
 
@@ -55,32 +49,23 @@ class SessionServer:
         self._tasks = TaskSet()
 
     def __len__(self) -> int:
-        """The number of open sessions."""
         return len(self._count)
 
     async def listen(self, host: str | None, port: int) -> None:
-        """Serve on `host` (None: every address) and `port` (0: any free one).
-
-        Raises:
-            OSError: not an address of this host, or the port is taken.
-        """
         for sock in bind(host, port):
             server = await asyncio.start_server(self.accept, sock=sock, limit=MAX_MESSAGE)
             self._servers.append(server)
             self.port = sock.getsockname()[1]
 
     def stop_listening(self) -> None:
-        """Admit nobody more; open sessions go on."""
         for server in self._servers:
             server.close()
 
     async def close(self) -> None:
-        """Stop listening, and end the open sessions."""
         self.stop_listening()
         await self._tasks.close()
 
     def accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Admit a peer that has connected, or close its connection at once."""
         peer = writer.get_extra_info("peername")  # None: closed already
         address = "" if peer is None else str(peer[0])
         slot = None if peer is None else self._count.admit(address)

@@ -61,8 +61,6 @@ class Chains:
         self._chains: OrderedDict[bytes, tuple[bytes, ...]] = OrderedDict()
 
     def recording(self, verify: Verify[Identity]) -> Verify[Identity]:
-        """As `verify`, and what it accepts is kept."""
-
         def verified(chain: tuple[bytes, ...], now: int) -> Identity:
             identity = verify(chain, now)
             self._chains.pop(identity.thumbprint, None)
@@ -74,7 +72,6 @@ class Chains:
         return verified
 
     def of(self, identity: Identity) -> tuple[bytes, ...]:
-        """The chain of a verified identity; empty: none is kept."""
         return self._chains.get(identity.thumbprint, ())
 
 
@@ -102,7 +99,6 @@ class OwnMaster:
 
     @property
     def name(self) -> str:
-        """Its certified name, the `caller_id` of every call."""
         return self.state.name
 
 
@@ -127,12 +123,6 @@ class ForeignLists:
         self._asked_at = self._changed_at = 0.0
 
     async def greet(self, client: RpcClient, peer: Identity) -> None:
-        """The first word, then the grants of that domain that this master holds.
-
-        Raises:
-            SiteRefused: the domain is not listed any more.
-            CAError, RossecError: its word is refused, or there is none.
-        """
         await self.fetch(client, peer)
         if tokens := self._tokens():
             await client.ask(PRESENT_GRANTS, self._own.name, tokens)
@@ -140,13 +130,7 @@ class ForeignLists:
     async def listen(
         self, client: RpcClient, peer: Identity, changed: asyncio.Event, check: Callable[[], None]
     ) -> None:
-        """Hear what is revoked there, of a master that shows nothing; until there is a grant.
-
-        `check` raises when the peer must go; it is called as soon as the own lists have `changed`.
-
-        Raises:
-            SiteRefused, CAError, RossecError: as `greet`, and what `check` does.
-        """
+        # `check` raises when the peer must go; it is called as soon as the own lists have `changed`.
         while not self.may_see(peer.certified_name):
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(LONGEST_FOREIGN):
@@ -156,13 +140,11 @@ class ForeignLists:
             await self.fetch(client, peer)
 
     def may_see(self, master: str) -> bool:
-        """Whether this master holds a grant, unverified, that says it may see the graph there."""
         now = self._own.state.now()
         held = (peek(token) for token in self._tokens())
         return any(each.covers(Right.GRAPH, master) and now < each.expires for each in held)
 
     async def keep_fresh(self, client: RpcClient, peer: Identity, theirs: bytes) -> None:
-        """Fetch where the digest `theirs` is another, or the last word is old; raises likewise."""
         held = self._own.state.trust.domains.word(self._listed().entry.domain)
         if theirs != held.digest():
             await asyncio.sleep(self._changed_at + APART - time.monotonic())
@@ -172,7 +154,7 @@ class ForeignLists:
             await self.fetch(client, peer)
 
     async def fetch(self, client: RpcClient, peer: Identity) -> None:
-        """Fetch the word, and the list unless it is held; raises as `greet`."""
+        # Fetch the word, and the list unless it is held; raises as `greet`.
         own, domain = self._own, self._listed().entry.domain
         domains = own.state.trust.domains
         held = domains.word(domain).revocations
@@ -192,7 +174,6 @@ class ForeignLists:
         await self._prove(client, domain)
 
     async def _prove(self, client: RpcClient, domain: str) -> int:
-        """Fetch the proofs of a foreign tree that are wanted; returns how many were taken."""
         domains, taken = self._own.state.trust.domains, 0
         wanted = domains.wanted_proofs(domain)[:_PROOFS_AT_ONCE]
         if not wanted:
@@ -209,7 +190,6 @@ class ForeignLists:
         return taken
 
     def _tokens(self) -> list[bytes]:
-        """The grants of that domain that this master holds, as far as they are shown."""
         domain = self._listed().entry.domain
         return [each for each in self._own.grants() if _domain_of(each) == domain][:MAX_PRESENTED]
 
@@ -223,7 +203,6 @@ class ForeignLists:
 
 
 def _domain_of(grant: bytes) -> str:
-    """The domain a grant is of, unverified; empty: it is none."""
     try:
         return peek(grant).domain
     except GrantError:
@@ -261,11 +240,7 @@ async def present_own(client: RpcClient, own: OwnMaster) -> None:
 async def settle(
     client: RpcClient, own: OwnMaster, peer: Identity, answer: SiteChange | None = None
 ) -> None:
-    """Settle both lists; after an answer, those whose digests in it are others than here.
-
-    Raises:
-        CAError, RossecError: as `settle_revocations`.
-    """
+    """Settle both lists; after an answer, those whose digests in it are others than here."""
     if answer is None or answer.revocations != held_revocations(own):
         await settle_revocations(client, own, peer)
     if answer is None or answer.domains != own.state.trust.domains.digest():
@@ -273,11 +248,7 @@ async def settle(
 
 
 async def settle_revocations(client: RpcClient, own: OwnMaster, peer: Identity) -> None:
-    """Of both revocation lists the newer one is in force at both masters afterwards.
-
-    Raises:
-        CAError, RossecError: the other master's answer is malformed, or it refuses the newer list.
-    """
+    """Of both revocation lists the newer one is in force at both masters afterwards."""
     held = own.state.trust.list_data
     match await client.ask(_SINCE, own.name, digest(held)):
         case [bytes() as theirs, bytes()]:
@@ -294,7 +265,6 @@ async def settle_revocations(client: RpcClient, own: OwnMaster, peer: Identity) 
 
 
 async def _take(client: RpcClient, own: OwnMaster, peer: Identity, theirs: bytes) -> bool:
-    """Take the other master's list; returns whether it is in force now."""
     trust, now = own.state.trust, own.state.now()
     try:
         if is_tree(theirs):
@@ -315,9 +285,6 @@ async def settle_domains(client: RpcClient, own: OwnMaster, peer: Identity) -> N
     """Of both lists of foreign domains the newer one is in force at both masters afterwards.
 
     A master that does not know the call has no such list, and gets none.
-
-    Raises:
-        CAError, RossecError: as `settle_revocations`.
     """
     domains = own.state.trust.domains
     try:
@@ -359,11 +326,6 @@ class Mirroring:
         self.mirrored = 0
 
     async def keep(self, client: RpcClient) -> None:
-        """Read again, if it is time.
-
-        Raises:
-            RossecError: no answer, a malformed one, or more than can be mirrored.
-        """
         if not self._settings.parameters or time.monotonic() - self._read_at < MIRRORED_EVERY:
             return
         self._read_at = time.monotonic()
@@ -381,12 +343,11 @@ class Mirroring:
         self._names_held = names
 
     def judge(self) -> None:
-        """There is another list of domains: forget what is not taken from that domain any more."""
+        # There is another list of domains: forget what is not taken from that domain any more.
         if any(not self._is_taken(name) for name in self._names_held):
             self.drop()
 
     def drop(self) -> None:
-        """Forget what was mirrored."""
         self.mirrored, self._read_at, self._names_held = 0, -MIRRORED_EVERY, []
         self._own.drop_mirror(self._settings.label)
 
@@ -407,13 +368,11 @@ class Mirroring:
         return wanted and self._is_taken(name)
 
     def _is_taken(self, name: str) -> bool:
-        """Whether the list of domains lets this parameter of a foreign domain in."""
         label = self._settings.domain
         taken = self._own.state.trust.domains.imported(label) if label else None
         return taken is None or taken.covers(Right.PARAM_GET, name)
 
     async def _values(self, client: RpcClient, names: list[str]) -> list[tuple[str, Any]]:
-        """The values of those that are still set, and may be read."""
         calls = [{"methodName": "getParam", "params": [self._own.name, name]} for name in names]
         answers = await client.call("system.multicall", calls)
         if not isinstance(answers, list) or len(answers) != len(names):

@@ -84,11 +84,6 @@ class SiteDoors:
         doors.listen(settings.label, self._note)
 
     async def address(self) -> tuple[str, int]:
-        """The door of the site's master.
-
-        Raises:
-            RelayRefused: there is none.
-        """
         self._want(self._facts.targets)
         await self._wait([self._master], DOOR_WAIT)
         door = self._doors.door(self._master)
@@ -106,11 +101,6 @@ class SiteDoors:
         )
 
     async def take(self, change: SiteChange) -> SiteChange:
-        """A complete answer of the site, with doors for its addresses.
-
-        Raises:
-            ImportRefused: a malformed fact, or too many.
-        """
         before = self._facts.targets
         for _ in self._facts.take(change):
             await asyncio.sleep(0)
@@ -120,21 +110,17 @@ class SiteDoors:
         return self.refreshed(change)
 
     def refreshed(self, change: SiteChange = NO_CHANGE) -> SiteChange:
-        """`change`, and what is other with the doors of now."""
         self.changed.clear()
         return self._facts.shown(change)
 
     def drop(self) -> None:
-        """The facts of the site are dropped; it is still followed."""
         self._facts.forget()
         self._want(())
 
     def close(self) -> None:
-        """The site is followed no longer."""
         self._doors.forget(self._settings.label)
 
     def status(self) -> dict[str, Any]:
-        """The way there, for people and programs; empty: no relay knows the peer."""
         found = self._doors.way(self._settings.via)
         if found is None:
             return {}
@@ -150,7 +136,6 @@ class SiteDoors:
         self._missing = missing
 
     async def _wait(self, targets: Collection[Target], longest: float) -> None:
-        """Return when all have a door, or after `longest` seconds."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(longest):
                 while any(self._doors.door(target) is None for target in targets):
@@ -184,12 +169,6 @@ class SiteConnections:
 
     @contextlib.asynccontextmanager
     async def open(self) -> AsyncIterator[tuple[RpcClient, Identity]]:
-        """A connection with the site, whose identity is checked.
-
-        Raises:
-            SiteRefused: another identity, or one that is revoked.
-            RossecError, OSError, TimeoutError: no connection.
-        """
         async with asyncio.timeout(_DIAL if self._doors is None else _DIAL_VIA):
             doors, settings = self._doors, self._settings
             address = settings.address if doors is None else await doors.address()
@@ -201,11 +180,6 @@ class SiteConnections:
             await stream.close()
 
     def check_trust(self, peer: Identity) -> None:
-        """Return if the lists of now let this master follow `peer`.
-
-        Raises:
-            SiteRefused: it is revoked, or the trust in its domain has ended.
-        """
         try:
             self._own.state.trust.caller(peer, self._own.state.now())
         except RevocationsStale:  # of its domain: it is asked for them
@@ -214,7 +188,7 @@ class SiteConnections:
             raise SiteRefused(f"{shown(peer.name)}: {error}", error.hint) from error
 
     def _check(self, stream: SecureStream[Identity]) -> None:
-        """The peer is the master that is followed, and not revoked."""
+        # The peer is the master that is followed, and not revoked.
         peer, expected = stream.peer, self._settings
         alias = split_alias(peer.name) if peer.is_foreign else None
         label, name = ("", peer.name) if alias is None else alias
@@ -273,7 +247,6 @@ class FollowedSite:
         self.connections: Final = SiteConnections(settings, own, doors)
 
     async def run(self) -> None:
-        """Follow until cancelled; a failure is tried again."""
         while True:
             self._take(Event.DUE)
             try:
@@ -289,26 +262,20 @@ class FollowedSite:
                 await self._pause()
 
     def tick(self) -> None:
-        """Let the facts go that are too old; called once in a second."""
         if self.state.has_expired(time.monotonic()):
             self._take(Event.EXPIRED)
             _audit.warning("site %s is lost: its facts are dropped", self.settings.label)
 
     def wake(self) -> None:
-        """Dial now, if it is waiting: the site seems to be there again."""
         self._woken.set()
 
     def remove(self) -> None:
-        """It is followed no longer; `run` has been cancelled."""
         self._take(Event.REMOVED)
         if self._doors is not None:
             self._doors.close()
 
     async def send_lists(self) -> None:
-        """The own lists have changed: judge the site again, and send it the newer list at once.
-
-        The connection on which it is followed waits for an answer, so another one is made.
-        """
+        # The connection on which it is followed waits for an answer, so another one is made.
         self._lists_changed.set()
         self._mirroring.judge()
         if self.settings.domain or self.state.phase is not Phase.FOLLOWING:
@@ -318,7 +285,6 @@ class FollowedSite:
                 await exchange.settle(client, self._own, peer)
 
     def status(self) -> dict[str, Any]:
-        """The site for people and programs."""
         found = site_status(self.settings, self.state, self._own.state.imports, time.monotonic())
         return {
             **found,
@@ -330,7 +296,6 @@ class FollowedSite:
         }
 
     async def _follow(self) -> None:
-        """Follow on one connection, until it is to be asked for more."""
         was_followed = self.state.failures == 0 and self._cursor.instance != ""
         async with self.connections.open() as (client, peer):
             self._take(Event.CONNECTED)
@@ -347,7 +312,6 @@ class FollowedSite:
                 await self._foreign.listen(client, peer, self._lists_changed, check)
 
     async def _poll(self, client: RpcClient, peer: Identity) -> None:
-        """Take over what it answers, until local nodes want more."""
         while True:
             await self._pace()
             demand = self._own.state.imports.demand.version
@@ -364,18 +328,12 @@ class FollowedSite:
             await self._mirror(client)
 
     async def _pace(self) -> None:
-        """Let a moment pass between two questions, whatever the site or local nodes do."""
         await asyncio.sleep(self._asked_at + PACE - time.monotonic())
         self._asked_at = time.monotonic()
 
     async def _is_answered(
         self, asking: asyncio.Future[SiteChange], peer: Identity, demand: int
     ) -> bool:
-        """Wait for an answer; False: local nodes want more meanwhile.
-
-        Raises:
-            SiteRefused: a new list revokes the site, or ends the trust in its domain.
-        """
         imports, changes = self._own.state.imports, self._own.state.demand_changes
         while not asking.done():
             if self.state.phase is Phase.FOLLOWING and imports.demand.version != demand:
@@ -403,7 +361,6 @@ class FollowedSite:
             self.error, self.hint = printable(str(error)), printable(error.hint)
 
     async def _greet(self, client: RpcClient, peer: Identity) -> None:
-        """Settle the lists, and show what a foreign master wants to see."""
         if self._foreign is not None:
             await self._foreign.greet(client, peer)
         else:
@@ -418,7 +375,6 @@ class FollowedSite:
         await exchange.settle(client, self._own, peer, change)
 
     async def _next_change(self, client: RpcClient) -> SiteChange:
-        """The next complete answer."""
         imports = self._own.state.imports
         wanted = imports.demand.wanted(self.settings.site, self._own.state.now())
         while True:
@@ -433,7 +389,6 @@ class FollowedSite:
 
     @property
     def _events(self) -> list[asyncio.Event]:
-        """What ends waiting for an answer, beside it and what local nodes want."""
         return [self._lists_changed, *([] if self._doors is None else [self._doors.changed])]
 
     async def _take_over(self, change: SiteChange) -> None:
@@ -448,7 +403,6 @@ class FollowedSite:
         self.error = self.hint = ""
 
     async def _apply(self, change: SiteChange) -> None:
-        """Let the import layer take a change over."""
         steps = self._own.state.imports.apply_in_steps(
             self.settings.site, change.added, change.removed, whole=change.whole
         )
@@ -468,7 +422,7 @@ class FollowedSite:
         self._take(event)
 
     def _advice(self, error: BaseException) -> str:
-        """The hint of a failure; a stranger is not told why it is refused, but can guess."""
+        # The hint of a failure; a stranger is not told why it is refused, but can guess.
         if self._doors is not None and isinstance(error, _AT_DOOR):
             return "is there a link? rossec relay status"
         if isinstance(error, PeerRefused) and self._foreign is not None:
@@ -492,7 +446,6 @@ class FollowedSite:
                 self._mirroring.drop()
 
     def _begin_again(self) -> None:
-        """The next answer has all facts."""
         self._cursor = SiteCursor()
         if self._doors is not None:
             self._doors.drop()
@@ -503,7 +456,6 @@ class FollowedSite:
         self._own.state.notify()
 
     async def _pause(self) -> None:
-        """Wait to dial again; a foreign master that shows nothing still says what is revoked."""
         self._woken.clear()
         with contextlib.suppress(TimeoutError):
             longest = LONGEST_PAUSE if self._foreign is None else LONGEST_FOREIGN

@@ -64,11 +64,9 @@ class AnnouncedMasters:
         self._returned: set[str] = set()
 
     def listening(self) -> AbstractAsyncContextManager[None]:
-        """Hear the local links within this context."""
         return listening(self._candidates)
 
     def sites(self) -> tuple[SiteSettings, ...]:
-        """Those heard within the last minute, by name."""
         now = time.monotonic()
         for name, found in self._audible(now).items():
             self._note(name, found, now)
@@ -76,12 +74,11 @@ class AnnouncedMasters:
         return tuple(each.settings for _, each in sorted(self._heard.items()))
 
     def take_returned(self) -> set[str]:
-        """The names of those heard again after a pause, or restarted, since the last call."""
+        # The names of those heard again after a pause, or restarted, since the last call.
         returned, self._returned = self._returned, set()
         return returned
 
     def _audible(self, now: float) -> dict[str, list[Candidate]]:
-        """The candidates of each name that are heard now and were reached, the best first."""
         found: dict[str, list[Candidate]] = {}
         for one in self._candidates.ranked(clock.now(), now):
             if one.name != self._own_name and one.rtt is not None and one.age(now) < SILENT:
@@ -89,7 +86,6 @@ class AnnouncedMasters:
         return found
 
     def _note(self, name: str, found: list[Candidate], now: float) -> None:
-        """Keep the address that is followed while it is heard: links differ little."""
         held = self._heard.get(name)
         kept = [one for one in found if held is not None and uri_of(one) == held.settings.uri]
         one = (kept or found)[0]
@@ -190,7 +186,6 @@ class Mesh:
             self._followers[label] = follower, task
 
     def _wanted(self) -> dict[str, SiteSettings]:
-        """The sites of all sources; one that contradicts an earlier one is left out."""
         found: dict[str, SiteSettings] = {}
         before, self._warned = self._warned, {}
         for name, source in self._sources.items():
@@ -231,12 +226,10 @@ class Mesh:
             raise ConfigurationError(f"{each.master} is this master itself", "follow another one")
 
     def _own_labels(self) -> list[str]:
-        """The labels of other masters of the own domain, whose nodes have aliases here."""
         found = [follower.settings for follower, _ in self._followers.values()]
         return [each.label for each in found if not each.domain]
 
     def _direct_masters(self) -> dict[str, str]:
-        """The masters of the own domain that a relay of this site can reach itself."""
         found = [follower.settings for follower, _ in self._followers.values()]
         return {
             each.master: each.uri
@@ -255,7 +248,6 @@ class Mesh:
 
 
 def _has_master(sites: Mapping[str, SiteSettings], heard: SiteSettings) -> bool:
-    """Whether somebody named the master that was heard: that is no contradiction."""
     known = {(each.domain, each.master) for each in sites.values()}
     return (heard.domain, heard.master) in known
 

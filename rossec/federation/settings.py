@@ -84,17 +84,14 @@ class SiteSettings:
 
     @property
     def site(self) -> Site:
-        """The site for the import layer; a relay's doors may be on this host."""
         return Site(self.label, self.domain, bool(self.via) or is_loopback(self.address[0]))
 
     @property
     def address(self) -> tuple[str, int]:
-        """Host and port; of a site without a relay."""
         return parse_uri(self.uri, "the master's URI")
 
     @property
     def place(self) -> str:
-        """Where it is, for people."""
         return f"via {self.via}" if self.via else f"at {self.uri}"
 
 
@@ -128,11 +125,7 @@ def checked_sites(sites: Iterable[SiteSettings]) -> dict[str, SiteSettings]:
 
 
 def read_sites(data: bytes, name: str) -> dict[str, SiteSettings]:
-    """Read the file that `rossec federation add` writes, called `name`; a closed schema.
-
-    Raises:
-        ConfigurationError: anything else.
-    """
+    """Read the file that `rossec federation add` writes, called `name`; a closed schema."""
     if len(data) > MAX_FILE:
         raise ConfigurationError(f"{name} is longer than {MAX_FILE} bytes")
     try:
@@ -153,7 +146,6 @@ def write_sites(sites: Mapping[str, SiteSettings]) -> bytes:
 
 
 def _row(site: SiteSettings) -> dict[str, object]:
-    """A site without a relay is written as it was before there were relays."""
     row = {**asdict(site), "parameters": list(site.parameters)}
     return row if site.via else {key: value for key, value in row.items() if key != "via"}
 
@@ -244,7 +236,6 @@ def _text(key: str, part: Any, where: str) -> str:
 def _entries(
     part: Any, name: str, what: str, keys: tuple[str, ...] = ()
 ) -> Iterator[tuple[str, str, Any]]:
-    """Keys, where they are, and values; with `keys` no others."""
     if part is None:
         return
     entries = getattr(part, "entries", None)

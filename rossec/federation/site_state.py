@@ -111,11 +111,6 @@ class SiteState:
         self._has_facts = False
 
     def take(self, event: Event, clock: float) -> Effect:
-        """Go where the table says; returns what becomes of the facts.
-
-        Raises:
-            FederationError: the event is not in the table.
-        """
         found = TABLE.get((self.phase, event))
         if found is None:
             raise FederationError(f"a site that is {self.phase.value}, and: {event.value}")
@@ -132,11 +127,9 @@ class SiteState:
         return effect
 
     def has_expired(self, clock: float) -> bool:
-        """Whether `EXPIRED` is due."""
         return self.lost_since is not None and clock - self.lost_since >= LOST_FOR
 
     def pause(self, rand: float, longest: float = LONGEST_PAUSE) -> float:
-        """Seconds to wait before the next dial, about; `rand` is from 0 up to 1."""
         pause = min(FIRST_PAUSE * 2.0 ** min(max(self.failures - 1, 0), 16), longest)
         return pause * (1 + _SPREAD * (2 * rand - 1))
 
@@ -219,21 +212,14 @@ class SiteCursor:
         self._lists = b"", b""  # the digests of the last answer
 
     def reconnected(self) -> None:
-        """What parts the site sends from now on is counted anew, beside those that are held."""
         self._taken = len(self._parts)
         self._gathered = sum(len(each.added) + len(each.removed) for each in self._parts)
 
     @property
     def params(self) -> tuple[str, int]:
-        """Instance and cursor, as the call has them."""
         return self.instance, self._cursor
 
     def take(self, answer: object) -> SiteChange | None:
-        """Take an answer, or a part of it; returns the change when it is complete.
-
-        Raises:
-            AnswerMalformed: it is invalid, or the version runs backwards.
-        """
         if answer == {} and self.instance:
             return self._complete([*self._parts, SiteChange(_NONE, _NONE, False, *self._lists)])
         match answer:
@@ -315,15 +301,9 @@ class DoorFacts:
 
     @property
     def targets(self) -> set[Target]:
-        """All that needs a door."""
         return {self._target(fact) for fact in self._said}
 
     def take(self, change: SiteChange) -> Iterator[None]:
-        """Take what the site says of addresses; yields where other work may be done.
-
-        Raises:
-            ImportRefused: a malformed fact, or too many; nothing is taken.
-        """
         said = set[imported_facts_Fact]() if change.whole else self._said - change.removed
         for part in parts(change.added):
             said.update(fact for fact in checked(part) if fact[0] in _KINDS)
@@ -333,7 +313,6 @@ class DoorFacts:
         self._said = said
 
     def shown(self, change: SiteChange) -> SiteChange:
-        """`change` with doors for addresses: those of now, and those that others had before."""
         self._look()
         doors = {self._door_fact(fact) for fact in self._said if self._target(fact) in self._doors}
         added = _without_addresses(change.added) | (doors if change.whole else doors - self._shown)
@@ -342,11 +321,10 @@ class DoorFacts:
         return change._replace(added=frozenset(added), removed=frozenset(removed))
 
     def forget(self) -> None:
-        """The site's facts are dropped."""
         self._said, self._doors, self._shown = set(), {}, set()
 
     def _look(self) -> None:
-        """Find the doors of now; one that is gone is kept unless its place is another's."""
+        # Find the doors of now; one that is gone is kept unless its place is another's.
         targets = self.targets
         found = {target: door for target in targets if (door := self._find(target)) is not None}
         taken = set(found.values())

@@ -60,7 +60,7 @@ class Subscription(Protocol):
     """What ends a subscription."""
 
     async def close(self) -> None:
-        """End it."""
+        ...
 
 
 class RawTopics(Protocol):
@@ -69,15 +69,15 @@ class RawTopics(Protocol):
     async def publish_raw(
         self, topic: str, type_name: str, on_demand: Any, *, queue_size: int
     ) -> RawPublisher:
-        """See there."""
+        ...
 
     async def unpublish(self, publisher: Publisher) -> None:
-        """See there."""
+        ...
 
     async def subscribe_raw(
         self, topic: str, receiver: RawReceiver, *, wishes: Wishes
     ) -> Subscription:
-        """See there."""
+        ...
 
 
 class ServedTopic:
@@ -110,21 +110,17 @@ class ServedTopic:
 
     @property
     def phase(self) -> Phase:
-        """How far it is."""
         return self._state.phase
 
     @property
     def sources(self) -> int:
-        """How many publishers of the origin are connected."""
         return len(self._sources)
 
     @property
     def subscribers(self) -> int:
-        """How many are subscribed here."""
         return 0 if self._publisher is None else len(self._publisher.links)
 
     def stop(self) -> None:
-        """End it: its subscribers are cut when `run` returns, and get nothing more before."""
         self._stopped = True
         if self._publisher is not None:
             self._publisher.close()
@@ -132,11 +128,6 @@ class ServedTopic:
         self._wake.set()
 
     async def run(self) -> None:
-        """Serve until it has to end.
-
-        Raises:
-            HintedError, OSError, TimeoutError, Fault: the master refuses the registration.
-        """
         given = self.candidate
         publisher = await self._topics.publish_raw(
             given.served, given.type, self._wake.set, queue_size=QUEUE_SIZE
@@ -151,7 +142,6 @@ class ServedTopic:
             await self._topics.unpublish(publisher)
 
     async def _follow(self, publisher: RawPublisher) -> None:
-        """Do what is due, and wait until something may have changed."""
         now = monotonic()
         if self._subscribes_again:
             self._subscribes_again = False
@@ -190,7 +180,6 @@ class ServedTopic:
             await subscription.close()
 
     def _release(self, publisher: RawPublisher, now: float) -> None:
-        """Forward what was held back and may go now."""
         for source, thinning in self._thinned.items():
             self._forward(publisher, source, thinning.release(now))
 
@@ -202,7 +191,6 @@ class ServedTopic:
         publisher.forward(source, message, keep=source.latching)
 
     def _note(self, error: Exception) -> None:
-        """Say a reason once, and where somebody who waits in vain is told of it."""
         reason = str(error) or type(error).__name__
         if reason != self.problem:
             _log.warning("%s: %s", shown(self.candidate.alias), reason)
@@ -213,12 +201,6 @@ class ServedTopic:
     # -- of the subscription at the origin (RawReceiver)
 
     def connected(self, source: RawSource) -> None:
-        """A publisher of the origin is connected.
-
-        Raises:
-            ConnectionHeaderRefused: it is of another type, has to be asked in another way, or is a
-                gateway itself: nothing is forwarded twice.
-        """
         publisher, rate = self._publisher, self.candidate.rule.wishes.rate
         if publisher is None or self._stopped:
             raise NodeShutdown(f"{shown(self.candidate.alias)} is served no longer")
@@ -244,7 +226,6 @@ class ServedTopic:
         self._state.connected()
 
     def received(self, source: RawSource, messages: Sequence[bytes]) -> None:
-        """Messages of a publisher."""
         if (publisher := self._publisher) is None:
             return
         thinning = self._thinned.get(source)
@@ -255,7 +236,6 @@ class ServedTopic:
             self._wake.set()
 
     def disconnected(self, source: RawSource) -> None:
-        """A publisher is gone, and what it latched with it."""
         self._sources.disconnect(source)
         self._thinned.pop(source, None)
         if self._publisher is not None:
@@ -263,7 +243,7 @@ class ServedTopic:
             self._publisher.latch = self._sources.latching
 
     def refused(self, error: Exception) -> None:
-        """A publisher of the origin could not be connected, or is connected no longer."""
+        # A publisher of the origin could not be connected, or is connected no longer.
         if not self._subscribes_again and not self._stopped:
             self._note(error)
 
@@ -284,8 +264,6 @@ class Obstacle(NamedTuple):
 
 @dataclass
 class _Running:
-    """A topic and the task that serves it."""
-
     topic: ServedTopic
     task: asyncio.Task[bool]
 
@@ -317,7 +295,6 @@ class Gateway:
 
     @property
     def topics(self) -> Mapping[str, ServedTopic]:
-        """What is served, by alias."""
         return {alias: each.topic for alias, each in self._running.items()}
 
     async def run(self) -> None:
@@ -341,7 +318,6 @@ class Gateway:
     # -- what has to be served
 
     async def _look(self, now: float) -> None:
-        """Begin and end topics as the graph and the rights say now."""
         for alias, each in tuple(self._running.items()):
             if each.task.done():
                 self._forget(alias, each, now)
@@ -357,7 +333,6 @@ class Gateway:
         await self._restore_lost(now)
 
     async def _wanted(self, now: float) -> list[Candidate]:
-        """What to serve of the candidates; notes why the others are skipped."""
         able, skipped = list[Candidate](), dict[str, Obstacle]()
         for count, (alias, each) in enumerate(self._observed.candidates.items(), 1):
             obstacle = self._obstacle(each, now)
@@ -377,7 +352,6 @@ class Gateway:
         return found
 
     def _tell(self, before: Mapping[str, Obstacle]) -> None:
-        """Log what is new of the topics that are skipped."""
         new = [alias for alias, each in self.skipped.items() if before.get(alias) != each]
         for alias in new[:MAX_LOGGED]:
             why, hint = self.skipped[alias]
@@ -386,7 +360,7 @@ class Gateway:
             _log.warning("and %d more: rossec gateway status", len(new) - MAX_LOGGED)
 
     def _obstacle(self, candidate: Candidate, now: float) -> Obstacle | None:
-        """Why a topic cannot be served now; None: it can."""
+        # Why a topic cannot be served now; None: it can.
         if missing := self._missing.get(candidate.alias):
             return missing
         others = self._observed.servers.get(candidate.served, frozenset()) - {self._node.name}
@@ -396,7 +370,6 @@ class Gateway:
         return Obstacle(why) if now < at else None
 
     async def _judge(self) -> None:
-        """Find which topics there is a right for, if that may have changed."""
         known = self._observed, self._node.access.current(clock.now())
         if known == self._judged_for:
             return
@@ -430,7 +403,6 @@ class Gateway:
         self._running[candidate.alias] = _Running(topic, task)
 
     def _forget(self, alias: str, ended: _Running, now: float) -> None:
-        """A task has ended: by itself it is begun again at once, after a failure later."""
         del self._running[alias]
         self._again.pop(alias, None)
         crashed = ended.task.cancelled() or ended.task.exception() is not None
@@ -439,7 +411,6 @@ class Gateway:
             self._again[alias] = now + PAUSE, why
 
     async def _restore_lost(self, now: float) -> None:
-        """Register everything again if an answer that should show a registration lacks it."""
         served = [each.topic for each in self._running.values()]
         lost = [
             each for each in served
@@ -458,7 +429,6 @@ class Gateway:
     # -- the graph
 
     async def _watch(self) -> None:
-        """Follow the graph; what is known stays while the master is out of reach."""
         retry = Retry(SystemRandom().random)
         while True:
             try:
@@ -467,7 +437,7 @@ class Gateway:
                 await asyncio.sleep(self._cannot_follow(error, retry))
 
     def _cannot_follow(self, error: BaseException, retry: Retry) -> float:
-        """Say once why the graph is not known; returns after how many seconds to try again."""
+        # Say once why the graph is not known; returns after how many seconds to try again.
         why, pause = str(error) or type(error).__name__, retry.pause(monotonic())
         node = self._node
         if not node.access.covers(Right.GRAPH, node.access.master, clock.now()):
@@ -507,7 +477,6 @@ class Gateway:
 
 
 async def _serve(topic: ServedTopic) -> bool:
-    """Serve a topic; returns whether it ended without an error."""
     try:
         await topic.run()
     except REFUSALS as error:

@@ -96,7 +96,6 @@ def rule(label: str, pattern: str, wishes: Wishes) -> TopicRule:
 
 
 def _origins(label: str, pattern: str) -> str:
-    """The pattern as the origin writes it, of one that was written with a label."""
     for prefix in (f"{label}:", f"/remote/{label}"):
         if pattern.startswith(f"{prefix}/"):
             return pattern.removeprefix(prefix)
@@ -164,7 +163,6 @@ def observing(facts: Iterable[Fact], rules: Sequence[TopicRule]) -> Generator[No
 
 
 def _is_of_its_origin(topic: str, node: str) -> bool:
-    """Whether a topic is an alias, and the node one of the same domain."""
     try:
         one, other = split_alias(topic), split_alias(node)
     except NameRefused:
@@ -185,12 +183,7 @@ def _candidate(alias: str, rules: Sequence[TopicRule], type_name: str) -> Candid
 def chosen(
     candidates: Iterable[Candidate], serving: Collection[str], most: int = MAX_TOPICS
 ) -> list[Candidate]:
-    """Those of the candidates that there is room for.
-
-    Args:
-        serving: the aliases that are served already.
-        most: how many may be served.
-    """
+    """Those of the candidates that there is room for."""
     by_label: dict[str, list[Candidate]] = {}
     for each in candidates:
         by_label.setdefault(each.rule.label, []).append(each)
@@ -220,16 +213,9 @@ class Sources:
 
     @property
     def latching(self) -> bool:
-        """Whether there is one source, and it latches: of several none has the last word."""
         return len(self._connected) == 1 and next(iter(self._connected)).latching
 
     def connect(self, source: RawSource) -> bool:
-        """Add a source; returns whether it is the first to say the type.
-
-        Raises:
-            TypeChanged: no source of the known type is connected, and this is of another.
-            ConnectionHeaderRefused: a source of another type is connected.
-        """
         is_first = self.type is None
         if self.type is not None and not same_type(self.type, source.type):
             told = f"{source.peer} publishes {source.type.name} ({source.type.md5sum})"
@@ -240,7 +226,6 @@ class Sources:
         return is_first
 
     def disconnect(self, source: RawSource) -> None:
-        """Remove a source."""
         self._connected.discard(source)
 
 
@@ -252,7 +237,6 @@ def same_type(one: Definition, other: Definition) -> bool:
 
 
 def _digest(kind: Definition) -> bytes | str:
-    """What identifies a layout; the text, if it is no definition."""
     try:
         return kind.layout.digest
     except (DefinitionRefused, ConnectionHeaderRefused):
@@ -317,11 +301,6 @@ class TopicState:
         self._pause = FIRST_PAUSE
 
     def step(self, now: float, *, wanted: bool) -> Action:
-        """What is to be done now; called until it is nothing.
-
-        Args:
-            wanted: whether somebody here is subscribed, or waits to be.
-        """
         event = self._event(now, wanted=wanted)
         return Action.NOTHING if event is None else self._enter(event, now)
 
@@ -333,13 +312,11 @@ class TopicState:
         return Event.DUE if self.due is not None and now >= self.due else None
 
     def failed(self, now: float) -> Action:
-        """The subscription was refused, or ended by an error."""
         action = self._enter(Event.FAILED, now)
         self._pause = min(2 * self._pause, LONGEST_PAUSE)
         return action
 
     def connected(self) -> None:
-        """A publisher of the origin is connected: the next failure is a new one."""
         self._pause = FIRST_PAUSE
 
     def _enter(self, event: Event, now: float) -> Action:
@@ -361,16 +338,13 @@ class Thinning:
 
     @property
     def due(self) -> float | None:
-        """When a message that is held back may go; None: there is none."""
         return None if self._held is None else self._next
 
     def take(self, message: bytes, now: float) -> bytes | None:
-        """The message, if it may go now; else it is held back in place of an older one."""
         self._held = message
         return self.release(now)
 
     def release(self, now: float) -> bytes | None:
-        """What was held back, if it may go now."""
         if self._held is None or now < self._next:
             return None
         message, self._held, self._next = self._held, None, now + self._interval

@@ -36,11 +36,7 @@ def variable_of(variables: Mapping[str, str]) -> str:
 
 
 def check_own_address(address: str, variable: str) -> str:
-    """What to say of an address of this host; a name is asked of the resolver.
-
-    Raises:
-        ConfigurationError: it leads elsewhere, or nowhere.
-    """
+    """What to say of an address of this host; a name is asked of the resolver."""
     what = f"{variable} is {printable(address)}"
     found = resolved(address)
     if not found:
@@ -159,11 +155,7 @@ def join(host: str, port: int) -> str:
 
 
 def split(text: str, default: int = DEFAULT_PORT) -> tuple[str, int]:
-    """Host and port of `text`; without a port the `default` one.
-
-    Raises:
-        ConfigurationError: not an address.
-    """
+    """Host and port of `text`; without a port the `default` one."""
     host, port = text, str(default)
     if text.startswith("["):
         host, _, rest = text[1:].partition("]")

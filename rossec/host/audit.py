@@ -96,7 +96,6 @@ def check_beginning(first: Entry, key: bytes | None = None, after: str | None = 
 
 
 def _key_of(entry: Entry) -> bytes:
-    """The thumbprint of the key that signed the entry."""
     try:
         key = ec.EllipticCurvePublicKey.from_encoded_point(
             ec.SECP256R1(), bytes.fromhex(entry[_KEY])
@@ -170,11 +169,7 @@ def _entry(line: str) -> Entry | None:
 
 
 def verify(entries: Iterable[Entry], before: str | None = None) -> str:
-    """The hash of the last entry, if the chain is intact; `before` is the hash before the first.
-
-    Raises:
-        ConfigurationError: a line was changed, removed or inserted.
-    """
+    """The hash of the last entry, if the chain is intact; `before` is the hash before the first."""
     last = before
     for number, entry in enumerate(entries, 1):
         rest = {key: value for key, value in entry.items() if key != "hash"}
@@ -249,7 +244,6 @@ class AuditFile(logging.Handler):
         super().close()
 
     def _write_mark(self, at: float) -> None:
-        """Begin an empty file with a line that is signed by the master."""
         if self._signer is not None and os.fstat(self._file).st_size == 0:
             self._append(with_hash(mark(self._signer, self._last, at), self._last))
 
@@ -262,7 +256,7 @@ class AuditFile(logging.Handler):
         self._last = entry["hash"]
 
     def _fail(self, error: Exception) -> None:
-        """Log the first failure; a full disk must not end the master."""
+        # Log the first failure; a full disk must not end the master.
         if not self._failing:
             _log.error("the audit cannot be written: %s; the lines before are intact", error)
         self._failing = True
@@ -282,7 +276,6 @@ class AuditFile(logging.Handler):
         return files.append_own(self._path)
 
     def _resume(self) -> tuple[str, int]:
-        """The hash to continue from, and the length of a truncated line, which is removed."""
         size = os.fstat(self._file).st_size
         tail = os.pread(self._file, _TAIL, max(0, size - _TAIL))
         torn = len(tail) - (tail.rfind(b"\n") + 1)

@@ -132,7 +132,6 @@ def listeners_in(tables: Iterable[str], endpoint: Endpoint) -> list[Holder]:
 
 
 def _rows(tables: Iterable[str]) -> Iterator[tuple[str, Holder]]:
-    """`local remote state` as the kernel writes it, and the socket's holder, if it has one."""
     for table in tables:
         for line in table.splitlines()[1:]:
             fields = line.split()
@@ -168,23 +167,14 @@ def unix_peer(sock: socket.socket) -> UnixPeer:
 
 
 def user_of(sock: socket.socket) -> int:
-    """The user id at the other end of a connected unix or TCP socket of this host.
-
-    Raises:
-        PeerUserRefused: no process holds that end, or it is not on this host.
-        OSError: not connected, or the kernel's tables cannot be read.
-    """
+    """The user id at the other end of a connected unix or TCP socket of this host."""
     if sock.family == socket.AF_UNIX:
         return unix_peer(sock).user
     return holder_of(sock).user
 
 
 def holder_of(sock: socket.socket) -> Holder:
-    """The holder of the other end of a TCP connection within this host.
-
-    Raises:
-        PeerUserRefused, OSError: as `user_of`.
-    """
+    """The holder of the other end of a TCP connection within this host."""
     local, remote = sock.getpeername()[:2], sock.getsockname()[:2]
     holder = find_holder(local, remote)
     if holder is not None:
@@ -193,11 +183,7 @@ def holder_of(sock: socket.socket) -> Holder:
 
 
 def find_holder(local: Endpoint, remote: Endpoint) -> Holder | None:
-    """The holder of the socket bound to `local` and connected to `remote`; None: no program.
-
-    Raises:
-        OSError: the kernel's tables cannot be read.
-    """
+    """The holder of the socket bound to `local` and connected to `remote`; None: no program."""
     try:
         entry = find(local, remote)
     except OSError:
@@ -213,9 +199,6 @@ def listeners(endpoint: Endpoint) -> list[Holder]:
     """The holders of sockets that listen on `endpoint`, an address of this host.
 
     At most one, unless only the tables are available: then all candidates.
-
-    Raises:
-        OSError: the kernel's tables cannot be read.
     """
     try:
         entry = listener(endpoint)
@@ -243,7 +226,6 @@ def require_user(sock: socket.socket, users: Collection[int]) -> int:
 
 
 def _hex(endpoint: Endpoint, mapped: int) -> str:
-    """As the kernel prints it: the address as 32-bit words in the host's byte order."""
     address = ipaddress.ip_address(endpoint[0].partition("%")[0])
     plain = getattr(address, "ipv4_mapped", None) or address
     packed: bytes = plain.packed
@@ -278,11 +260,7 @@ class SocketEntry(NamedTuple):
 
 
 def find(local: tuple[str, int], remote: tuple[str, int]) -> SocketEntry | None:
-    """The socket that is bound to `local` and connected to `remote`; None: there is none.
-
-    Raises:
-        OSError: the kernel cannot answer.
-    """
+    """The socket that is bound to `local` and connected to `remote`; None: there is none."""
     ends = _packed(local), _packed(remote)
     entry = _found(*ends)
     if entry is None or entry.state != ESTABLISHED:  # the kernel falls back to a listener
@@ -291,11 +269,7 @@ def find(local: tuple[str, int], remote: tuple[str, int]) -> SocketEntry | None:
 
 
 def listener(local: tuple[str, int]) -> SocketEntry | None:
-    """The socket that a connection to `local` would reach; None: there is none.
-
-    Raises:
-        OSError: the kernel cannot answer.
-    """
+    """The socket that a connection to `local` would reach; None: there is none."""
     entry = _found(_packed(local), _packed((local[0], 0)))  # no connection is from port 0
     return entry if entry is not None and entry.state == LISTEN else None
 
@@ -329,11 +303,7 @@ def _ask(request: bytes) -> SocketEntry:
 
 
 def parse(data: bytes) -> SocketEntry:
-    """The socket in an answer. Pure.
-
-    Raises:
-        OSError: the kernel's error, or an invalid answer.
-    """
+    """The socket in an answer. Pure."""
     if len(data) < _HEAD.size:
         raise OSError(errno.EPROTO, "an answer cut short")
     length, kind, *_ = _HEAD.unpack_from(data)
@@ -360,7 +330,6 @@ def _packed(end: tuple[str, int]) -> tuple[bytes, int]:
 
 
 def _plain(end: tuple[bytes, int]) -> tuple[bytes, int]:
-    """A mapped IPv4 address as IPv4."""
     address, port = end
     mapped = len(address) == 16 and address.startswith(bytes(10) + b"\xff\xff")
     return (address[12:] if mapped else address), port

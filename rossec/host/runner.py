@@ -117,7 +117,6 @@ class JsonFormatter(logging.Formatter):
     """One JSON object a line."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """Time, level, logger and text; a traceback, if there is one."""
         entry: dict[str, Any] = {
             "at": round(record.created, 3),
             "level": record.levelname.lower(),

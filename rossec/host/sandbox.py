@@ -37,24 +37,16 @@ LIBC: Final = ctypes.CDLL(None, use_errno=True)
 
 
 class _Ruleset(ctypes.Structure):
-    """struct landlock_ruleset_attr, of the first version."""
-
     _fields_ = (("handled_access_fs", ctypes.c_uint64),)
 
 
 class _PathBeneath(ctypes.Structure):
-    """struct landlock_path_beneath_attr."""
-
     _pack_ = 1
     _fields_ = (("allowed_access", ctypes.c_uint64), ("parent_fd", ctypes.c_int32))
 
 
 def read_only(paths: Iterable[Path]) -> None:
-    """Open nothing from now on but what is at or below `paths`, for reading; others may be missing.
-
-    Raises:
-        OSError: this kernel has no Landlock, or refuses; nothing is confined.
-    """
+    """Open nothing from now on but what is at or below `paths`, for reading; others may be missing."""
     attributes = _Ruleset(_ALL)
     ruleset = _call(_CREATE_RULESET, ctypes.byref(attributes), ctypes.sizeof(attributes), 0)
     try:
@@ -113,17 +105,11 @@ _NUMBERS: Final[Mapping[str, tuple[int, int]]] = {
 
 
 class _Program(ctypes.Structure):
-    """struct sock_fprog."""
-
     _fields_ = (("length", ctypes.c_ushort), ("instructions", ctypes.c_char_p))
 
 
 def allow_only(names: Iterable[str]) -> None:
-    """Make no system call from now on but those with these names; threads that run are not bound.
-
-    Raises:
-        OSError: this kernel has no filters, or none is known for this architecture.
-    """
+    """Make no system call from now on but those with these names; threads that run are not bound."""
     code = program(names, platform.machine())
     if LIBC.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0:
         raise OSError(ctypes.get_errno(), "prctl")
@@ -134,11 +120,7 @@ def allow_only(names: Iterable[str]) -> None:
 
 
 def program(names: Iterable[str], machine: str) -> bytes:
-    """The filter as the kernel reads it: struct sock_filter, eight bytes each.
-
-    Raises:
-        OSError: nothing is known of `machine`.
-    """
+    """The filter as the kernel reads it: struct sock_filter, eight bytes each."""
     if machine not in _AUDIT or sys.byteorder != "little":
         raise OSError(f"no filter of system calls is known for {machine}")
     column = list(_AUDIT).index(machine)
@@ -153,7 +135,6 @@ def program(names: Iterable[str], machine: str) -> bytes:
 def _instructions(
     architecture: int, numbers: list[int], fork: list[int]
 ) -> list[tuple[int, int, int, int]]:
-    """Code, how many to skip if equal and if not, constant."""
     refuse, allow = (_RETURN, 0, 0, _ERRNO | _EPERM), (_RETURN, 0, 0, _ALLOW)
     found = [
         (_LOAD, 0, 0, _ARCHITECTURE),

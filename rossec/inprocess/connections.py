@@ -115,12 +115,7 @@ _LENGTH: Final = struct.Struct("<I")
 
 
 def receive(sock: RosSocket) -> dict[str, bytes]:
-    """The fields of the header the peer sends.
-
-    Raises:
-        ChannelError, TimeoutError: the connection ended, or nothing came in time.
-        HeaderRefused: malformed, or too long.
-    """
+    """The fields of the header the peer sends."""
     end = time.monotonic() + DEADLINE
     (length,) = _LENGTH.unpack(_exactly(sock, _LENGTH.size, end))
     if length > tcpros.HEADER_LIMIT:
@@ -176,7 +171,6 @@ class Connections:
     # -- headers
 
     def write_header(self, transport: Any) -> None:
-        """`TCPROSTransport.write_header`."""
         sock, protocol = transport.socket, transport.protocol
         if sock is None or protocol is None:
             return
@@ -207,12 +201,10 @@ class Connections:
         return {**stock, **named, "callerid": caller, FIELD: proof, **sock.wishes.fields}
 
     def _check_plain(self, name: str, sock: RosSocket) -> None:
-        """Checked before the first plain byte is sent."""
         if not self._process.allows_plain(name, sock.getpeername()[0]):
             raise PlainPeer("the peer is a plain ROS node", _HINT_PLAIN)
 
     def read_header(self, transport: Any) -> None:
-        """`TCPROSTransport.read_header`: the answer of a publisher or a service."""
         sock, protocol = transport.socket, transport.protocol
         if sock is None or protocol is None:
             return
@@ -276,7 +268,6 @@ class Connections:
     # -- callers
 
     def serve(self, server: Any, sock: RosSocket, where: Any) -> None:
-        """`TCPROSServer._tcp_server_callback`, in a thread of its own: one caller."""
         caller = f"the caller from {where[0]}"
         try:
             if self._process.plain and self._serve_plain(server, sock, where):
@@ -300,7 +291,6 @@ class Connections:
             raise
 
     def _serve_plain(self, server: Any, sock: RosSocket, where: Any) -> bool:
-        """Serve a plain caller of what `allow_plain` names; others continue with the handshake."""
         fields = plain_fields(sock.peek())
         kind = "service" if "service" in fields else "topic"
         name = fields.get(kind, b"").decode(errors="replace")
@@ -346,12 +336,6 @@ class Connections:
             )
 
     def _filter_calls(self, service: str, sock: RosSocket, connection: RosConnection) -> None:
-        """Filter the calls of this caller.
-
-        Raises:
-            ConnectionHeaderRefused: the service is not provided here.
-            GrantError: the restrictions do not fit its type.
-        """
         provided = rospy.impl.registration.get_service_manager().get_service(service)
         if provided is None:
             raise ConnectionHeaderRefused(f"{self._local_identity.name} does not provide {service}")
@@ -371,11 +355,6 @@ class Connections:
         connection.rebuild = partial(self._refilter, sock, provided.service_class)
 
     def _refilter(self, sock: RosSocket, kind: Any, decision: Decision) -> None:
-        """Another decision is in force for the calls on this connection.
-
-        Raises:
-            HintedError: it cannot be applied to them.
-        """
         calls = sock.service_filter
         if calls is None and decision.restrictions:
             raise ConnectionHeaderRefused("calls that are restricted now were passed on unread")
@@ -397,11 +376,6 @@ class Connections:
         )
 
     def _published(self, topic: str) -> Any:
-        """The publisher of a topic.
-
-        Raises:
-            ConnectionHeaderRefused: the topic is not published here.
-        """
         published = get_topic_manager().get_publisher_impl(topic)
         if published is None or published.closed:
             raise ConnectionHeaderRefused(f"{self._local_identity.name} does not publish {topic}")
@@ -409,7 +383,6 @@ class Connections:
 
 
 def _granted_name(protocol: Any, peer: Identity, name: str) -> str:
-    """The local name whose grants decide on `name`, which the protocol is about, with `peer`."""
     return granted_name(peer, name) if isinstance(protocol, TCPROSSub) else name
 
 
@@ -426,18 +399,12 @@ class ServiceProbe(RosSocket):
         self._answer = b""
 
     def recv(self, size: int) -> bytes:
-        """The answer, which was checked in `sendall`."""
         if self.is_plain:
             return super().recv(size)
         part, self._answer = self._answer[:size], self._answer[size:]
         return part
 
     def sendall(self, data: Bytes) -> None:
-        """Add the proof to the header, send it, and check the answer.
-
-        Raises:
-            HintedError, OSError: the service is not available to this node.
-        """
         local_identity = self._process.local_identity
         fields = tcpros.decode(bytes(data)[4:])
         service = text(fields, "service")
@@ -473,10 +440,7 @@ class SubscriptionLoop:
     def run(
         self, conn: Any, host: str, port: int, uri: str, callback: Callable[..., None], topic: str
     ) -> None:
-        """`robust_connect_subscriber`: connected for as long as the master names the publisher.
-
-        `host`, `port`: the publisher's answer, of no use at a relay's door, where its topics are.
-        """
+        # `host`, `port`: the publisher's answer, of no use at a relay's door, where its topics are.
         if is_door(uri):
             host, port = parse_uri(uri)
         pause = _FIRST_PAUSE
@@ -508,7 +472,6 @@ class SubscriptionLoop:
                 self._process.reporter.warn(f"lost {conn.name} from {uri}", error)
 
     def _receive(self, conn: Any, callback: Callable[..., None]) -> None:
-        """Messages until the connection ends; as `TCPROSTransport.receive_loop`."""
         sock, protocol = conn.socket, conn.protocol
         if sock is None or protocol is None:
             return
@@ -534,7 +497,6 @@ class SubscriptionLoop:
     def _filter(
         self, connection: RosConnection | PlainConnection | None, messages: list[bytes]
     ) -> list[bytes]:
-        """The messages as the publisher's right allows them."""
         guard = None if connection is None else connection.guard  # may be replaced meanwhile
         if connection is None or guard is None or isinstance(connection, PlainConnection):
             return messages
@@ -557,7 +519,6 @@ class SubscriptionLoop:
             sock.close()
 
     def _wait_for_change(self, conn: Any, pause: float, topic: str, uri: str) -> bool:
-        """Wait, at most `pause`, for a reason to try again; returns whether to."""
         end = time.monotonic() + pause
         membership = self._process.membership
         seen = membership.rights_version
@@ -569,5 +530,4 @@ class SubscriptionLoop:
 
 
 def _until_aborted(messages: list[Any], sock: RosSocket) -> Iterator[Any]:
-    """The messages of a batch, while the right to them lasts: callbacks may be slow."""
     return (message for message in messages if not sock.aborted)

@@ -71,11 +71,7 @@ class Hook(NamedTuple):
 
 
 def rospy_version() -> str:
-    """The version of the rospy that is imported.
-
-    Raises:
-        ConfigurationError: unknown, or not a version that rossec was tested with.
-    """
+    """The version of the rospy that is imported."""
     try:
         found = version("rospy")
     except PackageNotFoundError:
@@ -89,11 +85,7 @@ def rospy_version() -> str:
 
 
 def check_in_time() -> None:
-    """Check that the program has opened no connection yet: it would stay plain.
-
-    Raises:
-        ConfigurationError: it has opened one.
-    """
+    """Check that the program has opened no connection yet: it would stay plain."""
     base, core = rospy.impl.tcpros_base, rospy.core
     if core.is_initialized() or rospy.client._init_node_args:  # noqa: SLF001 - rospy has no function for it
         raise ConfigurationError("rossec.secure() comes after rospy.init_node()", _LATE)
@@ -120,7 +112,6 @@ def hooks(process: SecuredProcess, start_node: StartNode) -> list[Hook]:
 
 
 def _connection_hooks(process: SecuredProcess) -> list[Hook]:
-    """TCPROS connections of topics and services, both sides."""
     transport = rospy.impl.tcpros_base.TCPROSTransport
     connections = Connections(process)
 
@@ -147,7 +138,6 @@ def _connection_hooks(process: SecuredProcess) -> list[Hook]:
 
 
 def _topic_hooks(process: SecuredProcess) -> list[Hook]:
-    """Sending and receiving messages."""
     pubsub, queued = rospy.impl.tcpros_pubsub, ("self", "connection", "queue_size")
     return [
         Hook(
@@ -164,7 +154,6 @@ def _topic_hooks(process: SecuredProcess) -> list[Hook]:
 
 
 def _xmlrpc_client_hooks(process: SecuredProcess) -> list[Hook]:
-    """Calls of the master API and of the slave APIs of other nodes."""
     client = XmlRpcClient(process)
     proxy = client.proxy_class()
     return [
@@ -181,7 +170,6 @@ def _xmlrpc_client_hooks(process: SecuredProcess) -> list[Hook]:
 
 
 def _wait_hooks(process: SecuredProcess) -> list[Hook]:
-    """`wait_for_service`, and the URIs of services."""
     service = rospy.impl.tcpros_service
     stock_wait = service.wait_for_service
 
@@ -203,7 +191,6 @@ def _wait_hooks(process: SecuredProcess) -> list[Hook]:
 
 
 def _node_hooks(process: SecuredProcess) -> list[Hook]:
-    """This node's slave API and its URI."""
     api = rosgraph.xmlrpc.ThreadingXMLRPCServer
     server = XmlRpcServer(process)
 
@@ -220,11 +207,7 @@ def _node_hooks(process: SecuredProcess) -> list[Hook]:
 
 
 def install(table: list[Hook]) -> None:
-    """Set every hook, or none.
-
-    Raises:
-        ConfigurationError: this rospy is not the one the hooks are for.
-    """
+    """Set every hook, or none."""
     for hook in table:
         found = getattr(hook.owner, hook.name, None)
         if found is None or (hook.parameters is not None and _parameters(found) != hook.parameters):
@@ -261,11 +244,7 @@ def _probes(process: SecuredProcess) -> Callable[..., ServiceProbe]:
 
 
 def check(table: list[Hook]) -> None:
-    """Check that every hook is in place.
-
-    Raises:
-        ConfigurationError: one was replaced.
-    """
+    """Check that every hook is in place."""
     for hook in table:
         if inspect.getattr_static(hook.owner, hook.name, None) is not hook.new:
             raise ConfigurationError(
@@ -285,8 +264,6 @@ def _path(hook: Hook) -> str:
 
 
 def _as_function(method: Callable[..., Any]) -> Callable[..., Any]:
-    """`method` as a function, which becomes a method of the class it is set on."""
-
     def function(*arguments: Any) -> Any:
         return method(*arguments)
 

@@ -48,8 +48,6 @@ R = TypeVar("R")
 def _locked(
     method: Callable[Concatenate[Access, P], R],
 ) -> Callable[Concatenate["LockedAccess", P], R]:
-    """The same method of `LockedAccess`."""
-
     @wraps(method)
     def call(locked: "LockedAccess", /, *args: P.args, **kwargs: P.kwargs) -> R:
         with locked.lock:
@@ -71,19 +69,16 @@ class LockedAccess:
 
     @property
     def epoch(self) -> int:
-        """See `Access.epoch`."""
         with self.lock:
             return self._access.epoch
 
     @property
     def unproved(self) -> list[bytes]:
-        """See `Access.unproved`."""
         with self.lock:
             return self._access.unproved
 
     @property
     def foreign_domains(self) -> frozenset[str]:
-        """See `Access.foreign_domains`."""
         with self.lock:
             return self._access.foreign_domains
 
@@ -123,25 +118,18 @@ class LocalIdentity(LoadedIdentity):
         self.access = LockedAccess(Access(self.standing, master=master))
 
     def name_for(self, peer: Identity) -> str:
-        """By which name this node calls itself to `peer`."""
         return caller_for(peer, self.name, self.identity.name)
 
     @property
     def credentials(self) -> Credentials:
-        """Those of the next handshake, which uses them unchanged: it has a thread of its own."""
         return self.live_credentials.current
 
     @property
     def context(self) -> SecureContext[Identity]:
-        """The context of the next handshake: a renewal by another thread does not change it."""
+        # The context of the next handshake: a renewal by another thread does not change it.
         return replace(self.live_context, credentials=self.credentials)
 
     def refresh_identity(self) -> bool:
-        """Use the certificate that is in the directory now; returns whether it is another one.
-
-        Raises:
-            HintedError: it is invalid; the one before stays.
-        """
         credentials = self.home.credentials()
         if credentials.chain == self.credentials.chain:
             return False
@@ -171,39 +159,31 @@ class PlainStream:
         self._socket = sock
 
     def recv(self, size: int) -> bytes:
-        """As `socket.socket`."""
         return self._socket.recv(size)
 
     def recv_into(self, buffer: bytearray | memoryview, size: int = 0) -> int:
-        """As `socket.socket`."""
         return self._socket.recv_into(buffer, size)
 
     def receive_unit(self) -> bytes:
-        """What has arrived."""
         return self._socket.recv(_READ)
 
     def pump(self) -> None:
-        """Nothing to receive."""
+        ...
 
     def sendall(self, *pieces: bytes | bytearray | memoryview) -> None:
-        """Send the pieces."""
         for piece in pieces:
             self._socket.sendall(piece)
 
     def settimeout(self, value: float | None) -> None:
-        """As `socket.socket`."""
         self._socket.settimeout(value)
 
     def gettimeout(self) -> float | None:
-        """As `socket.socket`."""
         return self._socket.gettimeout()
 
     def shutdown(self, how: int = socket.SHUT_RDWR) -> None:
-        """As `socket.socket`."""
         self._socket.shutdown(how)
 
     def close(self) -> None:
-        """As `socket.socket`."""
         self._socket.close()
 
 
@@ -244,7 +224,6 @@ def plain_fields(data: bytes) -> dict[str, bytes]:
 
 
 def _peek_bytes(sock: socket.socket, size: int, end: float) -> bytes:
-    """`size` bytes, or those that came in time."""
     data: Any = b""
     while len(data) < size and (left := end - time.monotonic()) > 0:
         sock.settimeout(left)
@@ -273,11 +252,6 @@ class Connector:
         self._slots: WeakKeyDictionary[socket.socket, HalfOpenSlot] = WeakKeyDictionary()
 
     def initiate(self, sock: socket.socket, protocol: WireProtocol, address: Address) -> Stream:
-        """Handshake as the initiator over a socket that is connected to `address`.
-
-        Raises:
-            ChannelError: the handshake failed; the socket is closed.
-        """
         return SecureSocket.initiate(
             sock,
             self._local_identity.context,
@@ -287,10 +261,7 @@ class Connector:
         )
 
     def admit(self, sock: socket.socket, address: str) -> bool:
-        """Whether one more half-open connection is within the limits.
-
-        It counts until the peer is authenticated, or `sock` is closed.
-        """
+        # It counts until the peer is authenticated, or `sock` is closed.
         slot = self._local_identity.context.half_open.admit(address)
         if slot is not None:
             slot.bind(sock)
@@ -298,17 +269,11 @@ class Connector:
         return slot is not None
 
     def release(self, sock: socket.socket) -> None:
-        """Stop counting an admitted caller: it needs no handshake, or is gone."""
         slot = self._slots.pop(sock, None)
         if slot is not None:
             slot.release()
 
     def respond(self, sock: socket.socket, protocol: WireProtocol) -> Stream:
-        """The responder's side for a caller that was admitted; the handshake is still to come.
-
-        Raises:
-            OSError: it is gone already.
-        """
         try:
             core = self._local_identity.context.responder(protocol)
             sock.settimeout(None)  # rospy sets a default for all sockets of the process
@@ -325,10 +290,8 @@ class Renewing:
     _stream: Stream | PlainStream | None = None
 
     def on_renewal(self, callback: Callable[[Renewal[Identity]], None]) -> None:
-        """As `SecureSocket`."""
         if isinstance(self._stream, SecureSocket):
             self._stream.on_renewal(callback)
 
     def present_grants(self, data: bytes) -> bool:
-        """As `SecureSocket`."""
         return isinstance(self._stream, SecureSocket) and self._stream.present_grants(data)

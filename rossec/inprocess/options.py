@@ -140,7 +140,6 @@ class PlainPeers:
         return bool(self._allowed)
 
     def allows(self, name: str, address: str) -> bool:
-        """Whether `name` may be used unencrypted with the peer at `address`."""
         if is_relayed(address):
             return False
         return (name, None) in self._allowed or (name, _canonical(address)) in self._allowed

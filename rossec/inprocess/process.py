@@ -77,7 +77,6 @@ class Registrations:
         self._nodes: dict[tuple[str, int], None] = {}
 
     def record(self, method: str, params: Sequence[object], answer: object) -> None:
-        """Record a call of the program and the master's answer."""
         if method in UNREGISTERS:  # whatever the answer: the program is done with it
             self.table.record(method, params)
         match answer:
@@ -93,12 +92,10 @@ class Registrations:
                 pass
 
     def set_publishers(self, topic: str, uris: object) -> None:
-        """Store the publishers of a topic that the master names."""
         if isinstance(uris, Iterable):
             self.publishers.update(topic, [uri for uri in uris if isinstance(uri, str)])
 
     def is_publisher(self, topic: str, uri: str) -> bool:
-        """Whether the master still names `uri`, or may name it again."""
         return uri in self.publishers.to_follow(topic)
 
     def _add_node(self, uri: str) -> None:
@@ -108,7 +105,6 @@ class Registrations:
             del self._nodes[next(iter(self._nodes))]
 
     def is_node(self, address: tuple[str, int]) -> bool:
-        """Whether the master has named a node at this host and port."""
         return address in self._nodes
 
 
@@ -130,16 +126,13 @@ class Reporter:
         forget_in_children(self)
 
     def abandon(self) -> None:
-        """In a forked child: the thread is the parent's; a new one is started when needed."""
         self._lock = Lock()
         self._queue: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         self._thread: Thread | None = None
 
     def warn(self, what: str, why: Exception | None = None) -> None:
-        """Log `what`, the error `why` and its hint, unless that line was logged before.
-
-        The subject of the line is the text before the first colon of `what`.
-        """
+        # Log `what`, the error `why` and its hint, unless that line was logged before.
+        # The subject of the line is the text before the first colon of `what`.
         text = what if why is None else f"{what}: {why}"
         hint = why.hint if isinstance(why, HintedError) else ""
         line = f"rossec: {printable(text)}" + (f" (hint: {printable(hint)})" if hint else "")
@@ -159,7 +152,6 @@ class Reporter:
         self._queue.put(line)
 
     def _within_limits(self, subject: str) -> bool:
-        """Whether a line is within the limits; logs once that lines are suppressed."""
         moment = time.monotonic()
         if moment - self._since > _PERIOD:
             self._since, self._counts, self._suppressed = moment, Counter(), False
@@ -173,13 +165,12 @@ class Reporter:
         return False
 
     def forget(self, what: str) -> None:
-        """`what` has succeeded since: if it fails again, it is logged again."""
+        # `what` has succeeded since: if it fails again, it is logged again.
         with self._lock:
             for line in [line for line in self._reported if line.startswith(f"rossec: {what}")]:
                 del self._reported[line]
 
     def close(self) -> None:
-        """Write what is queued, then stop."""
         with self._lock:
             thread, self._thread = self._thread, None
         if thread is not None:
@@ -201,7 +192,6 @@ class LogBridge(logging.Handler):
         self._reporter = reporter
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Log it once."""
         self._reporter.warn(record.getMessage())
 
 
@@ -253,24 +243,16 @@ class BackgroundLoop:
     # -- from other threads
 
     def start(self) -> None:
-        """Start, and wait a few seconds for the first connection to the master."""
         self._thread.start()
         self._first_attempt.wait(_FIRST_WAIT)
 
     def stop(self) -> None:
-        """End the session."""
         if self._thread.is_alive():
             with contextlib.suppress(RuntimeError):
                 self._loop.call_soon_threadsafe(self._stop.set)
             self._thread.join(timeout=_RECONNECT_WAIT)
 
     def call(self, method: str, params: tuple[object, ...]) -> object:
-        """The master's answer.
-
-        Raises:
-            Fault: it answered with a fault.
-            ConnectionRefusedError: it cannot be reached; stock clients raise the same.
-        """
         if not self._thread.is_alive():
             raise ConnectionRefusedError(errno.ECONNREFUSED, f"rossec: {_ENDED}")
         call = self._answer(method, params)
@@ -313,7 +295,6 @@ class BackgroundLoop:
         self._first_attempt.set()
 
     async def _run_timers(self) -> None:
-        """Renew the keys of idle connections, which rospy neither reads nor writes."""
         while True:
             await asyncio.sleep(_TIMERS_PERIOD)
             for connection in self.connections:
@@ -342,27 +323,22 @@ class BackgroundLoop:
     # -- in the loop: hooks of the membership (MembershipHooks)
 
     async def dial_master(self) -> SecureStream[Identity]:
-        """Connect to the master; calls wait until everything is registered again."""
         self._ready.clear()
         return await self._dialer.rpc(*self.address)
 
     async def dial_watch(self) -> SecureStream[Identity]:
-        """Connect to the master once more, for a call that waits."""
         return await self._dialer.rpc(*self.address)
 
     async def restore(self) -> None:
-        """Make every registration again."""
         for method, params in self._registrations.table:
             await self._register(method, params)
         self._ready.set()
 
     async def rights_changed(self) -> None:
-        """Make the registrations again that the master refused."""
         for method, params in self._registrations.table.refused():
             await self._register(method, params)
 
     def maintain(self) -> None:
-        """Use the certificate in the directory for every connection from now on."""
         name = self._local_identity.name
         try:
             if self._local_identity.refresh_identity():
@@ -371,7 +347,6 @@ class BackgroundLoop:
             _log.warning("%s: the identity in its directory is invalid: %s", name, error)
 
     def crashed(self, error: BaseException) -> None:
-        """Close every connection, and end the node."""
         _log.error("the background loop failed, all connections are closed: %s", error)
         self.connections.close("the background loop failed")
         # It unregisters this node at the master, which must not happen in the thread of this loop.
@@ -399,7 +374,6 @@ class SecuredProcess:
         """Calls `begin` if the name that the node will have is known."""
 
     def begin(self, local_identity: LocalIdentity, master: tuple[str, int]) -> None:
-        """Use `local_identity` and the master at that address from now on."""
         connector, registrations = (
             Connector(local_identity, self.own_addresses),
             Registrations(clock.counter()),
@@ -410,7 +384,6 @@ class SecuredProcess:
 
     @property
     def has_begun(self) -> bool:
-        """Whether the node has a name and an identity."""
         return self._begun is not None
 
     def _require_begun(self) -> tuple[LocalIdentity, Connector, Registrations, BackgroundLoop]:
@@ -423,56 +396,46 @@ class SecuredProcess:
         return self._begun
 
     def require_name(self) -> None:
-        """Return once the node has begun; raises `ConfigurationError` while it has no name."""
         self._require_begun()
 
     @property
     def local_identity(self) -> LocalIdentity:
-        """The node. Raises `ConfigurationError` while it has no name; so do the next five."""
+        # The node. Raises `ConfigurationError` while it has no name; so do the next five.
         return self._require_begun()[0]
 
     @property
     def connector(self) -> Connector:
-        """Makes the connections of this process."""
         return self._require_begun()[1]
 
     @property
     def registrations(self) -> Registrations:
-        """What this node registered with the master."""
         return self._require_begun()[2]
 
     @property
     def background_loop(self) -> BackgroundLoop:
-        """Holds the session with the master."""
         return self._require_begun()[3]
 
     @property
     def membership(self) -> Membership:
-        """Keeps grants, identity and revocation data current."""
         return self.background_loop.membership
 
     @property
     def connections(self) -> ConnectionTable[RosSocket]:
-        """The connections of this process."""
         return self.background_loop.connections
 
     # -- connections
 
     def listens(self, port: int, host: str | None = None) -> None:
-        """This node accepts callers there; rospy announces the same host for all its ports."""
         self.own_addresses.add_ports(self.own_addresses.host if host is None else host, port)
 
     def add_connection(self, sock: RosSocket, connection: RosConnection) -> None:
-        """Add an admitted connection: it is cut when its right ends; raises as the table."""
         sock.connection = connection
         self.connections.add(connection)
 
     def follows(self, sock: RosSocket, topic: str, publisher: str) -> None:
-        """An admitted connection to a publisher, by its URI: it is left as the master says."""
         self.background_loop.followed.add(sock, topic, publisher)
 
     def connection_closed(self, sock: RosSocket) -> None:
-        """A connection is closed."""
         if self.has_begun:
             self.connections.forget(sock)
             self.background_loop.followed.discard(sock)
@@ -480,14 +443,13 @@ class SecuredProcess:
             self.connections.discard(sock.connection)
 
     def allows_plain(self, name: str, address: str) -> bool:
-        """Whether `allow_plain` names this; if so, a warning is logged."""
+        # Whether `allow_plain` names this; if so, a warning is logged.
         allowed = self.plain.allows(name, address)
         if allowed:
             self.reporter.warn(f"PLAIN: {name} with {address}, neither encrypted nor checked")
         return allowed
 
     def connect_error(self, address: tuple[str, int], error: ChannelError) -> Exception:
-        """Log that a connection failed; returns the exception for rospy."""
         self.reporter.warn(f"cannot connect to {address[0]} port {address[1]}", error)
         if isinstance(error, PlainPeer):  # rospy does not try again
             return ConnectionError(f"rossec: {error}")
@@ -495,6 +457,5 @@ class SecuredProcess:
 
 
 def _with_hint(error: ConfigurationError) -> ConfigurationError:
-    """With the hint in the traceback, which the programmer sees."""
     error.add_note(f"hint: {error.hint}")
     return error

@@ -69,11 +69,8 @@ class BufferPool:
         self._buffers: deque[BytesIO] = deque(maxlen=count)
 
     def exchange(self, buffer: BytesIO) -> BytesIO:
-        """Keep `buffer`, and return one to write to from its start.
-
-        The count of references affects speed only: a `BytesIO` never writes into bytes that are
-        referenced elsewhere, it copies them first.
-        """
+        # The count of references affects speed only: a `BytesIO` never writes into bytes that are referenced
+        # elsewhere, it copies them first.
         self._buffers.append(buffer)
         with suppress(IndexError):  # another thread took the last buffer
             for _ in range(len(self._buffers)):
@@ -117,7 +114,6 @@ class SendQueue:
 
     @property
     def socket(self) -> Any:
-        """The connection's socket; rospy reads it for each message."""
         return self._connection.socket
 
     def __getattr__(self, name: str) -> Any:
@@ -126,11 +122,6 @@ class SendQueue:
         return getattr(self._connection, name)
 
     def write_data(self, data: Pieces) -> bool:
-        """Queue a message.
-
-        Raises:
-            Exception: what an earlier one failed with.
-        """
         if self._error is not None:
             error, self._error = self._error, None
             raise error
@@ -148,7 +139,7 @@ class SendQueue:
         return True
 
     def _send_now(self, data: Pieces) -> bool:
-        """Whether `data` was sent directly: the queue is empty, and sending does not block."""
+        # Whether `data` was sent directly: the queue is empty, and sending does not block.
         if not isinstance(data, bytes) or len(data) > _SMALL:
             return False
         try:
@@ -185,7 +176,6 @@ class SendQueue:
             write(self._connection, batch)
 
     def _wait(self) -> None:
-        """Until there is something to send, or the connection ends; the lock is held."""
         self._idle = (
             True  # set before the queue is checked, for a message that is queued just after
         )
@@ -196,7 +186,7 @@ class SendQueue:
 
 
 def _bare(error: Exception) -> Exception:
-    """Without what refers to frames, and so to messages, for who keeps it."""
+    # Without what refers to frames, and so to messages, for who keeps it.
     error.__cause__ = error.__context__ = None
     return error.with_traceback(None)
 
@@ -206,7 +196,6 @@ def _size(message: Pieces) -> int:
 
 
 def _batches(queue: deque[Pieces]) -> Iterator[list[Pieces]]:
-    """Take messages from the front, as many as make a unit; others may be added meanwhile."""
     batch: list[Pieces] = []
     size = 0
     with suppress(IndexError):
@@ -222,11 +211,7 @@ def _batches(queue: deque[Pieces]) -> Iterator[list[Pieces]]:
 
 
 def write(transport: Any, messages: list[Pieces]) -> None:
-    """Send messages as one unit over a transport of rospy's.
-
-    Raises:
-        TransportTerminated: the connection has ended; the transport is closed.
-    """
+    """Send messages as one unit over a transport of rospy's."""
     sock = _socket(transport)
     try:
         transport.stat_bytes += _send(sock, messages)
@@ -236,12 +221,7 @@ def write(transport: Any, messages: list[Pieces]) -> None:
 
 
 def write_now(transport: Any, message: bytes) -> bool:
-    """Send a small message if that does not block (`RosSocket.try_send`).
-
-    Raises:
-        TransportTerminated: the connection was closed.
-        HintedError, OSError: it has ended, and must be closed.
-    """
+    """Send a small message if that does not block (`RosSocket.try_send`)."""
     sock = _socket(transport)
     if not sock.try_send(message):
         return False
@@ -263,10 +243,7 @@ def _ended(transport: Any, error: Exception) -> TransportTerminated:
 
 
 def _send(sock: RosSocket, messages: list[Pieces]) -> int:
-    """Send messages; a large one is a unit without its length, which is sent before it.
-
-    Its receiver need not copy it then.
-    """
+    # Its receiver need not copy it then.
     match messages:
         case [bytes() as message] if len(message) > SEPARATE_UNIT:
             sock.send_unit(message[: LENGTH.size])
@@ -288,13 +265,7 @@ def _flat(messages: list[Pieces]) -> list[Bytes]:
 
 
 def write_data(transport: Any, data: Pieces) -> bool:
-    """As `TCPROSTransport.write_data`: for publishers without a queue, and for services.
-
-    Raises:
-        ServiceException: a call that a grant does not allow, or over a persistent connection that
-            has ended; rospy's own socket raises it when there is no response.
-        TransportTerminated: any other connection has ended.
-    """
+    """As `TCPROSTransport.write_data`: for publishers without a queue, and for services."""
     calls = isinstance(transport.protocol, TCPROSServiceClient)
     if isinstance(data, bytes):
         data = _filtered(transport, data)
@@ -308,7 +279,6 @@ def write_data(transport: Any, data: Pieces) -> bool:
 
 
 def _filtered(transport: Any, data: bytes) -> Pieces:
-    """A service's request or response as it may be sent."""
     service_filter = None if transport.socket is None else transport.socket.service_filter
     if service_filter is None:
         return data
@@ -348,11 +318,7 @@ class WishQueue(SendQueue):
         super().__init__(connection, 1)
 
     def write_data(self, data: Pieces) -> bool:
-        """Queue a message, unless the rate takes it away.
-
-        Raises:
-            Exception: what an earlier one failed with.
-        """
+        # Queue a message, unless the rate takes it away.
         if self._error is not None:
             error, self._error = self._error, None
             raise error
@@ -380,7 +346,6 @@ class WishQueue(SendQueue):
 
 
 def _content(data: Pieces) -> Sequence[Bytes]:
-    """A message without its length."""
     return (memoryview(data)[LENGTH.size :],) if isinstance(data, bytes) else data[1:]
 
 
@@ -398,23 +363,18 @@ _log = logging.getLogger("rossec.rospy")
 
 
 class _ForkedNode:
-    """In a process that was forked from a started node: what it publishes goes nowhere."""
-
     def __init__(self) -> None:
         self._warn: Callable[[str], None] | None = None  # of a started node
         self.is_child = False
         forget_in_children(self)
 
     def start(self, warn: Callable[[str], None]) -> None:
-        """The node of this process starts."""
         self._warn = warn
 
     def abandon(self) -> None:
-        """In the child: rospy's threads and connections are the parent's."""
         self.is_child = self._warn is not None
 
     def say(self) -> None:
-        """That it publishes in vain; the reporter says it once."""
         if self._warn is not None:
             self._warn(_FORKED)
 
@@ -460,7 +420,6 @@ def _latch(topic: Any) -> Latch[bytes]:
 
 
 def _latched(topic: Any, message: Any, new_subscriber: Any) -> Latch[bytes]:
-    """The topic's latch; it is empty if `message` is new to it."""
     latch = _latch(topic)
     if new_subscriber is None or message is not topic.latch:
         latch.newest = None
@@ -501,7 +460,6 @@ def _publishing_send(
     transports: Iterable[Any],
     new_subscriber: Latch[bytes] | None = None,
 ) -> list[Any]:
-    """Send each subscriber what it may see, a new one what is latched; returns failed ones."""
     samples: Samples = (
         (lambda _: (sample,)) if new_subscriber is None else new_subscriber.candidates
     )

@@ -57,7 +57,7 @@ def _right(label: str) -> Right:
 
 
 def _check_own(right: Right, name: str, own: str) -> None:
-    """Only the origin's authority gives rights on its names, and it takes no request from here."""
+    # Only the origin's authority gives rights on its names, and it takes no request from here.
     if is_alias(name) and right is not Right.GRAPH:
         served = possible_names(name)[1:] if right is Right.SUBSCRIBE else ()
         raise ConfigurationError(

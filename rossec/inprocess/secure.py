@@ -31,8 +31,6 @@ _MAX_FILE = 64 * 1024
 
 
 class _Secured:
-    """What `secure` made; one for a process."""
-
     def __init__(self, options: Options) -> None:
         self.options = options
         self.hooks = _hooks_module()
@@ -45,7 +43,6 @@ class _Secured:
         self.table = self.hooks.hooks(self.process, self.start_node)
 
     def install(self) -> None:
-        """Set the hooks, and begin if the node's name is known."""
         name = None if self.options.node is None else self._early_name()
         if name is not None:
             local_identity = self._load_identity(name)
@@ -67,7 +64,6 @@ class _Secured:
         port: int = 0,
         tcpros_port: int = 0,
     ) -> Any:
-        """`rospy.impl.init.start_node`: here the name is final."""
         try:
             self.hooks.check(self.table)
             self.hooks.hook_tools(self.process)
@@ -91,7 +87,6 @@ class _Secured:
         return self._stock_start(environ, resolved_name, master_uri, port, tcpros_port)
 
     def _early_name(self) -> str | None:
-        """The name that `rospy.init_node` will resolve; None: unknown until then."""
         given, names = self.options.node, self._rospy.names
         if given is not None and given.startswith("/"):
             return given
@@ -102,7 +97,6 @@ class _Secured:
         return str(graph.resolve_name(base, names.get_caller_id()))
 
     def _begin_early(self) -> None:
-        """rospy is used before `rospy.init_node`, as stock rospy allows."""
         name = self._early_name()
         if name is not None:
             self._begin(self._load_identity(name))
@@ -164,14 +158,9 @@ def _require_same_options(first: Options, now: Options) -> None:
 
 
 class _StartBlock:
-    """Starts no node in a process whose `secure` failed: a notebook, a shell or a thread survives
-    the SystemExit.
-    """
-
     _stock: Callable[..., Any] | None = None
 
     def set(self, error: HintedError) -> None:
-        """From now on `rospy.init_node` reports `error` and exits."""
         try:
             init: Any = importlib.import_module("rospy.impl.init")
         except ImportError:
@@ -180,7 +169,6 @@ class _StartBlock:
         init.start_node = lambda *_, **__: _refuse_start(error)
 
     def remove(self) -> None:
-        """Before another attempt."""
         if self._stock is not None:
             init: Any = importlib.import_module("rospy.impl.init")
             init.start_node, self._stock = self._stock, None
@@ -190,11 +178,7 @@ _start_block: Final = _StartBlock()
 
 
 def secured() -> SecuredProcess:
-    """The secured process.
-
-    Raises:
-        ConfigurationError: `secure` was not called.
-    """
+    """The secured process."""
     if _secured is None:
         raise ConfigurationError("this program is not secured", "call rossec.secure() first")
     return _secured.process

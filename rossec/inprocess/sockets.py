@@ -65,11 +65,7 @@ def bracketed(uri: str) -> str:
 
 
 def parse_rosrpc(uri: str) -> tuple[str, int]:
-    """Host and port of a service's URI.
-
-    Raises:
-        ConfigurationError: invalid.
-    """
+    """Host and port of a service's URI."""
     authority = uri.removeprefix(ROSRPC).partition("/")[0]
     host, _, port = authority.rpartition(":")
     if not uri.startswith(ROSRPC) or not host or not port.isdecimal():
@@ -127,21 +123,13 @@ class ServiceFilter(Protocol):
     framing: Framing
 
     def incoming(self, data: bytes) -> tuple[bytes, Pieces]:
-        """For received data: what the program may read, and what to answer the peer.
-
-        Raises:
-            HintedError: the connection must end.
-        """
+        ...
 
     def replace_guard(self, guard: ServiceGuard | None) -> None:
-        """Apply another guard from the next message on."""
+        ...
 
     def outgoing(self, data: bytes) -> Pieces:
-        """What the program sends, as it may be sent.
-
-        Raises:
-            HintedError: it may not be sent.
-        """
+        ...
 
 
 class ServerFilter:
@@ -169,11 +157,9 @@ class ServerFilter:
         self._now = now
 
     def replace_guard(self, guard: ServiceGuard | None) -> None:
-        """See `ServiceFilter`."""
         self._guard = guard
 
     def incoming(self, data: bytes) -> tuple[bytes, Pieces]:
-        """See `ServiceFilter`: a request."""
         request = self.framing.feed_one(data, int(self._now()))
         if request is None:
             return b"", ()
@@ -187,7 +173,6 @@ class ServerFilter:
             return b"", self._refusal(error)
 
     def outgoing(self, data: bytes) -> Pieces:
-        """See `ServiceFilter`: a response. A response the guard refuses fails the call."""
         guard = self._guard
         if guard is None or data[:1] != _OK:
             return (data,)
@@ -213,11 +198,9 @@ class ClientFilter:
         self._now = now
 
     def replace_guard(self, guard: ServiceGuard | None) -> None:
-        """See `ServiceFilter`."""
         self._guard = guard
 
     def incoming(self, data: bytes) -> tuple[bytes, Pieces]:
-        """See `ServiceFilter`: a response. A refused one fails the call."""
         content = self.framing.feed_one(data, int(self._now()))
         if content is None:
             return b"", ()
@@ -231,7 +214,6 @@ class ClientFilter:
             return b"".join(wire.failure(f"rossec: {error}")), ()
 
     def outgoing(self, data: bytes) -> Pieces:
-        """See `ServiceFilter`: a request."""
         guard = self._guard
         if guard is None:
             return (data,)
@@ -253,20 +235,21 @@ class SocketOwner(Protocol):
 
     @property
     def connector(self) -> Connector:
-        """Makes its connections."""
+        ...
 
     def connection_closed(self, sock: "RosSocket") -> None:
-        """A connection is closed."""
+        ...
 
     def listens(self, port: int) -> None:
-        """Callers are accepted there."""
+        ...
 
     @property
     def plain(self) -> PlainPeers:
-        """What may stay plain."""
+        ...
 
     def connect_error(self, address: tuple[str, int], error: ChannelError) -> Exception:
-        """The exception to raise if a connection cannot be secured."""
+        # The exception to raise if a connection cannot be secured.
+        ...
 
 
 class RosSocket(Renewing):
@@ -296,64 +279,46 @@ class RosSocket(Renewing):
 
     @property
     def stream(self) -> Stream | PlainStream:
-        """The connection: secure, unless `allow_plain` names it.
-
-        Raises:
-            ChannelClosed: the socket is not connected.
-        """
+        # The connection: secure, unless `allow_plain` names it.
         if self._stream is None:
             raise ChannelClosed("the socket is not connected")
         return self._stream
 
     @property
     def peer(self) -> Identity:
-        """The identity of the peer.
-
-        Raises:
-            ChannelClosed: it is not authenticated.
-        """
         if self.stream.peer is None:
             raise ChannelClosed("the peer is not authenticated")
         return self.stream.peer
 
     def handshake(self) -> Identity:
-        """Complete the handshake, or raise ChannelError; returns the identity of the peer."""
         if isinstance(self.stream, PlainStream):
             raise ChannelClosed("a plain connection is not authenticated")
         return self.stream.do_handshake()
 
     def raise_unit_limit(self, limit: int) -> None:
-        """The peer is authorized: it may send units of up to `limit` bytes."""
         if isinstance(self._stream, SecureSocket):
             self._stream.raise_unit_limit(limit)
 
     def pad_units(self, multiple: int) -> None:
-        """Pad what is sent from now on to a multiple of so many bytes; 0: do not."""
+        # Pad what is sent from now on to a multiple of so many bytes; 0: do not.
         if isinstance(self._stream, SecureSocket):
             self._stream.pad_units(multiple)
 
     @property
     def is_plain(self) -> bool:
-        """Whether the connection is not secured."""
+        # Whether the connection is not secured.
         return isinstance(self._stream, PlainStream)
 
     def peek(self) -> bytes:
-        """What a plain caller sends first (`plain_stream.peek`)."""
         return peek(self._socket)
 
     def switch_to_plain(self) -> None:
-        """Continue without the channel: `allow_plain` names what the caller asks for."""
         if isinstance(self._stream, SecureSocket):
             self._stream = PlainStream(self._stream.detach())
 
     # -- becoming a connection
 
     def connect(self, address: tuple[str, int]) -> None:
-        """Connect and authenticate.
-
-        Raises:
-            OSError: no TCP connection. As `SocketOwner.connect_error`: the handshake failed.
-        """
         with tried_again():
             self._connect(address)
 
@@ -376,16 +341,13 @@ class RosSocket(Renewing):
             raise self._owner.connect_error(address, error) from error
 
     def bind(self, address: tuple[str, int]) -> None:
-        """As `socket.socket`."""
         self._socket.bind(address)
 
     def listen(self, backlog: int = 128) -> None:
-        """As `socket.socket`; rospy's backlog of 5 is too small when a fleet starts."""
         self._socket.listen(max(backlog, 128))
         self._owner.listens(self._socket.getsockname()[1])
 
     def accept(self) -> tuple["RosSocket", Any]:
-        """The next caller within the limits. Its handshake is still to come."""
         while True:
             try:
                 sock, where = self._socket.accept()
@@ -404,13 +366,11 @@ class RosSocket(Renewing):
     # -- bytes
 
     def recv(self, size: int) -> bytes:
-        """As `socket.socket`."""
         with resets():
             calls = self.service_filter
             return self.stream.recv(size) if calls is None else self._receive_calls(calls, size)
 
     def _receive_calls(self, calls: ServiceFilter, size: int) -> bytes:
-        """What the program may read of a service's calls."""
         while not self._ready:
             receive = partial(self.stream.recv, _READ_SIZE)
             data = self.receive_before_deadline(calls.framing, receive)
@@ -426,11 +386,7 @@ class RosSocket(Renewing):
     def receive_before_deadline(
         self, framing: Framing, receive: Callable[[], Received]
     ) -> Received:
-        """What `receive` returns; a message that has begun must make progress meanwhile.
-
-        Raises:
-            LimitExceeded: it does not.
-        """
+        # What `receive` returns; a message that has begun must make progress meanwhile.
         while framing.incomplete and self.gettimeout() is None:
             self.settimeout(PATIENCE)
             try:
@@ -442,26 +398,18 @@ class RosSocket(Renewing):
         return receive()
 
     def recv_into(self, buffer: bytearray | memoryview, size: int = 0) -> int:
-        """As `socket.socket`."""
         with resets():
             return self.stream.recv_into(buffer, size)
 
     def send(self, data: Bytes) -> int:
-        """As `socket.socket`: everything is sent."""
         self.sendall(data)
         return len(data)
 
     def sendall(self, data: Bytes) -> None:
-        """As `socket.socket`."""
         with resets():
             self.send_unit(data)
 
     def send_unit(self, *pieces: Bytes) -> None:
-        """Send the pieces as one unit; regularly, also process what the channel received.
-
-        Raises:
-            ChannelError, OSError: as `SecureSocket.sendall`.
-        """
         stream = self.stream
         if time.monotonic() >= self._pump_at:
             stream.pump()
@@ -470,11 +418,7 @@ class RosSocket(Renewing):
         self._pump_soon(stream)
 
     def try_send(self, data: bytes) -> bool:
-        """Send a small unit if that does not block; False: nothing was sent.
-
-        Raises:
-            ChannelError: the connection has ended.
-        """
+        # Send a small unit if that does not block; False: nothing was sent.
         stream = self._stream
         if time.monotonic() >= self._pump_at or not isinstance(stream, SecureSocket):
             return False
@@ -484,57 +428,46 @@ class RosSocket(Renewing):
 
     @property
     def unsent(self) -> bool:
-        """Whether `try_send` left bytes for `send_unit` to send."""
         return isinstance(self._stream, SecureSocket) and self._stream.unsent
 
     def run_timers(self) -> None:
-        """`SecureSocket.run_timers`; an error there is raised where the connection is used."""
         if isinstance(self._stream, SecureSocket):
             with suppress(ChannelError, OSError):
                 self._stream.run_timers()
                 self._pump_soon(self._stream)
 
     def _pump_soon(self, stream: Stream | PlainStream) -> None:
-        """Process the peer's answer to a key update before the next message."""
         if stream.awaits_peer:
             self._pump_at = 0.0
 
     # -- options and closing
 
     def fileno(self) -> int:
-        """The kernel's descriptor, to poll for a hang-up; -1 when closed."""
         return self._socket.fileno()
 
     def settimeout(self, value: float | None) -> None:
-        """As `socket.socket`."""
         (self._stream or self._socket).settimeout(value)
 
     def gettimeout(self) -> float | None:
-        """As `socket.socket`."""
         return (self._stream or self._socket).gettimeout()
 
     def setblocking(self, flag: bool) -> None:
-        """As `socket.socket`."""
         self.settimeout(None if flag else 0.0)
 
     def setsockopt(self, *arguments: Any) -> None:
-        """As `socket.socket`."""
         self._socket.setsockopt(*arguments)
 
     def getsockopt(self, *arguments: Any) -> int | bytes:
-        """As `socket.socket`."""
         return self._socket.getsockopt(*arguments)
 
     def getsockname(self) -> Any:
-        """As `socket.socket`."""
         return self._socket.getsockname()
 
     def getpeername(self) -> Any:
-        """As `socket.socket`: for logs, never for trust."""
+        # As `socket.socket`: for logs, never for trust.
         return self._socket.getpeername()
 
     def shutdown(self, how: int = socket.SHUT_RDWR) -> None:
-        """Close in order."""
         self.closed_locally = True
         if self._stream is not None:
             self._stream.shutdown(how)
@@ -543,7 +476,6 @@ class RosSocket(Renewing):
                 self._socket.shutdown(how)
 
     def abort(self, _reason: str = "") -> None:
-        """End it now, from any thread: blocked calls return, and nothing more is received."""
         self.aborted = True
         if isinstance(self._stream, SecureSocket):
             self._stream.abort()
@@ -551,7 +483,6 @@ class RosSocket(Renewing):
             self._socket.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
-        """As `socket.socket`."""
         self.closed_locally = True
         self._owner.connection_closed(self)
         if self._stream is not None:

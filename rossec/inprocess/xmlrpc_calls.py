@@ -93,11 +93,9 @@ class XmlRpcServer:
         self._process = process
 
     def verify_request(self, _server: Any, request: socket.socket, where: Any) -> bool:
-        """`ThreadingXMLRPCServer.verify_request`, before a thread is started for a caller."""
         return self._process.connector.admit(request, where[0])
 
     def finish_request(self, server: Any, request: socket.socket, where: Any) -> None:
-        """`ThreadingXMLRPCServer.finish_request`, in a thread of its own: one caller."""
         if self._process.plain and peek(request) == b"POST":
             try:
                 self._answer_plain(request, where[0])
@@ -122,7 +120,6 @@ class XmlRpcServer:
             stream.close()
 
     def _serve(self, server: Any, stream: Stream, peer: Identity) -> None:
-        """Serve one connection: the master's without a deadline, another node's with one."""
         calls, presented = CallServer(), PresentedGrants()
         end = None if self._is_master(peer) else time.monotonic() + slave_api.DEADLINE
         try:
@@ -135,7 +132,6 @@ class XmlRpcServer:
                 stream.sendall(calls.refuse(error.status))
 
     def _answer_plain(self, request: socket.socket, address: str) -> None:
-        """A plain caller may request a topic that `allow_plain` names, and nothing else."""
         stream, calls = PlainStream(request), CallServer(compact=False)
         with suppress(HintedError, OSError):
             call = calls.load(_next_request(calls, stream, time.monotonic() + REQUEST_DEADLINE))
@@ -191,7 +187,6 @@ class XmlRpcServer:
             return Fault(FAULT_CODE, "rossec: internal error")
 
     def _check(self, method: str, peer: Identity) -> None:
-        """Checked at every call: a peer, also the master, may be revoked while connected."""
         try:
             self._process.local_identity.access.check_peer(peer, now())
         except RevocationsStale:
@@ -202,11 +197,6 @@ class XmlRpcServer:
         return self._process.local_identity.access.is_master(peer)
 
     def _is_authorized(self, method: str, peer: Identity, presented: PresentedGrants) -> bool:
-        """Whether grants that `peer` has presented on this connection authorize it for the call.
-
-        Raises:
-            HintedError: those it has presented do not.
-        """
         if presented.grants is None or method not in SLAVE_CALLS or self._is_master(peer):
             return False
         local_identity = self._process.local_identity
@@ -235,11 +225,8 @@ class XmlRpcServer:
 
 
 def _load(calls: CallServer, request: bytes | Oversized, *, master: bool) -> Call:
-    """The call in a request: of one other peer at a time, and in steps.
-
-    Threads that parse share the interpreter with those that publish, each with one share: so all
-    callers together have one. The master does not wait behind them.
-    """
+    # Threads that parse share the interpreter with those that publish, each with one share: so all callers
+    # together have one. The master does not wait behind them.
     if master or isinstance(request, Oversized) or len(request) <= AT_ONCE:
         return calls.load(request)
     return in_steps(calls.load_steps(request, UNSHOWN_BODY), _parsing)
@@ -271,11 +258,7 @@ def _next_request(
 
 
 def receive_some(stream: Stream | PlainStream, end: float | None) -> bytes:
-    """The unit that arrives next, until `end` at the latest; of a plain stream some bytes.
-
-    Raises:
-        ChannelClosed, TimeoutError: nothing arrives.
-    """
+    """The unit that arrives next, until `end` at the latest; of a plain stream some bytes."""
     stream.settimeout(None if end is None else max(0.001, end - time.monotonic()))
     data = stream.receive_unit()
     if not data:
@@ -296,7 +279,6 @@ class XmlRpcClient:
         self._stock_request: Any = getattr(xmlrpc.client.ServerProxy, REQUEST)
 
     def proxy_class(self) -> type[xmlrpc.client.ServerProxy]:
-        """Replaces `xmlrpc.client.ServerProxy` in rospy; thread-safe."""
         client = self
 
         class SecureProxy(xmlrpc.client.ServerProxy):
@@ -312,7 +294,6 @@ class XmlRpcClient:
         return SecureProxy
 
     def request(self, proxy: Any, method: str, params: Params) -> Any:
-        """`ServerProxy.__request`: a call through a proxy that the program made itself."""
         uri = _uri_of(proxy)
         address = _address(uri)
         if address is not None and self._is_secured(address):
@@ -320,7 +301,7 @@ class XmlRpcClient:
         return self._stock_request(proxy, method, params)
 
     def _is_secured(self, address: tuple[str, int]) -> bool:
-        """Whether the master is there, or a node that it has named; others are not secured."""
+        # Whether the master is there, or a node that it has named; others are not secured.
         process = self._process
         if not process.has_begun:
             return address == _address(rosgraph.get_master_uri() or "")
@@ -328,12 +309,6 @@ class XmlRpcClient:
         return address == process.background_loop.address or own(address) or known(address)
 
     def call(self, uri: str, method: str, params: Params) -> object:
-        """The value a node answers.
-
-        Raises:
-            Fault: it answered with a fault.
-            OSError: it cannot be reached, or is not authorized.
-        """
         address = parse_uri(uri)
         if address == self._process.background_loop.address:
             return self._call_master(method, params)
@@ -379,7 +354,6 @@ class XmlRpcClient:
         return answer
 
     def _search(self, caller_id: str, key: str) -> object:
-        """Search from the namespace of `caller_id`; the master searches from the node's."""
         name = self._process.local_identity.name
         for place, found in search_places(caller_id, key):
             answer = search_result(
@@ -390,7 +364,6 @@ class XmlRpcClient:
         return not_found(key)
 
     def _with_own_name(self, method: str, params: Params) -> Params:
-        """Tools and early calls give other names than the node's certified one."""
         name = self._process.local_identity.name
         if not params or not isinstance(params[0], str):
             return params  # the master answers what is wrong
@@ -403,11 +376,8 @@ class XmlRpcClient:
                 return (name, *rest)
 
     def _record_answer(self, method: str, params: Params, answer: object) -> object:
-        """Record the answer, and log a refusal.
-
-        A refused registration is repeated with a new grant, and rospy gets a success: else it would
-        end the program, or not, depending on when the master started.
-        """
+        # A refused registration is repeated with a new grant, and rospy gets a success: else it would end the
+        # program, or not, depending on when the master started.
         registrations = self._process.registrations
         registrations.record(method, params, answer)
         match answer:
@@ -462,7 +432,6 @@ class XmlRpcClient:
             stream.close()
 
     def _here(self, peer: Identity, method: str, answer: object) -> object:
-        """An answer in local names."""
         match answer:
             case [1, status, value]:
                 domain = self._process.local_identity.identity.domain
@@ -471,7 +440,6 @@ class XmlRpcClient:
                 return answer
 
     def _present_grants(self, method: str, stream: Stream, calls: CallClient) -> None:
-        """Present the grants that a slave call needs; its answer tells whether they suffice."""
         right, local_identity = SLAVE_CALLS.get(method), self._process.local_identity
         if right is not None and stream.peer is not None:
             grants = local_identity.access.present(right, stream.peer.name, now())
@@ -487,7 +455,6 @@ class XmlRpcClient:
 
 
 def _named(method: str, params: Params, caller: str, peer: Identity | None = None) -> Params:
-    """The call of a peer (None: a plain one): under the node's name, by the topic's on the wire."""
     match method, params:
         case _, ():
             return ()
@@ -499,13 +466,12 @@ def _named(method: str, params: Params, caller: str, peer: Identity | None = Non
 
 
 def _uri_of(proxy: Any) -> str:
-    """The URI of a proxy of the standard library; empty: not plain HTTP."""
+    # The URI of a proxy of the standard library; empty: not plain HTTP.
     plain = type(proxy("transport")) is xmlrpc.client.Transport
     return f"http://{proxy._ServerProxy__host}/" if plain else ""  # noqa: SLF001 - the library has no accessor
 
 
 def _address(uri: str) -> tuple[str, int] | None:
-    """Host and port of an HTTP URI; None: invalid."""
     try:
         return parse_uri(uri)
     except ConfigurationError:
@@ -520,11 +486,8 @@ def _host(address: tuple[str, int]) -> str:
 def _exchange(
     stream: Stream | PlainStream, calls: CallClient, method: str, params: Params
 ) -> object:
-    """The value that one call is answered with; a long answer is parsed in steps.
-
-    A hostile server answers with megabytes: parsing them shares the interpreter with the threads
-    that publish. All such answers together have one share.
-    """
+    # A hostile server answers with megabytes: parsing them shares the interpreter with the threads that
+    # publish. All such answers together have one share.
     request = calls.request(method, params)
     end = time.monotonic() + CALL_DEADLINE
     stream.settimeout(CALL_DEADLINE)
@@ -537,12 +500,10 @@ def _exchange(
 
 
 def _taken(calls: CallClient, data: bytes) -> object:
-    """As `CallClient.take`."""
     return calls.take(data) if len(data) <= AT_ONCE else in_steps(calls.take_steps(data), _parsing)
 
 
 def _stock_types(value: Any) -> Any:
-    """`value` with the types that stock clients return."""
     if isinstance(value, bytes):
         return xmlrpc.client.Binary(value)
     if isinstance(value, list):

@@ -52,7 +52,6 @@ class Tag:
 
     @property
     def insertion(self) -> int:
-        """Where another attribute can be written: before `>` or `/>`."""
         return self.span.end - (2 if self.empty else 1)
 
 
@@ -68,12 +67,10 @@ class Element:
     children: list["Element"] = field(default_factory=list)
 
     def write(self) -> str:
-        """The element without namespace and attributes."""
         inner = "".join(child.write() for child in self.children)
         return f"<{self.name}>{escape(self.text.strip())}{inner}</{self.name}>"
 
     def child(self, name: str) -> str | None:
-        """The text of the first child `name`."""
         return next((found.text.strip() for found in self.children if found.name == name), None)
 
 
@@ -88,15 +85,9 @@ class LaunchNode:
     remaps: set[str] = field(default_factory=set)
 
     def entries(self) -> list[tuple[Element, Kind, str, str]]:
-        """Its topics and services: element, kind, name in the metadata, name in the program.
-
-        Raises:
-            MetadataRefused: one without a name, or that does not say which name it replaces.
-        """
         return [_entry(found, self) for found in self.elements if found.name in _ENTRIES]
 
     def metadata(self) -> bytes:
-        """The metadata as rules take them, UTF-8."""
         inner = "".join(element.write() for element in self.elements)
         return f"<node><name>{escape(self.name)}</name>{inner}</node>".encode()
 
@@ -145,8 +136,6 @@ def refuse(line: int, message: str, hint: str = "") -> NoReturn:
 
 
 class _Reader:
-    """The handlers of the parser."""
-
     def __init__(self, data: bytes) -> None:
         self.nodes: list[LaunchNode] = []
         self.includes: list[Include] = []
@@ -192,7 +181,6 @@ class _Reader:
         attributes: dict[str, str],
         parent: LaunchNode | None,
     ) -> LaunchNode | None:
-        """An element of roslaunch."""
         if local == "node":
             node = LaunchNode(attributes.get("name", ""), line, tag)
             self.nodes.append(node)
@@ -219,7 +207,6 @@ class _Reader:
         raise MetadataRefused(f"{WHAT} with a document type")
 
     def _tag(self) -> Tag:
-        """The start tag at which the parser is: well-formed, as the parser has read it."""
         start, values = self._parser.CurrentByteIndex, dict[str, Span]()
         found = _TAG.match(self._data, start)
         at = start if found is None else found.end()
@@ -233,7 +220,6 @@ class _Reader:
 
 
 def _check(node: LaunchNode) -> None:
-    """Refuse what has no meaning, or another one than it seems to have."""
     if "ns" in node.tag.values:
         refuse(node.line, f"the node {node.name!a} has metadata and ns=", "leave one of them out")
     if not node.name or _SUBSTITUTION in node.name:
@@ -378,7 +364,6 @@ def _named(node: LaunchNode, name_of: NameOf) -> NamedNode:
 
 
 def _of_tag(node: LaunchNode, name: str) -> list[Edit]:
-    """The start tag of a node that is to be called `name`."""
     above, _, last = name.rpartition("/")
     at = node.tag.insertion
     made = [Edit(Span(at, at), b" ns=" + _quoted(above or "/"))]
@@ -396,7 +381,6 @@ def _quoted(text: str) -> bytes:
 
 
 def _joined(data: bytes, spans: Sequence[Span]) -> list[Span]:
-    """Spans with nothing but space between them on a line count as one."""
     made: list[Span] = []
     for span in spans:
         if made and _BETWEEN.fullmatch(data, made[-1].end, span.start):
@@ -407,7 +391,6 @@ def _joined(data: bytes, spans: Sequence[Span]) -> list[Span]:
 
 
 def _lines(data: bytes, span: Span) -> Span:
-    """The whole lines of `span` if they have nothing else, else `span`."""
     start = data.rfind(b"\n", 0, span.start) + 1
     after = _AFTER.match(data, span.end)
     if after is None or _BEFORE.fullmatch(data, start, span.start) is None:

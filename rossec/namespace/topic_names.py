@@ -49,11 +49,6 @@ class CallerTurns:
 
     @asynccontextmanager
     async def turn(self, caller: bytes) -> AsyncIterator[None]:
-        """Wait for a turn of `caller`, and have it.
-
-        Raises:
-            ServiceFailed: too many requests of this caller wait already.
-        """
         queue = self._queues.setdefault(caller, deque())
         if len(queue) >= self._waiting:
             raise ServiceFailed(f"{self._waiting} requests of yours wait already")
@@ -67,7 +62,6 @@ class CallerTurns:
             self._end(caller, mine)
 
     def _end(self, caller: bytes, mine: "asyncio.Future[None]") -> None:
-        """A turn is over, or nobody waits for it any more."""
         if mine.done() and not mine.cancelled():
             self._free += 1
             self._having.discard(caller)
@@ -82,7 +76,6 @@ class CallerTurns:
         self._give()
 
     def _give(self) -> None:
-        """Give free places to those who wait longest for a turn, one of each caller."""
         for caller in list(self._queues):
             if not self._free:
                 return
@@ -112,12 +105,7 @@ def service_type() -> ServiceType:
 
 
 def write(directory: Path) -> Path:
-    """Write the package into `directory`, as a folder of its name; returns that.
-
-    Raises:
-        ConfigurationError: there is one already.
-        NotWritten: the disk refused it.
-    """
+    """Write the package into `directory`, as a folder of its name; returns that."""
     package = directory / PACKAGE
     if package.exists():
         raise ConfigurationError(f"{package} exists and is not overwritten", "remove it first")
@@ -169,7 +157,6 @@ class TopicNames:
                 raise ServiceFailed(printable(str(error), _TEXT)) from error
 
     async def _own(self, caller: Identity) -> str:
-        """The metadata in the caller's parameter, where the thesis has them."""
         try:
             found = await self._parameter(f"{caller.name}/{PARAMETER}")
         except HintedError as error:
@@ -179,18 +166,13 @@ class TopicNames:
         return found
 
     async def _name(self, metadata: bytes, which: str) -> str:
-        """The name of a topic, or else of a service: the request does not say which it is."""
+        # The name of a topic, or else of a service: the request does not say which it is.
         kinds = (Kind.TOPIC, Kind.SERVICE)
         found = await self._runner.names(metadata, [(kind, which) for kind in kinds])
         return _first(found)
 
 
 def _first(results: list[Result]) -> str:
-    """The first name; where there is none, the error that says most.
-
-    Raises:
-        RossecError: no name.
-    """
     for result in results:
         if isinstance(result, str):
             return result

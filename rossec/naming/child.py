@@ -70,11 +70,7 @@ def main() -> None:
 
 
 def confine() -> None:
-    """Give up everything but memory, two descriptors and fork().
-
-    Raises:
-        OSError, ValueError: the system refuses.
-    """
+    """Give up everything but memory, two descriptors and fork()."""
     os.nice(_NICE)
     for what, most in (
         (resource.RLIMIT_AS, MEMORY), (resource.RLIMIT_CORE, 0), (resource.RLIMIT_FSIZE, 0),
@@ -97,11 +93,7 @@ def limit(what: int, most: int) -> None:
 
 
 def serve(source: int, sink: int) -> None:
-    """Answer requests until there are no more.
-
-    Raises:
-        RulesExceeded: a frame that is too long.
-    """
+    """Answer requests until there are no more."""
     while head := _read(source, requests.HEAD):
         body = _read(source, requests.size(bytes(head), requests.MAX_REQUEST))
         given = ask(body)
@@ -142,11 +134,7 @@ def work(body: bytearray, sink: int, parent: int) -> NoReturn:
 
 
 def restrict(sink: int, parent: int) -> None:
-    """Bind this process, forked for one request by `parent`, to computing and writing into `sink`.
-
-    Raises:
-        OSError, ValueError: the system refuses, or `parent` has ended.
-    """
+    """Bind this process, forked for one request by `parent`, to computing and writing into `sink`."""
     if sandbox.LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
         raise OSError(ctypes.get_errno(), "prctl")
     if os.getppid() != parent:  # it ended before it was asked to take this process along
@@ -169,7 +157,7 @@ def _answered(body: bytes) -> bytes:
 
 
 def _read(source: int, size: int) -> bytearray:
-    """Exactly `size` bytes, or none at the end: unbuffered, so that nothing is held in advance."""
+    # Exactly `size` bytes, or none at the end: unbuffered, so that nothing is held in advance.
     found = bytearray(size)
     view, at = memoryview(found), 0
     while at < size:
@@ -181,7 +169,6 @@ def _read(source: int, size: int) -> bytearray:
 
 
 def _collect(source: int) -> bytearray:
-    """All that comes, up to a byte more than allowed."""
     found = bytearray()
     while len(found) <= requests.MAX_ANSWER and (piece := os.read(source, 64 * 1024)):
         found += piece

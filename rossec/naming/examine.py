@@ -37,11 +37,7 @@ _ROTATIONS: Final = 8
 
 
 def orders(document: bytes) -> Iterator[bytes]:
-    """The document in other orders, at the node and inside of its topics and services.
-
-    Raises:
-        MetadataRefused: it cannot be read.
-    """
+    """The document in other orders, at the node and inside of its topics and services."""
     root = parse(document)
     children = list(root)
     inner = [list(child) for child in children]
@@ -63,7 +59,7 @@ def _indices(indices: Iterator[int] | range) -> tuple[int, ...]:
 
 
 def _orders(count: int) -> Iterator[Sequence[int]]:
-    """Orders of so many elements, the given one left out."""
+    # Orders of so many elements, the given one left out.
     given = tuple(range(count))
     if count <= _ALL:
         yield from itertools.islice(itertools.permutations(given), 1, None)
@@ -76,7 +72,6 @@ def _orders(count: int) -> Iterator[Sequence[int]]:
 
 
 def _arranged(elements: "list[Element]", at: int) -> "list[Element]":
-    """Those of a topic or service: turned backwards, then rotated further each time."""
     if not elements:
         return elements
     by = (at + 1) // 2 % len(elements)
@@ -129,7 +124,6 @@ class Place:
 
     @property
     def label(self) -> str:
-        """`the node`, `the topic accelerometer`."""
         return f"the {self.kind} {self.which}".rstrip()
 
 
@@ -182,7 +176,6 @@ async def _examine_one(
 
 
 def _places(file: str, read: Metadata) -> list[Place]:
-    """In the order of `read.queries()`."""
     entries = [Place(file, entry.line, entry.kind, entry.name) for entry in read.entries]
     return [Place(file, 1, Kind.NODE, ""), *entries]
 
@@ -190,7 +183,6 @@ def _places(file: str, read: Metadata) -> list[Place]:
 async def _order_dependent(
     rules: RuleRunner, document: bytes, places: list[Place], results: list[Result]
 ) -> list[Finding]:
-    """Of each name at most one finding, with another order's name beside it."""
     found: dict[Place, Finding] = {}
     queries = [(place.kind, place.which) for place in places]
     for other in orders(document):

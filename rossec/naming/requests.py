@@ -103,7 +103,6 @@ def _check(data: bytes, what: str, refusal: type[RossecError]) -> bytes:
 
 
 def _encoding(data: bytes) -> str:
-    """The declared encoding in lower case, UTF-8 where none is declared."""
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "utf-16"
     text = data.removeprefix(_BOM)
@@ -156,18 +155,13 @@ class Metadata:
     entries: tuple[Entry, ...] = ()
 
     def queries(self) -> Iterator[tuple[Kind, str]]:
-        """Everything that a name can be asked for: the node, then its topics and services."""
         yield Kind.NODE, ""
         for entry in self.entries:
             yield entry.kind, entry.name
 
 
 def read(data: bytes) -> Metadata:
-    """Read metadata.
-
-    Raises:
-        MetadataRefused: malformed, too long, not a `<node>`, or something in it is said twice.
-    """
+    """Read metadata."""
     root = parse(data)
     if root.tag != "node":
         raise MetadataRefused(f"metadata are a <node>, not <{root.tag[:60]}>", _HINT)
@@ -183,11 +177,7 @@ def read(data: bytes) -> Metadata:
 
 
 def parse(data: bytes, what: str = "metadata") -> "Element":
-    """The root element of a checked document.
-
-    Raises:
-        MetadataRefused: malformed or too long.
-    """
+    """The root element of a checked document."""
     check_document(data, what)
     try:
         root: Element = ElementTree.fromstring(data, forbid_dtd=True)
@@ -200,11 +190,7 @@ def parse(data: bytes, what: str = "metadata") -> "Element":
 
 
 def check_query(kind: Kind, which: str) -> tuple[Kind, str]:
-    """Return what a name is asked for: a node has no `which`, a topic or service one of a line.
-
-    Raises:
-        MetadataRefused: anything else.
-    """
+    """Return what a name is asked for: a node has no `which`, a topic or service one of a line."""
     if (kind is Kind.NODE) is not (which == ""):
         raise MetadataRefused(
             "a topic or service is asked for by its name in the metadata", "a node has none"
@@ -215,7 +201,6 @@ def check_query(kind: Kind, which: str) -> tuple[Kind, str]:
 
 
 def _lines(data: bytes) -> list[int]:
-    """The lines on which topics and services begin, of a document that was parsed before."""
     parser, found, depth = expat.ParserCreate(), list[int](), 0
 
     def start(tag: str, _: object) -> None:
@@ -248,7 +233,6 @@ def _entry(element: "Element", line: int) -> Entry:
 
 
 def _text(element: "Element", tag: str) -> str | None:
-    """The text of the one child `tag`, without space around it; None: missing or empty."""
     found = element.findall(tag)
     if len(found) > 1:
         raise MetadataRefused(f"<{element.tag}> has {len(found)} times <{tag}>", "once is enough")
@@ -287,11 +271,7 @@ def frame(body: bytes) -> bytes:
 
 
 def size(head: bytes, limit: int) -> int:
-    """The number of bytes after a frame's head.
-
-    Raises:
-        RulesExceeded: none, or more than `limit`.
-    """
+    """The number of bytes after a frame's head."""
     found = int.from_bytes(head)
     if not 0 < found <= limit:
         raise RulesExceeded(f"{found} bytes where at most {limit} are allowed")
@@ -305,11 +285,7 @@ def write_request(request: NameRequest) -> bytes:
 
 
 def read_request(body: bytes) -> NameRequest:
-    """Read the body of a request.
-
-    Raises:
-        EncodingError: malformed, which the own side does not write.
-    """
+    """Read the body of a request."""
     match decode(body, limit=MAX_REQUEST):
         case [bytes() as rules, bytes() as metadata, list() as queries, bool() as thesis]:
             return NameRequest(rules, metadata, tuple(map(_query, queries)), thesis)
@@ -342,11 +318,7 @@ def _written(result: Result) -> Value:
 
 
 def read_names(body: bytes, count: int) -> list[Result]:
-    """Read names, `count` of them; a refused one is its error.
-
-    Raises:
-        RossecError: what the process says instead, or it answers in another form.
-    """
+    """Read names, `count` of them; a refused one is its error."""
     items = _value(body)
     if not isinstance(items, list) or len(items) != count:
         raise RulesExceeded(_ODD)
@@ -389,15 +361,7 @@ THESIS_DEFAULTS: Final = ("unknown-group", "unknown-node", "unknown-location")
 
 
 def check_proposed(text: str, *, thesis_defaults: bool = False) -> str:
-    """Return `text` if rules may give it as a name.
-
-    Args:
-        text: what the rules gave.
-        thesis_defaults: allow the thesis's defaults as segments, though ROS has no `-` in names.
-
-    Raises:
-        ProposedNameRefused: not an absolute ROS name, or a reserved one.
-    """
+    """Return `text` if rules may give it as a name."""
     try:
         check_name(_legal(text) if thesis_defaults else text)
     except NameRefused as error:
@@ -411,7 +375,6 @@ def check_proposed(text: str, *, thesis_defaults: bool = False) -> str:
 
 
 def _legal(text: str) -> str:
-    """`text` with the thesis's defaults, where they are whole segments, as they are in ROS."""
     return "/".join(
         segment.replace("-", "_") if segment in THESIS_DEFAULTS else segment
         for segment in text.split("/")

@@ -61,11 +61,6 @@ class RuleProcess:
 
     @classmethod
     def start(cls, command: Sequence[str] = CHILD) -> Self:
-        """Start one: with a socket to here, no environment, and nothing else of this process.
-
-        Raises:
-            RulesNotConfined: it cannot be started.
-        """
         own, other = socket.socketpair()
         with other:
             try:
@@ -82,21 +77,14 @@ class RuleProcess:
 
     @property
     def pid(self) -> int:
-        """Its process id."""
         return self._process.pid
 
     @property
     def has_ended(self) -> bool:
-        """Whether it ended by itself, or was ended by somebody else."""
         return self._process.poll() is not None
 
     async def ask(self, body: bytes, seconds: float) -> bytes:
-        """The body of the answer to a request. After any exception the process must be closed.
-
-        Raises:
-            RulesExceeded: no answer within `seconds`, one too long, or the process ended.
-            RulesNotConfined: it could not be confined.
-        """
+        # The body of the answer to a request. After any exception the process must be closed.
         await self._wait_until_ready()
         try:
             async with asyncio.timeout(seconds):
@@ -108,7 +96,6 @@ class RuleProcess:
             raise RulesExceeded("the process for rules ended") from error
 
     def close(self) -> None:
-        """End it, at once; what it does for a request ends with it."""
         self._socket.close()
         self._process.kill()
         self._process.wait()
@@ -141,7 +128,6 @@ class RuleProcess:
 
 
 def _refusal(first: bytes) -> RossecError:
-    """What the process says instead of being ready."""
     try:
         requests.read_names(first, 0)
     except RossecError as error:
@@ -280,7 +266,6 @@ class RuleRunner:
 
     @asynccontextmanager
     async def _process(self) -> AsyncIterator[RuleProcess]:
-        """A process for one request; it is kept for the next if the request was answered."""
         async with self._free:
             process = self._take()
             try:

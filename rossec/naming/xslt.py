@@ -42,11 +42,7 @@ _HINT: Final = 'write <parameter name="group" path="//node/group" default="unkno
 
 
 def expand(root: Any, *, thesis_defaults: bool = False) -> None:
-    """Replace every `<parameter>` in the tree of lxml below `root`, which is changed.
-
-    Raises:
-        RulesRefused: one without a name, or with anything that is not of the short form.
-    """
+    """Replace every `<parameter>` in the tree of lxml below `root`, which is changed."""
     for element in list(root.iter(PARAMETER)):
         _check(element)
         _replace(element, _default(element.get("default", ""), keep=thesis_defaults))
@@ -67,7 +63,6 @@ def _default(text: str, *, keep: bool) -> str:
 
 
 def _replace(element: Any, default: str) -> None:
-    """Make the variable in the place of `element`; errors in it name the line of the short form."""
     name = element.get("name")
     path = element.get("path", name)
     variable = element.makeelement(f"{{{XSLT}}}variable", {"name": name})
@@ -137,11 +132,7 @@ _SCAN_HINT: Final = "rules are XSLT 1.0 without imports, documents and extension
 
 
 def scan(root: Any) -> None:
-    """Check the tree of lxml below `root`.
-
-    Raises:
-        RulesRefused: something that rules may not use, with its line.
-    """
+    """Check the tree of lxml below `root`."""
     for element in root.iter():
         if not isinstance(element.tag, str):
             _check_other(element)
@@ -159,7 +150,6 @@ def scan(root: Any) -> None:
 
 
 def _check_other(element: Any) -> None:
-    """Comments remain; a processing instruction could name a stylesheet (`xml-stylesheet`)."""
     if element.tag.__name__ != "Comment":
         raise _refusal(element, "a processing instruction or entity")
 
@@ -181,7 +171,6 @@ def _check_attribute(element: Any, key: str, value: str) -> None:
 
 
 def _split(tag: str) -> tuple[str, str]:
-    """`{namespace}name` of lxml."""
     if not tag.startswith("{"):
         return "", tag
     namespace, _, name = tag[1:].partition("}")
@@ -216,11 +205,7 @@ def answer(request: NameRequest) -> bytes:
 
 
 def compile_rules(rules: bytes, *, thesis_defaults: bool = False) -> Any:
-    """The transformation that `rules` are.
-
-    Raises:
-        RulesRefused: malformed, or with something that rules may not use; it names the line.
-    """
+    """The transformation that `rules` are."""
     tree = _parse(requests.check_rules(rules), RulesRefused, "rules")
     root = tree.getroot()
     if root.tag not in _ROOTS:
@@ -261,7 +246,6 @@ def _result(sheet: Any, document: Any, kind: Kind, which: str) -> Result:
 
 
 def _name(sheet: Any, document: Any, kind: Kind, which: str) -> str:
-    """The text of the one `<name>` that the rules give."""
     made = _apply(
         sheet, document,
         type=etree.XSLT.strparam(kind.value), name=etree.XSLT.strparam(which),

@@ -49,7 +49,6 @@ class OpenStreams:
         self._newest: Sequence[bytes] = ()
 
     def add(self, stream: PresentsIdentity) -> None:
-        """A connection has begun; its handshake may have read the certificate before."""
         with self._lock:
             self._streams.add(stream)
             newest = self._newest
@@ -57,7 +56,6 @@ class OpenStreams:
             stream.present_identity(newest)
 
     def present(self, chain: Sequence[bytes]) -> None:
-        """The certificates of this identity are `chain` now: present them where they are new."""
         with self._lock:
             self._newest = chain
             streams = list(self._streams)
@@ -121,7 +119,6 @@ class SecureContext(Generic[PeerT]):
         ))  # fmt: skip
 
     def _kept(self, connection: Connection[PeerT]) -> Connection[PeerT]:
-        """Of a connection that takes renewals: its stream is told of them."""
         if self.renews is not None:
             connection.streams = self.open_streams
         return connection
@@ -131,7 +128,7 @@ class Inherited(Protocol):
     """What a forked process must not use."""
 
     def abandon(self) -> None:
-        """Forget keys and counters; send nothing: the connection is the parent's."""
+        ...
 
 
 _watched: Final[WeakSet[Inherited]] = WeakSet()

@@ -91,15 +91,12 @@ class HalfOpenSlot:
         """Closes its socket at once, to make room; None where that cannot be done."""
 
     def linger(self) -> None:
-        """Its handshake has failed, its socket is still open: it is evicted first."""
         self._count.lingers(self)
 
     def release(self) -> None:
-        """Its peer is authenticated, or its socket is closed; once is enough."""
         self._count.forget(self)
 
     def bind(self, sock: Any) -> None:
-        """Release the slot when `sock` is collected, at the latest."""
         finalize(sock, self._count.collected.append, self).atexit = False
 
 
@@ -140,7 +137,6 @@ class HalfOpenCount:
         return slot
 
     def forget(self, slot: HalfOpenSlot) -> None:
-        """As of `HalfOpenSlot.release`."""
         with self._lock:
             self._remove(slot)
 
@@ -159,7 +155,6 @@ class HalfOpenCount:
         return self._total >= self._caps.total or held >= self._caps.per_address
 
     def _victim(self, source: str, address: str) -> HalfOpenSlot | None:
-        """The slot to evict for a caller at `address`, which is of `source`."""
         own = self._sources.get(source, {})
         own_full = len(own) >= self._caps.per_address
         for slot in self._lingering:
@@ -184,7 +179,7 @@ class HalfOpenCount:
 
 
 def _of_most(slots: Iterable[HalfOpenSlot], address: str) -> HalfOpenSlot | None:
-    """The oldest slot of the address that has most, if it has more than `address` would have."""
+    # The oldest slot of the address that has most, if it has more than `address` would have.
     counts = Counter(slot.address for slot in slots)
     most = max(counts, key=counts.__getitem__)
     if counts[most] <= counts[address] + 1:

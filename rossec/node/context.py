@@ -48,7 +48,6 @@ class NodeContext:
     certified: str = ""
 
     def name_for(self, peer: Identity) -> str:
-        """By which name it calls itself to `peer`."""
         return caller_for(peer, self.name, self.certified or self.name)
 
     @contextlib.contextmanager

@@ -97,12 +97,10 @@ class Listener:
 
     @property
     def slave_port(self) -> int:
-        """Port of the slave API."""
         return self._servers[0].port
 
     @property
     def topic_port(self) -> int:
-        """Port of TCPROS."""
         return self._servers[1].port
 
     async def start(self, address: str) -> None:
@@ -117,22 +115,17 @@ class Listener:
             self._own_addresses.add_ports(address, server.port)
 
     async def close(self) -> None:
-        """Stop listening and close the accepted connections."""
         for server in self._servers:
             await server.close()
 
     async def _serve_slave(self, stream: SecureStream[Identity]) -> None:
-        """Serve calls: without a time limit for the master, within `DEADLINE` for other peers."""
         presented: list[bytes] = []
         await serve_peer(stream, partial(self._call, presented), self._access)
 
     async def _call(
         self, presented: list[bytes], method: str, params: tuple[object, ...], peer: Identity
     ) -> object:
-        """Check the peer at every call: it may be revoked while connected, the master too.
-
-        `presented` holds the grants the peer has presented on this connection.
-        """
+        # `presented` holds the grants the peer has presented on this connection.
         now = clock.now()
         authorized = False
         try:
@@ -206,11 +199,7 @@ def _refused(peer: Identity, error: HintedError) -> list[object]:
 
 
 async def first_frame(stream: SecureStream[Identity]) -> bytes:
-    """The connection header, which must arrive before anything else.
-
-    Raises:
-        ConnectionHeaderRefused: more data arrives before the answer.
-    """
+    """The connection header, which must arrive before anything else."""
     reader = tcpros.FrameReader(tcpros.HEADER_LIMIT)
     while not (frames := reader.feed(await stream.receive())):
         pass
@@ -349,7 +338,6 @@ class Node:
 
     @property
     def topics(self) -> Topics:
-        """Its topics: for those whose messages are bytes of any type (`publish_raw`)."""
         return self._topics
 
     async def service(
@@ -431,11 +419,9 @@ class Node:
     # --- calls of the slave API (SlaveEvents) ---
 
     def publishers_changed(self, topic: str, uris: list[str]) -> None:
-        """Follow the master's list of publishers."""
         self._topics.publishers_changed(topic, uris)
 
     def parameter_changed(self, key: str, value: object) -> None:
-        """Notify the subscriptions of the parameter."""
         self.params.changed(key, value)
 
     def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
@@ -447,12 +433,10 @@ class Node:
         self._membership.take_push(method, params, master)
 
     def shutdown_requested(self, reason: str) -> None:
-        """End the node: another one took its name, or an administrator shut it down."""
         if not self._ended.done():
             self._ended.set_exception(NodeShutdown(f"the master ended this node: {reason}"))
 
     def topic_endpoint(self) -> tuple[str, int]:
-        """Where TCPROS connections are accepted."""
         return self._host, self._listener.topic_port
 
     def describe(self) -> dict[str, object]:
@@ -469,17 +453,14 @@ class Node:
 
     @property
     def uri(self) -> str:
-        """This node's API URI, as registered with the master."""
         return self._context.uri
 
     # --- hooks of the membership (MembershipHooks)
 
     async def dial_master(self) -> SecureStream[Identity]:
-        """Connect to the master."""
         return await self._dialer.rpc(self.settings.master_host, self.settings.master_port)
 
     async def dial_watch(self) -> SecureStream[Identity]:
-        """Connect to the master once more, for a call that waits."""
         return await self.dial_master()
 
     async def restore(self) -> None:
@@ -489,7 +470,6 @@ class Node:
         await self.params.restore()
 
     async def rights_changed(self) -> None:
-        """Make registrations again: the master may have refused them for lack of a grant."""
         await self.restore()
 
     def maintain(self) -> None:
@@ -532,7 +512,6 @@ def show(kind: type[BaseException], error: BaseException, traceback: TracebackTy
 
 
 def _refusals(error: BaseException) -> list[HintedError]:
-    """The refusals that `error` is made of; none if there is anything else in it."""
     if isinstance(error, HintedError):
         return [error]
     if not isinstance(error, BaseExceptionGroup):

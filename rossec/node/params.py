@@ -67,7 +67,6 @@ class NodeParameters:
         self.changed(key, value)  # the master does not notify the caller
 
     async def has(self, name: str) -> bool:
-        """Whether `name` has a value; raises as `get`."""
         return bool(await self._ask("hasParam", self._key(name)))
 
     async def delete(self, name: str) -> None:
@@ -158,7 +157,7 @@ class NodeParameters:
             self._subscriptions.pop(subscription.name, None)
 
     async def _ask(self, method: str, *params: object) -> object:
-        """Call the master; a fault because it cannot parse the call counts as a refusal."""
+        # Call the master; a fault because it cannot parse the call counts as a refusal.
         try:
             return await self._context.call(method, *params)
         except Fault as fault:
@@ -191,7 +190,7 @@ class ParameterSubscription:
         self._ended = False
 
     def take(self, value: Value) -> None:
-        """Take a value; the same one again is not yielded."""
+        # Take a value; the same one again is not yielded.
         fresh = self.updates == 0 or value != self.value
         self.updates += 1
         if fresh:
@@ -199,7 +198,7 @@ class ParameterSubscription:
             self._updated.set()
 
     async def __aiter__(self) -> AsyncIterator[Value]:
-        """The current value, then the newest one whenever it has changed."""
+        # The current value, then the newest one whenever it has changed.
         while True:
             await self._updated.wait()
             if self._ended:
@@ -208,13 +207,11 @@ class ParameterSubscription:
             yield self.value
 
     async def close(self) -> None:
-        """Unsubscribe and end the iteration. Safe to call twice."""
         if not self._ended:
             self.end()
             await self._on_close(self)
 
     def end(self) -> None:
-        """End the iteration: the node is closed."""
         self._ended = True
         self._updated.set()
 
@@ -240,7 +237,6 @@ def _found(tree: Value, path: list[str]) -> Value:
 
 
 def _replaced(tree: Value, path: list[str], value: Value) -> Value:
-    """`tree` with `value` at `path`; an empty mapping removes what is there."""
     if not path:
         return deepcopy(value)
     new = dict(tree) if isinstance(tree, dict) else {}

@@ -81,7 +81,6 @@ class SubscriberQueue:
         self._wake = asyncio.Event()
 
     def enqueue(self, pieces: Pieces) -> None:
-        """Queue one filtered message; the oldest is dropped when the queue is full."""
         if len(self._queue) >= self._queue_size:
             self._queue.popleft()
             self.dropped += 1
@@ -89,7 +88,6 @@ class SubscriberQueue:
         self._wake.set()
 
     async def run(self) -> None:
-        """Send queued messages until the stream ends, which raises."""
         async with asyncio.TaskGroup() as group:
             group.create_task(self._until_closed())
             while True:
@@ -138,7 +136,7 @@ class WishQueue(SubscriberQueue):
             stream.transport.limit_unsent()
 
     def enqueue(self, pieces: Pieces) -> None:
-        """Queue one filtered message, unless the rate takes it away; the oldest gives way."""
+        # Queue one filtered message, unless the rate takes it away; the oldest gives way.
         if self._rate is not None and not self._rate.admits(monotonic()):
             self.thinned += 1
             return
@@ -149,7 +147,6 @@ class WishQueue(SubscriberQueue):
         self._wake.set()
 
     async def run(self) -> None:
-        """As of `SubscriberQueue`."""
         async with asyncio.TaskGroup() as group:
             group.create_task(self._until_closed())
             while True:
@@ -202,11 +199,9 @@ class Publisher:
 
     @property
     def topic(self) -> str:
-        """Resolved topic name."""
         return self.endpoint.topic
 
     def create(self, /, **fields: object) -> Message:
-        """A zero message of this topic's type with `fields` set."""
         return self.endpoint.type.create(**fields)
 
     def publish(self, message: Message) -> None:
@@ -226,7 +221,6 @@ class Publisher:
         self._publish(memoryview(data if isinstance(data, bytes) else bytes(data)))
 
     def close(self) -> None:
-        """Refuse to publish from now on: the node is closed."""
         self._closed = True
 
     def cut(self, reason: str) -> None:
@@ -241,7 +235,6 @@ class Publisher:
         self._send(Sample(view), self._latch if self.latch else None)
 
     def _send(self, sample: Sample[memoryview], latch: Latch[memoryview] | None) -> None:
-        """Queue a message for every subscriber; `latch` keeps it for later ones."""
         if self._closed:
             raise NodeShutdown(f"{self.topic}: the node is closed", "publish before it ends")
         if latch is not None:
@@ -278,12 +271,11 @@ class Publisher:
         return Guard(self._shape(decision), decision, keys, context.memory_scope)
 
     def _rebuilt(self, wishes: Wishes, decision: Decision) -> Guard:
-        """The guard for another decision on a connection with these wishes."""
         check_carried_out(wishes, decision)
         return self.guard(decision)
 
     def _shape(self, _decision: Decision) -> Layout | None:
-        """The layout of messages; None only if no restriction reads them."""
+        # The layout of messages; None only if no restriction reads them.
         return self._layout
 
     async def serve(
@@ -316,7 +308,6 @@ class Publisher:
         self._changed.set()
 
     def _latches(self) -> Iterable[Latch[memoryview]]:
-        """What a new subscriber is sent first."""
         return (self._latch,)
 
     def _queue_for(self, stream: SecureStream[Identity], wishes: Wishes) -> SubscriberQueue:
@@ -386,12 +377,10 @@ class RawPublisher(Publisher):
 
     @property
     def demand(self) -> int:
-        """How many subscribers are connected, or wait until the type is known."""
         return len(self.links) + self._waiting
 
     @property
     def is_described(self) -> bool:
-        """Whether the type is known."""
         return self._known.is_set()
 
     def describe(self, kind: Definition) -> None:
@@ -410,7 +399,6 @@ class RawPublisher(Publisher):
         self._send(Sample(memoryview(data)), latch)
 
     def forget(self, sender: object) -> None:
-        """A sender is gone, and its last message with it."""
         self._by_sender.pop(sender, None)
 
     async def ready(self) -> None:

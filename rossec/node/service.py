@@ -72,12 +72,7 @@ _log = logging.getLogger("rossec.node")
 
 
 async def receive_request(stream: SecureStream[Identity], *, wait: bool) -> bytes:
-    """The next request; `wait` without a time limit for it to begin.
-
-    Raises:
-        FrameRefused: it is too long, did not arrive in time, or more follows it.
-        ChannelError: the connection was closed.
-    """
+    """The next request; `wait` without a time limit for it to begin."""
     frames = wire.request_reader()
     content = frames.feed_one(await stream.receive()) if wait else None
     try:
@@ -129,21 +124,17 @@ class Service:
 
     @property
     def expected(self) -> ExpectedService:
-        """Type and md5sum, as in connection headers."""
         return ExpectedService(self.kind.name, self.kind.md5sum)
 
     def create(self, /, **fields: object) -> Message:
-        """A zero response with `fields` set."""
         return self.kind.response.create(**fields)
 
     async def close(self) -> None:
-        """Unregister and close the connection of every caller."""
         for connection in tuple(self.links):
             connection.stream.abort("the service is closed")
         await self._on_close(self)
 
     def guard(self, decision: Decision) -> ServiceGuard:
-        """The guard that applies `decision` to the messages; raises as `ServiceGuard`."""
         return ServiceGuard(
             self.kind, decision, self._context.filter_key, self._context.memory_scope
         )
@@ -157,10 +148,7 @@ class Service:
         *,
         persistent: bool,
     ) -> None:
-        """Answer one admitted caller: its header, then its calls, until its stream ends.
-
-        It is registered before the answer is sent: a revocation received meanwhile closes it.
-        """
+        # It is registered before the answer is sent: a revocation received meanwhile closes it.
         connection = AuthorizedConnection(stream, decision, guard, self.guard)
         share = self._share_of(stream.peer)
         self.links.add(connection)
@@ -178,7 +166,6 @@ class Service:
             self.links.discard(connection)
 
     def _share_of(self, caller: Identity) -> asyncio.Semaphore:
-        """The calls of one caller at a time: at most half, on however many connections."""
         share = self._shares.get(caller.thumbprint)
         if share is None:
             share = self._shares[caller.thumbprint] = asyncio.Semaphore(self._share)
@@ -193,7 +180,6 @@ class Service:
     async def _respond(
         self, connection: CallerConnection, share: asyncio.Semaphore, request: bytes
     ) -> Pieces:
-        """The response, or the error response, as bytes."""
         try:
             async with asyncio.timeout(self._deadline), share, self._slots:
                 allowed = b"".join(connection.guard.request(request, clock.time()))
@@ -220,7 +206,6 @@ class Service:
             raise ServiceRefused(f"not one {self.kind.request.name}") from error
 
     async def _handle(self, request: Message, caller: Identity) -> memoryview:
-        """The serialized response; the caller is sent no exception but `ServiceFailed`."""
         try:
             result = self._handler(request, caller)
             if inspect.isawaitable(result):
@@ -328,7 +313,6 @@ class Services:
             await asyncio.sleep(_POLL_PERIOD)
 
     async def probe(self, name: str) -> tuple[Fields, Identity]:
-        """The header and identity of the provider of `name`; raises as `service_client.probe`."""
         return await probe(self.dial, self._context.name_for, name, self._context.access)
 
     async def known(self) -> dict[str, list[str]]:
@@ -361,7 +345,6 @@ class Services:
         return str(uri)
 
     async def dial(self, name: str) -> SecureStream[Identity]:
-        """Connect to the provider of `name`; raises as `lookup` and `Dialer.service`."""
         return await self._context.dialer.service(await self.lookup(name))
 
     def admit(

@@ -139,28 +139,15 @@ class ServiceClient:
         self._closed = False
 
     def create(self, /, **fields: object) -> Message:
-        """A zero request with `fields` set."""
         return self.kind.request.create(**fields)
 
     async def __call__(self, request: Message | None = None, /, **fields: object) -> Message:
-        """Call with `request`, or with a request made of `fields`; returns the response.
-
-        Raises:
-            ServiceUnavailable: no node provides the service.
-            ServiceFailed: the provider answered with an error, or too late.
-            HintedError: one side lacks the right, or the connection failed.
-        """
         if request is None:
             request = self.create(**fields)
         response = await self.call_bytes(self.kind.request.serialize(request))
         return self.kind.response.deserialize(response)
 
     async def call_bytes(self, request: bytes | memoryview) -> bytes:
-        """Call with a serialized request (without its length); returns the serialized response.
-
-        Raises:
-            HintedError: as `__call__`.
-        """
         if self._closed:
             raise ChannelClosed(f"the client of {shown(self.service)} is closed")
         try:
@@ -170,7 +157,6 @@ class ServiceClient:
             raise ServiceFailed(f"{shown(self.service)} did not answer in time") from None
 
     async def close(self) -> None:
-        """Close the connections; calls in progress fail. Safe to call twice."""
         self._closed = True
         for connection in tuple(self.links):
             connection.stream.abort("the client is closed")
@@ -192,7 +178,6 @@ class ServiceClient:
 
     @contextlib.asynccontextmanager
     async def _connection(self) -> AsyncIterator[ProviderConnection]:
-        """The persistent connection, for one call at a time, or one for this call."""
         if not self._persistent:
             connection = await self._connect()
             try:
@@ -252,7 +237,7 @@ class ServiceClient:
         return ServiceGuard(self.kind, decision, context.filter_key, context.memory_scope)
 
     async def _discard_when_ended(self, connection: ProviderConnection) -> None:
-        """Discard a connection when it ends, so that the next call does not use it."""
+        # Discard a connection when it ends, so that the next call does not use it.
         await connection.stream.wait_ended()
         self._discard(connection)
 

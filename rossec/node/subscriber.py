@@ -85,11 +85,6 @@ class WishedMessages:
         self._this_turn = 0  # bytes inflated since the loop had its turn
 
     async def inflated(self, content: bytes) -> bytes:
-        """The message of a frame; a large one is inflated in another thread.
-
-        Raises:
-            FrameRefused: as `rossec.participant.delivery.inflated`.
-        """
         if not self._deflated:
             return content
         size = claimed_size(content, self._limit)
@@ -102,18 +97,13 @@ class WishedMessages:
         return inflated(content, self._limit)
 
     def admits(self) -> bool:
-        """Whether the program gets a message now: the publisher sends more than it should."""
         return self._rate is None or self._rate.admits(monotonic())
 
 
 def wished_messages(
     asked: Wishes, answer: Mapping[str, bytes], limit: int
 ) -> WishedMessages | None:
-    """For a publisher with this answer; None: its messages come as they do without wishes.
-
-    Raises:
-        ConnectionHeaderRefused: it answers what was not asked.
-    """
+    """For a publisher with this answer; None: its messages come as they do without wishes."""
     taken = taken_wishes(answer, asked)
     if taken.deflate or taken.rate != asked.rate:
         return WishedMessages(asked, taken, limit)
@@ -164,12 +154,10 @@ class Subscriber:
 
     @property
     def topic(self) -> str:
-        """Resolved topic name."""
         return self.endpoint.topic
 
     @property
     def publishers(self) -> list[str]:
-        """The API URIs that the master lists, connected or not."""
         return list(self._tasks)
 
     def update(self, publishers: list[str]) -> None:
@@ -216,7 +204,6 @@ class Subscriber:
         await self._on_close(self)
 
     async def _follow(self, uri: str) -> None:
-        """Keep one publisher connected until the master no longer lists it."""
         pause = _FIRST_PAUSE
         while True:
             before = self.received
@@ -277,24 +264,22 @@ class Subscriber:
         return connection, answer, units[1:]
 
     def _guard(self, answer: Fields, decision: Decision) -> Guard | None:
-        """For the messages of the publisher that answered so."""
+        # For the messages of the publisher that answered so.
         kind = self._read_as(answer, decision)
         return guard_for(kind, decision, self._context.filter_key, self.memory_scope)
 
     # -- what a raw subscriber does in another way
 
     def _read_as(self, _answer: Fields, _decision: Decision) -> Definition:
-        """The type by which messages of a publisher are checked."""
         return self.endpoint.type
 
     def _opened(self, connection: PublisherConnection, answer: Fields) -> None:
-        """A publisher is connected, and nothing of it delivered yet."""
+        ...
 
     def _ended(self, connection: PublisherConnection) -> None:
-        """A publisher, opened or not, is connected no longer."""
+        ...
 
     def _keep(self, _connection: PublisherConnection, messages: list[bytes]) -> None:
-        """Keep what may be delivered."""
         self._queue.extend(messages)
         self._wake.set()
 
@@ -310,10 +295,7 @@ class Subscriber:
     async def _deliver_wished(
         self, connection: PublisherConnection, wished: WishedMessages, contents: list[bytes]
     ) -> None:
-        """One by one: of what is inflated no more than the queue holds is kept.
-
-        It takes its time, in which the right may end.
-        """
+        # It takes its time, in which the right may end.
         for content in contents:
             messages = [await wished.inflated(content)]
             self._context.connections.check(connection)
@@ -325,7 +307,6 @@ class Subscriber:
                 self._keep(connection, messages)
 
     def _filtered(self, guard: Guard, messages: list[bytes], peer: str, now: float) -> list[bytes]:
-        """The messages that the right of the publisher allows, filtered."""
         filtered = []
         for message in messages:
             try:
@@ -337,7 +318,7 @@ class Subscriber:
         return filtered
 
     def _record_failure(self, uri: str, error: Exception) -> None:
-        """Log a failure; the same one again at level INFO only, as every attempt may repeat it."""
+        # Log a failure; the same one again at level INFO only, as every attempt may repeat it.
         if isinstance(error, HintedError):
             self.refusals.append(error.bare())
         reason = f"{shown(self.topic)} from {uri}: {str(error) or type(error).__name__}"
@@ -396,7 +377,6 @@ class RawSubscriber(Subscriber):
     """Hands what arrives to a receiver. Made by `Topics.subscribe_raw`."""
 
     def __init__(self, topic: str, receiver: RawReceiver, *given: Any, **options: Any) -> None:
-        """`given`, `options`: those of a subscriber, after its endpoint."""
         super().__init__(TopicEndpoint(topic, ANY), *given, **options)
         self._receiver = receiver
         self._sources: dict[PublisherConnection, RawSource] = {}
@@ -423,11 +403,7 @@ class RawSubscriber(Subscriber):
 
 
 def claimed(answer: Fields) -> Definition:
-    """The type a publisher says its messages have, in form.
-
-    Raises:
-        ConnectionHeaderRefused: it is not one type of ROS, or its definition is too long.
-    """
+    """The type a publisher says its messages have, in form."""
     found = from_header(answer)
     if TYPE_NAME.fullmatch(found.name) is None or _MD5.fullmatch(found.md5sum) is None:
         raise ConnectionHeaderRefused(f"a publisher of {found.name[:80]!a}, which is no type")

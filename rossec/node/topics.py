@@ -30,12 +30,10 @@ class Topics:
 
     @property
     def publishers(self) -> Mapping[str, Publisher]:
-        """What this node publishes, by topic."""
         return self._publishers
 
     @property
     def subscribers(self) -> list[Subscriber]:
-        """What this node subscribes to."""
         return [item for items in self._subscribers.values() for item in items]
 
     async def publish(self, endpoint: TopicEndpoint, *, latch: bool, queue_size: int) -> Publisher:
@@ -113,7 +111,6 @@ class Topics:
         return subscriber
 
     def _for_subscriber(self, topic: str) -> tuple[NodeContext, OnClose, MemoryScope]:
-        """What every subscriber of a topic is given."""
         split_alias(topic)
         existing = self._subscribers.setdefault(topic, [])
         memory = _unused_memory_scope(self._context.memory_scope, existing)
@@ -134,7 +131,6 @@ class Topics:
         return {"getSubscriptions": subscriptions, "getPublications": publications}
 
     def publishers_changed(self, topic: str, uris: list[str]) -> None:
-        """Follow the master's list of publishers."""
         self._follow(topic, self._grace.update(topic, uris))
 
     def drop_expired_publishers(self) -> None:
@@ -156,7 +152,6 @@ class Topics:
                 await self._register_subscriber(subscriber)
 
     async def close_subscribers(self) -> None:
-        """Close every connection to a publisher."""
         for subscriber in self.subscribers:
             await subscriber.close()
 
@@ -185,7 +180,6 @@ class Topics:
             subscriber.update(self._grace.update(subscriber.topic, named))
 
     async def _forget(self, subscriber: Subscriber) -> None:
-        """Remove a closed subscriber; the last one of its topic unregisters."""
         others = self._subscribers.get(subscriber.topic, [])
         if subscriber in others:
             others.remove(subscriber)
@@ -198,10 +192,7 @@ class Topics:
 
 
 def _unused_memory_scope(memory_scope: MemoryScope, existing: Sequence[Subscriber]) -> MemoryScope:
-    """The memory of another subscriber of a topic, separate from those of the open ones.
-
-    Each of them receives every message. A new one continues with the memory of a closed one.
-    """
+    # Each of them receives every message. A new one continues with the memory of a closed one.
     used = {subscriber.memory_scope for subscriber in existing}
     scopes = (memory_scope.child(str(number)) for number in count())
     return next(scope for scope in scopes if scope not in used)

@@ -46,18 +46,7 @@ VERSION: Final = 1
 def read_document(
     data: bytes, form: str, keys: frozenset[str], *, limit: int, hint: str
 ) -> dict[str, Any]:
-    """The entries of a document of this form, without the entry that names it.
-
-    Args:
-        data: the content of the file.
-        form: what it is: `rossec-seat`.
-        keys: of its entries, all of which it has. Their values are the caller's to check.
-        limit: bytes it may have.
-        hint: of the error: how to get another one.
-
-    Raises:
-        ConfigurationError: anything else.
-    """
+    """The entries of a document of this form, without the entry that names it."""
     if len(data) > limit:
         raise ConfigurationError(f"a {form} file has at most {limit} bytes", hint)
     try:
@@ -149,12 +138,10 @@ class Peer:
 
     @property
     def name(self) -> str:
-        """The relay's name here: `/relay`, of a foreign domain `/remote/hospital/relay`."""
         return alias_of(self.domain, self.relay) if self.domain else self.relay
 
     @property
     def shown(self) -> str:
-        """The same for people: `hospital:/relay`; empty until its card is here."""
         return display_name(self.domain or "", self.relay) if self.relay else ""
 
     def check(self, found: Identity) -> None:
@@ -178,11 +165,7 @@ Peers = Mapping[str, Peer]
 
 
 def checked_peers(peers: Iterable[Peer]) -> dict[str, Peer]:
-    """The peers by label.
-
-    Raises:
-        ConfigurationError: a label, a relay or a mailbox is there twice, or there are too many.
-    """
+    """The peers by label."""
     found: dict[str, Peer] = {}
     for each in peers:
         for other in found.values():
@@ -204,11 +187,7 @@ def _check_apart(one: Peer, other: Peer) -> None:
 
 
 def read_peers(data: bytes, name: str) -> dict[str, Peer]:
-    """Read the file of peers, called `name`; a closed schema.
-
-    Raises:
-        ConfigurationError: anything else.
-    """
+    """Read the file of peers, called `name`; a closed schema."""
     try:
         found = read_document(data, _FORM, frozenset({"peers"}), limit=MAX_PEERS_FILE, hint=_HINT)
     except ConfigurationError as error:
@@ -282,7 +261,6 @@ class RelayCard:
         return cls(**found)
 
     def write(self) -> str:
-        """The text of the card."""
         return write_document(_RELAY_CARDS_FORM, asdict(self)).decode()
 
 
@@ -347,7 +325,6 @@ class Routers:
         return cls(tuple(locators), **found)
 
     def write(self) -> bytes:
-        """The seat file: it holds the password."""
         return write_document(_ROUTERS_FORM, asdict(self))
 
 
@@ -365,22 +342,14 @@ def check_seat(seat: str) -> str:
 
 
 def check_password(password: str) -> str:
-    """`password`, if it is one that a router made; it is in no message.
-
-    Raises:
-        ConfigurationError: it is not.
-    """
+    """`password`, if it is one that a router made; it is in no message."""
     if not _PASSWORD.fullmatch(password):
         raise ConfigurationError("the password of a seat is not in form", _AGAIN)
     return password
 
 
 def check_locator(locator: str) -> tuple[str, str, int]:
-    """Protocol, host (without brackets) and port of a locator.
-
-    Raises:
-        ConfigurationError: it is not one.
-    """
+    """Protocol, host (without brackets) and port of a locator."""
     match = _LOCATOR.fullmatch(locator)
     if match is None or not 0 < int(match["port"]) < 1 << 16:
         raise ConfigurationError(

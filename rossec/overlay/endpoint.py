@@ -47,7 +47,6 @@ class MailboxReader(Protocol):
     """A mailbox that is read."""
 
     def close(self) -> None:
-        """Read it no more."""
         ...
 
 
@@ -56,19 +55,16 @@ class FrameCarrier(Protocol):
 
     @property
     def heard_at(self) -> float:
-        """When the last message arrived, whichever it was, on the loop's clock."""
         ...
 
     def put(self, key: str, data: bytes) -> None:
-        """Send a frame to a mailbox; never raises for one that is lost."""
+        # Send a frame to a mailbox; never raises for one that is lost.
         ...
 
     def subscribe(self, key: str, callback: Callable[[bytes], None]) -> MailboxReader:
-        """Call back on the loop with each frame that arrives in a mailbox."""
         ...
 
     def reopen(self) -> None:
-        """Begin anew with the routers: nothing arrives any more."""
         ...
 
 
@@ -116,7 +112,6 @@ class LinkTransport:
     # -- frames
 
     def frame_received(self, frame: bytes) -> None:
-        """Take a frame of this link."""
         if self.closed:
             return
         try:
@@ -132,13 +127,11 @@ class LinkTransport:
         self._flush_soon()
 
     def validated(self) -> None:
-        """The peer is authenticated: the link may carry as much as it can."""
         if not self.closed:
             self.link.validated()
             self._flush_soon()
 
     def _flush_soon(self) -> None:
-        """Once for all frames of this turn: many are acknowledged together."""
         if not self._flush_due:
             self._flush_due = True
             self._loop.call_soon(self._flush)
@@ -162,7 +155,6 @@ class LinkTransport:
             self._arm(deadline)
 
     def _settle(self) -> None:
-        """Has the peer ended its stream, or is the link over?"""
         if self.closed:
             return
         link = self.link
@@ -178,11 +170,10 @@ class LinkTransport:
 
     @property
     def reading(self) -> bool:
-        """Whether arriving bytes are read."""
         return self._reading
 
     def resume_reading(self) -> None:
-        """Read whenever bytes arrive, and those that wait."""
+        # Read whenever bytes arrive, and those that wait.
         if not (self._reading or self._ending or self.closed):
             self._reading = True
             if self._arrived or self.link.peer_ended:
@@ -194,7 +185,6 @@ class LinkTransport:
             self._flush_soon()
 
     def pause_reading(self) -> None:
-        """Leave what arrives in the link, whose window slows the peer."""
         self._reading = False
 
     def _deliver(self) -> None:
@@ -218,20 +208,19 @@ class LinkTransport:
     # -- writing
 
     def limit_unsent(self) -> None:
-        """Nothing to do: what the link's window does not take waits in `backlog`."""
+        # Nothing to do: what the link's window does not take waits in `backlog`.
+        ...
 
     @property
     def backlog(self) -> int:
-        """Bytes that wait for the link's window."""
         return self.link.backlog
 
     @property
     def writable(self) -> bool:
-        """Whether a writer need not wait."""
+        # Whether a writer need not wait.
         return self.link.writable
 
     def write(self, data: Bytes) -> None:
-        """Send `data`, which may change afterwards."""
         if self.closed:
             return
         self.link.write(data, self._loop.time())
@@ -242,18 +231,16 @@ class LinkTransport:
     # -- ends
 
     def write_eof(self) -> None:
-        """End this side's stream after what was written."""
         if not self.closed:
             self.link.finish(self._loop.time())
             self._flush_soon()
 
     def finish(self) -> None:
-        """Close once everything is written: both sides have closed."""
         self._ending, self._reading = True, False
         self.write_eof()
 
     def abort(self) -> None:
-        """End the link now; what was not sent is dropped, and the peer is told."""
+        # End the link now; what was not sent is dropped, and the peer is told.
         if self.closed:
             return
         if self.link.state not in ENDED:
@@ -280,7 +267,6 @@ class LinkTransport:
     # -- time
 
     def _arm(self, deadline: float) -> None:
-        """One timer for all deadlines: when it fires too early, it is set again."""
         if self._timer is not None:
             self._timer.cancel()
         self._timer = self._loop.call_at(deadline, self._on_timer)
@@ -306,11 +292,7 @@ def idle_round_trip(stream: BaseStream) -> float:
 
 
 def stats_of(stream: BaseStream) -> LinkStats:
-    """What the link under a stream measured.
-
-    Raises:
-        TypeError: the stream is not over a link.
-    """
+    """What the link under a stream measured."""
     if not isinstance(stream.transport, LinkTransport):
         raise TypeError("this connection is not over a link")
     return stream.transport.link.stats
@@ -328,17 +310,6 @@ async def dial_link(
     """Open a link to a mailbox and authenticate; the caller judges who answered (`peer`).
 
     Certificates are sent whole: a link is dialled seldom, and lasts.
-
-    Args:
-        carrier: the own session with the routers.
-        key: the mailbox of the peer.
-        seat: the own one, in which a mailbox for the answers is made.
-        context: as for `connect`; its deadline of handshakes holds.
-
-    Raises:
-        HandshakeTimeout: nobody answers in that mailbox.
-        ChannelError: the handshake failed; the leaf says how.
-        OverlayUnavailable: the carrier is closed.
     """
     caller = _Caller(carrier, key, mailbox(seat, secrets.token_bytes(BOX)))
     try:
@@ -353,8 +324,6 @@ async def dial_link(
 
 
 class _Caller:
-    """A link that is dialled, and the mailbox where its answers arrive."""
-
     def __init__(self, carrier: FrameCarrier, key: str, reply_key: str) -> None:
         self._carrier = carrier
         self._key = key
@@ -363,7 +332,6 @@ class _Caller:
         self._reader = carrier.subscribe(reply_key, self._receive)
 
     def make(self, owner: TransportOwner) -> LinkTransport:
-        """The transport, for its owner."""
         self.transport = LinkTransport(self._link, self._key, self._carrier, self.close, owner)
         return self.transport
 
@@ -372,7 +340,6 @@ class _Caller:
             self.transport.frame_received(frame)
 
     def close(self) -> None:
-        """The answers are read no more."""
         self._reader.close()
 
 
@@ -419,7 +386,6 @@ class LinkListener(AcceptedStreams[PeerT]):
                 self._carrier.put(*answer)
 
     def _may_look(self) -> bool:
-        """Whether a frame of an unknown link is looked at now."""
         if self._looks.refill(_now()) < 1:
             return False
         self._looks.tokens -= 1
@@ -437,7 +403,6 @@ class LinkListener(AcceptedStreams[PeerT]):
             self._links[link.link_id].frame_received(frame)
 
     def _make(self, link: Link, owner: TransportOwner) -> LinkTransport:
-        """The transport of an accepted link, found by its frames until it is closed."""
         forget = partial(self._links.__delitem__, link.link_id)
         transport = LinkTransport(link, link.reply_key, self._carrier, forget, owner)
         self._links[link.link_id] = transport
@@ -449,7 +414,6 @@ class LinkListener(AcceptedStreams[PeerT]):
         super()._on_authenticated(stream)
 
     async def close(self) -> None:
-        """Read the mailbox no more, abort every link, wait until the handlers are gone."""
         self._reader.close()
         await super().close()
 
@@ -470,7 +434,6 @@ class RouterNetwork:
 
     @property
     def router(self) -> str:
-        """The router in use; empty: none, one is looked for."""
         return self._carrier.router
 
     async def dial(self, mailbox: str) -> aio_SecureStream[Identity]:

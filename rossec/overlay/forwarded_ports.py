@@ -83,18 +83,11 @@ class Doors:
         return iter(self._pool.keys())
 
     def open(self, door: PeerTarget) -> tuple[str, int]:
-        """Host and port of the door; it listens.
-
-        Raises:
-            ConfigurationError: all doors are in use.
-            OSError: the host has no free port or descriptor.
-        """
         port = self._pool.get_or_open(door, partial(self._make, door))
         port.open()
         return self._admission.loopback.host, port.port
 
     def close(self, door: PeerTarget) -> None:
-        """Admit nobody more; connections that are open go on."""
         port = self._pool.remove(door)
         if port is None:
             return
@@ -103,7 +96,6 @@ class Doors:
         self._close_idle()
 
     def close_peer(self, peer: str) -> None:
-        """Close every door to the peer with this label, and its connections."""
         for door in tuple(self):
             if door.peer == peer:
                 port = self._pool.remove(door)
@@ -111,7 +103,6 @@ class Doors:
                     self._end(port)
 
     async def close_all(self) -> None:
-        """Close every door and every connection."""
         ports = {*self._pool, *self._leaving, *self._ending}
         for door in tuple(self):
             self._pool.remove(door)
@@ -132,7 +123,6 @@ class Doors:
             asyncio.get_running_loop().call_soon(self._close_idle)
 
     def _close_idle(self) -> None:
-        """Close the ports that wait for their last connection, which is over now."""
         for port in tuple(self._leaving):
             if port.connections == 0:
                 self._leaving.remove(port)
@@ -176,12 +166,6 @@ class DoorTable:
         return len(self._wanted)
 
     async def open(self, target: Target, master: str) -> Door:
-        """The door of `target`, opened if there is none, and held for `master`.
-
-        Raises:
-            RelayRefused: there is no such peer.
-            ConfigurationError, OSError: no port is free.
-        """
         if target.peer not in self.ways():
             raise RelayRefused(
                 f"no relay is called {target.peer} here", f"rossec relay add {target.peer} FILE"
@@ -191,32 +175,26 @@ class DoorTable:
         return Door(host, port)
 
     def release(self, target: Target, master: str) -> None:
-        """`master` wants it no longer: nobody new is let in when no master does."""
         masters = self._wanted.get(target, set())
         masters.discard(master)
         if not masters and self._wanted.pop(target, None) is not None:
             self._ports.close(_door(target))
 
     def take_dropped(self, master: str) -> set[Target]:
-        """What `master` wants and `drop_peer` has closed since the last call.
-
-        The peer may be back with another card, and masters know the old doors.
-        """
+        # What `master` wants and `drop_peer` has closed since the last call.
+        # The peer may be back with another card, and masters know the old doors.
         return self._dropped.pop(master, set())
 
     async def close(self) -> None:
-        """Close every door and every connection."""
         await self._ports.close_all()
 
     def drop_peer(self, peer: str) -> None:
-        """Close every door to a peer that is gone."""
         for target in [each for each in self._wanted if each.peer == peer]:
             for master in self._wanted.pop(target):
                 self._dropped.setdefault(master, set()).add(target)
         self._ports.close_peer(peer)
 
     def _given_up(self, door: PeerTarget) -> None:
-        """It had to make room for another one."""
         self._wanted.pop(Target(door.peer, *door.target), None)
 
 

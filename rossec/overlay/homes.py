@@ -71,7 +71,6 @@ class RelayFiles:
 
     @property
     def has_seat(self) -> bool:
-        """Whether a seat file is kept."""
         return self._seat.exists()
 
     def routers(self) -> Routers:
@@ -171,7 +170,6 @@ class RouterHome:
         return RouterAuthority.load(key, pem)
 
     def write_authority(self, authority: RouterAuthority) -> None:
-        """Keep a first authority. Its key is written last: without it nothing was made."""
         files.replace(self.path / AUTHORITY, authority.pem, 0o644)
         files.create(self.path / AUTHORITY_KEY, key_pem(authority.key))
 
@@ -308,5 +306,5 @@ def _new_authority() -> RouterAuthority:
 
 
 def _serial() -> int:
-    """127 random bits: at most 20 octets with a leading zero (RFC 5280 section 4.1.2.2)."""
+    # 127 random bits: at most 20 octets with a leading zero (RFC 5280 section 4.1.2.2).
     return secrets.randbits(127) | 1

@@ -80,22 +80,10 @@ class Link:
 
     @classmethod
     def open(cls, link_id: bytes, reply_key: str, now: float) -> Self:
-        """A link to another mailbox; it begins with the first `write`.
-
-        Args:
-            link_id: 16 random bytes.
-            reply_key: the own mailbox in which the answers arrive, for this link alone.
-            now: seconds.
-        """
         return cls(link_id, reply_key, now, opener=True)
 
     @classmethod
     def accept(cls, frame: bytes, now: float) -> Self:
-        """The called side of a link, from its OPEN; then pass that frame to `receive`.
-
-        Raises:
-            LinkEnded: not an OPEN in form.
-        """
         opened = frames.read(frame)
         if opened.kind != Kind.OPEN or opened.offset != 0 or opened.received != 0:
             raise LinkEnded("a link that does not begin with its OPEN")
@@ -105,11 +93,6 @@ class Link:
     # -- receiving
 
     def receive(self, frame: bytes, now: float) -> list[Bytes]:
-        """Take a frame of this link; returns bytes of the stream, in order, as views of frames.
-
-        Raises:
-            LinkEnded: the peer reset the link, or sent what is malformed; the link is over.
-        """
         if self.state in ENDED:
             return []
         try:
@@ -148,26 +131,23 @@ class Link:
         return found
 
     def _reopened(self, frame: Frame, now: float) -> list[Bytes]:
-        """The OPEN, the first one or again."""
         reply_key, body = frames.split_return_address(frame.body)
         if self._opener or frame.offset != 0 or reply_key != self.reply_key:
             raise LinkEnded("another OPEN for a link that is open")
         return self._receiver.data(0, body, now)
 
     def consumed(self, count: int, now: float) -> None:
-        """The application took `count` bytes of what `receive` returned: the peer may send more."""
         if self.state not in ENDED:
             self._receiver.consumed(count, now)
 
     @property
     def peer_ended(self) -> bool:
-        """Whether the peer ended its stream: after what was received, nothing follows."""
         return self._receiver.ended
 
     # -- sending
 
     def write(self, data: Bytes, now: float) -> None:
-        """Send `data`, which may change afterwards, as soon as may be; after the end, never."""
+        # Send `data`, which may change afterwards, as soon as may be; after the end, never.
         size = len(data)
         if size == 0:
             return
@@ -182,7 +162,6 @@ class Link:
             self._sender.queue(data)
 
     def _send_open(self, data: Bytes, now: float) -> None:
-        """OPEN, with what there is to say at once; the rest waits for an answer."""
         address = frames.return_address(self.reply_key, OPEN_SIZE - HEAD - len(data))
         first = memoryview(data)[:FIRST_WINDOW]
         self._move("write")
@@ -191,7 +170,6 @@ class Link:
         self._sender.queue(memoryview(data)[FIRST_WINDOW:])
 
     def _transmit(self, kind: Kind, pieces: list[Bytes], size: int, now: float) -> None:
-        """Send a frame that is kept until it is acknowledged."""
         sender = self._sender
         frame = frames.joined(self._head(kind, sender.next), pieces)
         sender.sent(frame, size, now)
@@ -210,23 +188,21 @@ class Link:
         self._out.append(frame)
 
     def _allowance(self) -> int:
-        """How many octets may leave now; one RESET is always left."""
         if self._validated or self._opener:
             return MAX_FRAME
         return AMPLIFICATION * self._octets_in - self._octets_out - HEAD
 
     @property
     def writable(self) -> bool:
-        """Whether a writer need not wait."""
+        # Whether a writer need not wait.
         return self._sender.backlog <= _HIGH_WATER
 
     @property
     def backlog(self) -> int:
-        """Bytes that were written and not sent for the first time."""
+        # Bytes that were written and not sent for the first time.
         return self._sender.backlog
 
     def frames_to_send(self, now: float) -> list[bytes]:
-        """The frames that may leave now, in order: all of them for the peer's mailbox."""
         if self.state not in ENDED:
             self._pump(now)
             self._acknowledge(now)
@@ -262,16 +238,12 @@ class Link:
     # -- ends
 
     def validated(self) -> None:
-        """The peer is authenticated: it may be sent, and may send, as much as a link carries.
-
-        Both sides call it; a side that never does is over after `SILENCE`.
-        """
+        # Both sides call it; a side that never does is over after `SILENCE`.
         if not self._validated and self.state not in ENDED:
             self._validated = True
             self._receiver.widen(self._began)
 
     def finish(self, now: float) -> None:
-        """End this side's stream after what was written; done when the peer ended its own too."""
         if self.state is LinkState.OPENING:
             self._out = [self.reset()]  # nobody answered: nothing is to be drained
         elif (self.state, "finish") in NEXT:
@@ -279,7 +251,7 @@ class Link:
             self._pump(now)
 
     def reset(self) -> bytes:
-        """End the link at once; returns the frame that says so."""
+        # End the link at once; returns the frame that says so.
         frame = frames.head(Kind.RESET, self.link_id, 0, self._receiver.expected, 0)
         self._over(LinkState.RESET)
         self._out = []
@@ -293,7 +265,6 @@ class Link:
             self.state = state
 
     def _over(self, state: LinkState) -> None:
-        """Keep nothing but frames that may still leave."""
         self.state = state
         self._sender.forget()
         self._receiver.forget()
@@ -302,7 +273,7 @@ class Link:
     # -- time
 
     def _settle(self, progress: bool, now: float) -> None:
-        """After a frame of the peer: is all said, and until when must it answer again?"""
+        # After a frame of the peer: is all said, and until when must it answer again?
         sender = self._sender
         if self._end_offset is not None and sender.base >= self._end_offset:
             if self._receiver.ended and not sender.in_flight:
@@ -318,7 +289,7 @@ class Link:
         self._probe_at = now + (sender.round_trip.wait if asks else KEEPALIVE)
 
     def deadline(self) -> float | None:
-        """When to call `tick` at the latest; None: never."""
+        # When to call `tick` at the latest; None: never.
         if self.state in ENDED:
             return None
         times = (self._over_at(), self._probe_at, self._receiver.ack_at, self._end_at)
@@ -331,11 +302,6 @@ class Link:
         return None if since is None or self.state is LinkState.IDLE else since + SILENCE
 
     def tick(self, now: float) -> None:
-        """Let time pass: ask for what is overdue, give up what is over.
-
-        Raises:
-            LinkEnded: no progress for `SILENCE`, or not validated so long.
-        """
         if self.state in ENDED:
             return
         over = self._over_at()
@@ -351,7 +317,6 @@ class Link:
             self._probe(now)
 
     def _probe(self, now: float) -> None:
-        """Ask how far the peer is; before it ever answered, with the OPEN itself."""
         if self._silent_since is None:
             self._silent_since = now
         silence = now - self._silent_since
@@ -370,12 +335,12 @@ class Link:
 
     @property
     def silent_since(self) -> float | None:
-        """Since when an answer is missing; None: none is."""
+        # Since when an answer is missing; None: none is.
         return self._silent_since
 
     @property
     def stats(self) -> LinkStats:
-        """What was measured so far."""
+        # What was measured so far.
         sender = self._sender
         trip, received = sender.round_trip, self._receiver.expected
         return LinkStats(trip.srtt_s, sender.retransmissions, sender.next, received, trip.least_s)

@@ -111,11 +111,7 @@ def kind_of(data: bytes) -> int:
 
 
 def read(data: bytes) -> Frame:
-    """Read one frame.
-
-    Raises:
-        LinkEnded: not in form.
-    """
+    """Read one frame."""
     if not HEAD <= len(data) <= MAX_FRAME:
         raise LinkEnded("a frame of a forbidden length")
     kind, link, offset, received, limit = _HEAD.unpack_from(data)
@@ -128,23 +124,14 @@ def read(data: bytes) -> Frame:
 
 
 def return_address(reply_key: str, size: int) -> bytes:
-    """The body of a PROBE, and the beginning of that of an OPEN: where to answer, and padding.
-
-    Args:
-        reply_key: the mailbox in which the sender waits.
-        size: how long the body has to be at least.
-    """
+    """The body of a PROBE, and the beginning of that of an OPEN: where to answer, and padding."""
     key = reply_key.encode("ascii")
     padding = max(0, size - 3 - len(key))
     return bytes((len(key),)) + key + padding.to_bytes(2) + bytes(padding)
 
 
 def split_return_address(body: memoryview) -> tuple[str, memoryview]:
-    """The mailbox to answer to, and the bytes after the padding.
-
-    Raises:
-        LinkEnded: not in form, not the key of a mailbox, or padding that is not zero.
-    """
+    """The mailbox to answer to, and the bytes after the padding."""
     length = body[0] if body else 0
     key = bytes(body[1 : 1 + length]).decode("ascii", "replace")
     padding = int.from_bytes(body[1 + length : 3 + length])
@@ -162,11 +149,7 @@ def pack_ranges(ranges: list[tuple[int, int]]) -> bytes:
 
 
 def read_ranges(frame: Frame) -> list[tuple[int, int]]:
-    """The ranges of an ACK.
-
-    Raises:
-        LinkEnded: not in order, overlapping, or beyond what was seen.
-    """
+    """The ranges of an ACK."""
     if len(frame.body) % _RANGE.size:
         raise LinkEnded("an acknowledgement with half a range")
     ranges = list(_RANGE.iter_unpack(frame.body))

@@ -50,37 +50,29 @@ class RoundTrip:
         self.least_s = 0.0
 
     def sample(self, seconds: float) -> None:
-        """One round trip of a frame that was sent once (Karn's rule)."""
         self.srtt_s = seconds if self.srtt_s == 0.0 else self.srtt_s + (seconds - self.srtt_s) / 8
         self.least_s = min(self.least_s or seconds, seconds)
 
     @property
     def queued_s(self) -> float:
-        """How long bytes wait on the way, by what the way takes at best."""
         return self.srtt_s - self.least_s
 
     def way_changed(self) -> None:
-        """Another way may be as long at best as this one is now."""
         self.least_s = self.srtt_s
 
     @property
     def wait(self) -> float:
-        """How long an acknowledgement may take before it is asked for.
-
-        Asking early costs a small frame, and nothing is sent again for it: it follows the others.
-        """
+        # Asking early costs a small frame, and nothing is sent again for it: it follows the others.
         return max(LEAST_WAIT, min(MOST_WAIT, 4 * self.srtt_s))
 
     @property
     def repeat(self) -> float:
-        """How long a frame that was sent again is not judged: what crossed it says nothing."""
+        # How long a frame that was sent again is not judged: what crossed it says nothing.
         return max(0.01, 1.25 * self.srtt_s)
 
     def again(self, silence: float) -> float:
-        """How long until it is asked again, after so many seconds without an answer.
-
-        Doubling would sleep for seconds after a router's successor took over.
-        """
+        # How long until it is asked again, after so many seconds without an answer.
+        # Doubling would sleep for seconds after a router's successor took over.
         return max(LEAST_WAIT, min(MOST_WAIT, max(2 * self.srtt_s, silence / _SILENCE_PART)))
 
 
@@ -96,7 +88,7 @@ class CongestionWindow:
         self._delayed = 0  # bytes that arrived late since the window was shrunk
 
     def acknowledged(self, count: int, on_the_way: int, queued_s: float = 0.0) -> None:
-        """So many bytes arrived, of so many that were on the way, after waiting in queues."""
+        # So many bytes arrived, of so many that were on the way, after waiting in queues.
         if queued_s > QUEUE:
             self._shrink(count)
             return
@@ -107,14 +99,12 @@ class CongestionWindow:
         self.size = min(MOST_WINDOW, self.size + count)
 
     def _shrink(self, count: int) -> None:
-        """By a quarter each round trip."""
         self._delayed += count
         if self._delayed >= self.size:
             self._delayed = 0
             self.size = self._threshold = max(LEAST_WINDOW, self.size - self.size // 4)
 
     def lost(self, offset: int, sent: int) -> None:
-        """The frame at `offset` was lost; frames were sent up to `sent`."""
         if offset >= self._recovery:
             self._recovery = sent
             self.size = self._threshold = max(LEAST_WINDOW, self.size // 2)
@@ -159,34 +149,31 @@ class Sender:
 
     @property
     def in_flight(self) -> bool:
-        """Whether something is not acknowledged."""
+        # Whether something is not acknowledged.
         return bool(self._flight)
 
     @property
     def waiting(self) -> bool:
-        """Whether an answer of the peer is needed to go on."""
         return bool(self._flight or self._waiting)
 
     # -- what may be sent
 
     def room(self) -> int:
-        """How many bytes may be sent now that were not sent yet."""
+        # How many bytes may be sent now that were not sent yet.
         if len(self._flight) >= MOST_FRAMES or self._losses:
             return 0
         return max(0, min(self.limit - self.next, self.window.size - self._on_the_way))
 
     def fits(self, size: int) -> bool:
-        """Whether `size` bytes can be sent at once, as one frame and before nothing else."""
         return not self._waiting and size <= MAX_BODY and size <= self.room()
 
     def queue(self, data: Bytes) -> None:
-        """Keep a copy of what cannot be sent now."""
+        # Keep a copy of what cannot be sent now.
         if data:
             self._waiting.append(bytes(data))
             self.backlog += len(data)
 
     def cut(self, most: int) -> list[Bytes]:
-        """Take the pieces of the next body, at most `most` bytes; empty: nothing may be sent."""
         room = min(self.room(), most, MAX_BODY)
         whole = min(self.backlog, MAX_BODY)
         if room < whole and room < _CUT and self._flight:
@@ -204,21 +191,18 @@ class Sender:
         return pieces
 
     def sent(self, frame: bytes, size: int, now: float) -> None:
-        """Note a frame with the next `size` bytes of the stream."""
         end = self.next + size
         self._flight.append(Sent(self.next, end, frame, now))
         self.next = end
         self._on_the_way += size
 
     def repeat_first(self, now: float) -> bytes:
-        """The first frame on the way once more, whatever became of it."""
         first = self._flight[0]
         first.again, first.at = True, now
         self.retransmissions += 1
         return first.frame
 
     def resend(self, most: int, now: float) -> bytes | None:
-        """The next lost frame, if it may be sent and has at most `most` octets."""
         while self._losses:
             sent = self._losses[0]
             size = sent.end - sent.offset
@@ -239,13 +223,7 @@ class Sender:
     # -- what the peer says
 
     def received(self, received: int, limit: int, now: float) -> bool:
-        """The peer received all bytes below `received`, and takes those below `limit`.
-
-        Returns whether that is more than before.
-
-        Raises:
-            LinkEnded: more than was sent.
-        """
+        # Returns whether that is more than before.
         self.limit = max(self.limit, limit)
         if received <= self.base:
             return False
@@ -266,7 +244,7 @@ class Sender:
         return True
 
     def seen(self, seen: int, ranges: list[tuple[int, int]], now: float) -> None:
-        """Everything below `seen` that did not arrive is lost; `ranges` arrived beyond a gap."""
+        # Everything below `seen` that did not arrive is lost; `ranges` arrived beyond a gap.
         if ranges:
             self._mark_arrived(ranges)
         if len(ranges) == MAX_RANGES:  # what is beyond the last may have arrived: nobody says
@@ -295,7 +273,6 @@ class Sender:
                     self._on_the_way -= sent.end - sent.offset
 
     def forget(self) -> None:
-        """Keep nothing: the link ended."""
         for kept in (self._waiting, self._flight, self._losses):
             kept.clear()
         self.backlog = self._on_the_way = 0
@@ -328,17 +305,11 @@ class Receiver:
         self.ack_at: float | None = None  # when to acknowledge at the latest
 
     def widen(self, now: float) -> None:
-        """The peer is authenticated: it may send as much as a link may hold."""
         self._window = MOST_WINDOW
         self.limit = self._consumed + MOST_WINDOW
         self.ack_at = now
 
     def data(self, offset: int, body: memoryview, now: float) -> list[Bytes]:
-        """Take bytes of the stream; returns what is now in order.
-
-        Raises:
-            LinkEnded: beyond the limit that was told, or after the end.
-        """
         end = offset + len(body)
         if end > self._told_limit:
             raise LinkEnded("the peer sent more than it was allowed")
@@ -359,7 +330,7 @@ class Receiver:
         self._asked, self.ack_at = True, now
 
     def _count(self, size: int, now: float) -> None:
-        """Acknowledge at once from so much on; what is less waits for an answer to go with."""
+        # Acknowledge at once from so much on; what is less waits for an answer to go with.
         self._unacknowledged += 1
         self._unacknowledged_bytes += size
         if self._unacknowledged >= _ACK_FRAMES or self._unacknowledged_bytes >= _ACK_BYTES:
@@ -378,7 +349,6 @@ class Receiver:
             kept.insert(at, (offset, body))
 
     def _deliver(self, offset: int, body: memoryview) -> list[Bytes]:
-        """What closes a gap, with what was kept behind it."""
         found: list[Bytes] = []
         used = 0
         for first, piece in [(offset, body), *self._kept]:
@@ -393,11 +363,7 @@ class Receiver:
         return found
 
     def end(self, offset: int, now: float) -> None:
-        """The peer's stream ends at `offset`; noted only when all before it is here.
-
-        Raises:
-            LinkEnded: there was more, or another end.
-        """
+        # The peer's stream ends at `offset`; noted only when all before it is here.
         self._ask(now)
         if self.ended:
             if offset + 1 != self.expected:
@@ -412,12 +378,11 @@ class Receiver:
             self.ended = True
 
     def probed(self, offset: int, now: float) -> None:
-        """The peer sent up to `offset` and asks what came."""
         self.seen = max(self.seen, min(offset, self._told_limit + 1))
         self._ask(now)
 
     def consumed(self, count: int, now: float) -> None:
-        """The application took so many bytes."""
+        # The application took so many bytes.
         self._consumed += count
         if self._consumed > self.expected:
             raise ValueError("more was consumed than was received")
@@ -426,7 +391,6 @@ class Receiver:
             self.ack_at = now
 
     def ranges(self) -> list[tuple[int, int]]:
-        """What is kept beyond the first gap: (first, end)."""
         found: list[tuple[int, int]] = []
         for first, piece in self._kept:
             end = first + len(piece)
@@ -437,14 +401,12 @@ class Receiver:
         return found
 
     def told(self, *, ack: bool = False) -> None:
-        """A frame leaves, and says how far this side is; an ACK, also what it saw."""
         self._told_limit = self.limit
         self._unacknowledged = self._unacknowledged_bytes = 0
         if ack or not self._asked:
             self._asked, self.ack_at = False, None
 
     def forget(self) -> None:
-        """Keep nothing: the link ended."""
         self._kept.clear()
         self.ack_at = None
 

@@ -107,7 +107,6 @@ class RelayMember:
         self._ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     def start(self) -> None:
-        """Begin; a master that is out of reach is tried again."""
         self._membership.start()
 
     async def wait_ended(self) -> None:
@@ -180,7 +179,6 @@ class RelayMember:
 
     @property
     def is_connected(self) -> bool:
-        """Whether there is a session with the master."""
         return self._membership.session.is_open
 
     def _abort_links(self, reason: str) -> None:
@@ -190,11 +188,9 @@ class RelayMember:
     # -- hooks of the membership (MembershipHooks)
 
     async def dial_master(self) -> SecureStream[Identity]:
-        """Connect to the master."""
         return await self._dialer.rpc(self.settings.master_host, self.settings.master_port)
 
     async def dial_watch(self) -> SecureStream[Identity]:
-        """Connect to the master once more, for a call that waits."""
         return await self.dial_master()
 
     async def restore(self) -> None:
@@ -225,20 +221,17 @@ class DoorTable(Protocol):
     """The doors of this relay. Several masters may want one target: it has one door."""
 
     async def open(self, target: Target, master: str) -> Door:
-        """The door of `target`, opened if there is none, and held for `master`.
-
-        Raises:
-            RossecError, OSError: the peer is not known, or no door can be opened.
-        """
+        ...
 
     def release(self, target: Target, master: str) -> None:
-        """`master` wants it no longer: nobody new is let in when no master does."""
+        ...
 
     def take_dropped(self, master: str) -> Collection[Target]:
-        """What `master` wants and was closed since the last call, as its peer was removed."""
+        # What `master` wants and was closed since the last call, as its peer was removed.
+        ...
 
     def ways(self) -> Mapping[str, Way]:
-        """How each peer of this relay is reached, by label."""
+        ...
 
 
 class MasterLink:
@@ -278,7 +271,6 @@ class MasterLink:
         self._retry = Retry(SystemRandom().random)
 
     async def run(self) -> None:
-        """Poll until cancelled; doors stay open while the master is away."""
         try:
             while True:
                 pause = await self._poll_until_failure()
@@ -288,22 +280,11 @@ class MasterLink:
                 self._doors.release(target, self.name)
 
     async def close(self) -> None:
-        """End the connection on which targets are asked for; `run` has been cancelled."""
         async with self._turn:
             if self._asking is not None:
                 await self._asking.close()
 
     async def target(self, domain: str, kind: str, name: str) -> tuple[str, int]:
-        """Host and port of what another relay wants to reach.
-
-        Args:
-            domain: the label of that relay's domain; empty: the own one.
-            kind, name: a target, by its name here.
-
-        Raises:
-            StreamRefused: it is not registered at this master, or not shown to that domain.
-            RossecError, OSError, TimeoutError: no answer.
-        """
         try:
             answer = await self._ask(domain, kind, name)
         except (AnswerRefused, Fault) as error:
@@ -327,7 +308,6 @@ class MasterLink:
         raise CallFailed(f"{self.name} ends every connection")
 
     async def _client(self) -> RpcClient:
-        """The connection on which targets are asked for: a poll occupies its own."""
         async with self._turn:
             if self._asking is None or self._asking.closed:
                 self._asking = RpcClient(await self._connected())
@@ -345,7 +325,6 @@ class MasterLink:
         return stream
 
     async def _poll_until_failure(self) -> float:
-        """Poll; returns how many seconds to wait before the next attempt."""
         try:
             await self._poll()
         except Fault as fault:
@@ -415,7 +394,6 @@ class OwnMasters:
         self._failed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     def start(self) -> None:
-        """Begin with the own master."""
         dial = self._member.dial_master
         own = self._member.master
         self._tasks.spawn(self._refresh(), "asking for lists")
@@ -424,22 +402,15 @@ class OwnMasters:
         ))  # fmt: skip
 
     async def wait_failed(self) -> None:
-        """Wait until a part crashes, and raise that."""
         await asyncio.shield(self._failed)
 
     async def close(self) -> None:
-        """End every connection with a master."""
         await self._tasks.close()
         for link in self._links.values():
             await link.close()
         self._failed.cancel()
 
     async def target(self, domain: str, kind: str, name: str) -> tuple[str, int]:
-        """Host and port of a target, of the master at which it is; see `MasterLink.target`.
-
-        Raises:
-            HintedError: no master has it, or shows it to that domain.
-        """
         if kind == TARGET_MASTER:
             links = [self._links[name]] if name in self._links else []
         else:
@@ -455,7 +426,7 @@ class OwnMasters:
         raise refusal
 
     def status(self) -> dict[str, str]:
-        """Why each master is not polled, by its name; empty: it is."""
+        # Why each master is not polled, by its name; empty: it is.
         return {name: link.error for name, link in self._links.items()}
 
     def _begin(self, link: MasterLink) -> None:
@@ -463,7 +434,6 @@ class OwnMasters:
         self._runs[link.name] = self._tasks.spawn(link.run(), f"doors of {link.name}")
 
     async def _refresh(self) -> None:
-        """Ask for lists after each answer; while that takes, answers count as one."""
         while True:
             await self._lists_due.wait()
             self._lists_due.clear()
@@ -474,7 +444,6 @@ class OwnMasters:
             self._failed.set_exception(error)
 
     def _answered(self, masters: Mapping[str, str]) -> None:
-        """The own master has answered: lists may be new, and the mesh another one."""
         self._lists_due.set()
         own = self._member.master
         named = {name: uri for name, uri in masters.items() if name != own}
@@ -503,4 +472,5 @@ class OwnMasters:
 
 
 def _ignore(_masters: Mapping[str, str]) -> None:
-    """Only the own master says which others there are."""
+    # Only the own master says which others there are.
+    ...

@@ -142,11 +142,7 @@ def _begin(verb: Verb, stream: int) -> bytes:
 
 
 def read_units(data: Bytes) -> list[Unit]:
-    """The units in `data`, which is a whole sequence of them.
-
-    Raises:
-        StreamRefused: it is not, or one is out of its bounds.
-    """
+    """The units in `data`, which is a whole sequence of them."""
     if len(data) > MAX_SEQUENCE:
         raise StreamRefused(f"{len(data)} bytes of units where at most {MAX_SEQUENCE} are allowed")
     reader = _Reader(memoryview(data))
@@ -185,8 +181,6 @@ def _read_target(reader: "_Reader") -> StreamTarget:
 
 
 class _Reader:
-    """Heads of deterministic CBOR, one after the other."""
-
     __slots__ = ("_at", "_data", "_size")
 
     def __init__(self, data: memoryview) -> None:
@@ -207,7 +201,6 @@ class _Reader:
         return self._data[begin:end]
 
     def head(self, major: int, most: int, least: int = 0) -> int:
-        """The number of a head of this type, from `least` to `most`, in its shortest form."""
         if self._at >= self._size:
             raise StreamRefused("a unit that ends too early")
         value = self._data[self._at] ^ major
@@ -259,16 +252,11 @@ class ReceiveWindow:
         self._taken = 0
 
     def arrived(self, length: int) -> None:
-        """The peer sent so many of the bytes it may send."""
+        # The peer sent so many of the bytes it may send.
         self.allowed -= length
         self.held += length
 
     def took(self, count: int, now: float, round_trip_s: float) -> int:
-        """The program took `count` bytes; the credit to give, if it is time.
-
-        Args:
-            round_trip_s: of the link when it is idle; 0 if that is not known.
-        """
         if count > self.held:
             raise ValueError("more was taken than arrived")
         self.held -= count
@@ -282,7 +270,6 @@ class ReceiveWindow:
         return credit
 
     def _adapt(self, now: float, round_s: float) -> None:
-        """Once in a round."""
         elapsed = now - self._began
         if elapsed < round_s:
             return
@@ -298,7 +285,6 @@ class ReceiveWindow:
         self.size = size
 
     def close(self) -> None:
-        """The stream is over."""
         self._resize(FIRST)
 
 
@@ -375,7 +361,6 @@ class _Stream:
     connecting: bool = False
 
     def spoke(self, *, to_target: bool) -> None:
-        """Count how often the target answered: see `_ANSWERS`."""
         if self.asked and not to_target:
             self.answers += 1
         self.asked = to_target
@@ -401,13 +386,11 @@ class Mux:
 
     @property
     def used_up(self) -> bool:
-        """Whether the link has no more numbers for streams: make another."""
         return self._next > LAST_STREAM
 
     # -- opening
 
     def crowded(self, target: StreamTarget, now: float) -> str:
-        """Why no stream to `target` may be opened now (seconds, monotonic); empty: one may."""
         if len(self._streams) >= STREAMS:
             return f"{STREAMS} streams are open"
         if self._for_name[target] >= FOR_ONE_NAME:
@@ -416,7 +399,7 @@ class Mux:
         return f"{YOUNG} streams are new" if new >= YOUNG else ""
 
     def _young_since(self, since: float) -> int:
-        """Streams that were opened after `since` and are not in use yet, up to `YOUNG`."""
+        # Streams that were opened after `since` and are not in use yet, up to `YOUNG`.
         young = 0
         for each in reversed(self._streams.values()):  # the newest first
             if each.opened <= since or young >= YOUNG:
@@ -425,21 +408,13 @@ class Mux:
         return young
 
     def connected(self, stream: int) -> None:
-        """The called side is done with connecting the stream, whatever came of it.
-
-        Until then one that is over counts as new: a peer that opens streams and breaks them off
-        at once would have any number of targets looked for (as CVE-2023-44487, of HTTP/2).
-        """
+        # Until then one that is over counts as new: a peer that opens streams and breaks them off at once
+        # would have any number of targets looked for (as CVE-2023-44487, of HTTP/2).
         self._abandoned.discard(stream)
         if stream in self._streams:
             self._streams[stream].connecting = False
 
     def open(self, target: StreamTarget, now: float) -> tuple[int, bytes]:
-        """The number of a new stream, and the unit that opens it.
-
-        Raises:
-            StreamRefused: there is no room, or this side may open none.
-        """
         reason = self.crowded(target, now) if self._caller else "only the caller opens streams"
         if reason or self.used_up:
             raise StreamRefused(f"no stream to {target}: {reason or 'the link is used up'}")
@@ -457,18 +432,12 @@ class Mux:
     # -- sending
 
     def credit(self, stream: int) -> int:
-        """How many bytes may be sent in the stream now; 0 too if it is over."""
         found = self._streams.get(stream)
         if found is None or found.phase is Phase.ENDED_HERE:
             return 0
         return found.may_send
 
     def data(self, stream: int, length: int) -> bytes:
-        """The head of a unit with `length` bytes, which are sent after it; costs credit.
-
-        Raises:
-            StreamRefused: the stream is over, or has not that much credit: an error here.
-        """
         if not 0 < length <= self.credit(stream):
             raise StreamRefused(f"{length} bytes beyond the credit of stream {stream}")
         found = self._streams[stream]
@@ -477,11 +446,6 @@ class Mux:
         return data_head(stream, length)
 
     def took(self, stream: int, count: int, now: float = 0.0, round_trip_s: float = 0.0) -> bytes:
-        """The program took `count` received bytes; the unit that gives credit, if it is time.
-
-        Args:
-            round_trip_s: of the link when it is idle; 0 (windows stay as they are) if not known.
-        """
         found = self._streams.get(stream)
         if found is None or found.phase is Phase.ENDED_THERE:
             return b""
@@ -489,7 +453,6 @@ class Mux:
         return credit_unit(stream, credit) if credit else b""
 
     def end(self, stream: int) -> bytes:
-        """The unit that ends this direction; empty if it has ended."""
         found = self._streams.get(stream)
         if found is None or found.phase is Phase.ENDED_HERE:
             return b""
@@ -497,7 +460,6 @@ class Mux:
         return end_unit(stream)
 
     def reset(self, stream: int) -> bytes:
-        """The unit that breaks the stream off; empty if it is over."""
         if stream not in self._streams:
             return b""
         self._remove(stream)
@@ -506,11 +468,6 @@ class Mux:
     # -- receiving
 
     def receive(self, data: Bytes, now: float) -> list[Event]:
-        """What the units in `data` mean, in order.
-
-        Raises:
-            StreamRefused: they are malformed, or nothing that the peer may send: end the link.
-        """
         events = []
         for unit in read_units(data):
             event = self._receive(unit, now)

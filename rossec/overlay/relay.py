@@ -97,7 +97,6 @@ class PeerLink:
 
     @property
     def state(self) -> LinkState:
-        """Where it is."""
         if self._dialling is not None:
             return LinkState.DIALLING
         if self._streams is not None:
@@ -106,20 +105,13 @@ class PeerLink:
 
     @property
     def stream(self) -> SecureStream[Identity] | None:
-        """The link, if there is one."""
         return self._stream
 
     @property
     def carried(self) -> int:
-        """How many connections it carries."""
         return 0 if self._streams is None else len(self._streams)
 
     async def carry(self, target: StreamTarget, sock: socket.socket) -> None:
-        """Carry this connection to `target` at the peer's site until it is over. Owns `sock`.
-
-        Raises:
-            HintedError: there is no link, or no room in it; `sock` is closed.
-        """
         try:
             streams = await self._open_streams()
         except BaseException:
@@ -128,14 +120,13 @@ class PeerLink:
         await streams.carry(target, sock)
 
     def tick(self) -> None:
-        """Close a link that was not used for long; called once in a second."""
+        # Close a link that was not used for long; called once in a second.
         since = None if self._streams is None else self._streams.idle_since
         if since is not None and self._clock() - since > IDLE_FOR and self._carrying is not None:
             self._settle()
             self._carrying.cancel()
 
     async def close(self) -> None:
-        """End the link, and what it carries."""
         await self._tasks.close()
 
     # -- making one
@@ -154,7 +145,6 @@ class PeerLink:
         return found
 
     async def _make(self) -> Streams | RelayRefused:
-        """The streams of a new link; or why there is none, for all who wait."""
         try:
             stream = await self._dial(self.peer)
         except (TimeoutError, HandshakeTimeout):  # nobody reads that mailbox
@@ -186,7 +176,6 @@ class PeerLink:
         return RelayRefused(self.error, self.hint)
 
     def _settle(self) -> None:
-        """There was a link: a failure from now on is another one."""
         self._pause, self._said = 0.0, ""
 
     async def _run(self, stream: SecureStream[Identity], streams: Streams) -> None:
@@ -223,7 +212,7 @@ class Closable(Protocol):
     """What reads a mailbox."""
 
     async def close(self) -> None:
-        """Read it no more."""
+        ...
 
 
 class LinkNetwork(Protocol):
@@ -231,17 +220,17 @@ class LinkNetwork(Protocol):
 
     @property
     def router(self) -> str:
-        """The router in use; empty: none."""
+        ...
 
     @property
     def seat(self) -> str:
-        """The seat there."""
+        ...
 
     async def dial(self, mailbox: str) -> SecureStream[Identity]:
-        """A link to whoever reads this mailbox. Raises a `RossecError` or `TimeoutError`."""
+        ...
 
     def listen(self, mailbox: str, serve: _Serve, label: str) -> Closable:
-        """Call `serve` with each authenticated link that arrives in the mailbox of a peer."""
+        ...
 
 
 class Relay:
@@ -316,7 +305,6 @@ class Relay:
                 link.tick()
 
     def _note_router(self, before: str) -> str:
-        """Say when another router is in use than before, or none; returns which."""
         router = self._network.router
         if router and router != before:
             _log.warning("router %s is in use now", router)
@@ -327,7 +315,6 @@ class Relay:
     # -- peers
 
     async def _take_peers(self) -> None:
-        """Take the peers as they are now; a file that is damaged changes nothing."""
         try:
             found = {label: each for label, each in self._read_peers().items() if each.is_complete}
             self._problem = ""
@@ -353,7 +340,6 @@ class Relay:
         self._links[peer.label] = PeerLink(peer, self._dial)
 
     async def _drop(self, label: str) -> None:
-        """A peer is gone, or its card is another one."""
         del self._peers[label]
         _audit.info("no links with %s any more", label)
         self._table.drop_peer(label)
@@ -363,7 +349,6 @@ class Relay:
             stream.abort("the peer is removed")
 
     def ways(self) -> Mapping[str, Way]:
-        """How each peer is reached, by its label: what the masters show to people."""
         return {label: self._way(link) for label, link in self._links.items()}
 
     def _way(self, link: PeerLink) -> Way:
@@ -379,7 +364,6 @@ class Relay:
     # -- links
 
     async def _carry(self, door: PeerTarget, sock: socket.socket) -> None:
-        """Carry what came in at a door. Owns `sock`."""
         link = self._links.get(door.peer)
         if link is None:
             sock.close()
@@ -387,14 +371,13 @@ class Relay:
         await link.carry(door.target, sock)
 
     async def _dial(self, peer: Peer) -> SecureStream[Identity]:
-        """A link to `peer`; raises as `DialPeer`."""
         self._check_admitted(peer)
         stream = await self._network.dial(peer.mailbox)
         self._admit(peer, stream)
         return stream
 
     def _check_admitted(self, peer: Peer) -> None:
-        """Say before the handshake what would be less clear after it."""
+        # Say before the handshake what would be less clear after it.
         if not peer.domain:
             return
         listed = self._member.standing.anchors.listed(peer.domain)
@@ -419,7 +402,6 @@ class Relay:
             raise
 
     async def _serve(self, peer: Peer, stream: SecureStream[Identity]) -> None:
-        """Carry what the link of a peer brings, until it ends."""
         try:
             self._admit(peer, stream)
         except HintedError as error:
@@ -474,7 +456,7 @@ class Relay:
 
 
 def _admit(entry: ForeignDomain) -> str:
-    """The options that admit whom the list admits, and so its relays too, but nobody else."""
+    # The options that admit whom the list admits, and so its relays too, but nobody else.
     nodes = [each for each in entry.admitted if not is_master_name(each.replace("*", "x"))]
     return " ".join(f"--admit '{each}'" for each in nodes or [RELAY])
 

@@ -27,11 +27,9 @@ class Session(Protocol):
 
     @property
     def info(self) -> Any:
-        """Whom it is connected with."""
         ...
 
     def close(self) -> Any:
-        """End it; blocks."""
         ...
 
 
@@ -99,7 +97,6 @@ class Router:
 
     @property
     def joined(self) -> int:
-        """How many other routers it has a session with."""
         return 0 if self._session is None else len(self._session.info.routers_zid())
 
     def _report_joined(self) -> None:
@@ -108,7 +105,7 @@ class Router:
             _log.info("sessions with other routers: %d", self._joined)
 
     async def _take_over(self) -> None:
-        """Begin anew if seats changed, if the certificate may be old, or if it is not listening."""
+        # Begin anew if seats changed, if the certificate may be old, or if it is not listening.
         due = asyncio.get_running_loop().time() >= self._certificate_due
         if self._session is not None and not due and not self._seats_changed():
             return
@@ -118,7 +115,6 @@ class Router:
         _log.info("the router began anew, with the seats and the certificate of now")
 
     def _seats_now(self) -> Seats | None:
-        """As `seats_of`; but when the last seat was taken away, nobody is let in any more."""
         seats = self._home.seats()
         return seats_of(self._home, is_open=True) if self._is_open else seats
 

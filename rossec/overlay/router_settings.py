@@ -71,7 +71,7 @@ class Seats:
     passwords: Mapping[str, str] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
-        """Raise `ConfigurationError` unless all of it is in form."""
+        # Raise `ConfigurationError` unless all of it is in form.
         check_password(self.router)
         if len(self.passwords) > MAX_SEATS:
             raise ConfigurationError(f"at most {MAX_SEATS} seats", "remove what nobody uses")
@@ -81,21 +81,14 @@ class Seats:
 
     @property
     def region(self) -> str:
-        """The name of the region of the operator's routers, which all of them derive alike."""
         return hashlib.sha256(b"rossec region " + self.router.encode()).hexdigest()[:32]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the seats, sorted."""
         return tuple(sorted(self.passwords))
 
     @classmethod
     def read(cls, data: bytes) -> Self:
-        """The content of the file.
-
-        Raises:
-            ConfigurationError: it is not one.
-        """
         found = read_document(
             data, _FORM, frozenset({"router", "seats"}), limit=MAX_SEATS_FILE, hint=_HINT
         )
@@ -107,15 +100,9 @@ class Seats:
         raise ConfigurationError(f"the {_FORM} file has a value of another type", _HINT)
 
     def write(self) -> bytes:
-        """The file: it holds all passwords."""
         return write_document(_FORM, {"router": self.router, "seats": dict(self.passwords)})
 
     def add(self, seat: str, password: str) -> Self:
-        """These and a new one.
-
-        Raises:
-            ConfigurationError: no name for a seat, one that is there, or one too many.
-        """
         if seat in self.passwords:
             raise ConfigurationError(
                 f"there is a seat {seat} already",
@@ -124,22 +111,12 @@ class Seats:
         return replace(self, passwords={**self.passwords, seat: password})
 
     def remove(self, seat: str) -> Self:
-        """These without one.
-
-        Raises:
-            ConfigurationError: there is none of this name.
-        """
         self.password(seat)
         return replace(
             self, passwords={name: each for name, each in self.passwords.items() if name != seat}
         )
 
     def password(self, seat: str) -> str:
-        """Of one seat.
-
-        Raises:
-            ConfigurationError: there is none of this name.
-        """
         if seat not in self.passwords:
             raise ConfigurationError(
                 f"there is no seat {seat[:40]!a}", f"there are: {', '.join(self.names) or 'none'}"
@@ -147,12 +124,10 @@ class Seats:
         return self.passwords[seat]
 
     def dictionary(self) -> bytes:
-        """Zenoh's file of users and passwords."""
         users = {**self.passwords, ROUTER_USER: self.router}
         return "".join(f"{name}:{each}\n" for name, each in sorted(users.items())).encode()
 
     def access_control(self) -> Entry:
-        """Zenoh's `access_control`, for a router that these seats use."""
         routers = [
             {"id": _ACCEPTED, "usernames": [ROUTER_USER]},
             {"id": _JOINED, "cert_common_names": [ROUTER_NAME]},
@@ -196,11 +171,9 @@ def _access_control(rules: list[Entry], subjects: list[Entry], policies: list[En
 
 
 def _own_rules(seat: str) -> list[Entry]:
-    """What only this seat may: declare that it reads a mailbox of its own, and get what is there.
-
-    Nothing allows that a declaration goes out to it: it would name a mailbox of another seat, or
-    tell by a pattern whether there is one that begins so, and with that all digits of it in turn.
-    """
+    # What only this seat may: declare that it reads a mailbox of its own, and get what is there.
+    # Nothing allows that a declaration goes out to it: it would name a mailbox of another seat, or tell by a
+    # pattern whether there is one that begins so, and with that all digits of it in turn.
     return [
         _rule(f"read-{seat}", "ingress", "declare_subscriber", _mailboxes(seat)),
         _rule(f"get-{seat}", "egress", "put", _mailboxes(seat)),
@@ -212,7 +185,6 @@ def _seat_policy(seat: str) -> Entry:
 
 
 def _forwarding(keys: str) -> list[Entry]:
-    """What routers may do for each other."""
     put, declare = _FORWARD
     return [
         _rule(put, "both", "put", keys),
@@ -358,7 +330,6 @@ class RouterSettings:
         return cls(**{name: tuple(value) for name, value in found.items()})
 
     def write(self) -> bytes:
-        """The file."""
         return write_document(_ROUTER_SETTINGS_FORM, asdict(self))
 
     @property
@@ -385,7 +356,6 @@ class RouterSettings:
 
     @property
     def own_locators(self) -> tuple[str, ...]:
-        """Where relays find it, as far as that is known."""
         return tuple(locator for each in self.listen for locator in self._reached(each))
 
     def _reached(self, listened: str) -> list[str]:
@@ -470,11 +440,9 @@ def _tls(settings: RouterSettings, files: RouterFiles) -> dict[str, object]:
 
 
 def _regions(own: str) -> dict[str, object]:
-    """Customers and what they connect as routers are below; their routes are not the routers' own.
-
-    Else one who connects as a router to two of them, and claims that the way is short, would be
-    sent what they have for each other, which the access control then drops.
-    """
+    # Customers and what they connect as routers are below; their routes are not the routers' own.
+    # Else one who connects as a router to two of them, and claims that the way is short, would be sent what
+    # they have for each other, which the access control then drops.
     below = [{"modes": ["client", "peer"]}], [{"region_names": [own], "negated": True}]
     south = [{"filters": filters} for filters in below]
     return {"region_name": own, "gateway": {"south": south}}

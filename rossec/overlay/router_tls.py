@@ -56,7 +56,6 @@ class RouterAuthority:
 
     @classmethod
     def create(cls, key: ec.EllipticCurvePrivateKey, *, now: int, serial: int) -> Self:
-        """A new one, valid for twenty years; `serial` is 127 random bits."""
         builder = (
             _builder(key.public_key(), _ROOT, serial, now - BACKDATE, now + LIFETIME)
             .issuer_name(_subject(_ROOT))
@@ -69,11 +68,6 @@ class RouterAuthority:
 
     @classmethod
     def load(cls, key: bytes, certificate: bytes) -> Self:
-        """The authority from both files, PEM.
-
-        Raises:
-            ConfigurationError: one is damaged, or they do not belong together.
-        """
         found = load_key(key)
         try:
             (root,) = x509.load_pem_x509_certificates(certificate)
@@ -85,17 +79,11 @@ class RouterAuthority:
 
     @property
     def pem(self) -> bytes:
-        """The certificate."""
         return self.certificate.public_bytes(Encoding.PEM)
 
     def issue(
         self, key: ec.EllipticCurvePublicKey, hosts: tuple[str, ...], *, now: int, serial: int
     ) -> bytes:
-        """A router's certificate (PEM) for `hosts`, names or addresses, valid for a year.
-
-        Raises:
-            ConfigurationError: the authority itself is not valid now.
-        """
         end = int(self.certificate.not_valid_after_utc.timestamp())
         if not int(self.certificate.not_valid_before_utc.timestamp()) <= now < end:
             raise ConfigurationError("the routers' authority is not valid now", "check the clock")
@@ -116,10 +104,7 @@ class RouterAuthority:
     def is_current(
         self, certificate: bytes, key: bytes, hosts: tuple[str, ...], *, now: int
     ) -> bool:
-        """Whether a router's certificate (PEM) is of this authority, for this key and `hosts`.
-
-        One that has less than a third of its time left is not.
-        """
+        # One that has less than a third of its time left is not.
         try:
             (leaf,) = x509.load_pem_x509_certificates(certificate)
             leaf.verify_directly_issued_by(self.certificate)
@@ -138,11 +123,7 @@ def key_pem(key: ec.EllipticCurvePrivateKey) -> bytes:
 
 
 def load_key(pem: bytes) -> ec.EllipticCurvePrivateKey:
-    """A private key.
-
-    Raises:
-        ConfigurationError: it is damaged, or not of P-256.
-    """
+    """A private key."""
     try:
         key = load_pem_private_key(pem, None)
     except (ValueError, TypeError):

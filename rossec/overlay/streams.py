@@ -54,19 +54,21 @@ class StreamEnd(Protocol):
     """What a pump needs of its stream, by the stream's number."""
 
     def buffer_for(self, stream: int) -> memoryview | None:
-        """Where to read bytes for the stream; None: not now, `Pump.resume` says when."""
+        # Where to read bytes for the stream; None: not now, `Pump.resume` says when.
+        ...
 
     def send(self, stream: int, count: int) -> None:
-        """Send what is in that buffer."""
+        ...
 
     def took(self, stream: int, count: int) -> None:
-        """The program took so many received bytes."""
+        # The program took so many received bytes.
+        ...
 
     def end(self, stream: int) -> bool:
-        """The program sends nothing more; whether it still receives."""
+        ...
 
     def reset(self, stream: int) -> None:
-        """The connection is broken, or closed."""
+        ...
 
 
 class Pump:
@@ -85,11 +87,9 @@ class Pump:
 
     @property
     def connected(self) -> bool:
-        """Whether there was a socket."""
         return self._transport is not None
 
     def connect(self, sock: socket.socket) -> None:
-        """Use this socket from now on; owns it."""
         if self.over.is_set():
             sock.close()
             return
@@ -104,11 +104,6 @@ class Pump:
         self._transport.resume_reading()
 
     async def first_bytes(self, decide: Callable[[bytes], Found | None]) -> Found:
-        """What `decide` says of the first bytes of the stream; None: it needs more of them.
-
-        Raises:
-            StreamRefused: the stream ended before; or what `decide` raises.
-        """
         while (found := decide(bytes(self._early))) is None:
             if self._early_end or self.over.is_set():
                 raise StreamRefused("a stream that ended before it said anything")
@@ -119,7 +114,6 @@ class Pump:
     # -- called for the stream
 
     def arrived(self, payload: Bytes) -> None:
-        """Bytes of the stream."""
         self._held += len(payload)
         if self._transport is None:
             self._early += payload
@@ -140,7 +134,6 @@ class Pump:
             self._end.took(self._stream, taken)
 
     def ended(self, *, over: bool) -> None:
-        """The other side sends nothing more; `over`: this side neither."""
         self._early_end = True
         self._changed.set()
         if self._transport is not None:
@@ -149,13 +142,12 @@ class Pump:
                 self._transport.finish()
 
     def resume(self) -> None:
-        """There is credit, or room in the link: read on, at once and then as bytes arrive."""
         if self._transport is not None and not self._read_all:
             self._transport.resume_reading()
             self._transport.read_now()
 
     def break_off(self) -> None:
-        """The stream is broken off: so is the connection."""
+        # The stream is broken off: so is the connection.
         if self._transport is None:
             self.connection_lost()
         else:
@@ -164,7 +156,6 @@ class Pump:
     # -- called by the transport
 
     def get_buffer(self) -> memoryview:
-        """The link's buffer, as far as the credit goes."""
         buffer = self._end.buffer_for(self._stream)
         if buffer is None:
             if self._transport is not None:
@@ -173,21 +164,17 @@ class Pump:
         return buffer
 
     def buffer_updated(self, count: int) -> None:
-        """Send what was read."""
         self._end.send(self._stream, count)
 
     def eof_received(self) -> bool:
-        """Pass the end on; the socket stays open while the other direction is."""
         self._read_all = True
         return self._end.end(self._stream)
 
     def resume_writing(self) -> None:
-        """The program took everything."""
         if self._transport is not None:
             self._account(self._transport)
 
     def connection_lost(self) -> None:
-        """The socket is closed."""
         self._end.reset(self._stream)
         self.over.set()
         self._changed.set()
@@ -214,24 +201,26 @@ class LinkStream(Protocol):
 
     @property
     def backlog(self) -> int:
-        """Bytes that were written and not sent."""
+        # Bytes that were written and not sent.
+        ...
 
     def on_ready(
         self, callback: Callable[[], None] | None, take: Callable[[bytes], bool] | None = None
     ) -> None:
-        """Call back when `next_unit` has a new result; `take` is offered a unit at once."""
+        ...
 
     def next_unit(self) -> bytes | None:
-        """The next unit. Raises a `ChannelError` after the end."""
+        ...
 
     def write_nowait(self, data: Bytes) -> bool:
-        """Send one unit; false: the link lags now."""
+        ...
 
     async def drain(self) -> None:
-        """Wait until the link does not lag."""
+        # Wait until the link does not lag.
+        ...
 
     def abort(self, reason: str) -> None:
-        """End the link."""
+        ...
 
 
 async def refuse_streams(target: StreamTarget, _pump: Pump) -> socket.socket:
@@ -281,16 +270,9 @@ class Streams:
 
     @property
     def used_up(self) -> bool:
-        """Whether no further stream can ever be opened: the next one needs another link."""
         return self._mux.used_up or self._over.done()
 
     async def run(self) -> None:
-        """Carry until the link ends.
-
-        Raises:
-            ChannelError: how the link ended.
-            StreamRefused: the peer broke the rules, so the link was ended.
-        """
         try:
             self._link.on_ready(self._ready, self._take)
             self._ready()
@@ -306,12 +288,6 @@ class Streams:
     # -- the caller's side
 
     async def carry(self, target: StreamTarget, sock: socket.socket) -> None:
-        """Open a stream to `target` for this connection; returns when it is over. Owns `sock`.
-
-        Raises:
-            LinkCrowded: there was no room; `sock` is closed.
-            StreamRefused: the link has ended; `sock` is closed.
-        """
         try:
             async with asyncio.timeout(CONNECT_SECONDS):
                 await self._room_for(target)
@@ -373,7 +349,6 @@ class Streams:
             self._fail(error)
 
     def _take(self, unit: bytes) -> bool:
-        """Handle a unit at once."""
         if self._over.done():
             return True
         try:
@@ -418,7 +393,6 @@ class Streams:
     # -- from pumps
 
     def buffer_for(self, stream: int) -> memoryview | None:
-        """As of `StreamEnd`: at most what may be sent."""
         if self._draining:
             self._waiting[stream] = None
             return None
@@ -426,23 +400,20 @@ class Streams:
         return self._buffer[HEADROOM : HEADROOM + room] if room else None
 
     def send(self, stream: int, count: int) -> None:
-        """As of `StreamEnd`; the head is written in front of the payload, which is not copied."""
+        # As of `StreamEnd`; the head is written in front of the payload, which is not copied.
         head = self._mux.data(stream, count)
         begin = HEADROOM - len(head)
         self._buffer[begin:HEADROOM] = head
         self._write(self._buffer[begin : HEADROOM + count])
 
     def took(self, stream: int, count: int) -> None:
-        """As of `StreamEnd`."""
         self._write(self._mux.took(stream, count, self._clock(), self._round_trip()))
 
     def end(self, stream: int) -> bool:
-        """As of `StreamEnd`."""
         self._write(self._mux.end(stream))
         return stream in self._mux
 
     def reset(self, stream: int) -> None:
-        """As of `StreamEnd`; also after a connection was closed in order."""
         if self._pumps.pop(stream, None) is None:
             return
         self._write(self._mux.reset(stream))
@@ -453,7 +424,7 @@ class Streams:
     # -- to the link
 
     def _write(self, unit: Bytes) -> None:
-        """Send a unit; only small ones are written while the link lags."""
+        # Send a unit; only small ones are written while the link lags.
         if not unit or self._over.done():
             return
         try:
@@ -468,7 +439,6 @@ class Streams:
             self._fail(StreamRefused("the peer asks without reading"))
 
     async def _drain(self) -> None:
-        """Read connections again when the link has room, each once and in their order."""
         try:
             await self._link.drain()
         except ChannelError as error:

@@ -46,8 +46,6 @@ Place: TypeAlias = tuple[str, int]
 
 @dataclass(slots=True)
 class _Known:
-    """Where one node is; `turn`: it is asked by one caller at a time."""
-
     turn: asyncio.Lock = field(default_factory=asyncio.Lock)
     place: Place = "", 0
     until: float = 0.0
@@ -72,23 +70,12 @@ class TopicPorts:
         self._nodes: dict[tuple[str, str, int], _Known] = {}  # the oldest first
 
     async def of(self, name: str, host: str, port: int) -> Place:
-        """Where the node `name`, whose slave API is at this address, has its topics.
-
-        Raises:
-            HintedError: it is not there, is another node, revoked, or does not tell.
-        """
         return await self._kept(name, host, port, partial(self._ask, name))
 
     async def provider(self, host: str, port: int) -> Place:
-        """Where a service is whose address is this one: a node of the own domain is there.
-
-        Raises:
-            HintedError: none is, or it is revoked.
-        """
         return await self._kept(_SERVICE, host, port, self._call_at)
 
     def forget(self, name: str, host: str, port: int) -> None:
-        """Ask again next time: nobody was at the port."""
         for each in (name, _SERVICE):
             self._nodes.pop((each, host, port), None)
 
@@ -176,13 +163,13 @@ class NodePorts(Protocol):
     """As `rossec.overlay.targets.TopicPorts`: numeric addresses, at which it was looked."""
 
     async def of(self, name: str, host: str, port: int) -> tuple[str, int]:
-        """Where the node's topics are whose slave API is there. Raises a `HintedError`."""
+        ...
 
     async def provider(self, host: str, port: int) -> tuple[str, int]:
-        """Where the service is that is there. Raises a `HintedError`."""
+        ...
 
     def forget(self, name: str, host: str, port: int) -> None:
-        """Ask again next time."""
+        ...
 
 
 class Targets:
@@ -193,7 +180,6 @@ class Targets:
         self._node_ports = node_ports
 
     def dial_for(self, peer: Peer) -> Callable[[StreamTarget, Pump], Awaitable[socket.socket]]:
-        """The `Dial` of a link with this peer."""
         return partial(self._dial, peer)
 
     async def _dial(self, peer: Peer, target: StreamTarget, pump: Pump) -> socket.socket:
@@ -211,7 +197,6 @@ class Targets:
     async def _place(
         self, target: StreamTarget, protocol: opening_WireProtocol, host: str, port: int
     ) -> tuple[str, int]:
-        """Where to connect to, of what is registered at this address."""
         if target.kind == MASTER:  # it says where it is itself
             return host, port
         if target.kind == SERVICE:
@@ -221,7 +206,7 @@ class Targets:
 
 
 def _protocol(first: bytes) -> opening_WireProtocol | None:
-    """The protocol in which a caller of rossec opens the connection; None: not clear yet."""
+    # The protocol in which a caller of rossec opens the connection; None: not clear yet.
     match classify_caller(first):
         case None:
             return None
@@ -232,13 +217,7 @@ def _protocol(first: bytes) -> opening_WireProtocol | None:
 
 
 async def dial_from(source: str, host: str, port: int) -> socket.socket:
-    """A connection to `host`; from the address `source`, if it is this host.
-
-    Raises:
-        RelayRefused: it turned out to be this host after all.
-        OSError: it has no address, or nobody accepts.
-        TimeoutError: no answer.
-    """
+    """A connection to `host`; from the address `source`, if it is this host."""
     loop = asyncio.get_running_loop()
     found = await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     here = [address for *_, (address, *_) in found if _is_here(str(address))]
@@ -254,7 +233,6 @@ async def dial_from(source: str, host: str, port: int) -> socket.socket:
 
 
 async def _dial_here(source: str, address: str, port: int) -> socket.socket:
-    """From `source`, which is of IPv4: as 127.0.0.1, if the address is of IPv6 or of every host."""
     sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
         sock.setblocking(False)
@@ -268,7 +246,7 @@ async def _dial_here(source: str, address: str, port: int) -> socket.socket:
 
 
 def _is_here(address: str) -> bool:
-    """Whether this host has the address, or would take it for its own, as 0.0.0.0."""
+    # Whether this host has the address, or would take it for its own, as 0.0.0.0.
     try:
         with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET) as sock:
             sock.bind((address, 0))
@@ -278,7 +256,7 @@ def _is_here(address: str) -> bool:
 
 
 def _check_elsewhere(sock: socket.socket) -> None:
-    """Refuse a connection to this host that is not from an address that says by whom."""
+    # Refuse a connection to this host that is not from an address that says by whom.
     near, far = str(sock.getsockname()[0]), str(sock.getpeername()[0])
     if is_near(far, near):
         raise RelayRefused(f"the target at {far} is this host after all")

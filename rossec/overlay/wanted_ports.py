@@ -42,27 +42,19 @@ class WantedDoors:
 
     @property
     def held(self) -> tuple[Target, ...]:
-        """The targets that have a door for this master."""
         return tuple(self._held)
 
     def connected(self) -> None:
-        """There is a new connection with the master."""
         self.seen = 0
         self._untold.clear()
         self._failed.clear()
         self._old = set(self._held)
 
     def report(self) -> list[list[object]]:
-        """The doors to tell the master of, a part of them if there are many."""
         told = list(self._untold.items())[:REPORTED_AT_ONCE]
         return [[*target, *door] for target, door in told]
 
     def take(self, answer: object, reported: int) -> Orders:
-        """Take the answer to a call that told of `reported` doors.
-
-        Raises:
-            AnswerMalformed: it is invalid, or asks for more doors than there can be.
-        """
         match answer:
             case {
                 "version": int() as version, "wanted": list() as wanted,
@@ -85,18 +77,15 @@ class WantedDoors:
         return Orders(tuple(dict.fromkeys((*new, *self._failed))), closed, others)
 
     def opened(self, target: Target, door: Door) -> None:
-        """The door of a target is open, from now or from before."""
         self._held[target] = self._untold[target] = door
         self._failed.pop(target, None)
 
     def failed(self, target: Target) -> bool:
-        """No door could be opened: it is tried after each answer. Returns whether this is new."""
         is_new = target not in self._failed
         self._failed[target] = None
         return is_new
 
     def lost(self, targets: Iterable[Target]) -> list[Target]:
-        """These doors were closed; returns those that are wanted, which are to be opened again."""
         found = [target for target in targets if self._held.pop(target, None) is not None]
         for target in found:
             self._untold.pop(target, None)

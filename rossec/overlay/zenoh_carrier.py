@@ -48,7 +48,6 @@ class SendQueue:
         self._closed = False
 
     def put(self, key: str, data: bytes) -> None:
-        """Send, now or soon; or drop it."""
         if self._waiting == 0 and monotonic() >= self._slow_until:
             self._send_timed(key, data)
         elif self._waiting + len(data) <= MOST_WAITING and not self._closed:
@@ -73,7 +72,6 @@ class SendQueue:
                 self._waiting -= len(data)
 
     def close(self) -> None:
-        """Drop what waits."""
         self._closed = True
         if self._thread is not None:
             self._thread.shutdown(wait=False, cancel_futures=True)
@@ -88,11 +86,7 @@ _TURN_OVERHEAD: Final = 16 * 1024  # bytes that are opened in the time a message
 
 
 def open_session(settings: Mapping[str, object]) -> "zenoh.Session":
-    """A session with these settings (`rossec.overlay.router_settings`); blocks until it is open.
-
-    Raises:
-        OverlayUnavailable: zenoh is not installed, or refuses.
-    """
+    """A session with these settings (`rossec.overlay.router_settings`); blocks until it is open."""
     try:
         import zenoh  # noqa: PLC0415 - as above
     except ImportError as error:
@@ -125,7 +119,7 @@ class Subscription:
         """What the present session has of it."""
 
     def deliver(self, data: bytes) -> None:
-        """Hand over one message, unless the subscription was closed meanwhile."""
+        # Hand over one message, unless the subscription was closed meanwhile.
         if self._callback is None:
             return
         try:
@@ -134,7 +128,6 @@ class Subscription:
             _log.exception("a message of the overlay was not handled")
 
     def close(self) -> None:
-        """Read this mailbox no more."""
         if self._callback is not None:
             self._callback = None
             self._carrier.forget(self)
@@ -189,7 +182,6 @@ class Carrier:
         self._queue.put(key, data)
 
     def _put(self, key: str, data: bytes) -> None:
-        """Wait up to 50 ms for room (`rossec.overlay.zenoh_carrier`), then drop: Zenoh's default."""
         with suppress(self._failure):  # the session is being replaced: one more loss
             self._session.put(key, data)
 
@@ -222,8 +214,6 @@ class Carrier:
                 subscriber.undeclare()  # type: ignore[no-untyped-call]
 
     def _receiver(self, subscription: Subscription) -> "Callable[[zenoh.Sample], None]":
-        """What Zenoh calls, in its threads."""
-
         def receive(sample: "zenoh.Sample") -> None:
             if str(sample.key_expr) != subscription.key:
                 return  # put to a pattern: whoever did does not know this mailbox
@@ -246,7 +236,6 @@ class Carrier:
             subscription.deliver(data)
 
     def _take(self) -> list[tuple[Subscription, bytes]]:
-        """What arrived, as much as may be delivered in one turn of the loop."""
         taken: list[tuple[Subscription, bytes]] = []
         size = 0
         with self._lock:
@@ -310,7 +299,6 @@ class Carrier:
 
 
 async def _open(routers: Routers) -> "zenoh.Session":
-    """A session, opened in a thread; if nobody waits for it any more, it is closed again."""
     settings = client_settings(routers)
     opening = asyncio.get_running_loop().run_in_executor(None, open_session, settings)
     try:

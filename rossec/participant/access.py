@@ -118,15 +118,6 @@ class TokenOpener:
     def open_all(
         self, presented: bytes, domain: str, peer: Identity, now: int
     ) -> tuple[list[Grant], list[GrantError]]:
-        """The valid grants, and the errors of the others: one that is refused is left out.
-
-        Args:
-            presented: a CBOR array of tokens.
-            peer: who presents them; a chain must stay in one domain, a tail must be its own.
-
-        Raises:
-            GrantMalformed: not such an array.
-        """
         grants: list[Grant] = []
         refusals: list[GrantError] = []
         label = self._label(domain)
@@ -141,15 +132,9 @@ class TokenOpener:
         return grants, refusals
 
     def open(self, data: bytes, domain: str, now: int) -> Grant:
-        """Verify a token of `domain`.
-
-        Raises:
-            GrantError: as `Verifier.open`; `GrantMissing` for a domain that is not listed.
-        """
         return self._verifier(domain).open(data, now)
 
     def check_of(self, *domains: str) -> RevocationCheck:
-        """Checks an entry on the lists of these domains; the own one may refuse any."""
         foreign = dict.fromkeys(domain for domain in domains if domain != self._own.domain)
         if not foreign:
             return self._standing.own.check
@@ -162,7 +147,7 @@ class TokenOpener:
         return check
 
     def _open_once(self, data: bytes, domain: str, now: int) -> Grant:
-        """As `open`; the signature of one seen before is not checked again."""
+        # As `open`; the signature of one seen before is not checked again.
         seen = self._root(domain).thumbprint, sha256(data).digest()
         known = self._opened.get(seen)
         if known is not None and known.not_before <= now < known.expires:
@@ -292,11 +277,9 @@ class Access:
 
     @property
     def standing(self) -> Standing:
-        """Which authorities count, and what they have revoked."""
         return self._standing
 
     def hold(self, data: bytes) -> None:
-        """Add a token to those this node can present: a grant as signed, or a chain."""
         grant = peek(data)
         self._held.setdefault(grant.id, HeldGrant(grant, data, data, grant.not_before))
 
@@ -328,27 +311,22 @@ class Access:
 
     @property
     def foreign_domains(self) -> frozenset[str]:
-        """The listed foreign domains whose grants this node holds."""
         listed = self._standing.anchors.listed_domain
         return frozenset(domain for domain in self._domains_held() if listed(domain) is not None)
 
     def domain_called(self, label: str) -> str | None:
-        """The listed foreign domain with this label; None: there is none."""
         listed = self._standing.anchors.listed(label)
         return None if listed is None else listed.entry.domain
 
     @property
     def master(self) -> str:
-        """The certified name of this node's own master."""
         return self._master
 
     def is_master(self, peer: Identity) -> bool:
-        """Whether `peer` is this node's own master."""
         return peer.name == self._master and not peer.is_foreign
 
     @property
     def epoch(self) -> int:
-        """The epoch of the revocation list held; 0 without one."""
         held = self._revocations.current
         return 0 if held is None else held.epoch
 
@@ -385,16 +363,13 @@ class Access:
         self._tokens.own_master = master.public_key
 
     def expire_confirmation(self, until: int) -> None:
-        """End the confirmation of every list at `until`: the clock went back."""
         self._standing.expire_confirmations(until)
 
     @property
     def unproved(self) -> list[bytes]:
-        """Entries of a tree of revocations that wait for a proof."""
         return self._revocations.unproved
 
     def add_proof(self, entry: bytes, proof: bytes) -> None:
-        """Take a proof. Raises `RevocationRefused`."""
         self._revocations.add_proof(entry, proof)
 
     def current(self, now: int) -> list[bytes]:
@@ -440,14 +415,8 @@ class Access:
         ]
 
     def _origin(self, right: Right, name: str) -> tuple[str, str]:
-        """The domain whose grants decide on `name`, and the name there.
-
-        An alias of no listed domain may be that of another master of the own one, which has only
-        nodes and parameters below `/remote`: no topic and no service.
-
-        Raises:
-            NotAdmitted, NameRefused: an alias of no domain.
-        """
+        # An alias of no listed domain may be that of another master of the own one, which has only nodes and
+        # parameters below `/remote`: no topic and no service.
         served = alias_of_served(name)  # by the own domain's grants, while the label is of a domain
         found = split_alias(name if served is None else served)
         if found is None:
@@ -523,18 +492,18 @@ class HandshakeAccess(Protocol):
     """Proves this node's rights and authorizes peers."""
 
     def present(self, right: Right, name: str, now: int) -> bytes:
-        """See `Access.present`."""
+        ...
 
     def is_master(self, peer: Identity) -> bool:
-        """See `Access.is_master`."""
+        ...
 
     def check_peer(self, peer: Identity, now: int) -> None:
-        """See `Access.check_peer`."""
+        ...
 
     def authorize(
         self, peer: Identity, presented: bytes | None, right: Right, name: str, now: int
     ) -> Decision:
-        """See `Access.authorize`."""
+        ...
 
 
 class HeldGrants(Protocol):
@@ -542,13 +511,13 @@ class HeldGrants(Protocol):
 
     @property
     def epoch(self) -> int:
-        """See `Access.epoch`."""
+        ...
 
     def hold(self, data: bytes) -> None:
-        """See `Access.hold`."""
+        ...
 
     def hold_renewed(self, token: bytes, now: int) -> None:
-        """See `Access.hold_renewed`."""
+        ...
 
     def held_grants(self) -> list[HeldGrant]:
-        """See `Access.held_grants`."""
+        ...

@@ -57,13 +57,14 @@ class PeerStream(Protocol):
 
     @property
     def peer(self) -> Identity:
-        """Identity of the peer."""
+        ...
 
     def pad_units(self, multiple: int) -> None:
-        """Pad what is sent from now on to a multiple of so many bytes; 0: do not."""
+        # Pad what is sent from now on to a multiple of so many bytes; 0: do not.
+        ...
 
     def abort(self, reason: str) -> None:
-        """End it at once; from any thread, if threads share the table."""
+        ...
 
 
 StreamT = TypeVar("StreamT", bound=PeerStream)
@@ -120,7 +121,6 @@ class AuthorizedConnection(Generic[StreamT, GuardT]):
             self.stream.pad_units(self.decision.pad)
 
     def update_end(self) -> None:
-        """The decision or the peer's certificate is another one."""
         self.ends = min(self.decision.expires, self.stream.peer.not_after)
 
     def replace(self, decision: Decision, guard: GuardT) -> None:
@@ -166,7 +166,7 @@ class AuthorizedConnection(Generic[StreamT, GuardT]):
         return None
 
     def _entries(self, standing: Standing) -> Iterator[tuple[str, bytes]]:
-        """What ends it when revoked, with the domain whose list says so."""
+        # What ends it when revoked, with the domain whose list says so.
         peer, own = self.stream.peer, standing.anchors.own.domain
         of_peer = dict.fromkeys((own, peer.domain))
         of_grants = of_peer | dict.fromkeys(grant.domain for grant in self.decision.grants)
@@ -185,11 +185,8 @@ def _error_of(
 
 
 def _check_label(decision: Decision, standing: Standing) -> None:
-    """Return while the label in an alias stands for the domain of the grants.
-
-    What a gateway serves is of the own domain's grants, and ends with the label. Whose label it is
-    then, the gateway's own connections to the origin have been cut for.
-    """
+    # What a gateway serves is of the own domain's grants, and ends with the label. Whose label it is then,
+    # the gateway's own connections to the origin have been cut for.
     served = alias_of_served(decision.name)
     found = split_alias(decision.name if served is None else served)
     if found is None:
@@ -227,21 +224,18 @@ class RenewableStream(Protocol):
     """A stream on which both sides may renew what they presented."""
 
     def on_renewal(self, callback: Callable[[Renewal[Identity]], None]) -> None:
-        """Call back with what the peer renews."""
+        ...
 
     def present_grants(self, data: bytes) -> bool:
-        """Present grants; false: the peer takes none."""
+        ...
 
 
 class _Budgets:
-    """How many presentations of each key are judged: each costs signatures to verify."""
-
     def __init__(self) -> None:
         self._lock = Lock()
         self._buckets: dict[bytes | str, TokenBucket] = {}
 
     def admits(self, peer: Identity, now: int) -> bool:
-        """Whether one more of `peer` is judged at `now`; all keys of a foreign domain are one."""
         source = peer.domain if peer.is_foreign else peer.thumbprint
         with self._lock:
             bucket = self._buckets.get(source)
@@ -272,7 +266,6 @@ class RenewedGrants:
     # -- what peers present
 
     def opened(self, connection: Connection, on_renewed: Callable[[Connection], None]) -> None:
-        """A connection was authorized; `on_renewed` is called when its peer has renewed it."""
         if connection.rebuild is None:
             return
 
@@ -309,14 +302,13 @@ class RenewedGrants:
                 )  # fmt: skip
 
     def retry(self, connections: Iterable[Connection], now: int) -> None:
-        """Judge again what was refused, where it is time."""
         for connection in connections:
             retry_at = connection.presented.retry_at
             if retry_at is not None and retry_at <= now:
                 self._judge_within_budget(connection, now)
 
     def continues(self, connection: Connection, now: int) -> bool:
-        """Whether what the peer has presented authorizes a connection that would end now."""
+        # Whether what the peer has presented authorizes a connection that would end now.
         return self._judge(connection, now)
 
     def _judge_within_budget(self, connection: Connection, now: int) -> None:
@@ -328,7 +320,6 @@ class RenewedGrants:
             presented.pause = min(2 * presented.pause, _LONGEST)
 
     def _judge(self, connection: Connection, now: int) -> bool:
-        """Whether what the peer presented last is in force from now on."""
         held, data, rebuild = connection.decision, connection.presented.by_peer, connection.rebuild
         if not data or rebuild is None:
             return False
@@ -358,11 +349,6 @@ class RenewedGrants:
     # -- what this node presents
 
     def present(self, connections: Iterable[Connection], version: int, now: int) -> None:
-        """Present this node's grants on open connections, where they are others than before.
-
-        Args:
-            version: of the rights of this node: another one for every change.
-        """
         if version != self._version:
             self._version, self._changed_at = version, now
         for connection in connections:

@@ -66,13 +66,10 @@ _log = logging.getLogger("rossec.node")
 
 
 def _source(peer: Identity) -> bytes | str:
-    """What a limit on connections is for: the key, of a foreigner the domain."""
     return f"domain {peer.domain}" if peer.is_foreign else peer.thumbprint
 
 
 class _Accepted(NamedTuple):
-    """A connection that a peer made, authorized or not; a plain peer is an address."""
-
     source: bytes | str
     peer: Identity | str
     abort: Callable[[str], None]
@@ -183,7 +180,6 @@ class ConnectionTable(Generic[StreamT]):
 
     @property
     def next_expiry(self) -> int | None:
-        """When the first connection expires."""
         return min((connection.ends for connection in self), default=None)
 
     def add(self, connection: AuthorizedConnection[StreamT, Any]) -> None:
@@ -206,7 +202,6 @@ class ConnectionTable(Generic[StreamT]):
             self.renewed.opened(connection, self._renewed)
 
     def _renewed(self, connection: AuthorizedConnection[StreamT, Any]) -> None:
-        """The peer's certificate or grants were renewed: what they need may be revoked here."""
         with self._lock:
             accepted = self._accepted.get(connection.stream)
             if accepted is not None:
@@ -275,14 +270,13 @@ class ConnectionTable(Generic[StreamT]):
             self.renewed.retry(self, now)
 
     def _continues(self, connection: AuthorizedConnection[StreamT, Any], now: int) -> bool:
-        """Whether a connection that must end goes on with what its peer presented meanwhile."""
+        # Whether a connection that must end goes on with what its peer presented meanwhile.
         if self.renewed is None or not self.renewed.continues(connection, now):
             return False
         with self._standing_lock:
             return connection.termination_reason(self._standing, now) is None
 
     def _refusal(self, peer: Identity | str, now: int) -> str | None:
-        """Why no connection with `peer`, authorized or not, may stand; None: it may."""
         if isinstance(peer, str):
             return None
         domains = dict.fromkeys((self._standing.anchors.own.domain, peer.domain))
@@ -320,7 +314,6 @@ class ConnectionWatchdog:
         self._setbacks = clock.Setbacks()
 
     async def run(self) -> None:
-        """Check periodically until cancelled."""
         while True:
             expiry = self._connections.next_expiry
             left = WATCH_PERIOD if expiry is None else expiry - clock.time()
@@ -328,7 +321,7 @@ class ConnectionWatchdog:
             self.check(clock.now())
 
     def check(self, now: int) -> None:
-        """Cut what must end; after the clock was set back, wait for fresh revocation data."""
+        # Cut what must end; after the clock was set back, wait for fresh revocation data.
         if self._setbacks.any_new():
             _log.warning(
                 "the host's clock went back: new connections are refused"
@@ -392,12 +385,10 @@ class OwnAddresses:
         self._ports: set[int] = set()
 
     def add_ports(self, host: str, *ports: int) -> None:
-        """Add ports this node listens on."""
         self.host = host
         self._ports.update(ports)
 
     def is_own(self, address: Address) -> bool:
-        """Whether this node listens at this host and port."""
         host, port = address
         return self.host != "" and _plain(host) == _plain(self.host) and port in self._ports
 
@@ -439,7 +430,6 @@ class Dialer:
         self._own_addresses = OwnAddresses() if own_addresses is None else own_addresses
 
     async def rpc(self, host: str, port: int) -> SecureStream[Identity]:
-        """Connect to a master or slave API; the caller checks the peer's identity."""
         return await self._connect(host, port, WireProtocol.HTTP)
 
     async def topic(self, uri: str, topic: str) -> SecureStream[Identity]:

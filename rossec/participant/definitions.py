@@ -215,15 +215,8 @@ def sender_definition(
 
 
 def _instead_of(own: Definition, error: HintedError, find_installed: FindDefinition) -> Definition:
-    """The installed definition for one that lacks nested types, or is empty.
-
-    rosnodejs sends no nested types, other clients nothing at all. It is what the guard is built
-    from and what receivers are told, so that both read the same.
-
-    Raises:
-        ConnectionHeaderRefused: none with the md5sum is installed; or there is a text, and it is
-            of another type.
-    """
+    # rosnodejs sends no nested types, other clients nothing at all. It is what the guard is built from and
+    # what receivers are told, so that both read the same.
     if isinstance(error, ConnectionHeaderRefused) and own.definition.strip():
         raise error
     trusted = find_installed(own.name)

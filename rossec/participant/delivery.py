@@ -315,7 +315,6 @@ class Latch(Generic[Data]):
         self._seen: WeakKeyDictionary[Memory, Sample[Data]] = WeakKeyDictionary()
 
     def record(self, guard: Guard, sample: Sample[Data]) -> None:
-        """Note that `guard` has let `sample` through."""
         if guard.memory is not None:
             self._seen[guard.memory] = sample
 
@@ -336,11 +335,7 @@ _LOCK: Final = Lock()  # rospy's connections have threads
 
 
 def warn(log: logging.Logger, text: str, where: str, peer: str, cause: object) -> None:
-    """Log `text`, filled in with the place, the peer and the cause, unless it is rate-limited.
-
-    Args:
-        cause: an error counts by its type, since its text may be the peer's.
-    """
+    """Log `text`, filled in with the place, the peer and the cause, unless it is rate-limited."""
     if not log.isEnabledFor(logging.WARNING):
         return
     kind = type(cause).__name__ if isinstance(cause, Exception) else cause

@@ -55,12 +55,7 @@ Fields = dict[str, bytes]
 
 
 def check_caller(fields: Mapping[str, bytes], peer: Identity) -> None:
-    """Compare the `callerid` of a peer with its certificate.
-
-    Raises:
-        CallerMismatch: its certificate does not cover it.
-        ConnectionHeaderRefused: the field is missing.
-    """
+    """Compare the `callerid` of a peer with its certificate."""
     caller = text(fields, "callerid")
     if not peer.covers(caller):
         raise CallerMismatch(
@@ -70,11 +65,7 @@ def check_caller(fields: Mapping[str, bytes], peer: Identity) -> None:
 
 
 def refuse_on_wire(name: str) -> str:
-    """Return `name`, which a peer sent, unless it is below `/remote`.
-
-    Raises:
-        ConnectionHeaderRefused: it is.
-    """
+    """Return `name`, which a peer sent, unless it is below `/remote`."""
     if is_alias(name):
         raise ConnectionHeaderRefused(
             f"{name} is an alias where it was written, and no name on the wire",
@@ -210,7 +201,6 @@ def answer_for(peer: Identity, method: str, value: object) -> object:
 
 
 def _label(peer: Identity) -> str | None:
-    """What the domain of a foreign peer is called here; None: it is of the own one."""
     found = split_alias(peer.name) if peer.is_foreign else None
     return None if found is None else found[0]
 
@@ -239,7 +229,6 @@ def _topic_row(row: object, rename: Rename) -> list[object] | None:
 
 
 def _bus_entry(entry: object, rename: Rename) -> list[object] | None:
-    """One connection; the other end is a node's name, or a publisher's URI."""
     match entry:
         case [number, str() as end, direction, transport, str() as topic, *rest]:
             names = _rename_all(rename, *([] if "://" in end else [end]), topic)

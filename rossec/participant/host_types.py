@@ -64,7 +64,6 @@ def layout_of(name: str) -> layout.Layout:
 
 
 def _text(name: str) -> str:
-    """The definition of `name` alone; a local package may use standard types."""
     found = _read(name)
     if found is None:
         from rossec.participant.message_types import registered_type  # noqa: PLC0415 - 15 MB, rarely needed
@@ -96,7 +95,6 @@ def places(variables: Mapping[str, str]) -> list[str]:
 
 
 def _directories(package: str) -> Iterator[Path]:
-    """The candidate directories: in a directory of packages, the package itself, or below."""
     for place in map(Path, places(os.environ)):
         yield place / package
         if place.name == package:
@@ -107,11 +105,8 @@ def _directories(package: str) -> Iterator[Path]:
 
 @lru_cache(maxsize=16)
 def _below(place: Path) -> Mapping[str, tuple[Path, ...]]:
-    """Folders further down by their names, as in a workspace of several repositories.
-
-    A package contains none, so the search ends where there is a package.xml. It is made once for
-    each process: guards ask for every connection. What is directly in a place is always found.
-    """
+    # A package contains none, so the search ends where there is a package.xml. It is made once for each
+    # process: guards ask for every connection. What is directly in a place is always found.
     found: dict[str, tuple[Path, ...]] = {}
     pending, seen = [(place, 0)], 0
     while pending and seen < _MOST_FOLDERS:
@@ -126,7 +121,7 @@ def _below(place: Path) -> Mapping[str, tuple[Path, ...]]:
 
 
 def _folders(place: Path) -> list[Path]:
-    """The folders in a folder, not those behind links: these may lead in circles."""
+    # The folders in a folder, not those behind links: these may lead in circles.
     try:
         with os.scandir(place) as entries:
             found = [each.path for each in entries if each.is_dir(follow_symlinks=False)]

@@ -73,7 +73,6 @@ class GrantDirectory:
         return [data for path, data in found if data is not None and self._hold(path, data)]
 
     def hold(self, data: bytes) -> bool:
-        """Hold a verified grant that was delivered; whether it is new."""
         return self._hold(self._home.path, data)
 
     def save(self, grant_id: bytes, data: bytes) -> None:
@@ -101,7 +100,6 @@ class GrantDirectory:
         return data
 
     def _hold(self, path: Path, data: bytes) -> bool:
-        """Whether it is a valid grant, and new."""
         if data in self._seen:
             return False
         self._seen.add(data)
@@ -113,13 +111,11 @@ class GrantDirectory:
         return True
 
     def _warn_once(self, path: Path, error: str) -> None:
-        """Log an error once for each cause."""
         if self._errors.get(path) != error:
             self._errors[path] = error
             _log.warning("%s %s", path, error)
 
     def _has_ended(self, path: Path, data: bytes, now: int) -> bool:
-        """Whether a file that `NodeHome.add_grant` wrote is of no use any more."""
         try:
             grant = peek(data)
         except GrantError:
@@ -240,18 +236,13 @@ class GrantDelivery:
             self._arrived.set()
 
     def _receive(self, grant_id: bytes) -> None:
-        """Remember an id, the newest last."""
         self._received.pop(grant_id, None)
         self._received[grant_id] = None
         if len(self._received) > MAX_KNOWN:
             del self._received[next(iter(self._received))]
 
     def _check(self, data: bytes, now: int) -> Grant:
-        """Verify a grant; one that is not valid yet, or may be renewed, is taken too.
-
-        Raises:
-            GrantError: forged, malformed, of another key, or at its end for good.
-        """
+        # Verify a grant; one that is not valid yet, or may be renewed, is taken too.
         anchor = self._anchor_of(document.peek(data).domain)
         grant = document.verify(data, anchor.public_key, domain=anchor.domain)
         if grant.holder != self._holder:
@@ -263,7 +254,7 @@ class GrantDelivery:
         return grant
 
     def _anchor_of(self, domain: str) -> TrustAnchor:
-        """Whose key a grant must be signed by: its domain only selects it."""
+        # Whose key a grant must be signed by: its domain only selects it.
         listed = self._standing.anchors.listed_domain(domain)
         return self._standing.anchors.own if listed is None else listed.anchor
 
@@ -294,11 +285,9 @@ class GrantWatch:
         self._client: RpcClient | None = None
 
     async def session_opened(self) -> None:
-        """End a connection of an earlier session, which may be dead without a sign."""
         await self._disconnect()
 
     async def run(self) -> None:
-        """Watch until cancelled."""
         retry = Retry(SystemRandom().random)
         try:
             while True:
@@ -370,11 +359,6 @@ class DomainUpdates:
     # -- what the master pushes, or answers
 
     def take_domains(self, data: bytes) -> bool:
-        """Take a list of domains; returns whether it is another one than before.
-
-        Raises:
-            DomainsRefused: it is not of the own authority, or older than one seen.
-        """
         anchors = self._standing.anchors
         with self._lock:
             if data == anchors.data:
@@ -388,12 +372,6 @@ class DomainUpdates:
     def take_foreign(
         self, domain: str, revocations: bytes, timestamp: bytes, chain: Sequence[object]
     ) -> None:
-        """Take a foreign domain's list (empty: the one held) and its master's timestamp.
-
-        Raises:
-            CAError: either is refused; see `Standing.take_foreign`. What a valid list revokes is
-                cut nevertheless.
-        """
         certificates = [item for item in chain if isinstance(item, bytes)]
         if len(certificates) != len(chain) or len(chain) > MAX_CHAIN:
             raise AnswerMalformed("the chain of a foreign master is not a list of certificates")
@@ -411,11 +389,6 @@ class DomainUpdates:
     # -- calls to the master
 
     async def session_opened(self, call: MasterCall) -> None:
-        """Fetch everything: the master may be another one, or have been restored from a backup.
-
-        Raises:
-            RossecError: the master is out of reach.
-        """
         self._supported = True
         self._wanted = {each.entry.domain for each in self._standing.anchors.all_listed}
         if await self._fetch_domains(call) and self._standing.anchors.data:
@@ -423,17 +396,13 @@ class DomainUpdates:
         await self.fetch_wanted(call)
 
     async def heartbeat(self, call: MasterCall) -> None:
-        """Fetch the list of domains, and the revocations that are due; raises likewise."""
         await self._fetch_domains(call)
         self._wanted |= self._due(clock.now())
         await self.fetch_wanted(call)
 
     async def fetch_wanted(self, call: MasterCall) -> None:
-        """Fetch the revocations of domains that are new, and proofs; raises likewise.
-
-        Those of which there is no list yet are asked for each time: until then every peer of the
-        domain is refused, and the master may receive its first list a moment after this node asked.
-        """
+        # Those of which there is no list yet are asked for each time: until then every peer of the domain is
+        # refused, and the master may receive its first list a moment after this node asked.
         self._wanted |= {
             each.entry.domain
             for each in self._standing.anchors.all_listed
@@ -446,7 +415,6 @@ class DomainUpdates:
                 await self._fetch_foreign(call, listed.entry.domain)
 
     async def _fetch_domains(self, call: MasterCall) -> bool:
-        """Whether the master gave no newer list: it has the same one, or none."""
         if not self._supported:
             return False
         try:
@@ -467,7 +435,6 @@ class DomainUpdates:
         return True
 
     async def _take_or_send(self, call: MasterCall, data: bytes) -> bool:
-        """Take the master's list; one that is older is answered by the newer one."""
         try:
             self.take_domains(data)
         except CAError as error:
@@ -476,7 +443,6 @@ class DomainUpdates:
         return False
 
     async def _send_missing(self, call: MasterCall) -> None:
-        """Send the list to a master that has none."""
         try:
             answer = await call(DOMAINS, digest(b""))
         except (Fault, AnswerRefused):
@@ -509,7 +475,6 @@ class DomainUpdates:
             self._warn(domain, error)
 
     async def _prove(self, call: MasterCall, domain: str) -> bool:
-        """Request the proofs that a foreign tree waits for; returns whether any was accepted."""
         held = self._standing.foreign(domain)
         wanted = [] if held is None else held.unproved[:MAX_PROOFS_PER_CALL]
         if held is None or not wanted:
@@ -525,13 +490,11 @@ class DomainUpdates:
         return taken > 0
 
     def _state(self, domain: str) -> tuple[bytes, bool]:
-        """A domain's list, and whether it is fresh."""
         with self._lock:
             held = self._standing.foreign(domain)
             return (b"", False) if held is None else (held.data, held.fresh_until >= clock.now())
 
     def _due(self, now: int) -> set[str]:
-        """The domains that are in use, and those whose last word is half as old as it may be."""
         listed = {each.entry.domain: each.entry for each in self._standing.anchors.all_listed}
         due = listed.keys() & set(self._in_use())
         for domain, entry in listed.items():
@@ -541,7 +504,6 @@ class DomainUpdates:
         return due
 
     def _warn(self, what: str, error: Exception) -> None:
-        """Log an error once for each cause; a line that is down is no news each ten seconds."""
         text = printable(error)
         if self._warned.get(what) == text:
             return
@@ -551,7 +513,7 @@ class DomainUpdates:
 
 
 def _known(wanted: list[bytes], answer: object) -> tuple[list[bytes], object]:
-    """Without the proofs that the master does not have yet: it fetches them, and is asked again."""
+    # Without the proofs that the master does not have yet: it fetches them, and is asked again.
     if not isinstance(answer, list) or len(answer) != len(wanted):
         return wanted, answer
     known = [pair for pair in zip(wanted, answer, strict=True) if pair[1] != b""]

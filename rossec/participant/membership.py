@@ -109,23 +109,12 @@ class MasterSession:
 
     @property
     def is_open(self) -> bool:
-        """Whether there is a connection on which everything is registered."""
         return self._is_restored and self._client is not None and not self._client.closed
 
     async def call(self, method: str, *params: object) -> object:
-        """The value in the master's answer `[1, status, value]`.
-
-        Raises:
-            RossecError: the master refuses, sends a malformed answer, or is out of reach.
-        """
         return await self._connected().ask(method, self._name, *params)
 
     async def forward(self, method: str, *params: object) -> object:
-        """The whole answer to a call whose parameters include the caller_id.
-
-        Raises:
-            Fault, RossecError: see `RpcClient.call`; the master is out of reach.
-        """
         return await self._connected().call(method, *params)
 
     def _connected(self) -> RpcClient:
@@ -134,11 +123,6 @@ class MasterSession:
         return self._client
 
     async def open(self) -> SecureStream[Identity]:
-        """Connect and restore everything; returns the new control connection.
-
-        Raises:
-            HintedError, OSError: the master is out of reach, is not the master, or refuses.
-        """
         try:
             stream = await self._dial()
         except ChannelError as error:
@@ -162,7 +146,7 @@ class MasterSession:
         return stream
 
     async def run(self) -> None:
-        """Send heartbeats, and reconnect whenever the connection is lost. Runs until cancelled."""
+        # Send heartbeats, and reconnect whenever the connection is lost. Runs until cancelled.
         retry = Retry(SystemRandom().random)
         said, said_at = "", 0.0
         while True:
@@ -183,21 +167,14 @@ class MasterSession:
                 await asyncio.sleep(retry.pause(now))
 
     async def refresh(self) -> None:
-        """Send a heartbeat now: what the master holds that is new is taken.
-
-        Raises:
-            HintedError, OSError, Fault: no answer, or what it has is refused.
-        """
         await self._heartbeat()
         if self._follow is not None:
             await self._follow(self.call)
 
     async def close(self) -> None:
-        """Close the control connection; registrations at the master stay."""
         await self._disconnect()
 
     async def _wait_for_heartbeat(self) -> None:
-        """Wait until the next heartbeat is due or the connection ends: then reconnect at once."""
         if self._stream is not None:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(HEARTBEAT):
@@ -218,10 +195,7 @@ class MasterSession:
             await self._fetch_revocations()
 
     async def _send_held_list(self) -> bool:
-        """Send the master the list this node holds; returns whether it is newer than the master's.
-
-        Of a tree a node does not have the entries, which the master needs.
-        """
+        # Of a tree a node does not have the entries, which the master needs.
         newest = self._held()
         if not newest or is_tree(newest):
             return False
@@ -254,7 +228,6 @@ class MasterSession:
                 raise CAError(*NO_LIST)
 
     def _apply(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
-        """Take the list and timestamp; a timestamp just requested may correct a wrong clock."""
         try:
             self._refresh(revocations, timestamp, master)
         except ClocksDisagree:  # only then: a revoked master sets no clock
@@ -266,10 +239,7 @@ class MasterSession:
 
 
 def _corrects_clock(timestamp: bytes, master: Identity) -> bool:
-    """Set the clock of this process by the master's, if that is right; returns whether it was.
-
-    Only the answer to the node's own call may do so: it is at most as old as the call.
-    """
+    # Only the answer to the node's own call may do so: it is at most as old as the call.
     return clock.correct(open_timestamp(timestamp, master.public_key).issued)
 
 
@@ -308,7 +278,7 @@ class MembershipAccess(HeldGrants, HandshakeAccess, Provable, Protocol):
 
     @property
     def foreign_domains(self) -> frozenset[str]:
-        """See `Access.foreign_domains`."""
+        ...
 
     def update_revocations(
         self,
@@ -318,35 +288,35 @@ class MembershipAccess(HeldGrants, HandshakeAccess, Provable, Protocol):
         now: int,
         persist: Callable[[bytes], None],
     ) -> None:
-        """See `Access.update_revocations`."""
+        ...
 
     def expire_confirmation(self, until: int) -> None:
-        """See `Access.expire_confirmation`."""
+        ...
 
     def current(self, now: int) -> list[bytes]:
-        """See `Access.current`."""
+        ...
 
 
 class MembershipHooks(Protocol):
     """What differs between the forms of a node."""
 
     async def dial_master(self) -> SecureStream[Identity]:
-        """Connect to the master."""
+        ...
 
     async def dial_watch(self) -> SecureStream[Identity]:
-        """Connect to the master once more, beside the session."""
+        ...
 
     async def restore(self) -> None:
-        """Make every registration again; the grants are presented."""
+        ...
 
     async def rights_changed(self) -> None:
-        """Grants are new or renewed: registrations may be made that were refused before."""
+        ...
 
     def maintain(self) -> None:
-        """Called once in a period."""
+        ...
 
     def crashed(self, error: BaseException) -> None:
-        """A task has crashed: close everything. Called once."""
+        ...
 
 
 class Membership:
@@ -427,7 +397,6 @@ class Membership:
         self.tasks.spawn(self._watch.run(), f"{name}: waiting for grants")
 
     async def close(self) -> None:
-        """Stop every task and end the session; registrations at the master stay."""
         await self.tasks.close()
         await self.session.close()
 
@@ -467,7 +436,6 @@ class Membership:
                 raise CallRefused(f"{method} has other parameters")
 
     def _domains_changed(self, is_new: bool) -> None:
-        """Cut what foreign statements end; what was refused may be tried again."""
         self._connections.cut_ended(clock.now())
         if is_new:
             self.rights_version += 1
@@ -479,10 +447,7 @@ class Membership:
         await self.session.run()
 
     async def _restore(self, session: MasterSession) -> None:
-        """Renew, present and register everything again: the master may have been restarted.
-
-        What is held is presented before anything is fetched: calls of the program go on meanwhile.
-        """
+        # What is held is presented before anything is fetched: calls of the program go on meanwhile.
         self._grace.session_opened()
         with contextlib.suppress(AnswerRefused):  # requested again later
             if await renew(session.call, self._renewals, clock.now()):
@@ -513,7 +478,6 @@ class Membership:
             await self._delivery.save()
 
     def _take_new(self, *, from_directory: bool = True) -> list[bytes]:
-        """The grants that were delivered, or have appeared in the directory; they are held."""
         new = self._delivery.take_new()
         if from_directory:
             new += self._grant_directory.take_new()
@@ -523,7 +487,6 @@ class Membership:
         return new
 
     async def _update(self, new: list[bytes]) -> None:
-        """Present `new` grants, renew what is due, request proofs and foreign revocations."""
         call = self.session.call
         await self.domains.fetch_wanted(call)
         new = self._presentable(new)
@@ -538,7 +501,7 @@ class Membership:
             self._connections.cut_ended(clock.now())
 
     def _presentable(self, new: list[bytes]) -> list[bytes]:
-        """`new` grants, or all: those of a domain count only once it is listed."""
+        # `new` grants, or all: those of a domain count only once it is listed.
         if not self._domains_are_new:
             return new
         self._domains_are_new = False

@@ -123,11 +123,7 @@ def message_type(name: str) -> MessageType:
 
 
 def registered_type(name: str) -> MessageType:
-    """A standard type, or one that was registered; packages are not looked at.
-
-    Raises:
-        MessageError: an unknown type.
-    """
+    """A standard type, or one that was registered; packages are not looked at."""
     try:
         definition, md5sum = _store().generate_msgdef(_ros2_name(name), ros_version=1)
     except TypesysError as error:
@@ -171,7 +167,6 @@ def register_types(definitions: Mapping[str, str]) -> None:
 
 
 def _check_nested(name: str, types: Mapping[str, Any]) -> None:
-    """Refuse an unknown nested type before anything is registered."""
     for _, fields in types.values():
         if len({attribute_of(field) for field, _ in fields}) < len(fields):
             raise MessageError(f"cannot register {name}: two fields of one name", _CHECK_TEXT)

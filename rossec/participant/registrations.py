@@ -123,16 +123,13 @@ class RegistrationTable:
         self._refused: set[tuple[str, str]] = set()
 
     def __iter__(self) -> Iterator[Call]:
-        """The calls that register everything, in the order they were made."""
         return iter([(method, params) for (method, _), params in self._calls.copy().items()])
 
     def refused(self) -> list[Call]:
-        """Those that the master refused."""
         calls = self._calls.copy().items()
         return [(key[0], params) for key, params in calls if key in self._refused]
 
     def find(self, method: str, name: str) -> tuple[object, ...] | None:
-        """The parameters that `name` is registered with by `method`."""
         return self._calls.get((method, name))
 
     def record(self, method: str, params: Sequence[object], *, refused: bool = False) -> None:
@@ -174,7 +171,7 @@ def unheard_refusal(method: str, params: Sequence[object], answer: object) -> st
 
 
 def _of_name(named: Sequence[object]) -> str:
-    """What is wrong with the name in a call, and what would not be; empty: nothing."""
+    # What is wrong with the name in a call, and what would not be; empty: nothing.
     for name in named:
         try:
             check_name(canonical(str(name)))
@@ -215,7 +212,6 @@ class Retry:
         self.succeeded()
 
     def succeeded(self) -> None:
-        """The next failure is a new loss."""
         self._pause, self._lost_at = FIRST / 2, -1.0
 
     def pause(self, now: float) -> float:
@@ -277,7 +273,6 @@ class PublisherGrace:
         return topics
 
     def forget(self, topic: str) -> None:
-        """Drop a topic that has no subscriber any more."""
         self._listed.pop(topic, None)
         self._missing.pop(topic, None)
 
@@ -313,7 +308,6 @@ class GraphView:
 
     @property
     def next_params(self) -> tuple[str, int]:
-        """The parameters of the next call."""
         return self.instance, self._cursor
 
     def take(self, answer: object) -> ObservedChange:

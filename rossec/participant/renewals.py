@@ -118,7 +118,6 @@ async def renew(call: MasterCall, renewals: Renewals, now: int) -> int:
 
 
 def _pause(held: HeldGrant, now: int) -> int:
-    """Seconds until it is requested again: less than the rest of its lifetime, if any."""
     left = held.grant.expires - now
     return min(GRANT_RETRY, max(1, left // _TRIES)) if left > 0 else GRANT_RETRY
 
@@ -229,7 +228,6 @@ class IdentityRenewal:
         _log.info("%s: the identity was renewed", identity.name)
 
     def _file_version(self) -> tuple[int, int, int]:
-        """Which certificate is on the disk; zeros: none."""
         try:
             found = (self._home.path / "node.pem").stat()
         except OSError:
@@ -266,10 +264,10 @@ class Provable(Protocol):
 
     @property
     def unproved(self) -> list[bytes]:
-        """Entries that wait for a proof."""
+        ...
 
     def add_proof(self, entry: bytes, proof: bytes) -> None:
-        """Take a proof. Raises `RevocationRefused`."""
+        ...
 
 
 async def prove(call: MasterCall, revocations: Provable) -> int:
@@ -283,11 +281,7 @@ async def prove(call: MasterCall, revocations: Provable) -> int:
 
 
 def take(revocations: Provable, wanted: list[bytes], answer: object) -> int:
-    """Take the proofs in `answer`, one for each entry in `wanted`, or none at all.
-
-    Raises:
-        AnswerMalformed: it is not such a list.
-    """
+    """Take the proofs in `answer`, one for each entry in `wanted`, or none at all."""
     if not isinstance(answer, list) or len(answer) not in {0, len(wanted)}:
         raise AnswerMalformed("the master's answer has a different number of proofs than requested")
     return sum(_take(revocations, *pair) for pair in zip(wanted, answer, strict=False))

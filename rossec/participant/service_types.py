@@ -71,17 +71,14 @@ class ServiceType:
 
     @cached_property
     def request_layout(self) -> Layout:
-        """Where the fields of a request are in its bytes."""
         return layout.parse(self.request.name, self.request.definition)
 
     @cached_property
     def response_layout(self) -> Layout:
-        """Where the fields of a response are in its bytes."""
         return layout.parse(self.response.name, self.response.definition)
 
     @cached_property
     def md5sum(self) -> str:
-        """The md5sum of the service, as in TCPROS headers."""
         return layout.service_md5(self.request_layout, self.response_layout)
 
 

@@ -99,25 +99,26 @@ class SlaveEvents(Protocol):
     """Handles the calls in the node."""
 
     def publishers_changed(self, topic: str, uris: list[str]) -> None:
-        """The master's list of publishers of a topic this node subscribes to."""
+        ...
 
     def parameter_changed(self, key: str, value: object) -> None:
-        """A parameter at, above or below one this node subscribes to."""
+        ...
 
     def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
-        """The list and a fresh timestamp. Raises a `CAError` when either is refused."""
+        ...
 
     def push_arrived(self, method: str, params: tuple[object, ...], master: Identity) -> None:
-        """A list of domains, or of foreign revocations; see `Membership.take_push`."""
+        ...
 
     def shutdown_requested(self, reason: str) -> None:
-        """The master shuts this node down, for example because another one has its name."""
+        # The master shuts this node down, for example because another one has its name.
+        ...
 
     def topic_endpoint(self) -> tuple[str, int]:
-        """Host and port where TCPROS connections are accepted."""
+        ...
 
     def describe(self) -> Mapping[str, object]:
-        """Values of the informational methods, by method name."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -179,7 +180,6 @@ def refusal(
 
 
 def _only_for(method: str, peer: Identity, master: str) -> str | None:
-    """Who alone may call a method that `peer` may not; None: it may."""
     if method in RELAY_ONLY:
         return None if is_relay(peer) else "a relay"
     return "the master" if RULES[method].master_only and peer.name != master else None

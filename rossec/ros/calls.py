@@ -136,11 +136,7 @@ _TRIPLE, _FAULT, _VALUE = 4, 3, 2  # items of an answer; a raw body has three, t
 
 
 def dump_compact_call(turn: int, method: str, params: Sequence[object]) -> bytes:
-    """The unit of a call.
-
-    Raises:
-        XmlRpcRefused: a parameter cannot be carried.
-    """
+    """The unit of a call."""
     size = _PARTS + len(params)
     begin = _ARRAYS[size] if size < 24 else head(ARRAY, size)
     out = Pieces((begin, _MARK, _TURNS[turn]))
@@ -155,11 +151,7 @@ def dump_compact_call(turn: int, method: str, params: Sequence[object]) -> bytes
 
 
 def load_compact_call(data: bytes, turn: int, *, limit: int = BODY_LIMIT) -> Call:
-    """The call that fills `data`, which must have this number.
-
-    Raises:
-        CompactRefused: too long, malformed, of another number, or not a call.
-    """
+    """The call that fills `data`, which must have this number."""
     reader = _reader(data, limit)
     try:
         if data[1:4] == _BEGINNINGS[turn] and 0x83 <= data[0] < 0x98 and data[4] < 24:
@@ -189,7 +181,6 @@ def compact_call_steps(
 
 
 def _begin(reader: Reader, turn: int) -> tuple[int, str]:
-    """How many items a call has, and its method."""
     size = reader.head(ARRAY)
     if size < _PARTS or reader.head(UINT) != _CALL:
         raise CompactRefused("a unit that is not a call")
@@ -201,9 +192,6 @@ def load_compact_answer(data: bytes, turn: int, method: str, *, limit: int = BOD
     """What the unit `data` answers to the call of this number: a value, a `Fault`, or `Encoded`.
 
     A fault is returned, not raised; its text is made printable.
-
-    Raises:
-        CompactRefused: too long, malformed, of another number, or not an answer to `method`.
     """
     reader = _reader(data, limit)
     try:
@@ -230,7 +218,6 @@ def compact_answer_steps(
 
 
 def _shape(reader: Reader, turn: int) -> "_Shape":
-    """What follows the number of an answer."""
     size = reader.head(ARRAY)
     _check_turn(reader, turn)
     shape = _SHAPES.get(size)
@@ -240,12 +227,7 @@ def _shape(reader: Reader, turn: int) -> "_Shape":
 
 
 def dump_compact_answer(turn: int, value: object, *, limit: int = BODY_LIMIT) -> bytes:
-    """The unit that answers the call of this number with a value, a `Fault` or what is `Encoded`.
-
-    Raises:
-        XmlRpcRefused: the value cannot be carried.
-        Fault: it is longer than peers accept.
-    """
+    """The unit that answers the call of this number with a value, a `Fault` or what is `Encoded`."""
     out = Pieces((b"", _TURNS[turn]))
     try:
         out[0] = _put_answer(value, out)
@@ -258,7 +240,6 @@ def dump_compact_answer(turn: int, value: object, *, limit: int = BODY_LIMIT) ->
 
 
 def _put_answer(value: object, out: Pieces) -> bytes:
-    """Append the items after the number; returns the head of the array they are in."""
     if isinstance(value, Fault):
         out += encoded_number(value.faultCode), encoded_text(value.faultString)
         return _ARRAYS[_FAULT]
@@ -275,7 +256,6 @@ def _put_answer(value: object, out: Pieces) -> bytes:
 
 
 def _is_triple(value: Sequence[object]) -> bool:
-    """Whether this is ROS's code, status and value, which have a shape of their own."""
     return len(value) == 3 and type(value[0]) is int and type(value[1]) is str
 
 
@@ -414,7 +394,6 @@ class CallClient:
         return answer
 
     def _received(self, data: bytes) -> bytes | Encoded | None:
-        """The unit that answers, or the body of XML-RPC that does, once it is whole."""
         if self.is_compact:
             return data
         self._http.feed(data)
@@ -427,7 +406,6 @@ class CallClient:
         return self._http.switched
 
     def _waiting_for(self) -> str:
-        """The method of the call that is answered."""
         if self._method is None:
             raise CompactRefused("an answer to no call")
         return self._method
@@ -494,7 +472,6 @@ class CallServer:
 
     @property
     def closing(self) -> bool:
-        """Whether no more calls are accepted."""
         return self._http.closing
 
     def take(self, unit: bytes | None = None) -> bytes | Oversized | None:
@@ -539,10 +516,8 @@ class CallServer:
         return xmlrpc.call_steps(request, limit=self._limit)
 
     def _bounded(self, request: bytes | Oversized, bound: int | None) -> bytes:
-        """The request, unless it is too long.
-
-        A call that shows grants may be longer, and one that hands in another signed statement.
-        """
+        # The request, unless it is too long.
+        # A call that shows grants may be longer, and one that hands in another signed statement.
         if isinstance(request, Oversized):
             raise XmlRpcRefused(
                 f"a call of {request.length} bytes where at most {self._limit} are allowed"
@@ -555,7 +530,6 @@ class CallServer:
         return request
 
     def _has_statements(self, request: bytes) -> bool:
-        """Whether it calls a method of rossec's own, as far as its first bytes tell."""
         if not self.is_compact:
             return _XML_OWN in request[:_HEAD]
         number = request[_METHOD_AT]
@@ -584,5 +558,4 @@ class CallServer:
         return http.respond(body)
 
     def refuse(self, status: int) -> bytes:
-        """The bytes of an error response, which ends the connection."""
         return self._http.refuse(status)

@@ -53,16 +53,11 @@ class Pieces(list[bytes]):
 
     @property
     def values(self) -> int:
-        """How many values there are."""
         return len(self) + self.more
 
 
 def put(value: object, out: Pieces, depth: int = DEPTH_LIMIT) -> None:
-    """Append the pieces of `value` to `out`: one for each value in it.
-
-    Raises:
-        TypeError, ValueError, OverflowError: it cannot be carried.
-    """
+    """Append the pieces of `value` to `out`: one for each value in it."""
     kind = type(value)
     if kind is str:
         out.append(encoded_text(value))  # type: ignore[arg-type]
@@ -81,11 +76,7 @@ def encoded(value: object, depth: int = DEPTH_LIMIT) -> bytes:
 
 
 def encoded_text(value: str) -> bytes:
-    """A string.
-
-    Raises:
-        ValueError: XML-RPC has no form for one of its characters.
-    """
+    """A string."""
     if not value.isprintable() and UNCARRIED.search(value) is not None:
         raise ValueError(_CONTROL)
     raw = value.encode()
@@ -94,11 +85,7 @@ def encoded_text(value: str) -> bytes:
 
 
 def encoded_number(value: int) -> bytes:
-    """An integer of 32 bits.
-
-    Raises:
-        OverflowError: it has more.
-    """
+    """An integer of 32 bits."""
     if 0 <= value < 256:
         return _UINTS[value]
     if value not in INTS:
@@ -153,10 +140,8 @@ def _put_array(value: Any, out: Pieces, depth: int) -> None:
 
 
 def _put_encoded(value: Any, out: Pieces, depth: int) -> None:
-    """A list that does not change: its pieces are joined once, and counted.
-
-    Its depth is not known: lists that are encoded ahead are flat.
-    """
+    # A list that does not change: its pieces are joined once, and counted.
+    # Its depth is not known: lists that are encoded ahead are flat.
     if value.compact is None:
         pieces = Pieces()
         _put_array(value, pieces, depth)
@@ -176,7 +161,6 @@ def _put_struct(value: Any, out: Pieces, depth: int) -> None:
 
 
 def _put_foreign(value: object, out: Pieces, depth: int) -> None:
-    """What the standard library makes of it; a plain value, then."""
     try:
         (plain,), _ = xmlrpc.client.loads(
             xmlrpc.client.dumps((value,)),  # type: ignore[arg-type]
@@ -226,8 +210,6 @@ STEP: Final = 1024  # values that are read at a time: about 1 ms
 
 
 class _Open:
-    """An array or a map that is being read: how many values are left, and what takes them."""
-
     __slots__ = ("depth", "found", "left", "name", "previous", "values")
 
     def __init__(self, left: int, depth: int, *, named: bool = False) -> None:
@@ -262,11 +244,9 @@ class Reader:
 
     @property
     def at_end(self) -> bool:
-        """Whether all was read."""
         return self.at == len(self._data)
 
     def items(self, count: int, depth: int = DEPTH_LIMIT) -> list[object]:
-        """The next `count` values, which may be nested `depth` levels deep."""
         self._count(count)
         data, at = self._data, self.at
         values: list[object] = []
@@ -298,7 +278,6 @@ class Reader:
         return values
 
     def steps(self, count: int, depth: int = DEPTH_LIMIT) -> Generator[None, None, list[object]]:
-        """As `items`, in steps: it yields after `STEP` values."""
         begun = _Open(self._count(count), depth)
         stack = [begun]
         taken = 0
@@ -317,7 +296,7 @@ class Reader:
         return begun.values
 
     def _step(self, top: _Open) -> _Open | None:
-        """Read one value of `top`; of an array or a map only the head, which is returned."""
+        # Read one value of `top`; of an array or a map only the head, which is returned.
         if top.found is not None:
             top.name, top.previous = self._next_name(top.depth, top.previous)
             self._count(1)
@@ -335,20 +314,18 @@ class Reader:
         return None
 
     def _count(self, count: int) -> int:
-        """Count values against the limit, before any is read."""
         self._items_left -= count
         if self._items_left < 0:
             raise CompactRefused("a unit with too many values")
         return count
 
     def skip(self, item: bytes) -> bool:
-        """Whether the next item is this one of a byte; then it is read."""
         found = self._data.startswith(item, self.at)
         self.at += found
         return found
 
     def head(self, major: int) -> int:
-        """The number in the next head, which must be of this type."""
+        # The number in the next head, which must be of this type.
         value = self._data[self.at] ^ major
         self.at += 1
         return value if value < 24 else self._long(value)
@@ -400,7 +377,6 @@ class Reader:
         return found
 
     def _next_name(self, depth: int, previous: bytes) -> tuple[str, bytes]:
-        """The name of a member, which counts as a value, and how it is written."""
         self._items_left -= 1
         begin = self.at
         name = self._text(depth)
@@ -454,7 +430,6 @@ def _check_text(text: str) -> None:
 
 
 def _time(written: bytes) -> datetime:
-    """By hand: `strptime` takes ten times as long, and a unit has room for 50,000 of them."""
     fields = _TIME.fullmatch(written)
     if fields is None:
         raise CompactRefused("a unit with a malformed time")

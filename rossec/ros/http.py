@@ -53,16 +53,15 @@ class Reader:
 
     @property
     def pending(self) -> bool:
-        """Whether a message has begun and was not taken."""
+        # Whether a message has begun and was not taken.
         return bool(self._data or self._rest or self._left)
 
     @property
     def in_body(self) -> bool:
-        """Whether the head of a message is known, and its body was not taken."""
+        # Whether the head of a message is known, and its body was not taken.
         return self._begin > 0 or self._dropped > 0
 
     def feed(self, data: bytes) -> None:
-        """Take bytes from the peer."""
         if self._left and data:
             taken = min(self._left, len(data))
             self._left -= taken
@@ -72,7 +71,7 @@ class Reader:
             self._rest_size += len(data)
 
     def head(self) -> bytes | None:
-        """The head without its end, or None while it is not complete."""
+        # The head without its end, or None while it is not complete.
         self._join()
         found = self._data.find(END, 0, HEADERS_LIMIT + len(END))
         if found < 0:
@@ -84,14 +83,12 @@ class Reader:
         return self._data[:found]
 
     def expect(self, head: bytes, length: int) -> None:
-        """Expect a body of `length` bytes after `head`."""
         if length > self.limit:
             raise HttpRefused(f"an HTTP body longer than {self.limit} bytes", status=413)
         self._begin = len(head) + len(END)
         self._end = self._begin + length
 
     def drop(self, head: bytes, length: int) -> None:
-        """Expect a body of `length` bytes after `head`, and keep none of them."""
         if length > DROP_LIMIT:
             raise HttpRefused(f"an HTTP body longer than {self.limit} bytes", status=413)
         rest = self._data[len(head) + len(END) :]
@@ -99,7 +96,7 @@ class Reader:
         self.feed(rest)
 
     def body(self) -> bytes | Oversized | None:
-        """The body, or None while it is not complete."""
+        # The body, or None while it is not complete.
         if self._dropped:
             if self._left:
                 return None
@@ -113,12 +110,10 @@ class Reader:
         return body
 
     def rest(self, begin: int) -> bytes:
-        """All that arrived after `begin`, which is taken with what precedes it."""
         rest, self._data = self._data[begin:], b""
         return rest
 
     def skip(self, count: int) -> None:
-        """Forget the first bytes, a message."""
         self._data = self._data[count:]
         self._begin = self._end = 0
 
@@ -150,19 +145,15 @@ _ONCE: Final = (b"content-length", b"host", b"transfer-encoding")
 
 
 class _Head(NamedTuple):
-    """The part of a message before its body: the version and the fields."""
-
     minor: bytes
     fields: dict[bytes, bytes]
 
     @property
     def closes(self) -> bool:
-        """Whether the connection ends after this exchange."""
         return self.minor == b"0" or b"close" in self._options
 
     @property
     def switches(self) -> bool:
-        """Whether it offers, or takes, the compact form."""
         named = self.fields.get(b"upgrade") == COMPACT and b"upgrade" in self._options
         return named and self.minor == b"1"
 
@@ -186,21 +177,15 @@ class HttpServer:
 
     @property
     def pending(self) -> bool:
-        """A request has begun and is not complete."""
+        # A request has begun and is not complete.
         return self._reader.pending
 
     def feed(self, data: bytes) -> None:
-        """Take bytes from the peer."""
         if self.closing:
             raise HttpRefused("HTTP bytes after the end of the connection")
         self._reader.feed(data)
 
     def feed_whole(self, data: bytes) -> bytes | Oversized | None:
-        """`feed` and `next_request` in one: a fast path where `data` is one whole request.
-
-        Raises:
-            HttpRefused: as they do.
-        """
         if not (self._answering or self.closing or self._reader.pending):
             end = data.find(END, 0, _MAX_CACHED)
             if end >= 0:
@@ -213,11 +198,6 @@ class HttpServer:
         return self.next_request()
 
     def next_request(self) -> bytes | Oversized | None:
-        """The body of the next complete request, or None while there is none.
-
-        Raises:
-            HttpRefused: answer with `refuse(error.status)`, then close.
-        """
         if self._answering or self.closing:
             return None
         if not self._reader.in_body:
@@ -230,13 +210,11 @@ class HttpServer:
         return body
 
     def respond(self, body: bytes) -> bytes:
-        """The bytes of a `200 OK` with an XML body; afterwards the next request may be read."""
         self._answering = False
         self.closing = self._last
         return _message(b"HTTP/1.1 200 OK", body, close=self._last)
 
     def refuse(self, status: int) -> bytes:
-        """The bytes of an error response, with its reason as text, that ends the connection."""
         if self.closing:
             return b""
         self.closing = True
@@ -253,13 +231,10 @@ class HttpServer:
         self.is_offered = head.offers
 
     def switch(self) -> bytes:
-        """The head that takes the offer; nothing else of HTTP follows on this connection."""
         return _SWITCH
 
 
 class _RequestHead(NamedTuple):
-    """The parsed head of a request."""
-
     length: int
     closes: bool
     offers: bool
@@ -299,29 +274,23 @@ class HttpClient:
 
     @property
     def closing(self) -> bool:
-        """The server will not answer another request on this connection."""
+        # The server will not answer another request on this connection.
         return self._waiting or self._last
 
     def request(self, body: bytes, *, offers: bool = False) -> bytes:
-        """The bytes of one POST request; `offers` the compact form from the answer on."""
         self._waiting, self._offers = True, offers
         first = self._first + _OFFER if offers else self._first
         return _message(first, body, close=False)
 
     def feed(self, data: bytes) -> None:
-        """Take bytes from the peer."""
         self._reader.feed(data)
 
     def take_back(self) -> None:
-        """The last request is not sent."""
+        # The last request is not sent.
         self._waiting = self._offers = False
 
     def next_response(self) -> bytes | None:
-        """The body of the response, or None while it is not complete.
-
-        Raises:
-            HttpRefused: malformed, too long, or a status other than 200.
-        """
+        # The body of the response, or None while it is not complete.
         while not self._reader.in_body:
             data = self._reader.head()
             if data is None or self.switched is not None:

@@ -95,11 +95,7 @@ def search_paths(space: str, key: str) -> Iterator[tuple[str, str]]:
 
 
 def resolve_checked(name: str, node: str, remappings: Mapping[str, str] | None = None) -> str:
-    """Like `resolve`, for names that must be well-formed.
-
-    Raises:
-        NameRefused: the result is not an absolute ROS name.
-    """
+    """Like `resolve`, for names that must be well-formed."""
     return check_name(resolve(name, node, remappings))
 
 
@@ -144,11 +140,7 @@ class Settings:
 
 
 def read(argv: Sequence[str], environ: Mapping[str, str], *, default_name: str) -> Settings:
-    """Settings from the arguments (without the program's path) and the environment.
-
-    Raises:
-        ConfigurationError: an invalid variable or argument; the hint has the remedy.
-    """
+    """Settings from the arguments (without the program's path) and the environment."""
     assignments, arguments = _split(argv)
     special = {key: value for key, value in assignments if key.startswith("__")}
     name = _node_name(special, environ, default_name)
@@ -259,7 +251,6 @@ def _assignment(argument: str, key: str, value: str) -> tuple[str, str]:
 
 
 def _node_name(special: Mapping[str, str], environ: Mapping[str, str], default: str) -> str:
-    """The node's name. A `default` with a namespace, as in `--as /site/robot`, brings its own."""
     inherited, _, base = default.rpartition(SEPARATOR)
     base = special.get("__name", base)
     base = base.removeprefix(SEPARATOR)
@@ -274,7 +265,6 @@ def _node_name(special: Mapping[str, str], environ: Mapping[str, str], default: 
 
 
 def _address(special: Mapping[str, str], environ: Mapping[str, str]) -> str | None:
-    """ROS's order: __hostname, __ip, ROS_HOSTNAME, ROS_IP."""
     for key, source in (("__hostname", special), ("__ip", special)):
         if key in source:
             return _check_address(key, source[key])

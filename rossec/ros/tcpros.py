@@ -34,11 +34,7 @@ _LENGTH: Final = struct.Struct("<I")
 
 
 def encode(fields: Mapping[str, str | bytes], *, limit: int = HEADER_LIMIT) -> bytes:
-    """The header with its total length in front, ready to send.
-
-    Raises:
-        HeaderRefused: a key is empty, not ASCII or holds '=', or the header is too long.
-    """
+    """The header with its total length in front, ready to send."""
     body = b"".join(_encode_field(key, value) for key, value in fields.items())
     if len(body) > limit:
         raise HeaderRefused(f"a connection header of {len(body)} bytes, at most {limit} allowed")
@@ -48,11 +44,7 @@ def encode(fields: Mapping[str, str | bytes], *, limit: int = HEADER_LIMIT) -> b
 def decode(
     body: bytes, *, limit: int = HEADER_LIMIT, field_limit: int = FIELD_LIMIT
 ) -> dict[str, bytes]:
-    """The fields of a header; `body` is the content of its frame, without the total length.
-
-    Raises:
-        HeaderRefused: too long, a field without '=', a key twice, or bytes left over.
-    """
+    """The fields of a header; `body` is the content of its frame, without the total length."""
     if len(body) > limit:
         raise HeaderRefused(f"a connection header of {len(body)} bytes, at most {limit} allowed")
     fields: dict[str, bytes] = {}
@@ -67,11 +59,7 @@ def decode(
 
 
 def text(fields: Mapping[str, bytes], key: str, default: str | None = None) -> str:
-    """A field that must be UTF-8 text.
-
-    Raises:
-        HeaderRefused: missing without a default, or not UTF-8.
-    """
+    """A field that must be UTF-8 text."""
     value = fields.get(key)
     if value is None:
         if default is None:
@@ -136,7 +124,6 @@ class FrameReader:
         return frames
 
     def _cut(self, data: bytes | memoryview, frames: list[bytes]) -> memoryview:
-        """Take complete frames straight from `data`, without the buffer; returns the rest."""
         view, position, size = memoryview(data), 0, len(data)
         while position + _LENGTH.size <= size:
             length: int = _LENGTH.unpack_from(view, position)[0]
@@ -234,7 +221,6 @@ class Framing:
 
     @property
     def incomplete(self) -> bool:
-        """Whether part of a message has arrived."""
         return self._reader.pending > 0
 
     def feed(self, data: bytes | memoryview, now: int) -> list[bytes]:
@@ -302,12 +288,7 @@ def failure(reason: str) -> list[Buffer]:
 
 
 def open_response(content: bytes) -> bytes:
-    """The message in what `response_reader` returned.
-
-    Raises:
-        ServiceFailed: the provider failed, with its reason.
-        FrameRefused: neither.
-    """
+    """The message in what `response_reader` returned."""
     mark, message = content[:1], content[1:]
     if mark == _FAILED:
         text = message.decode(errors="replace")

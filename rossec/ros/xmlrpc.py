@@ -60,22 +60,14 @@ class EncodedList(list[object]):
 
 
 def call_text(method: str, params: Iterable[object]) -> str:
-    """The body of a request; `method` as it is.
-
-    Raises:
-        TypeError, OverflowError, RecursionError: a parameter cannot be encoded.
-    """
+    """The body of a request; `method` as it is."""
     written = "".join([f"<param>\n{_value(param)}</param>\n" for param in params])
     head = f"{_PROLOG}<methodCall>\n<methodName>{method}</methodName>\n"
     return f"{head}<params>\n{written}</params>\n</methodCall>\n"
 
 
 def response_text(value: object) -> str:
-    """The body of a response that holds `value`.
-
-    Raises:
-        TypeError, OverflowError, RecursionError: the value cannot be encoded.
-    """
+    """The body of a response that holds `value`."""
     return f"{_BEGIN}{_value(value)}{_END}"
 
 
@@ -133,7 +125,7 @@ class Body(NamedTuple):
 
 
 class _NotPlainError(Exception):
-    """Leave it to the XML parser."""
+    pass
 
 
 def scan(data: bytes, depth: int) -> Body | None:
@@ -186,7 +178,6 @@ def _xmlscan_value(tokens: Tokens, depth: int) -> object:
 
 
 def _typed(tokens: Tokens, outer: str, depth: int) -> object:
-    """What follows `<value>`, with its end; `outer` is the text right behind that tag."""
     tag, text = next(tokens)
     if tag == "/value":  # no type: a string
         _check_blank(text)
@@ -204,7 +195,6 @@ def _typed(tokens: Tokens, outer: str, depth: int) -> object:
 
 
 def _tree(tokens: Tokens, tag: str, depth: int) -> object:
-    """An array or a struct, with its end."""
     if depth < 0:
         raise _NotPlainError
     if tag == "array":
@@ -317,11 +307,7 @@ class Encoded(NamedTuple):
 
 
 def dump_call(method: str, params: Sequence[object]) -> bytes:
-    """The body of a request.
-
-    Raises:
-        XmlRpcRefused: a parameter cannot be carried (None, an integer beyond 32 bits, ...).
-    """
+    """The body of a request."""
     try:
         return call_text(method, params).encode()
     except NOT_ENCODABLE as error:
@@ -329,11 +315,7 @@ def dump_call(method: str, params: Sequence[object]) -> bytes:
 
 
 def dump_response(value: object) -> bytes:
-    """The body of a response that holds `value`, or a fault if `value` is one, or is `Encoded`.
-
-    Raises:
-        XmlRpcRefused: the value cannot be carried.
-    """
+    """The body of a response that holds `value`, or a fault if `value` is one, or is `Encoded`."""
     if isinstance(value, Encoded):
         return value.body
     try:
@@ -345,11 +327,7 @@ def dump_response(value: object) -> bytes:
 
 
 def load_call(data: bytes, *, limit: int = BODY_LIMIT) -> Call:
-    """The one call that fills `data`.
-
-    Raises:
-        XmlRpcRefused: too long, too deep, malformed, or not a call.
-    """
+    """The one call that fills `data`."""
     _check_size(data, limit)
     return _call_in(scan(data, DEPTH_LIMIT) or run_out(_parse(data)))
 
@@ -370,12 +348,7 @@ def _call_in(body: Body) -> Call:
 
 
 def load_response(data: bytes, *, limit: int = BODY_LIMIT) -> object:
-    """The one value of a response.
-
-    Raises:
-        Fault: the server answered with a fault, whose text is made printable.
-        XmlRpcRefused: too long, too deep, malformed, or not a response.
-    """
+    """The one value of a response."""
     _check_size(data, limit)
     return _value_in(scan(data, DEPTH_LIMIT) or run_out(_parse(data)))
 
@@ -410,12 +383,7 @@ def run_out(steps: Generator[None, None, ResultT]) -> ResultT:
 
 
 def value_of(answer: object) -> object:
-    """The value in ROS's `[1, status, value]`.
-
-    Raises:
-        AnswerRefused: the code is not 1; the message is the status text, made printable.
-        AnswerMalformed: anything but such a triple.
-    """
+    """The value in ROS's `[1, status, value]`."""
     if not isinstance(answer, list | tuple) or len(answer) != 3:
         raise AnswerMalformed("an answer that is not [code, status, value]")
     code, status, value = answer
@@ -450,13 +418,11 @@ def _check_size(data: bytes, limit: int) -> None:
 
 
 def _body_steps(data: bytes) -> Generator[None, None, Body]:
-    """The content of `data`: what is short is scanned, which is quicker, but one step."""
     plain = scan(data, DEPTH_LIMIT) if len(data) <= STEP else None
     return plain or (yield from _parse(data))
 
 
 def _parse(data: bytes) -> Generator[None, None, Body]:
-    """The content, of a fault itself with the root `_FAULT`; yields after each `STEP` bytes."""
     if data.startswith((b"\xff", b"\xfe")):  # expat obeys a UTF-16 mark despite its encoding
         raise XmlRpcRefused("malformed XML-RPC: not UTF-8")
     target = _Target()
@@ -489,8 +455,6 @@ _MALFORMED: Final = (
 
 
 class _Target(xmlrpc.client.Unmarshaller):
-    """The library's unmarshaller with a bound on depth; stores the root element."""
-
     def __init__(self) -> None:
         super().__init__(use_builtin_types=True)
         self.xml("", None)  # no encoding: the parser already returns text

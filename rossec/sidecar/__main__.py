@@ -51,7 +51,6 @@ def main() -> int:
 
 
 def _restore_sigint() -> None:
-    """End on Ctrl-C as other processes do; `rossec run` has blocked the signal until now."""
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})

@@ -90,7 +90,6 @@ def descends(pid: int, ancestor: int) -> bool:
 
 
 def _status(pid: int) -> tuple[int, int] | None:
-    """Its parent PID and start time."""
     try:
         with open(f"{PROC}/{pid}/stat", "rb", buffering=0) as file:  # noqa: PTH123 - often
             stat = file.read(_MAX_STAT)
@@ -123,8 +122,6 @@ REMEMBERED: Final = 4096  # sockets
 
 
 class _SocketLocation(NamedTuple):
-    """The process and descriptor at which a socket was seen."""
-
     process: Process
     descriptor: str
 
@@ -140,7 +137,6 @@ class SocketOwners:
         self._search_lock = asyncio.Lock()
 
     async def holds(self, inode: int) -> bool:
-        """Whether a descendant holds the socket now."""
         if self._verified(inode):
             return True
         self._wanted.add(inode)
@@ -152,7 +148,6 @@ class SocketOwners:
         return self._verified(inode)
 
     async def process_of(self, inode: int) -> Process | None:
-        """The descendant that holds the socket now; None: none does."""
         return self._locations[inode].process if await self.holds(inode) else None
 
     def _verified(self, inode: int) -> bool:
@@ -191,7 +186,6 @@ class SocketOwners:
             del self._locations[next(iter(self._locations))]
 
     def _open_sockets(self) -> Iterator[tuple[int | None, _SocketLocation]]:
-        """The open descriptors of the descendants, the most likely first."""
         found = [process(pid) for pid in descendants(parents(), self._ancestor)]
         self._seen = {each: self._seen.get(each, set()) for each in found if each is not None}
         later: list[_SocketLocation] = []
@@ -268,7 +262,6 @@ class Callers:
             raise ConnectionRefusedError(f"another program listens at port {port} now")
 
     def listeners(self, port: int) -> list[Holder]:
-        """The sockets that listen at loopback port `port`, allowed or not."""
         return local_sockets.listeners((self.loopback.address, port))
 
     async def is_program_at(self, sock: socket.socket, port: int) -> bool:

@@ -75,11 +75,7 @@ _BY_KERNEL: Final = 0x80  # SI_KERNEL
 
 
 def outer_environment(environ: Mapping[str, str]) -> dict[str, str]:
-    """The environment as it was before an outer `rossec run` changed it.
-
-    Raises:
-        ConfigurationError: the saved variable is damaged.
-    """
+    """The environment as it was before an outer `rossec run` changed it."""
     saved = environ.get(OUTSIDE)
     if saved is None:
         return dict(environ)
@@ -107,11 +103,7 @@ def program_environment(
 
 
 def adopt_orphans() -> None:
-    """Become the parent of the program's orphans.
-
-    Raises:
-        OSError: the kernel refuses.
-    """
+    """Become the parent of the program's orphans."""
     if LIBC.prctl(_SUBREAPER, 1, 0, 0, 0) != 0:
         raise OSError(ctypes.get_errno(), "prctl PR_SET_CHILD_SUBREAPER")
 
@@ -119,14 +111,7 @@ def adopt_orphans() -> None:
 async def run(
     command: Sequence[str], environ: Mapping[str, str], limits: Limits | None = None
 ) -> int:
-    """Run the program to its end; its exit code, or 128 plus the signal that ended it.
-
-    Args:
-        limits: of descriptors, for the program.
-
-    Raises:
-        NoSuchProgram: it cannot be started.
-    """
+    """Run the program to its end; its exit code, or 128 plus the signal that ended it."""
     with _blocked_signals() as (mask, signals):
 
         def prepare() -> None:
@@ -170,10 +155,7 @@ class NoSuchProgram(HintedError):
 
 @contextlib.contextmanager
 def _blocked_signals() -> Iterator[tuple[set[int | signal.Signals], int]]:
-    """Block the forwarded signals; yields the previous mask and a signalfd descriptor.
-
-    They are blocked before the program starts: none is lost.
-    """
+    # They are blocked before the program starts: none is lost.
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, _FORWARDED)
     try:
         signals = _signalfd(_FORWARDED)
@@ -217,7 +199,6 @@ def _forwarding_signals(program: asyncio.subprocess.Process, signals: int) -> It
 
 
 def _pending_signals(signals: int) -> Iterator[tuple[int, int]]:
-    """Each pending signal, with its code."""
     with contextlib.suppress(BlockingIOError):
         while True:
             number, _, code = _SIGNAL.unpack(os.read(signals, _SIGNAL.size))
@@ -225,7 +206,6 @@ def _pending_signals(signals: int) -> Iterator[tuple[int, int]]:
 
 
 def _reap(own: int) -> None:
-    """Reap adopted children that have ended; the program itself is waited for elsewhere."""
     with contextlib.suppress(ChildProcessError):
         while (found := os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)) is not None:
             if found.si_pid == own:

@@ -68,7 +68,6 @@ class Said(Generic[T]):
         self._said: OrderedDict[T, float] = OrderedDict()
 
     def add(self, what: T) -> bool:
-        """Whether it is new."""
         now = self._now()
         if now - self._said.get(what, -SAID_FOR) < SAID_FOR:
             return False
@@ -91,7 +90,6 @@ class MissingRights:
         self._new: list[MissingRight] = []
 
     def add(self, missing: MissingRight) -> bool:
-        """Whether this is new, and `take` will tell it."""
         if is_dispensable(missing.right, missing.own):
             return False
         if not self._said.add(missing):
@@ -100,7 +98,7 @@ class MissingRights:
         return True
 
     def take(self) -> list[str]:
-        """One line for each node of what is new since the last call."""
+        # One line for each node of what is new since the last call.
         new, self._new = self._new, []
         nodes: dict[str, list[MissingRight]] = {}
         for each in new:
@@ -120,10 +118,8 @@ class RefusalLog:
         self._timer: asyncio.TimerHandle | None = None
 
     def log(self, refuser: str, method: str, answer: object, params: Sequence[object] = ()) -> None:
-        """Warn of an answer in which rossec refuses a call, or that does not reach the program.
-
-        Of any other: nothing. `params`: of the call.
-        """
+        # Warn of an answer in which rossec refuses a call, or that does not reach the program.
+        # Of any other: nothing. `params`: of the call.
         match answer:
             case [code, str(status), *_] if code != 1 and status.startswith(_PREFIX):
                 missing = missing_right(status)
@@ -138,10 +134,8 @@ class RefusalLog:
                 pass
 
     def log_own(self, node: str, method: str, answer: object) -> None:
-        """Warn of an answer that the sidecar itself gives a program, unless that was said before.
-
-        What the master refused went through `log`.
-        """
+        # Warn of an answer that the sidecar itself gives a program, unless that was said before.
+        # What the master refused went through `log`.
         match answer:
             case [-1, str(status), *_] if status.startswith(_PREFIX):
                 if missing_right(status) is None:
@@ -158,13 +152,11 @@ class RefusalLog:
             _log.warning("%s refuses %s: %s", refuser, method, printable(reason, _LINE))
 
     def unreachable(self, peer: str, error: PeerUnreachable) -> None:
-        """Warn of a peer whose address leads nowhere; one that refuses callers has just ended."""
         if isinstance(error.__cause__, ConnectionRefusedError) or not self._paths.add(peer):
             return
         _log.warning("%s is out of reach: %s (%s)", printable(peer), printable(str(error)), _WHERE)
 
     def flush(self) -> None:
-        """Log what was collected."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -206,19 +198,16 @@ class Egress:
         self.ports = PortPool(self._close_port)
 
     def open(self, remote: Endpoint) -> int:
-        """The loopback port for `remote`; it listens."""
         listener = self._port_for(remote)
         listener.open()
         return listener.port
 
     def refuse(self, remote: Endpoint) -> int:
-        """The loopback port for `remote`; the kernel refuses callers."""
         listener = self._port_for(remote)
         listener.suspend()
         return listener.port
 
     async def close(self) -> None:
-        """Close every port."""
         self._refusals.flush()
         for listener in self.ports:
             await listener.close()
@@ -240,7 +229,6 @@ class Egress:
         self._tasks.spawn(listener.close(), f"loopback port {listener.port}")
 
     async def _serve_slave_api(self, remote: Endpoint, program: PlainStream) -> None:
-        """A program's calls to a peer's slave API."""
         executor = CommandExecutor(self._services)
 
         async def dispatch(method: str, params: tuple[object, ...], _: str) -> object:
@@ -255,7 +243,6 @@ class Egress:
             await executor.close()
 
     async def _serve_tcpros(self, remote: Endpoint, program: PlainStream) -> None:
-        """A program that subscribes to a peer's topic, or calls its service."""
         executor = CommandExecutor(self._services)
         fields: Mapping[str, bytes] = {}
         began = time.monotonic()
@@ -300,13 +287,12 @@ class Egress:
             self._followed.add(stream, text(fields, "topic"), api)
 
     async def leave_publishers(self) -> None:
-        """Periodically leave what the master lists no longer, until cancelled."""
         while True:
             await asyncio.sleep(FOLLOW_PERIOD)
             self._followed.leave_unlisted()
 
     def _topic_ended(self, fields: Mapping[str, bytes], began: float) -> None:
-        """A connection with this header has ended, or could not be made; of a service: nothing."""
+        # A connection with this header has ended, or could not be made; of a service: nothing.
         if "topic" in fields:
             self._on_topic_ended(text(fields, "topic"), began)
 

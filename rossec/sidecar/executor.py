@@ -65,7 +65,6 @@ class SlaveApiClient:
 
     @property
     def usable(self) -> bool:
-        """Whether it is still open."""
         return not self.rpc.closed
 
 
@@ -74,47 +73,47 @@ class AgentServices(Protocol):
 
     @property
     def name(self) -> str:
-        """Its certified name."""
+        ...
 
     @property
     def callers(self) -> Callers:
-        """The programs that may be connected to."""
+        ...
 
     def open_ingress(self, local: Endpoint) -> int:
-        """The network port for `local`; it listens."""
+        ...
 
     def suspend_ingress(self, local: Endpoint) -> None:
-        """Refuse callers for `local`."""
+        ...
 
     def leads_to(self, local: Endpoint, listeners: list[Holder]) -> bool:
-        """Whether `listeners` are the program that the port of `local` was opened for."""
+        ...
 
     def open_egress(self, remote: Endpoint) -> int:
-        """The loopback port for `remote`; it listens."""
+        ...
 
     def refuse_egress(self, remote: Endpoint) -> int:
-        """The loopback port for `remote`; it refuses callers."""
+        ...
 
     def cache_client(self, remote: Endpoint, client: SlaveApiClient) -> None:
-        """Cache a connection for the next caller of `remote`."""
+        ...
 
     def cached_client(self, remote: Endpoint) -> SlaveApiClient | None:
-        """Take a cached connection to `remote`."""
+        ...
 
     async def dial(self, remote: Endpoint) -> SecureStream[Identity]:
-        """Connect to a peer with a valid identity."""
+        ...
 
     def note_unreachable(self, remote: Endpoint, error: PeerUnreachable) -> None:
-        """Say that no connection to a peer could be made."""
+        ...
 
     def check_peer(self, peer: Identity) -> None:
-        """Return if the identity of `peer` is still valid. Raises a `HintedError`."""
+        ...
 
     async def call_master(self, method: str, params: tuple[object, ...]) -> object:
-        """The master's answer."""
+        ...
 
     def proof(self, right: Right, name: str) -> bytes:
-        """The grants for `right` on `name`."""
+        ...
 
 
 class CommandExecutor:
@@ -134,7 +133,6 @@ class CommandExecutor:
         self.after_header = b""
 
     async def run(self, layer: Layer[Outcome]) -> Outcome:
-        """Run a layer to its end."""
         try:
             command = next(layer)
             while True:
@@ -149,7 +147,6 @@ class CommandExecutor:
             return outcome
 
     async def close(self) -> None:
-        """Close everything that is open."""
         await self._close_program_rpc()
         if self._peer_client is not None:
             with contextlib.suppress(RossecError, OSError):
@@ -160,7 +157,6 @@ class CommandExecutor:
             self.stream.abort("the other end was closed")
 
     async def _close_program_rpc(self) -> None:
-        """Close the connection to a program's slave API: a TCPROS connection may last for days."""
         rpc, self._program_rpc = self._program_rpc, None
         if rpc is not None:
             with contextlib.suppress(RossecError, OSError):
@@ -227,7 +223,6 @@ class CommandExecutor:
         return (await self._stream_to(remote)).peer
 
     async def _stream_to(self, remote: Endpoint) -> SecureStream[Identity]:
-        """The TCPROS connection to the peer there, which a layer makes one of."""
         if self.stream is None:
             try:
                 self.stream = await self._services.dial(remote)
@@ -269,7 +264,7 @@ class CommandExecutor:
         return PlainStream(sock)
 
     async def _probe_egress(self, remote: Endpoint) -> int:
-        """Open a port only if the peer answers; its connection is cached for the next caller."""
+        # Open a port only if the peer answers; its connection is cached for the next caller.
         try:
             async with asyncio.timeout(DEADLINE):
                 client = await self._connect_peer(remote)
@@ -280,11 +275,9 @@ class CommandExecutor:
         return self._services.open_egress(remote)
 
     def _no_answer(self, remote: Endpoint) -> int:
-        """The port of a peer that does not answer: it refuses callers, as that of a dead node.
-
-        One behind a door may be out of reach for a while, and programs that were refused never try
-        again: they are admitted and hung up on.
-        """
+        # The port of a peer that does not answer: it refuses callers, as that of a dead node.
+        # One behind a door may be out of reach for a while, and programs that were refused never try again:
+        # they are admitted and hung up on.
         services = self._services
         return services.open_egress(remote) if remote.door else services.refuse_egress(remote)
 
@@ -308,7 +301,6 @@ class CommandExecutor:
         return SlaveApiClient(RpcClient(stream), stream.peer)
 
     async def _present_grants(self, client: SlaveApiClient, right: Right) -> None:
-        """Present grants; the answer to the call itself says whether they suffice."""
         grants = self._services.proof(right, client.peer.name)
         with contextlib.suppress(Fault):
             await client.rpc.call(PRESENT_GRANTS, self._services.name, grants)

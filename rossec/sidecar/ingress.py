@@ -64,15 +64,6 @@ class PeerConnector:
     async def dial(
         self, remote: Endpoint, *, allow_stale: bool = False, own_identity: bool = False
     ) -> SecureStream[Identity]:
-        """Connect to a peer with a valid identity.
-
-        Args:
-            allow_stale: accept stale revocation data: the master provides fresh data.
-            own_identity: the peer must be a program of this identity.
-
-        Raises:
-            HangUp: the identity is invalid, or its revocation status unknown.
-        """
         stream = await connect(
             remote.host, remote.port, self._context, remote.protocol, to_itself=own_identity
         )
@@ -87,10 +78,7 @@ class PeerConnector:
     def listen(
         self, handler: Handler[Identity], host: str, protocol: WireProtocol
     ) -> SecureServer[Identity]:
-        """Listen; on loopback alone if `host`, the advertised address, is loopback.
-
-        The port is bound explicitly, so that the kernel reserves it while the server is suspended.
-        """
+        # The port is bound explicitly, so that the kernel reserves it while the server is suspended.
         bind = host if is_loopback(host) else None
         return bind_free_port(lambda port: serve(handler, bind, port, self._context, protocol))
 
@@ -136,7 +124,6 @@ class Ingress:
         )
 
     def open(self, local: Endpoint) -> int:
-        """The network port for the program that listens at `local` now; it listens."""
         listeners = self._services.callers.listeners(local.port)
         if not self.leads_to(local, listeners):
             for each in [each for each in self._listeners if each.port == local.port]:
@@ -148,14 +135,10 @@ class Ingress:
         return server.port
 
     def leads_to(self, local: Endpoint, listeners: list[Holder]) -> bool:
-        """Whether `listeners` are those for which the port of `local` was opened.
-
-        Also if there is no such port, or nothing listened when it was opened.
-        """
+        # Also if there is no such port, or nothing listened when it was opened.
         return not listeners or self._listeners.get(local, listeners) == listeners
 
     def _retire(self, local: Endpoint) -> None:
-        """Its program has ended and another one has the port: refuse callers for good."""
         del self._listeners[local]
         server = self.ports.remove(local)
         if server is not None:
@@ -164,13 +147,11 @@ class Ingress:
             self._ended.get_or_open(server.port, lambda: server)
 
     def suspend(self, local: Endpoint) -> None:
-        """Refuse callers for `local`: the program has ended."""
         server = self.ports.get(local)
         if server is not None:
             server.suspend()
 
     async def close(self) -> None:
-        """Close every port."""
         for server in (*self.ports, *self._ended):
             await server.close()
         await self._tasks.close()
@@ -203,7 +184,6 @@ class Ingress:
     # --- XML-RPC
 
     async def _serve_slave_api(self, local: Endpoint, stream: SecureStream[Identity]) -> None:
-        """A peer's calls to a program's slave API."""
         presented: list[bytes] = []
         executor = CommandExecutor(self._services)
 
@@ -243,7 +223,6 @@ class Ingress:
     # --- TCPROS
 
     async def _serve_tcpros(self, local: Endpoint, stream: SecureStream[Identity]) -> None:
-        """A peer that subscribes to a program's topic, or calls its service."""
         executor = CommandExecutor(self._services)
         try:
             try:

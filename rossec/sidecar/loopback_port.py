@@ -58,11 +58,9 @@ class PlainStream(BaseStream):
     # -- called by the transport
 
     def get_buffer(self) -> memoryview:
-        """The buffer; what it had was forwarded or copied."""
         return self._buffer
 
     def buffer_updated(self, count: int) -> None:
-        """Forward the bytes without a copy, or queue them."""
         self._deliver(self._buffer[:count])
         if count == len(self._buffer) < _LARGE:
             self._buffer = memoryview(bytearray(_LARGE))
@@ -70,43 +68,29 @@ class PlainStream(BaseStream):
             self._notify()
 
     def eof_received(self) -> None:
-        """The program has closed its side."""
         self.error = ChannelClosed(_CLOSED)
         self._notify()
 
     def resume_writing(self) -> None:
-        """Everything written was sent."""
         self._wake_waiters()
 
     def connection_lost(self) -> None:
-        """The connection is closed."""
         self.eof_received()
 
     # -- for users
 
     def write_nowait(self, data: Bytes) -> bool:
-        """Send `data` now, whether the program lags or not; false: it does, wait for `drain`.
-
-        Raises:
-            ChannelClosed: the connection is closed.
-        """
         if self.transport.closed:
             raise ChannelClosed(_CLOSED)
         self.transport.write(data)
         return self.transport.writable
 
     async def send(self, *pieces: Bytes) -> None:
-        """Send the pieces; waits while the program lags.
-
-        Raises:
-            ChannelClosed: the connection is closed.
-        """
         for piece in pieces:
             self.write_nowait(piece)
         await self.drain()
 
     async def close(self) -> None:
-        """Close this side after what was sent; wait briefly for the other."""
         self.transport.write_eof()
         try:
             with suppress(ChannelClosed, TimeoutError):
@@ -117,7 +101,6 @@ class PlainStream(BaseStream):
             self.transport.abort()
 
     def abort(self, _reason: str = "") -> None:
-        """Drop the connection at once."""
         self.transport.abort()
 
 
@@ -172,7 +155,6 @@ class LocalPort:
 
     @property
     def connections(self) -> int:
-        """The number of open connections."""
         return len(self._tasks)
 
     def open(self) -> None:
@@ -283,7 +265,6 @@ def _is_here(address: str) -> bool:
 
 
 def _addresses(name: str) -> set[str]:
-    """The addresses of `name` for a program that prefers IPv6."""
     try:
         found = socket.getaddrinfo(name, None, socket.AF_INET6, socket.SOCK_STREAM)
     except OSError:
@@ -299,9 +280,6 @@ def bind_loopback(port: int = 0, loopback: Loopback = LOOPBACK) -> socket.socket
     """A socket bound to `port` of loopback, by default any free one.
 
     The port is bound explicitly: only then does Linux reserve it while the socket does not listen.
-
-    Raises:
-        OSError: the port is taken.
     """
     if port:
         return _bind(loopback.address, port, reuse=True)
@@ -346,7 +324,7 @@ class PooledPort(Protocol):
 
     @property
     def connections(self) -> int:
-        """The number of open connections."""
+        ...
 
 
 KeyT = TypeVar("KeyT", bound=Hashable)
@@ -395,11 +373,9 @@ class PortPool(Generic[KeyT, PortT]):
         return port
 
     def keys(self) -> tuple[KeyT, ...]:
-        """Where the ports lead; the most recently requested last."""
         return tuple(self._ports)
 
     def remove(self, endpoint: KeyT) -> PortT | None:
-        """Take the port for `endpoint` out of the pool, if there is one; it stays open."""
         return self._ports.pop(endpoint, None)
 
     def _evict(self) -> None:

@@ -43,12 +43,7 @@ Buffer = bytes | bytearray | memoryview
 
 
 async def split_header(end: PlainStream | SecureStream[Identity]) -> tuple[Fields, bytes]:
-    """The connection header that `end` sends first, and the bytes that came after it.
-
-    Raises:
-        HeaderRefused: malformed or too long; the length is checked before anything is buffered.
-        ChannelError: the connection is closed.
-    """
+    """The connection header that `end` sends first, and the bytes that came after it."""
     data = b""
     while len(data) < _LENGTH.size or len(data) < _LENGTH.size + _length(data):
         data += await end.receive()
@@ -145,13 +140,7 @@ async def send_filtered(
     initial: bytes,
     max_length: int = MESSAGE_LIMIT,
 ) -> None:
-    """Forward each message as the guard returns it; one that cannot be checked is withheld.
-
-    Raises:
-        GrantExpired, ChannelClosed: the grant has expired, or an end is closed.
-        FrameRefused: the framing is invalid.
-        LimitExceeded: a message does not arrive in time.
-    """
+    """Forward each message as the guard returns it; one that cannot be checked is withheld."""
     framing = Framing(FrameReader(max_length))
     (peer,) = (shown(end.peer.name) for end in (source, sink) if not isinstance(end, PlainStream))
     messages = framing.feed(initial, clock.now())
@@ -186,7 +175,6 @@ async def send_filtered_nowait(
 def _filter_messages(
     guard: MessageGuard, messages: list[bytes], peer: str, now: float
 ) -> list[Buffer]:
-    """The messages that pass the guard, as sent."""
     return [piece for message in messages for piece in framed(filtered(guard, message, peer, now))]
 
 
@@ -212,10 +200,7 @@ async def expect_no_data(end: PlainStream | SecureStream[Identity]) -> None:
 
 @contextlib.contextmanager
 def _until_closed() -> Iterator[None]:
-    """End the block when an end is closed in order.
-
-    Nothing is awaited in `except*`: it would turn a cancellation there into a group, a crash.
-    """
+    # Nothing is awaited in `except*`: it would turn a cancellation there into a group, a crash.
     try:
         yield
     except* ChannelClosed:
@@ -261,11 +246,10 @@ class WishSender:
 
     @property
     def lags(self) -> bool:
-        """Whether further messages would have to wait."""
+        # Whether further messages would have to wait.
         return self._held > _LAGGING or self._peer.lags
 
     def put(self, pieces: list[Buffer]) -> None:
-        """Send a filtered message, if the rate admits it; empty: it was withheld."""
         if not pieces or (self._rate is not None and not self._rate.admits(monotonic())):
             return
         self._held = _size(pieces) + (0 if self.newest else self._held)
@@ -274,11 +258,9 @@ class WishSender:
         self._wake.set()
 
     async def idle(self) -> None:
-        """Wait until nothing waits."""
         await self._idle.wait()
 
     async def run(self) -> None:
-        """Send what is put, until the connection ends, which raises."""
         while True:
             await self._wake.wait()
             self._wake.clear()
@@ -320,13 +302,7 @@ async def forward_as_wished(
     initial: bytes,
     sender: WishSender,
 ) -> None:
-    """Put a program's messages to `sender`, each as the guard returns it.
-
-    Raises:
-        GrantExpired, ChannelClosed: the grant has expired, or the program has closed.
-        FrameRefused: the framing is invalid.
-        LimitExceeded: a message does not arrive in time.
-    """
+    """Put a program's messages to `sender`, each as the guard returns it."""
     framing = Framing(FrameReader())
     messages = framing.feed(initial, clock.now())
     keeps_state = isinstance(guard, SharedGuard)

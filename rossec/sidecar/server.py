@@ -70,17 +70,14 @@ class ConnectionCache:
         self._tasks = TaskSet()
 
     def put(self, remote: Endpoint, client: SlaveApiClient) -> None:
-        """Cache a connection for the next caller of `remote`, for a few seconds."""
         old = self._clients.pop(remote, None)
         self._clients[remote] = client
         self._tasks.spawn(self._close_later(remote, client, old), "a cached connection")
 
     def take(self, remote: Endpoint) -> SlaveApiClient | None:
-        """Take a cached connection to `remote`."""
         return self._clients.pop(remote, None)
 
     async def close(self) -> None:
-        """Drop all connections."""
         await self._tasks.close()
 
     async def _close_later(
@@ -108,14 +105,12 @@ class Resubscriber:
         self._to_resubscribe = ResubscribeQueue()
 
     def on_topic_ended(self, topic: str, began: float) -> None:
-        """A connection for `topic`, made at `began` of the monotonic clock, has ended."""
         self._to_resubscribe.add(topic, began, time.monotonic())
         name = shown(topic)
         if not self._may_subscribe(topic):
             _log.warning("%s: no grant for subscribe on %s any more", self._services.name, name)
 
     async def run(self) -> None:
-        """Resubscribe periodically until cancelled."""
         while True:
             await asyncio.sleep(_PERIOD)
             await self._run_logged(
@@ -193,11 +188,9 @@ class Agent:
 
     @property
     def name(self) -> str:
-        """The certified name."""
         return self.home.name
 
     async def handle_call(self, method: str, params: tuple[object, ...]) -> object:
-        """Answer a program's call to its master."""
         await self._ensure_started()
         answer = await run_layer(self, master_calls.handle_call(self.state, method, params))
         if method not in GRAPH or not self._holds(Right.GRAPH, self.name):
@@ -205,7 +198,6 @@ class Agent:
         return answer
 
     async def close(self) -> None:
-        """Close every port and every connection."""
         self._refusals.flush()
         await self._ingress.close()
         await self._egress.close()
@@ -215,60 +207,48 @@ class Agent:
     # --- agent services
 
     def open_ingress(self, local: Endpoint) -> int:
-        """The network port for `local`; it listens."""
         return self._ingress.open(local)
 
     def suspend_ingress(self, local: Endpoint) -> None:
-        """Refuse callers for `local`: the program has ended."""
         self._ingress.suspend(local)
 
     def leads_to(self, local: Endpoint, listeners: list[Holder]) -> bool:
-        """Whether `listeners` are the program that the port of `local` was opened for."""
         return self._ingress.leads_to(local, listeners)
 
     def open_egress(self, remote: Endpoint) -> int:
-        """The loopback port for `remote`; it listens."""
         return self._egress.open(remote)
 
     def refuse_egress(self, remote: Endpoint) -> int:
-        """The loopback port for `remote`; it refuses callers."""
         return self._egress.refuse(remote)
 
     def cache_client(self, remote: Endpoint, client: SlaveApiClient) -> None:
-        """Cache a connection for the next caller of `remote`, for a few seconds."""
         self._cache.put(remote, client)
 
     def cached_client(self, remote: Endpoint) -> SlaveApiClient | None:
-        """Take a cached connection to `remote`."""
         return self._cache.take(remote)
 
     async def dial(self, remote: Endpoint) -> SecureStream[Identity]:
-        """Connect to a peer with a valid identity, or to a program of the same identity."""
         own_identity = self.state.endpoints.program_at(remote) is not None
         return await self._connector.dial(remote, own_identity=own_identity)
 
     def note_unreachable(self, remote: Endpoint, error: PeerUnreachable) -> None:
-        """Say that no connection to a peer could be made; once an hour."""
         self._refusals.unreachable(remote.uri, error)
 
     def check_peer(self, peer: Identity) -> None:
-        """Return if the identity of `peer` is still valid."""
         self.state.access.check_peer(peer, clock.now())
 
     async def call_master(self, method: str, params: tuple[object, ...]) -> object:
-        """The master's answer; refusals are logged, since a program may not print them."""
+        # The master's answer; refusals are logged, since a program may not print them.
         answer = await self._membership.session.forward(method, *params)
         self._refusals.log("the master", method, answer, params)
         return answer
 
     def proof(self, right: Right, name: str) -> bytes:
-        """The grants for `right` on `name`."""
         return self.state.access.present(right, name, clock.now())
 
     # --- master and watchdog
 
     async def _ensure_started(self) -> None:
-        """Connect to the master once; until it is up programs retry, as in ROS."""
         async with self._start_lock:
             if self._has_failed:
                 raise HangUp("a task of this identity has failed")
@@ -290,30 +270,27 @@ class Agent:
     # --- hooks of the membership (MembershipHooks)
 
     async def dial_master(self) -> SecureStream[Identity]:
-        """Connect to the master; it provides fresh revocation data."""
         host, port = self._settings.master_host, self._settings.master_port
         return await self._connector.dial(Endpoint(WireProtocol.HTTP, host, port), allow_stale=True)
 
     async def dial_watch(self) -> SecureStream[Identity]:
-        """Connect to the master once more, for a call that waits."""
         return await self.dial_master()
 
     async def restore(self) -> None:
-        """Make every registration of the programs again."""
         await run_layer(self, master_calls.restore(self.state, self._holds))
 
     async def rights_changed(self) -> None:
-        """Make registrations again that were refused: roscpp and rospy never do so themselves."""
+        # Make registrations again that were refused: roscpp and rospy never do so themselves.
         await run_layer(self, master_calls.rights_changed(self.state, self._holds))
 
     def _holds(self, right: Right, name: str) -> bool:
         return self.state.access.holds(right, name, clock.now())
 
     def maintain(self) -> None:
-        """Nothing: `Resubscriber` drops expired publishers."""
+        ...
 
     def crashed(self, _: BaseException) -> None:
-        """Close what would not be checked any more."""
+        # Close what would not be checked any more.
         self._has_failed = True
         self._connections.close("a task of this identity has failed")
         self._membership.tasks.spawn(self.close(), f"{self.name}: closing after a failure")
@@ -361,7 +338,6 @@ class Sidecar:
 
     @property
     def uri(self) -> str:
-        """The ROS_MASTER_URI for programs."""
         return Endpoint(WireProtocol.HTTP, self._callers.loopback.host, self._master.port).uri
 
     def _bind_master(self, port: int) -> LoopbackPort:
@@ -380,11 +356,9 @@ class Sidecar:
         return master
 
     def start(self) -> None:
-        """Start to accept programs."""
         self._master.open()
 
     async def close(self) -> None:
-        """Close all connections."""
         await self._master.close()
         await asyncio.gather(*(agent.close() for agent in self._agents.values()))
 
@@ -414,10 +388,7 @@ class Sidecar:
             return [-1, f"rossec: {error}", 0]
 
     async def _searching(self, program: PlainStream, space: str) -> Agent | None:
-        """The agent of the program that searches from `space`; None: that of the name `space`.
-
-        Several nodes in `space`, or one that has this very name: the process decides.
-        """
+        # Several nodes in `space`, or one that has this very name: the process decides.
         if self._default is not None and not self._each:
             return None
         prefix = space.rstrip("/") + "/"
@@ -472,12 +443,10 @@ class Sidecar:
 
 
 def _missing_caller(method: str, params: tuple[object, ...]) -> object | None:
-    """The refusal of a call without caller_id; it needs no identity."""
     return None if method == MULTICALL else without_caller(params, rule_of(method).default)
 
 
 def _caller(method: str, params: tuple[object, ...]) -> str:
-    """The caller_id of a call; of a multicall, the first in its elements."""
     if method != MULTICALL:
         return str(params[0])
     for element in params[0] if params and isinstance(params[0], list) else ():

@@ -84,7 +84,6 @@ class EnrollAct:
         self._policy = policy
 
     def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
-        """Check the request, and that its name is free; it is recorded, and waits."""
         match arguments:
             case [bytes(csr), str(source), bool(wildcard), int(lifetime), bool(replaces)]:
                 pass
@@ -105,14 +104,12 @@ class EnrollAct:
         return ToApprove(what, csr)
 
     def admit(self, store: Store, approved: Approved, /) -> str | None:
-        """The request is *approved*."""
         _approve(store, _enrolled(approved), approved.approval.at, approved.reason)
         return None
 
     def carry_out(
         self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
     ) -> None:
-        """Sign the identity; the node then gets what the policy gives its name."""
         what, authority = _enrolled(approved), service.unlock()
         with authority.store.transaction():
             _check_unchanged(authority.store, what, now)
@@ -124,7 +121,6 @@ class EnrollAct:
         _grant_outright(service, what.name, self._policy)
 
     def made(self, service: AuthorityService, approved: Approved, /) -> bytes:
-        """The identity bundle (PEM)."""
         with closing(service.home.store()) as store:
             found = store.identities.issued_for(_enrolled(approved).csr)
         return b"" if found is None else _bundle(service.home, found)
@@ -134,7 +130,6 @@ class IntermediateAct:
     """An intermediate: CSR, may enroll new nodes, lifetime."""
 
     def prepare(self, service: AuthorityService, arguments: Arguments, _now: int, /) -> ToApprove:
-        """Check the request."""
         match arguments:
             case [bytes(csr), bool(enrolls), int(lifetime)]:
                 pass
@@ -150,13 +145,11 @@ class IntermediateAct:
         return ToApprove(Intermediate(sha256(csr).digest(), enrolls, lifetime), csr)
 
     def admit(self, _store: Store, _approved: Approved, /) -> str | None:
-        """Nothing more to check: the digest of its request is approved."""
         return None
 
     def carry_out(
         self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
     ) -> None:
-        """Sign it."""
         what, authority = approved.statement.what, service.unlock()
         assert isinstance(what, Intermediate)  # noqa: S101 - of this kind
         csr = approved.approval.payload
@@ -167,7 +160,6 @@ class IntermediateAct:
             conclude(authority.store, f"signed {name}")
 
     def made(self, service: AuthorityService, approved: Approved, /) -> bytes:
-        """Its bundle (PEM): the newest for its key."""
         home = service.home
         key = thumbprint(check_intermediate_request(approved.approval.payload, home.domain))
         with closing(home.store()) as store:
@@ -182,12 +174,6 @@ def _enrolled(approved: Approved) -> Enroll:
 
 
 def _approve(store: Store, what: Enroll, at: int, reason: str) -> None:
-    """Approve the recorded request; one that was answered before gets the same answer.
-
-    Raises:
-        RequestClosed: it was approved or denied meanwhile, or has expired.
-        KeyChanged, NameContested, NameCovered, StoreError: as `RequestTable.approve`.
-    """
     if store.identities.issued_for(what.csr) is not None:
         store.identities.check_not_revoked(what.name, what.key)
         return
@@ -198,11 +184,6 @@ def _approve(store: Store, what: Enroll, at: int, reason: str) -> None:
 
 
 def _check_unchanged(store: Store, what: Enroll, now: int) -> None:
-    """Return if the request is still approved as it was, or was answered before.
-
-    Raises:
-        RequestClosed: it was denied, or has expired.
-    """
     if store.identities.issued_for(what.csr) is not None:
         return
     row = store.requests.find(what.csr)
@@ -228,7 +209,7 @@ def _bundle(home: AuthorityHome, row: CertificateRow) -> bytes:
 
 
 def _grant_outright(service: AuthorityService, name: str, policy: Path) -> None:
-    """What the policy gives the name; the identity is signed by then, so a mistake is logged."""
+    # What the policy gives the name; the identity is signed by then, so a mistake is logged.
     try:
         for _, data in service.grant_outright(name, place=policy):
             service.store_grant(data)
@@ -249,7 +230,6 @@ class PasskeyAct(Immediate):
         self._proposals = proposals
 
     def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
-        """Find the proposal."""
         match arguments:
             case [bytes(number)]:
                 pass
@@ -261,7 +241,6 @@ class PasskeyAct(Immediate):
         return ToApprove(to_approve(passkey))
 
     def admit(self, store: Store, approved: Approved, /) -> str | None:
-        """Add it."""
         number, passkey = self._find(approved)
         check_bound(store.passkeys.active(), passkey.origin, passkey.rp_id)
         store.passkeys.add(passkey._replace(approval=approved.id, at=approved.approval.at))
@@ -269,11 +248,6 @@ class PasskeyAct(Immediate):
         return f"{passkey.name} can approve"
 
     def _find(self, approved: Approved) -> tuple[bytes, Passkey]:
-        """The proposal that was approved.
-
-        Raises:
-            PasskeyUnknown: its time is over.
-        """
         what = approved.statement.what
         assert isinstance(what, NewPasskey)  # noqa: S101 - of this kind
         for shown in self._proposals.all():
@@ -299,7 +273,7 @@ class InvitationAct(Immediate):
         self._codes: OrderedDict[bytes, tuple[str, float]] = OrderedDict()
 
     def prepare(self, _service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
-        """Check what it would allow."""
+        # Check what it would allow.
         match arguments:
             case [str(pattern), int(uses), int(seconds), bool(wildcard)]:
                 pass
@@ -314,7 +288,6 @@ class InvitationAct(Immediate):
         return ToApprove(Invitation(pattern, uses, now + seconds, wildcard))
 
     def admit(self, store: Store, approved: Approved, /) -> str | None:
-        """Make it."""
         what = approved.statement.what
         assert isinstance(what, Invitation)  # noqa: S101 - of this kind
         code, row = make_invitation(
@@ -329,7 +302,6 @@ class InvitationAct(Immediate):
         return f"join code {row.id.hex()[:8]}"
 
     def made(self, _service: AuthorityService, approved: Approved, /) -> bytes:
-        """The text of the code, for some minutes."""
         with self._lock:
             text, end = self._codes.get(approved.id, ("", 0.0))
         return text.encode() if self._elapsed() < end else b""
@@ -339,7 +311,6 @@ class RevokeMasterAct(Immediate):
     """The end of a master: the reason, and which."""
 
     def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
-        """Find its keys."""
         match arguments:
             case [str(reason), str(master)] if is_master_name(master):
                 pass
@@ -352,7 +323,6 @@ class RevokeMasterAct(Immediate):
         return ToApprove(RevokeMaster(checked_reason(reason), master))
 
     def admit(self, store: Store, approved: Approved, /) -> str | None:
-        """Record it; the list is signed with the key, now or when it is unlocked."""
         what, at = approved.statement.what, approved.approval.at
         assert isinstance(what, RevokeMaster)  # noqa: S101 - of this kind
         for entry in sorted(keys_of(what.master)(store, at)):
@@ -372,7 +342,6 @@ class PolicyAct:
         self._policy = policy
 
     def prepare(self, service: AuthorityService, arguments: Arguments, _now: int, /) -> ToApprove:
-        """Compare the file with what is in force."""
         match arguments:
             case [bytes(digest)]:
                 pass
@@ -390,7 +359,7 @@ class PolicyAct:
         return ToApprove(what, file.text.encode())
 
     def admit(self, store: Store, approved: Approved, /) -> str | None:
-        """Return if no other policy was approved since it was shown."""
+        # Return if no other policy was approved since it was shown.
         what = _changed(approved)
         self._read(what.new)
         if _last_approved(store) != what.old:
@@ -400,7 +369,6 @@ class PolicyAct:
     def carry_out(
         self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
     ) -> None:
-        """Sign and revoke, then deliver in this order: no node is without what it keeps."""
         what, authority = _changed(approved), service.unlock()
         plan = service.plan_policy(self._read(what.new))
         if plan.effect(authority.domain) != what.effect:
@@ -416,15 +384,9 @@ class PolicyAct:
                 service.publish()
 
     def made(self, _service: AuthorityService, _approved: Approved, /) -> bytes:
-        """Nothing: grants are delivered."""
         return b""
 
     def _read(self, digest: bytes) -> PolicyFile:
-        """The policy, if it is the file with this digest.
-
-        Raises:
-            ConfigurationError: it is another.
-        """
         file = PolicyFile.read(self._policy, own=True)
         if sha256(file.text.encode()).digest() != digest:
             raise ConfigurationError("the policy file was changed since it was shown", _AGAIN)
@@ -438,7 +400,6 @@ class DelegateAct:
     """
 
     def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
-        """Find the master's key."""
         match arguments:
             case [int(lifetime), int(max_ttl)]:
                 pass
@@ -455,14 +416,12 @@ class DelegateAct:
         return ToApprove(Delegate(holder, lifetime, max_ttl))
 
     def admit(self, store: Store, approved: Approved, /) -> str | None:
-        """Return if the master still has this key."""
         _check_holder(store, approved, approved.approval.at)
         return None
 
     def carry_out(
         self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
     ) -> None:
-        """Sign it, and deliver it; it is done when the master has it."""
         what, authority = approved.statement.what, service.unlock()
         assert isinstance(what, Delegate)  # noqa: S101 - of this kind
         _check_holder(authority.store, approved, now)
@@ -478,7 +437,6 @@ class DelegateAct:
         conclude(authority.store, f"{MASTER} may renew grants")
 
     def made(self, _service: AuthorityService, _approved: Approved, /) -> bytes:
-        """Nothing: the master has it."""
         return b""
 
 
@@ -489,7 +447,6 @@ def _changed(approved: Approved) -> PolicyChange:
 
 
 def _last_approved(store: Store) -> bytes:
-    """The digest of the last policy that was approved and put in force."""
     ends = store.approvals.ends()
     found = [
         approval.subject
@@ -508,7 +465,6 @@ def _put_in_force(
     conclude: Conclude,
     now: int,
 ) -> list[bytes]:
-    """Sign, revoke and conclude in one transaction; returns the new grants."""
     from rossec.authority.policyfile import check_record  # noqa: PLC0415 - an apply needs more
 
     revoked = sorted(grant.id for grant in plan.revoke)
@@ -540,7 +496,6 @@ def _put_in_force_by_node(
     now: int,
     refusal: HintedError,
 ) -> list[bytes]:
-    """As `_put_in_force`, without what is refused: of one node it holds up no other."""
     from rossec.authority import policyfile as policy_apply  # noqa: PLC0415 - an apply needs more
 
     with authority.store.transaction():
@@ -555,7 +510,6 @@ def _put_in_force_by_node(
 
 
 def _done(signed: int, revoked: int, plan: PolicyPlan) -> str:
-    """What was done, and what of the policy is in no grant."""
     done = f"{signed} grant{'' if signed == 1 else 's'} signed, {revoked} revoked"
     if not plan.refused:
         return done
@@ -564,11 +518,6 @@ def _done(signed: int, revoked: int, plan: PolicyPlan) -> str:
 
 
 def _check_holder(store: Store, approved: Approved, now: int) -> None:
-    """Return if the master has the key that may renew grants.
-
-    Raises:
-        StoreError: it has another, or none.
-    """
     what = approved.statement.what
     assert isinstance(what, Delegate)  # noqa: S101 - of this kind
     if store.valid_certificate(MASTER, now).thumbprint != what.holder:

@@ -79,12 +79,10 @@ class Approved(NamedTuple):
 
     @property
     def id(self) -> bytes:
-        """16 bytes."""
         return self.approval.id
 
     @property
     def reason(self) -> str:
-        """Why something was done, for the record."""
         return f"approval {self.id.hex()[:8]}"
 
 
@@ -92,26 +90,19 @@ class Act(Protocol):
     """One kind of act. All methods raise `HintedError` to refuse."""
 
     def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
-        """What is to be approved. Gives nothing away."""
+        ...
 
     def admit(self, store: Store, approved: Approved, /) -> str | None:
-        """Check once more, and record; inside the transaction of the approval.
-
-        Returns the result if it is done thereby; None: `carry_out` follows.
-        """
+        # Returns the result if it is done thereby; None: `carry_out` follows.
+        ...
 
     def carry_out(
         self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
     ) -> None:
-        """Do it with the key, and `conclude` in the same transaction.
-
-        Raises:
-            AuthorityLocked: the key is not held; it is called again.
-            NotDelivered: the master is needed, and out of reach; it is called again.
-        """
+        ...
 
     def made(self, service: AuthorityService, approved: Approved, /) -> bytes:
-        """What was made, when it is done; empty: nothing to hand out."""
+        ...
 
 
 class Immediate:
@@ -120,16 +111,15 @@ class Immediate:
     def carry_out(
         self, _service: AuthorityService, _approved: Approved, _conclude: Conclude, _now: int, /
     ) -> None:
-        """Not called."""
+        # Not called.
         raise AssertionError("done when it was approved")
 
     def made(self, _service: AuthorityService, _approved: Approved, /) -> bytes:
-        """Nothing."""
         return b""
 
 
 class _Undo(Exception):
-    """Rolls a transaction back."""
+    pass
 
 
 @contextlib.contextmanager
@@ -168,14 +158,8 @@ class Statements:
         }
 
     def add(self, shown: PreparedStatement, owner: str = "") -> None:
-        """Keep a statement of `owner`.
-
-        Where there are too many of its kind, the oldest of whoever has most makes room, and none of
-        a phone for one of a session that may only look.
-
-        Raises:
-            KeyServiceRefused: there is no room for this owner.
-        """
+        # Where there are too many of its kind, the oldest of whoever has most makes room, and none of a phone
+        # for one of a session that may only look.
         statement = shown.statement
         kept = _Shown(shown, self._elapsed() + LIFETIME)
         with self._lock:
@@ -187,11 +171,6 @@ class Statements:
                 )
 
     def take(self, number: bytes, now: int) -> PreparedStatement:
-        """The statement with this id, which is used up by this.
-
-        Raises:
-            ApprovalOutdated: it was not made here, was used, or its time is over.
-        """
         with self._lock:
             self._drop_old()
             taken = [table.pop(number) for table in self._shown.values()]
@@ -223,11 +202,6 @@ class LookersRequests:
     def check(
         self, home: AuthorityHome, arguments: tuple[Value, ...], owner: str, now: int
     ) -> None:
-        """Return if `owner` may have a request recorded, of which `arguments` begin with the CSR.
-
-        Raises:
-            KeyServiceRefused: so many of them wait already.
-        """
         if messages.rank(owner) or not arguments or not isinstance(arguments[0], bytes):
             return
         with closing(home.store()) as store:
@@ -300,16 +274,10 @@ class Approving:
         self._ends: dict[bytes, float] = {}  # by the clock that cannot be set
 
     def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        """By the operation."""
         return {"prepare": self.prepare, "approve": self.approve, "outcome": self.outcome}
 
     def prepare(self, name: str, arguments: list[Value], owner: str = "") -> Value:
-        """Make a statement for `owner`, with all that it would give away.
-
-        Raises:
-            PasskeyUnknown: there is no phone that could approve it.
-            HintedError: it would be refused.
-        """
+        # Make a statement for `owner`, with all that it would give away.
         kind, given, at = KINDS[name], tuple(arguments), self._work.now()
         with self._work.service(_PREPARING) as service:
             if kind is Kind.ENROLL:
@@ -333,12 +301,6 @@ class Approving:
         )  # fmt: skip
 
     def approve(self, number: bytes, *assertion: bytes) -> Value:
-        """Verify a touch on a statement, record it, and carry it out or let it wait.
-
-        Raises:
-            ApprovalRefused: the statement is unknown, used or late, or this is no touch on it.
-            HintedError: what was approved is refused now; nothing is recorded.
-        """
         at = self._work.now()
         shown = self._statements.take(number, at)
         statement = shown.statement
@@ -357,11 +319,6 @@ class Approving:
         return self.outcome(approval.id)
 
     def outcome(self, number: bytes) -> Value:
-        """What came of an approval.
-
-        Raises:
-            ApprovalOver: there is none.
-        """
         with self._work.service(_PREPARING) as service:
             with closing(service.home.store()) as store:
                 approval = store.approvals.get(number)
@@ -374,7 +331,6 @@ class Approving:
         return to_value(Outcome(number, str(state), "" if end is None else end.result, data))
 
     def carry_out_waiting(self) -> None:
-        """Carry out what waits, oldest first, if the key is held; end what has waited too long."""
         with closing(self._work.home().store()) as store:
             waiting = store.approvals.waiting()
         for approval in waiting:
@@ -386,10 +342,7 @@ class Approving:
                 self._carry_out(approved)
 
     def _is_over(self, approved: Approved, *, is_late: bool) -> bool:
-        """Whether it has ended for good: by a count of seconds, as a clock may be ahead for once.
-
-        What another process of the service recorded is counted from when this one first saw it.
-        """
+        # What another process of the service recorded is counted from when this one first saw it.
         left = LIFETIME + WAITS
         if not is_late:
             left = min(left, approved.statement.until + WAITS - self._work.now())
@@ -397,7 +350,7 @@ class Approving:
         return self._elapsed() > end
 
     def _carry_out(self, approved: Approved) -> None:
-        """Carry out, unless that is not possible now."""
+        # Carry out, unless that is not possible now.
         act, at = self._acts.get(approved.statement.kind), self._work.now()
         if act is None or at < approved.approval.at:
             return
@@ -418,7 +371,7 @@ class Approving:
                 self._fail(store, approved, error)
 
     def _fail(self, store: Store, approved: Approved, error: HintedError) -> None:
-        """It cannot be done, unless it was and only what follows failed."""
+        # It cannot be done, unless it was and only what follows failed.
         if store.approvals.state(approved.id) is ApprovalState.WAITING:
             self._end(approved, ApprovalState.FAILED, printable(str(error)))
         else:
@@ -434,7 +387,6 @@ class Approving:
         _log.warning("an approval came to nothing: %s", result)
 
     def _named(self, store: Store, approved: Approved) -> str:
-        """An approval for the audit: which, of what, by whom."""
         passkey = approved.approval.passkey
         name = next((each.name for each in store.passkeys.all() if each.id == passkey), "?")
         kind = approved.statement.kind.name.lower().replace("_", " ")

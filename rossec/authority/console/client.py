@@ -117,23 +117,18 @@ class ConsoleClient:
                 raise KeyServiceFailed("the authority's service does not answer", _HINT) from error
 
     async def status(self) -> Status:
-        """The service itself; ask this often."""
         return from_value(Status, await self.ask("status"))
 
     async def nodes(self) -> tuple[NodeView, ...]:
-        """The identities."""
         return many(NodeView, await self.ask("nodes"))
 
     async def grants(self) -> tuple[GrantView, ...]:
-        """The grants in force, and those that ended within 30 days."""
         return many(GrantView, await self.ask("grants"))
 
     async def identity_requests(self) -> tuple[IdentityRequestView, ...]:
-        """The requests for identities that wait."""
         return many(IdentityRequestView, await self.ask("identity-requests"))
 
     async def questions(self) -> tuple[GrantQuestion, ...]:
-        """The requests for grants that wait for a person."""
         return many(GrantQuestion, await self.ask("questions"))
 
     async def consider(self, question: bytes, coarse: str, seconds: int) -> tuple[AskedRight, ...]:
@@ -141,115 +136,87 @@ class ConsoleClient:
         return many(AskedRight, await self.ask("consider", question, coarse, seconds))
 
     async def question_answers(self, question: bytes) -> tuple[QuestionAnswer, ...]:
-        """How a question was answered; nothing while it waits."""
         return many(QuestionAnswer, await self.ask("question-answers", question))
 
     async def invitations(self) -> tuple[InvitationView, ...]:
-        """The join codes."""
         return many(InvitationView, await self.ask("invitations"))
 
     async def phones(self) -> tuple[PhoneView, ...]:
-        """The passkeys."""
         return many(PhoneView, await self.ask("phones"))
 
     async def proposals(self) -> tuple[Proposal, ...]:
-        """The passkeys that wait to be approved."""
         return many(Proposal, await self.ask("proposals"))
 
     async def approvals(self, count: int) -> tuple[ApprovalView, ...]:
-        """The newest approvals."""
         return many(ApprovalView, await self.ask("approvals", count))
 
     async def events(self, before: int, count: int) -> tuple[EventView, ...]:
-        """Entries of the log before the number `before` (0: the newest), newest first."""
         return many(EventView, await self.ask("events", before, count))
 
     async def denials(self) -> tuple[DenialView, ...]:
-        """What nodes were refused in the last day."""
         return many(DenialView, await self.ask("denials"))
 
     async def graph(self) -> tuple[FactView, ...]:
-        """The graph as it is at the master."""
         return many(FactView, await self.ask("graph"))
 
     async def policy(self) -> PolicyView:
-        """The policy file, compared with the grants in force."""
         return from_value(PolicyView, await self.ask("policy"))
 
     async def policy_names(self) -> tuple[PolicyName, ...]:
-        """What the policy calls nodes and topics, and the types of these."""
         return many(PolicyName, await self.ask("policy-names"))
 
     async def standing(self, epoch: int, seq: int) -> ListStanding:
-        """How far a revocation list has come."""
         return from_value(ListStanding, await self.ask("standing", epoch, seq))
 
     async def deny_request(self, request: bytes, reason: str) -> None:
-        """Deny a request for an identity."""
         await self.ask("deny-request", request, reason)
 
     async def deny_question(self, question: bytes, reason: str) -> None:
-        """Deny a request for grants."""
         await self.ask("deny-question", question, reason)
 
     async def revoke_grant(self, grant: bytes, reason: str) -> tuple[int, int]:
-        """Revoke a grant; returns epoch and number of the list, zeros while the key is locked."""
         return _number(await self.ask("revoke-grant", grant, reason))
 
     async def revoke_node(self, name: str, reason: str) -> tuple[int, int]:
-        """Revoke every key of a node; returns as `revoke_grant`."""
         return _number(await self.ask("revoke-node", name, reason))
 
     async def end_invitation(self, invitation: bytes, reason: str) -> None:
-        """End a join code."""
         await self.ask("end-invitation", invitation, reason)
 
     async def remove_phone(self, phone: bytes, reason: str) -> None:
-        """End a passkey: it approves nothing more."""
         await self.ask("remove-phone", phone, reason)
 
     async def end_proposal(self, proposal: bytes) -> None:
-        """Refuse a phone that waits to be approved."""
         await self.ask("end-proposal", proposal)
 
     async def prepare(self, kind: str, *arguments: Value, owner: str = "") -> Prepared:
-        """Have a statement made for `owner`, to be approved; the arguments are of `PREPARED`."""
         return from_value(Prepared, await self.ask("prepare", kind, [*arguments], owner))
 
     async def approve(self, statement: bytes, assertion: Assertion) -> Outcome:
-        """Approve the statement with this id."""
         return from_value(Outcome, await self.ask("approve", statement, *assertion))
 
     async def outcome(self, approval: bytes) -> Outcome:
-        """What came of an approval."""
         return from_value(Outcome, await self.ask("outcome", approval))
 
     async def login_challenge(self, origin: str) -> LoginChallenge:
-        """A challenge for a passkey, at the page's origin."""
         return from_value(LoginChallenge, await self.ask("login-challenge", origin))
 
     async def login(self, challenge: bytes, assertion: Assertion) -> str:
-        """Log in with a passkey; returns the phone's name."""
         return from_value(str, await self.ask("login", challenge, *assertion))
 
     async def redeem(self, code: str) -> None:
-        """Use up a code from the terminal, to look."""
         await self.ask("redeem", code)
 
     async def new_passkey(self, origin: str, rp_id: str) -> LoginChallenge:
-        """A challenge for a new passkey."""
         return from_value(LoginChallenge, await self.ask("new-passkey", origin, rp_id))
 
     async def add_passkey(self, registration: Registration) -> PhoneView:
-        """Add a passkey with a code from the terminal."""
         return from_value(PhoneView, await self.ask("add-passkey", *registration))
 
     async def propose_passkey(self, registration: Registration) -> Proposal:
-        """Propose a passkey, with a code of `phone_link`; a phone approves it."""
         return from_value(Proposal, await self.ask("propose-passkey", *registration))
 
     async def phone_link(self, owner: str = "") -> str:
-        """A code for one proposal, made for `owner`."""
         return from_value(str, await self.ask("phone-link", owner))
 
     async def _exchange(self, data: bytes) -> Value:
@@ -263,7 +230,6 @@ class ConsoleClient:
 
     @asynccontextmanager
     async def _connection(self) -> AsyncIterator[_Connection]:
-        """A free connection, or a new one; one that is left by an error or in the middle is cut."""
         connection = self._free.pop() if self._free else await _connect(self._path)
         try:
             yield connection
@@ -274,12 +240,6 @@ class ConsoleClient:
 
 
 async def _connect(path: Path) -> _Connection:
-    """Connect.
-
-    Raises:
-        OSError: nobody listens.
-        KeyServiceFailed: another user does.
-    """
     allowed = {os.geteuid()}
     directory = path.parent.stat()
     if not directory.st_mode & 0o022:

@@ -79,7 +79,6 @@ class Questions:
         self._work = work
 
     def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        """By the operation."""
         return {
             "questions": self.questions,
             "consider": self.consider,
@@ -87,11 +86,6 @@ class Questions:
         }
 
     def questions(self) -> Value:
-        """What waits for a person, oldest first; without a policy nothing does.
-
-        Raises:
-            PolicyRefused, PathRefused: the policy cannot be used.
-        """
         if not self._work.policy_path().exists():
             return []
         file = PolicyFile.read(self._work.policy_path(), own=True)
@@ -101,12 +95,7 @@ class Questions:
         return bounded("questions", [_question(file, each) for each in waiting], by_node)
 
     def consider(self, question: bytes, coarse: str, seconds: int) -> Value:
-        """What would be granted, through the filter `coarse`, for at most `seconds`.
-
-        Raises:
-            StoreError: it was answered.
-            ConfigurationError, PolicyRefused: such a filter cannot be put on it.
-        """
+        # What would be granted, through the filter `coarse`, for at most `seconds`.
         if not 0 <= seconds <= MAX_SECONDS:
             raise KeyServiceRefused(f"{seconds} s is no time for a grant", "0: as asked")
         file = PolicyFile.read(self._work.policy_path(), own=True)
@@ -116,7 +105,6 @@ class Questions:
         return to_value(tuple(_right(file, change(approve(each.verdict))) for each in found))
 
     def answers(self, question: bytes) -> Value:
-        """How a question was answered; nothing: it waits, or there is none."""
         with contextlib.closing(self._work.home().store()) as store:
             found = GrantRequestStore(store.database).answers()
         return to_value(
@@ -154,11 +142,7 @@ def is_about(stored: StoredRequest, question: bytes) -> bool:
 
 
 def pending_of(queue: ApprovalQueue, question: bytes) -> list[PendingApproval]:
-    """The rights of one question, or of a whole request, that wait for a person.
-
-    Raises:
-        StoreError: none does.
-    """
+    """The rights of one question, or of a whole request, that wait for a person."""
     found = [
         each for each in queue.pending() if is_about(each.stored, question) and not each.is_allowed
     ]
@@ -200,7 +184,6 @@ def _question(file: PolicyFile, waiting: PendingApproval) -> GrantQuestion:
 
 
 def _filters(file: PolicyFile, verdict: Verdict) -> list[str]:
-    """The filters that fit the right, those of the policy first."""
     if verdict.right is not Right.SUBSCRIBE:
         return []
     names = dict.fromkeys((*file.policy.filters, *PRESETS))
@@ -238,14 +221,12 @@ class Answer(NamedTuple):
     grants: tuple[tuple[bytes, str], ...]
 
     def to_bytes(self) -> bytes:
-        """Its encoding."""
         rights: list[Value] = [[*each] for each in self.rights]
         grants: list[Value] = [[*each] for each in self.grants]
         return encode([self.policy, rights, grants])
 
     @classmethod
     def from_bytes(cls, data: bytes) -> "Answer":
-        """Read a payload of this record, whose digest was approved."""
         match decode(data, limit=MAX_PAYLOAD):
             case [bytes(policy), [*rights], [*grants]]:
                 return cls(
@@ -255,7 +236,6 @@ class Answer(NamedTuple):
                 raise ConfigurationError(*_MALFORMED)
 
     def drafts(self) -> list[tuple[Draft, str]]:
-        """The grants to sign, with their rules."""
         return [(_draft(body), rules) for body, rules in self.grants]
 
 
@@ -266,7 +246,6 @@ class GrantAct:
         self._policy = policy
 
     def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
-        """Make the grants, as they will be signed."""
         match arguments:
             case [bytes(question), str(coarse), int(seconds)] if seconds >= 0:
                 pass
@@ -292,7 +271,6 @@ class GrantAct:
         return ToApprove(Grant(question, sha256(payload).digest()), payload)
 
     def admit(self, store: Store, approved: Approved, /) -> str | None:
-        """The question is answered."""
         answer = Answer.from_bytes(approved.approval.payload)
         self._check_policy(answer)
         table, question = GrantRequestStore(store.database), approved.approval.subject
@@ -310,7 +288,6 @@ class GrantAct:
     def carry_out(
         self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
     ) -> None:
-        """Sign exactly these grants."""
         answer, authority = Answer.from_bytes(approved.approval.payload), service.unlock()
         drafts, issuer = answer.drafts(), thumbprint(authority.signer.public_key)
         for (draft, _), (body, _) in zip(drafts, answer.grants, strict=True):
@@ -329,18 +306,12 @@ class GrantAct:
             service.store_grant(data)
 
     def made(self, _service: AuthorityService, approved: Approved, /) -> bytes:
-        """The claims of the grants, as a CBOR list: what the node was given, and until when."""
         bodies: list[Value] = [
             body for body, _ in Answer.from_bytes(approved.approval.payload).grants
         ]
         return encode(bodies)
 
     def _check_policy(self, answer: Answer) -> None:
-        """Return if the policy is the one by which the grants were made.
-
-        Raises:
-            ConfigurationError: it was changed.
-        """
         file = PolicyFile.read(self._policy, own=True)
         if sha256(file.text.encode()).digest() != answer.policy:
             raise ConfigurationError("the policy was changed meanwhile", "look at it again")
@@ -350,9 +321,6 @@ def check_seconds(seconds: int, most: int) -> None:
     """Return if the policy allows a grant for so long; 0: as long as it allows.
 
     What was approved is what is signed: a month is not made seven days without a word.
-
-    Raises:
-        KeyServiceRefused: it does not.
     """
     if seconds > most:
         raise KeyServiceRefused(
@@ -408,7 +376,6 @@ class Removals:
         self._wake = wake
 
     def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        """By the operation."""
         return {
             "deny-request": self.deny_request,
             "deny-question": self.deny_question,
@@ -419,11 +386,7 @@ class Removals:
         }
 
     def deny_request(self, digest: bytes, reason: str) -> Value:
-        """Deny a request for an identity, also one that was approved and is not issued yet.
-
-        Raises:
-            RequestClosed: it was issued, or denied before; or there is none.
-        """
+        # Deny a request for an identity, also one that was approved and is not issued yet.
         why, at = checked_reason(reason), self._work.now()
         with contextlib.closing(self._work.home().store()) as store, store.transaction():
             if store.requests.find(digest) is None:
@@ -433,11 +396,7 @@ class Removals:
         return None
 
     def deny_question(self, request: bytes, reason: str) -> Value:
-        """Deny a right, or a whole request, also if it was approved and is not signed yet.
-
-        Raises:
-            StoreError: there is no such question, or it was answered.
-        """
+        # Deny a right, or a whole request, also if it was approved and is not signed yet.
         why, at = checked_reason(reason), self._work.now()
         with contextlib.closing(self._work.home().store()) as store, store.transaction():
             table = GrantRequestStore(store.database)
@@ -451,12 +410,6 @@ class Removals:
         return None
 
     def revoke_grant(self, grant: bytes, reason: str) -> Value:
-        """Revoke a grant; returns the number of the list, `UNSIGNED` while the key is locked.
-
-        Raises:
-            StoreError: there is no such grant.
-        """
-
         def find(store: Store, _: int) -> frozenset[bytes]:
             if all(row.id != grant for row in store.grants()):
                 raise StoreError("there is no such grant", "look again: the record was changed")
@@ -465,12 +418,6 @@ class Removals:
         return self._revoke(find, reason)
 
     def revoke_node(self, name: str, reason: str) -> Value:
-        """Revoke every key of a node, or an intermediate; returns as `revoke_grant`.
-
-        Raises:
-            KeyServiceRefused: it is the authority's own node, or a master.
-            ConfigurationError: it has no valid identity.
-        """
         if name == OWN_NODE:
             raise KeyServiceRefused(
                 f"{name} is the authority's own node, which tells the master what is revoked",
@@ -484,11 +431,7 @@ class Removals:
         return self._revoke(keys_of(name), reason)
 
     def end_invitation(self, invitation: bytes, reason: str) -> Value:
-        """End a join code; what waits because of it is denied.
-
-        Raises:
-            InvitationRefused: there is none.
-        """
+        # End a join code; what waits because of it is denied.
         why, at = checked_reason(reason), self._work.now()
         with contextlib.closing(self._work.home().store()) as store, store.transaction():
             table = store.invitations
@@ -502,11 +445,7 @@ class Removals:
         return None
 
     def remove_phone(self, passkey: bytes, reason: str) -> Value:
-        """End a passkey, and what it approved and is not carried out yet.
-
-        Raises:
-            PasskeyUnknown: there is none, or it has ended.
-        """
+        # End a passkey, and what it approved and is not carried out yet.
         with contextlib.closing(self._work.home().store()) as store:
             store.remove_passkey(passkey, checked_reason(reason), self._work.now())
         return None
@@ -518,11 +457,7 @@ class Removals:
 
 
 def checked_reason(text: str) -> str:
-    """Return a reason that fits into the record.
-
-    Raises:
-        KeyServiceRefused: it is too long.
-    """
+    """Return a reason that fits into the record."""
     if len(text) > MAX_REASON:
         raise KeyServiceRefused(
             f"a reason of {len(text)} characters where {MAX_REASON} are allowed", "write less"
@@ -552,9 +487,6 @@ def revoke(work: AuthorityWork, find: Find, reason: str, purpose: str) -> tuple[
     """Record a revocation of what `find` finds, with its list unless the key is locked.
 
     Returns the number of the list, or `UNSIGNED`.
-
-    Raises:
-        ConfigurationError: this is an intermediate.
     """
     at = work.now()
     with work.service(purpose) as service:
@@ -576,7 +508,6 @@ def revoke(work: AuthorityWork, find: Find, reason: str, purpose: str) -> tuple[
 
 
 def _end_about(store: Store, kind: Kind, subject: bytes, reason: str, at: int) -> bool:
-    """End the approvals of `subject` that wait; whether there was one. Inside a transaction."""
     waiting = [
         approval
         for approval in store.approvals.about(kind, subject)

@@ -78,11 +78,7 @@ _DOMAIN: Final = re.compile(rf"{_LABEL}(\.{_LABEL})*")
 
 
 def check_page(origin: str, rp_id: str) -> None:
-    """Return if a page at `origin` can have passkeys for `rp_id`.
-
-    Raises:
-        PasskeyRefused: it cannot.
-    """
+    """Return if a page at `origin` can have passkeys for `rp_id`."""
     host = _host(origin)
     if host is None:
         raise PasskeyRefused(
@@ -99,7 +95,7 @@ def check_page(origin: str, rp_id: str) -> None:
 
 
 def _host(origin: str) -> str | None:
-    """The host of exactly an origin (RFC 6454), if it is a secure context."""
+    # The host of exactly an origin (RFC 6454), if it is a secure context.
     if len(origin) > MAX_ORIGIN:
         return None
     try:
@@ -193,11 +189,7 @@ OPERATIONS: Final[Mapping[str, tuple[type, ...]]] = {
 
 
 def read_request(body: bytes) -> Request:
-    """Read the body of a request's frame.
-
-    Raises:
-        KeyMessageRefused: malformed, or not in the tables above.
-    """
+    """Read the body of a request's frame."""
     request = messages.read_request(body, OPERATIONS, MAX_REQUEST)
     match request:
         case Request("prepare", (str() as kind, list() as arguments, str())) if tuple(
@@ -208,11 +200,7 @@ def read_request(body: bytes) -> Request:
 
 
 def checked(answer: Value) -> Value:
-    """The answer, if it is one that the console reads.
-
-    Raises:
-        KeyServiceRefused: it is too long.
-    """
+    """The answer, if it is one that the console reads."""
     if len(messages.write_answer(answer)) > MAX_ANSWER:
         raise KeyServiceRefused(
             f"the answer has more than {MAX_ANSWER} bytes", "use the commands of the authority"
@@ -236,11 +224,7 @@ def to_value(item: object) -> Value:
 
 
 def from_value(kind: type[_T], value: Value) -> _T:
-    """The record of type `kind` that `value` is.
-
-    Raises:
-        KeyMessageRefused: another number of fields, or a field of another type.
-    """
+    """The record of type `kind` that `value` is."""
     found: _T = _read(kind, value)
     return found
 
@@ -558,7 +542,6 @@ def _right(given: Permission) -> str:
 
 
 def _bodies(payload: bytes) -> list[bytes]:
-    """The claims in the payload of a grant (`grant_acts`); none if it is malformed."""
     try:
         match decode(payload, limit=kinds.MAX_PAYLOAD):
             case [_, _, [*grants]]:

@@ -58,21 +58,16 @@ class Challenges:
         self._used: dict[bytes, float] = {}  # until when, by their id
 
     def __len__(self) -> int:
-        """How many are remembered: those that were used, and are not over."""
+        # How many are remembered: those that were used, and are not over.
         return len(self._used)
 
     def make(self, purpose: Purpose, domain: str, origin: str, rp_id: str, now: int) -> Challenge:
-        """A new challenge, for the page at `origin`."""
         until, end = now + CHALLENGE_LIFETIME, int((self._elapsed() + CHALLENGE_LIFETIME) * 1000)
         said = encode([str(purpose), self._random(16), domain, origin, rp_id, now, until, end])
         return Challenge(purpose, self._mac(said) + said, domain, origin, rp_id, now, until)
 
     def open(self, purpose: Purpose, number: bytes) -> Challenge:
-        """The challenge with this id; it is not used up.
-
-        Raises:
-            OtherChallenge: it is of another purpose, not of this process, was used, or is over.
-        """
+        # The challenge with this id; it is not used up.
         mac, said = number[:_MAC], number[_MAC:]
         if not hmac.compare_digest(mac, self._mac(said)):
             raise _other()
@@ -90,11 +85,6 @@ class Challenges:
         return Challenge(purpose, number, domain, origin, rp_id, made, until)
 
     def use(self, challenge: Challenge) -> None:
-        """Use up a challenge that a passkey has answered.
-
-        Raises:
-            OtherChallenge: it was used meanwhile, or so many were that it cannot be remembered.
-        """
         with self._lock:
             now = self._elapsed()
             self._used = {number: end for number, end in self._used.items() if now < end}
@@ -148,11 +138,6 @@ class Codes:
         self._locked_until = float("-inf")
 
     def make(self, use: CodeUse, owner: str = "") -> str:
-        """A new code, base64url; the oldest of the owner who has most makes room.
-
-        Raises:
-            KeyServiceRefused: others have all of them, and none more than one.
-        """
         text = base64.urlsafe_b64encode(self._random(_SIZE)).rstrip(b"=").decode()
         code = _Code(_digest(text), self._elapsed() + CODE_LIFETIME, owner)
         with self._lock:
@@ -162,22 +147,15 @@ class Codes:
         return text
 
     def owner(self, text: str) -> str:
-        """For whom a code for a phone was made; empty: it is none."""
         with self._lock:
             found = self._codes[CodeUse.PHONE].get(_digest(text))
         return "" if found is None else found.owner
 
     def check(self, text: str, use: CodeUse) -> None:
-        """Return if `text` is a code for this use; it stays one.
-
-        Raises:
-            PhoneCodeRefused: it is not, not any more, or too many were wrong.
-        """
         with self._lock:
             self._find(text, use)
 
     def use(self, text: str, use: CodeUse) -> None:
-        """As `check`, and it is used up."""
         with self._lock:
             self._codes[use].pop(self._find(text, use).digest)
 
@@ -236,13 +214,8 @@ class Proposals:
         self._proposed: SharedTable[bytes, _Proposed] = SharedTable(MAX_PROPOSALS)
 
     def add(self, passkey: Passkey, now: int, owner: str = "") -> Proposal:
-        """Keep a passkey that was registered by a link of `owner`, and not approved.
-
-        Where there are too many, the oldest by a link of a looker makes room for one by a phone's.
-
-        Raises:
-            KeyServiceRefused: too many wait.
-        """
+        # Keep a passkey that was registered by a link of `owner`, and not approved.
+        # Where there are too many, the oldest by a link of a looker makes room for one by a phone's.
         rank = messages.rank(owner)
         with self._lock:
             self._drop_old()
@@ -260,17 +233,11 @@ class Proposals:
         return shown
 
     def all(self) -> tuple[Proposal, ...]:
-        """Those that wait, oldest first."""
         with self._lock:
             self._drop_old()
             return tuple(each.shown for _, each in self._proposed.items())
 
     def get(self, number: bytes) -> Passkey:
-        """The passkey of one proposal, to be approved.
-
-        Raises:
-            PasskeyUnknown: there is none, or not any more.
-        """
         with self._lock:
             self._drop_old()
             found = self._proposed.get(number)
@@ -282,7 +249,6 @@ class Proposals:
         return found.passkey
 
     def drop(self, number: bytes) -> None:
-        """Forget one: it was approved, or refused."""
         with self._lock:
             self._proposed.pop(number)
 

@@ -95,7 +95,6 @@ class Reading:
         self._deliveries = deliveries
 
     def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        """By the operation."""
         return {
             "nodes": self.nodes,
             "grants": self.grants,
@@ -107,7 +106,6 @@ class Reading:
         }
 
     def nodes(self) -> Value:
-        """The newest identity of each name, and others with another key that are still valid."""
         at = self._work.now()
         with self._store() as store, store.database.read_transaction():
             ended = {row.entry: row for row in store.revocations()}
@@ -130,7 +128,6 @@ class Reading:
         return bounded("identities", reversed(views), lambda view: view.name)
 
     def grants(self) -> Value:
-        """The grants in force, and those that ended within `KEPT`; newest first."""
         oldest = self._work.now() - KEPT
         with self._store() as store, store.database.read_transaction():
             ended = {row.entry: row for row in store.revocations()}
@@ -152,7 +149,6 @@ class Reading:
         return bounded("grants", views, lambda view: view.node)
 
     def identity_requests(self) -> Value:
-        """The requests for identities that wait for a person, or for the key."""
         at = self._work.now()
         with self._store() as store:
             store.requests.collect(at)
@@ -169,7 +165,6 @@ class Reading:
         return bounded("requests", reversed(views))
 
     def invitations(self) -> Value:
-        """Every join code, newest first."""
         at = self._work.now()
         with self._store() as store, store.database.read_transaction():
             views = [
@@ -183,7 +178,6 @@ class Reading:
         return bounded("join codes", reversed(views))
 
     def phones(self) -> Value:
-        """Every passkey, oldest first."""
         with self._store() as store, store.database.read_transaction():
             known, ended = store.passkeys.all(), store.passkeys.ended()
             used, by = store.approvals.last_used(), store.approvals.approvers(Kind.PASSKEY)
@@ -201,7 +195,6 @@ class Reading:
         return bounded("phones", views)
 
     def approvals(self, count: int) -> Value:
-        """The newest approvals, newest first."""
         with self._store() as store, store.database.read_transaction():
             found = store.approvals.newest(_count(count, MAX_APPROVALS))
             ends = store.approvals.ends()
@@ -218,7 +211,6 @@ class Reading:
         return bounded("approvals", views)
 
     def events(self, before: int, count: int) -> Value:
-        """Entries of the log, newest first, before the number `before`; 0: the newest."""
         with self._store() as store:
             last = min(before, _MAX_NUMBER) if before > 0 else None
             found = store.log.newest(_count(count, MAX_EVENTS), last)
@@ -255,7 +247,7 @@ def shared(items: Iterable[T], owner: Callable[[T], str], limit: int) -> list[T]
 
 
 def _in_turns(owners: Sequence[str]) -> list[int]:
-    """The places in turns: the first of each owner, then the second of each, and so on."""
+    # The places in turns: the first of each owner, then the second of each, and so on.
     count = Counter[str]()
     turns: list[tuple[int, int]] = []
     for place, owner in enumerate(owners):
@@ -287,11 +279,9 @@ class PolicyNames:
         self._names: tuple[PolicyName, ...] = ()
 
     def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        """By the operation."""
         return {"policy-names": self.names}
 
     def names(self) -> Value:
-        """Every name or pattern that has a title or a type in the policy."""
         found = self._state()
         if found != self._read:
             self._names = self._load() if found != _NOTHING else ()
@@ -328,11 +318,9 @@ class PolicyLook:
         self._work = work
 
     def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        """By the operation."""
         return {"policy": self.policy}
 
     def policy(self) -> Value:
-        """The difference, or the mistakes for which there is none."""
         path = self._work.policy_path()
         empty = PolicyView(str(path), b"", (), (), 0, ())
         if not path.exists():
@@ -361,7 +349,6 @@ class PolicyLook:
 
 
 def _right(change: Change) -> PolicyRight:
-    """A right; the last line of one that is given is its validity (`grants.policy.difference`)."""
     lines: Sequence[str] = change.restrictions
     until = ""
     if change.kind is not difference_Kind.GONE:
@@ -418,22 +405,15 @@ class MasterView:
         self._changes = 0
 
     def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        """By the operation."""
         return {"standing": self.standing, "graph": self.graph, "denials": self.denials}
 
     def look(self) -> int:
-        """A number that changes when the master says something else; asks it if that is due."""
         if self._elapsed() - self._begun >= PERIOD and self._asking.acquire(blocking=False):
             self._begun = self._elapsed()
             self._begin(self._ask_and_release)
         return self._changes
 
     def graph(self) -> Value:
-        """The graph, as it was heard last, or asked for now.
-
-        Raises:
-            NotDelivered: the master is out of reach.
-        """
         if self._elapsed() - self._heard > FRESH:
             view = GraphView()
             self._watch(view, SHORT)
@@ -441,17 +421,11 @@ class MasterView:
         return _facts(self._view)
 
     def denials(self) -> Value:
-        """The rights that nodes lacked in the last day, newest first.
-
-        Raises:
-            NotDelivered: the master is out of reach.
-        """
         if self._elapsed() - self._heard > FRESH:
             return to_value(self._recent_denials())
         return to_value(self._denials)
 
     def standing(self, epoch: int, seq: int) -> Value:
-        """How far a list has come; [0, 0]: that of all that was revoked until now."""
         self._standing_asked = self._elapsed()
         found = self._list_standing(epoch, seq)
         self._standing = found
@@ -471,7 +445,7 @@ class MasterView:
             self._asking.release()
 
     def _ask(self) -> None:
-        """Ask what pages are likely to show; a page with ticks is not kept waiting by the graph."""
+        # Ask what pages are likely to show; a page with ticks is not kept waiting by the graph.
         standing = self._standing
         if standing is not None and self._elapsed() - self._standing_asked < FRESH:
             self._note(standing, self._list_standing(standing.epoch, standing.seq))
@@ -489,11 +463,6 @@ class MasterView:
         self._changes += before != after
 
     def _watch(self, view: GraphView, within: float) -> None:
-        """Bring `view` up to date: further parts follow at once.
-
-        Raises:
-            NotDelivered: out of reach, or it says more than any graph has.
-        """
         more = True
         while more:
             answer = self._call(
@@ -526,10 +495,8 @@ class MasterView:
         return self._ask_standing(*wanted, is_published=data == self._work.published)
 
     def _ask_standing(self, epoch: int, seq: int, *, is_published: bool) -> ListStanding:
-        """What the master says of a signed list; if it does not answer, what it took before.
-
-        Nodes that hold a newer one than was asked for hold this one too.
-        """
+        # What the master says of a signed list; if it does not answer, what it took before.
+        # Nodes that hold a newer one than was asked for hold this one too.
         unknown = ListStanding(epoch, seq, True, is_published, 0, 0)
         try:
             answer = self._call(STANDING, (), "a question about a list", SHORT)
@@ -556,18 +523,12 @@ def _facts(view: GraphView) -> Value:
 
 
 def _number(text: str) -> tuple[int, int]:
-    """A list's number, as the master writes it; [0, 0] if it is none."""
     epoch, _, seq = text.partition(".")
     is_one = all(part.isascii() and part.isdigit() and len(part) < 20 for part in (epoch, seq))
     return (int(epoch), int(seq)) if is_one else (0, 0)
 
 
 def _denial(row: object, now: int) -> DenialView:
-    """One of the master's list.
-
-    Raises:
-        NotDelivered: it is none.
-    """
     match row:
         case [int(ago), str(node), int(right), str(name)]:
             return DenialView(now - ago, node, right, name)

@@ -96,11 +96,9 @@ class StatusLook:
         self._domain, self._fingerprint = anchor.domain, fingerprint(anchor)
 
     def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        """By the operation."""
         return {"status": self.status}
 
     def status(self) -> Value:
-        """How it is now."""
         home, now = self._work.home(), self._work.now()
         with contextlib.closing(home.store()) as store, store.database.read_transaction():
             size, phones = store.log.head(now).size, len(store.passkeys.active())
@@ -141,7 +139,6 @@ class ConsolePeers:
         self._known: dict[int, bytes | None] = {}  # when it started, by its number
 
     def remember(self, peer: UnixPeer) -> None:
-        """A process came to the console's socket."""
         started = self._started(peer.process)
         with self._lock:
             for process in [each for each in self._known if self._is_gone(each)]:
@@ -149,18 +146,12 @@ class ConsolePeers:
             self._known[peer.process] = started
 
     def refuse(self, peer: UnixPeer) -> None:
-        """Raise for one of them, or another that is confined in the same way.
-
-        Raises:
-            PeerUserRefused: it may not ask for the key.
-        """
         with self._lock:
             is_known = peer.process in self._known and not self._is_gone(peer.process)
         if is_known or self._is_confined(peer.process):
             raise PeerUserRefused(_REFUSED)
 
     def _is_gone(self, process: int) -> bool:
-        """Whether the process that was remembered under this number has surely ended."""
         remembered, now = self._known[process], self._started(process)
         if now is None:
             return not (self._proc / str(process)).exists() and (self._proc / "self").exists()
@@ -175,7 +166,6 @@ class ConsolePeers:
         return fields[_START] if len(fields) > _START else None
 
     def _is_confined(self, process: int) -> bool:
-        """Whether it may have no other process: `RLIMIT_NPROC` is 0."""
         try:
             limits = (self._proc / str(process) / "limits").read_bytes()
         except OSError:
@@ -196,14 +186,14 @@ CHANGES: Final = frozenset(
 
 
 def _unaudited(_: str) -> None:
-    """Nothing is written: for parts that change nothing."""
+    ...
 
 
 class Part(Protocol):
     """Some of the operations."""
 
     def handlers(self) -> Mapping[str, Handler]:
-        """By the operation: called with its arguments. Raises `HintedError` to refuse."""
+        ...
 
 
 class ConsoleService:
@@ -226,15 +216,9 @@ class ConsoleService:
 
     @property
     def missing(self) -> frozenset[str]:
-        """The operations without a handler."""
         return frozenset(OPERATIONS) - self._handlers.keys()
 
     async def carry_out(self, request: Request, caller: Caller) -> Value:
-        """Carry out a request.
-
-        Raises:
-            HintedError: refused; the text is for the person at the console.
-        """
         if request.operation not in self._handlers:
             raise KeyServiceRefused(
                 f"this service does not do {request.operation}", "restart it: rossec ca serve"
@@ -246,13 +230,11 @@ class ConsoleService:
         return await asyncio.get_running_loop().run_in_executor(thread, call)
 
     async def close(self) -> None:
-        """End the threads; what runs is finished first."""
         for thread in self._threads:
             await asyncio.to_thread(thread.shutdown, cancel_futures=True)
 
 
 def _described(request: Request) -> str:
-    """The operation and what it is about; the rest of it is in the record."""
     about = request.arguments[0]
     shown = about.hex() if isinstance(about, bytes) else printable(str(about))
     return f"{request.operation} {shown}"
@@ -273,11 +255,7 @@ class ConsolePlace(NamedTuple):
 
 
 def place(directory: Path, path: Path | None, user: str | None) -> ConsolePlace:
-    """Where the console of the authority in `directory` is: by default there.
-
-    Raises:
-        ConfigurationError: another user cannot come there, or could put a socket of their own.
-    """
+    """Where the console of the authority in `directory` is: by default there."""
     if path is not None and path.exists() and not path.is_socket():
         raise ConfigurationError(
             f"{path} is a file, and not a socket", "choose another --console-socket"
@@ -328,11 +306,9 @@ class ConsoleSocket:
         self._server = KeyServer(where.path, service.carry_out, peers.remember, rules)
 
     async def start(self) -> None:
-        """Listen; raises as `KeyServer.start`."""
         await self._server.start()
 
     async def close(self) -> None:
-        """Stop listening, and end the threads."""
         await self._server.close()
         await self._service.close()
 
@@ -399,7 +375,7 @@ class Console:
         return self._network is not None and self._network.has_master
 
     def _seen(self) -> tuple[object, ...]:
-        """What the console shows and the record does not say."""
+        # What the console shows and the record does not say.
         return self.master.look(), *(each.id for each in self.access.proposals.all())
 
 
@@ -413,7 +389,6 @@ class Deliveries:
         self._asked = float("-inf")
 
     def states(self) -> dict[bytes, str]:
-        """By the id of the grant; empty while there is no master."""
         now = time.monotonic()
         if not self._has_master():
             return {}

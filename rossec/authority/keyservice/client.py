@@ -113,7 +113,6 @@ class KeyServiceClient:
         return _as_status(self.ask(Request(messages.UNLOCK, (seconds, passphrase))))
 
     def lock(self) -> dict[str, Value]:
-        """Lock it. Returns as `status`."""
         return _as_status(self.ask(Request(messages.LOCK)))
 
     def phone_code(self) -> str:
@@ -150,7 +149,6 @@ class RemoteSigner:
 
     @property
     def public_key(self) -> ec.EllipticCurvePublicKey:
-        """The public key."""
         return self._public_key
 
     def sign(self, message: bytes) -> bytes:
@@ -166,7 +164,6 @@ class RemoteSigner:
         return answer
 
     def close(self) -> None:
-        """End the connection to the service."""
         self._client.close()
 
     def _verifies(self, signature: bytes, message: bytes) -> bool:

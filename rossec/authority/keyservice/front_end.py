@@ -74,7 +74,6 @@ class Face:
         self._channel: InnerChannel | None = None
 
     async def run(self, sock: socket.socket) -> None:
-        """Serve until the service ends its end of `sock`."""
         handlers = {messages.CALL: self._call}
         channel = self._channel = InnerChannel(sock, handlers, messages.MAX_FROM_SERVICE)
         try:
@@ -83,7 +82,7 @@ class Face:
             await self._server.close()
 
     async def _serve(self, channel: InnerChannel) -> None:
-        """Listen, and say so; returns if that is not possible."""
+        # Listen, and say so; returns if that is not possible.
         try:
             host, port = _host_and_port(self._join_address)
             await self._server.listen(host, port)
@@ -97,7 +96,6 @@ class Face:
         await asyncio.Event().wait()
 
     def _live(self) -> LiveIdentity:
-        """The identity of `/ca` as of now: it is renewed while this runs."""
         now = asyncio.get_running_loop().time()
         if self._identity is None or now - self._read_at > _FRESH:
             own, root = self._node.credentials(), self._node.anchor().certificate
@@ -117,18 +115,12 @@ class Face:
         return found
 
     async def _ask(self, operation: str, data: bytes) -> JoinMessage | None:
-        """The service's answer to what a node sent."""
         if self._channel is None:
             raise ConfigurationError("the service is not there yet")
         answer = await self._channel.call(operation, data, within=DECISION)
         return read(answer) if isinstance(answer, bytes) else None
 
     async def _call(self, method: str, arguments: list[Value], seconds: int) -> Value:
-        """Call `method` of the master; returns the value of its answer.
-
-        Raises:
-            NotDelivered: it is out of reach, or refuses.
-        """
         try:
             async with asyncio.timeout(seconds):
                 own, anchor = self._node.credentials(), self._node.anchor()
@@ -150,11 +142,6 @@ async def _ask(client: RpcClient, name: str, method: str, arguments: list[Value]
 
 
 def _host_and_port(text: str) -> tuple[str | None, int]:
-    """The address to listen on; None: every address of this host.
-
-    Raises:
-        ConfigurationError: not an address.
-    """
     if text == ANY or text.startswith(f"{ANY}:"):
         return None, addresses.split(f"localhost{text[1:]}", addresses.JOIN_PORT)[1]
     return addresses.split(text, addresses.JOIN_PORT)

@@ -48,11 +48,6 @@ class InnerChannel:
         self._connected = asyncio.Event()
 
     async def run(self) -> None:
-        """Serve until the other side ends.
-
-        Raises:
-            KeyMessageRefused: it breaks the protocol.
-        """
         reader, self._writer = await asyncio.open_connection(sock=self._socket)
         self._connected.set()
         try:
@@ -71,13 +66,6 @@ class InnerChannel:
             await self._tasks.close()
 
     async def call(self, operation: str, *arguments: Value, within: float) -> Value:
-        """Ask the other side; returns its answer.
-
-        Raises:
-            KeyServiceRefused: it refuses, or has ended.
-            TimeoutError: no answer `within` seconds.
-            EncodingError: an argument is no CBOR value.
-        """
         await self._connected.wait()
         if self._writer is None:
             raise KeyServiceRefused(_ENDED, "it is started again")

@@ -74,11 +74,7 @@ class Authority(NamedTuple):
 
 
 def kind_of(message: bytes, authority: Authority) -> str:
-    """What `message` is, in words for the audit; it is what `Signer.sign` gets.
-
-    Raises:
-        SigningRefused: nothing that this authority signs.
-    """
+    """What `message` is, in words for the audit; it is what `Signer.sign` gets."""
     if len(message) > MAX_MESSAGE:
         raise SigningRefused(f"{len(message)} bytes to sign are more than any statement", _HINT)
     for kind, profile in _STATEMENTS.items():
@@ -159,11 +155,7 @@ def read_request(
     operations: Mapping[str, tuple[type, ...]] = OPERATIONS,
     limit: int = MAX_FRAME,
 ) -> Request:
-    """Read the body of a request's frame, for the table `operations`.
-
-    Raises:
-        KeyMessageRefused: malformed, another version, or not an operation with its arguments.
-    """
+    """Read the body of a request's frame, for the table `operations`."""
     match _decode(body, limit):
         case [version, str() as operation, *arguments] if operation in operations:
             if (
@@ -187,12 +179,7 @@ def write_refusal(error: HintedError) -> bytes:
 
 
 def read_answer(body: bytes, limit: int = MAX_FRAME) -> Value:
-    """Read the body of an answer's frame.
-
-    Raises:
-        HintedError: the refusal that the answer is, as one of `REFUSALS`.
-        KeyMessageRefused: malformed.
-    """
+    """Read the body of an answer's frame."""
     match _decode(body, limit):
         case [0, value]:
             return value
@@ -249,11 +236,7 @@ InnerMessage: TypeAlias = InnerRequest | InnerAnswer | InnerRefusal
 
 
 def write(message: InnerMessage) -> bytes:
-    """The frame of a message.
-
-    Raises:
-        EncodingError: a value that CBOR messages cannot hold here.
-    """
+    """The frame of a message."""
     match message:
         case InnerRequest(number, operation, arguments):
             body = encode([0, number, operation, *arguments])
@@ -265,11 +248,7 @@ def write(message: InnerMessage) -> bytes:
 
 
 def read(body: bytes, limit: int) -> InnerMessage:
-    """Read the body of a frame.
-
-    Raises:
-        KeyMessageRefused: malformed, or not in the table of operations.
-    """
+    """Read the body of a frame."""
     try:
         value = decode(body, limit=limit)
     except EncodingError as error:

@@ -65,11 +65,9 @@ class Rounds:
         self._loop: asyncio.AbstractEventLoop | None = None
 
     def add(self, task: Task, *, first: bool = False) -> None:
-        """Call `task` in every round, as the last or `first` one."""
         self._tasks.insert(0 if first else len(self._tasks), task)
 
     def wake(self) -> None:
-        """Begin a round now; for every thread."""
         if self._loop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._due.set)
 
@@ -107,11 +105,6 @@ class JoinNames:
             self._runner = RuleRunner(rules, children=CHILDREN, seconds=SECONDS)
 
     async def __aenter__(self) -> Self:
-        """Try the rules.
-
-        Raises:
-            RossecError: they are refused, or cannot be applied here; as `RuleRunner`.
-        """
         if self._runner is not None:
             await self._runner.__aenter__()
         return self
@@ -126,7 +119,6 @@ class JoinNames:
             self._runner.close()
 
     async def answer(self, metadata: bytes, pattern: str) -> NameAnswer:
-        """The name for `metadata`, if an invitation for `pattern` allows it."""
         if self._runner is None:
             return Refused(RefuseReason.UNNAMED)
         try:
@@ -153,7 +145,7 @@ class CallsMaster(Protocol):
     """What calls the master (`FaceProcess`)."""
 
     async def call(self, method: str, arguments: list[Value], within: int) -> Value:
-        """The value of its answer."""
+        ...
 
 
 class RenewalWatch:
@@ -173,11 +165,9 @@ class RenewalWatch:
         self._said = ""
 
     def wake(self) -> None:
-        """Look again now: the key may have been unlocked."""
         self._looks_again.set()
 
     async def run(self) -> None:
-        """Ask the master, and answer, again and again."""
         pause, reached = FIRST_PAUSE, time.monotonic()
         while True:
             self._looks_again.clear()
@@ -202,11 +192,6 @@ class RenewalWatch:
                 await self._wait(FIRST_PAUSE)
 
     async def _look(self, *, locked: bool) -> int:
-        """Ask the master once; returns how many requests were answered.
-
-        Raises:
-            HintedError, TimeoutError: it is out of reach, or of an older version.
-        """
         answer = await self._face.call(WATCH_RENEWALS, [int(locked)], WITHIN)
         match answer:
             case {"renewals": list() as items, "waiting": int() as waiting}:
@@ -234,7 +219,6 @@ class RenewalWatch:
             return
 
     def _say(self, text: str) -> None:
-        """Once, until something else is to be said."""
         if text != self._said:
             _log.warning("%s", text)
         self._said = text
@@ -329,7 +313,7 @@ class NetworkWork:
         return write(await self._named(JoinClaim.from_bytes(data)))
 
     async def _named(self, asked: JoinClaim | JoinRequest) -> NameAnswer:
-        """The name for the metadata in there, which are looked at by the process for rules only."""
+        # The name for the metadata in there, which are looked at by the process for rules only.
         pattern = await self._in_thread(self.work.allowed_pattern, asked)
         if isinstance(pattern, Refused):
             return pattern
@@ -349,7 +333,6 @@ class NetworkWork:
         return answer
 
     async def _give_to_joined(self) -> None:
-        """For all that joined meanwhile at once: the policy is read once, and one call delivers."""
         give = self.work.apply if self._applies else self.work.grant_outright
         async with self._giving:
             names, self._joined = self._joined, []
@@ -367,7 +350,6 @@ class NetworkWork:
         await self.rounds.run()
 
     def _renewals_again(self) -> None:
-        """In the thread of the work: a round begins when the key was unlocked."""
         if self._loop is not None and self._renewals is not None:
             self._loop.call_soon_threadsafe(self._renewals.wake)
 
@@ -379,11 +361,6 @@ class NetworkWork:
 
 
 def _as_value(item: object) -> Value:
-    """An argument of a call: a plain value, or a list of such.
-
-    Raises:
-        EncodingError: of another type.
-    """
     match item:
         case bytes() | str() | int():
             return item

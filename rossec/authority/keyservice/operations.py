@@ -189,7 +189,6 @@ class KeyOperations:
                 return self.lock(caller)
 
     def status(self) -> Value:
-        """Whether the key is held, and for how long; see `HeldKey.remaining`."""
         remaining = self.held.remaining()
         return {**self._describe(), "locked": remaining is None, "remaining": remaining}
 
@@ -251,7 +250,6 @@ class KeyOperations:
         return self.status()
 
     def lock_if_over(self) -> None:
-        """Drop the key if its time is over."""
         if self.held.drop_if_over():
             self._audit("locked: its time is over")
 
@@ -271,13 +269,11 @@ class OwnSigner:
 
     @property
     def public_key(self) -> ec.EllipticCurvePublicKey:
-        """The public key."""
         return self._public_key
 
     def sign(self, message: bytes) -> bytes:
-        """As `KeyOperations.sign`, for the purpose named in the audit."""
         return self._operations.sign(message, self.purpose)
 
 
 def _nothing() -> None:
-    """No work waits."""
+    ...

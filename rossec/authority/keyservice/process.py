@@ -185,11 +185,6 @@ class KeyServer:
             await _send(writer, await self._answer(request, caller))
 
     def _admitted(self, writer: asyncio.StreamWriter) -> Caller:
-        """Who is at the other end, if it may ask.
-
-        Raises:
-            OSError: it may not; it gets no answer.
-        """
         try:
             sock = raw_socket(writer.get_extra_info("socket"))
             require_user(sock, self._rules.users or {os.geteuid()})
@@ -237,7 +232,6 @@ def operations_of(
     }
 
     def load(secret: str) -> Signer:
-        """The key, if it belongs to the certificate."""
         return Authority(home.load_key(secret), anchor.certificate, own).signer
 
     authority = messages.Authority(subject, anchor.domain)
@@ -281,11 +275,9 @@ class KeyServiceProcess:
         self._server = KeyServer(home.path / SOCKET, self._carry_out, admit)
 
     async def start(self) -> None:
-        """Listen; raises as `KeyServer.start`."""
         await self._server.start()
 
     async def close(self) -> None:
-        """Stop listening, and drop the key."""
         await self._server.close()
         self.operations.held.lock()
 
@@ -435,7 +427,6 @@ class FaceProcess:
             self._channel = None
 
     async def _end(self) -> None:
-        """Reap it: it ends with the connection, or is killed. Until then `admit` refuses it."""
         process = self._process
         if process is None:
             return

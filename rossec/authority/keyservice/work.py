@@ -81,11 +81,9 @@ class AuthorityWork:
         return self._now()
 
     def policy_path(self) -> Path:
-        """The policy file that the service uses."""
         return policyfile.place(self._rossec_home, self._policy)
 
     def home(self) -> AuthorityHome:
-        """The authority's directory."""
         return AuthorityHome.at(self._rossec_home)
 
     def join(self, data: bytes) -> tuple[bytes, str | None]:
@@ -231,7 +229,7 @@ class AuthorityWork:
                         self._undelivered_since = None
 
     def _level(self, error: Exception) -> int:
-        """A master that is not there yet is no warning: the key is usually unlocked before."""
+        # A master that is not there yet is no warning: the key is usually unlocked before.
         if not isinstance(error, NotDelivered):
             return logging.WARNING
         if self._undelivered_since is None:
@@ -245,11 +243,8 @@ class AuthorityWork:
             renewals.renew_own_node(authority, self._now())
 
     def _publish(self, service: AuthorityService) -> None:
-        """Deliver the newest lists, whoever signed them, until the master has taken them.
-
-        It is asked in each round whether it has the list still: it may be another master since, or
-        one that was set back to an older state, and would let the revoked in.
-        """
+        # It is asked in each round whether it has the list still: it may be another master since, or one that
+        # was set back to an older state, and would let the revoked in.
         found = service.home.domain_list()
         newest, domains = service.home.revocation_list(), b"" if found is None else found[0]
         known = (newest, domains) == (self.published, self._published_domains)
@@ -304,10 +299,7 @@ def _log_refused(refused: Iterable[RefusedDeposit]) -> None:
 
 
 def _to_try_alone(error: HintedError, names: Collection[str] | None) -> Collection[str]:
-    """The names to try one by one: the policy is in order, but refused for one of them.
-
-    Or the key of one was revoked in this moment.
-    """
+    # Or the key of one was revoked in this moment.
     is_of_one = isinstance(error, PolicyRefused | StoreError) and not getattr(error, "mistakes", ())
     return names if is_of_one and names is not None and len(names) > 1 else ()
 

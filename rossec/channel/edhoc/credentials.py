@@ -44,12 +44,10 @@ class PeerIdentity(Protocol):
 
     @property
     def public_key(self) -> PublicKey:
-        """The key in its certificate."""
         ...
 
     @property
     def not_after(self) -> int:
-        """The second from which the certificate no longer holds."""
         ...
 
 
@@ -73,17 +71,14 @@ class OwnCredential(Protocol):
 
     @property
     def id_cred(self) -> Value:
-        """ID_CRED_x, a COSE header map."""
         ...
 
     @property
     def certificate(self) -> bytes:
-        """CRED_x without its CBOR frame: the DER of the end-entity certificate."""
         ...
 
     @property
     def public_key(self) -> PublicKey:
-        """The certified key."""
         ...
 
     @property
@@ -92,7 +87,6 @@ class OwnCredential(Protocol):
         ...
 
     def sign(self, message: bytes) -> bytes:
-        """Sign with the certified key: 64 bytes."""
         ...
 
 
@@ -109,21 +103,17 @@ class Credentials:
 
     @property
     def id_cred(self) -> Value:
-        """`{33: certificate}`, or `{33: [certificate, ...]}` for a longer chain."""
         return {X5CHAIN: self.chain[0] if len(self.chain) == 1 else list(self.chain)}
 
     @property
     def certificate(self) -> bytes:
-        """The end-entity certificate, DER."""
         return self.chain[0]
 
     @property
     def public_key(self) -> PublicKey:
-        """The certified key."""
         return self.signer.public_key
 
     def sign(self, message: bytes) -> bytes:
-        """ES256 over `message`."""
         return self.signer.sign(message)
 
 
@@ -140,7 +130,6 @@ class LiveCredentials:
 
     @property
     def current(self) -> Credentials:
-        """Those of the next handshake."""
         return self._current
 
     @current.setter
@@ -151,26 +140,21 @@ class LiveCredentials:
 
     @property
     def id_cred(self) -> Value:
-        """As of `Credentials`."""
         return self.current.id_cred
 
     @property
     def certificate(self) -> bytes:
-        """As of `Credentials`."""
         return self.current.certificate
 
     @property
     def public_key(self) -> PublicKey:
-        """As of `Credentials`."""
         return self.current.public_key
 
     @property
     def shared(self) -> bool:
-        """As of `Credentials`."""
         return self.current.shared
 
     def sign(self, message: bytes) -> bytes:
-        """As of `Credentials`; the key is the same before and after."""
         return self.current.sign(message)
 
 
@@ -274,7 +258,6 @@ class KnownCertificates:
             self._introduced.popitem(last=False)
 
     def is_introduced(self, certificate: bytes) -> bool:
-        """Whether the holder of `certificate` is likely to know this node's own."""
         return certificate in self._introduced
 
     def note_address(self, address: tuple[str, int]) -> None:
@@ -285,7 +268,6 @@ class KnownCertificates:
             self._addresses.popitem(last=False)
 
     def knows_address(self, address: tuple[str, int]) -> bool:
-        """Whether the certificate of the peer at this host and port is likely to be known."""
         return address in self._addresses
 
     def forget_introductions(self) -> None:
@@ -312,7 +294,6 @@ class OwnDials:
         return len(self._pending)
 
     def begin(self, g_x: bytes) -> Dial:
-        """Note a dial that is meant for this node; it lasts as long as the object returned."""
         dial = self._pending[g_x] = Dial()
         return dial
 
@@ -323,6 +304,5 @@ class OwnDials:
             dial.g_y = g_y
 
     def is_own(self, g_x: bytes, g_y: bytes) -> bool:
-        """Whether this node dialled itself with `g_x` and answered with `g_y`."""
         dial = self._pending.get(g_x)
         return dial is not None and dial.g_y == g_y

@@ -94,8 +94,6 @@ class EdhocConfig(Generic[PeerT]):
 
 
 class _Statement(NamedTuple):
-    """What one side claims in message_2 or message_3, in the form that is MACed and signed."""
-
     label: KdfLabel
     prefix: bytes  # C_R in message_2, nothing in message_3
     id_cred: bytes
@@ -128,23 +126,21 @@ class EdhocPeer(Generic[PeerT]):
 
     @property
     def config(self) -> EdhocConfig[PeerT]:
-        """This side's inputs."""
         return self._config
 
     @property
     def suite(self) -> Suite:
-        """The suite both sides agreed on."""
         return self._suite
 
     @property
     def exporter(self) -> EdhocExporter:
-        """The secret for the records, once there is one."""
+        # The secret for the records, once there is one.
         if self._exporter is None:
             raise HandshakeFailed("the handshake is not finished")
         return self._exporter
 
     def forget(self) -> None:
-        """Drop the secrets; Python cannot wipe them."""
+        # Drop the secrets; Python cannot wipe them.
         self._prk = GONE
         self._exporter = None
 
@@ -153,7 +149,6 @@ class EdhocPeer(Generic[PeerT]):
         self._prk = extract(self._th, shared)
 
     def _state(self, label: KdfLabel, c_r: bytes | None) -> bytes:
-        """Sign this side's statement, advance the transcript, return the plaintext."""
         own = self._config.credential
         prefix = b"" if c_r is None else encode_identifier(c_r)
         self.sent = own.certificate
@@ -167,7 +162,6 @@ class EdhocPeer(Generic[PeerT]):
         return plaintext
 
     def _check(self, label: KdfLabel, plaintext: bytes, now: int) -> PeerT:
-        """Verify the peer's statement, advance the transcript, return the peer."""
         parsed = decode_plaintext(plaintext, with_c_r=label is KdfLabel.MAC_2)
         certificate, peer = self._identify(parsed.id_cred, now)
         prefix = b"" if parsed.c_r is None else encode_identifier(parsed.c_r)
@@ -194,10 +188,7 @@ class EdhocPeer(Generic[PeerT]):
         return chain[0], peer
 
     def _check_meant(self, peer: PeerT) -> None:
-        """Refuse this node where another one is expected, and another one where this node is.
-
-        The key is compared: a renewed certificate has the same.
-        """
+        # The key is compared: a renewed certificate has the same.
         own, dials = self._config.credential, self._config.own_dials
         is_own_key = peer.public_key == own.public_key
         is_itself = is_own_key and dials is not None and dials.is_own(self._g_x, self._g_y)
@@ -262,12 +253,10 @@ class Initiator(EdhocPeer[PeerT]):
         self._message_1 = Message1(METHOD, suites, self._g_x, c_i).encode()
 
     def message_1(self) -> bytes:
-        """Return message_1; the same bytes every time."""
         return self._message_1
 
     @property
     def answered(self) -> bool:
-        """Whether message_2 has been accepted; after it no retry makes sense."""
         return self._exporter is not None
 
     def after_wrong_suite(self, offered: tuple[int, ...]) -> "Initiator[PeerT]":
@@ -354,7 +343,6 @@ class Responder(EdhocPeer[PeerT]):
         return self._message_2(g_y)
 
     def _select(self, offered: tuple[int, ...]) -> Suite:
-        """The selected suite, if it is the first of the list that this side uses."""
         usable = [number for number in offered if number in self._config.suites]
         if not usable or usable[0] != offered[-1]:
             raise WrongSuite((usable[0],) if usable else self._config.suites)

@@ -41,7 +41,6 @@ class Message1(NamedTuple):
     c_i: bytes
 
     def encode(self) -> bytes:
-        """Encode as a CBOR sequence."""
         several = len(self.suites) > 1
         suites = encode(suites_item(self.suites)) if several else _encode_int(self.suites[0])
         return _encode_int(self.method) + suites + bstr(self.g_x) + encode_identifier(self.c_i)
@@ -56,7 +55,6 @@ class Plaintext(NamedTuple):
     ead: bytes = b""
 
     def encode(self) -> bytes:
-        """Encode as a CBOR sequence."""
         c_r = b"" if self.c_r is None else encode_identifier(self.c_r)
         return c_r + encode_id_cred(self.id_cred) + bstr(self.signature) + self.ead
 
@@ -72,11 +70,7 @@ def encode_identifier(value: bytes) -> bytes:
 
 
 def decode_message_1(data: bytes) -> Message1:
-    """Decode message_1; an EAD_1 is parsed and must hold nothing critical.
-
-    Raises:
-        HandshakeFailed: wrong structure. Lengths of G_X belong to the suite and are checked there.
-    """
+    """Decode message_1; an EAD_1 is parsed and must hold nothing critical."""
     usual = _usual_message_1(data)
     if usual is not None:
         return usual
@@ -89,11 +83,7 @@ def decode_message_1(data: bytes) -> Message1:
 
 
 def decode_bytes(data: bytes) -> bytes:
-    """Decode message_2, message_3 or message_4: one byte string.
-
-    Raises:
-        HandshakeFailed: anything else.
-    """
+    """Decode message_2, message_3 or message_4: one byte string."""
     body = _body(data)
     if len(data) > MAX_MESSAGE or bstr(body) != data:
         raise HandshakeFailed("a handshake message is not one byte string")
@@ -101,11 +91,7 @@ def decode_bytes(data: bytes) -> bytes:
 
 
 def decode_plaintext(data: bytes, *, with_c_r: bool) -> Plaintext:
-    """Decode PLAINTEXT_2 (`with_c_r`) or PLAINTEXT_3.
-
-    Raises:
-        HandshakeFailed: wrong structure, a `kid` in any form, a critical EAD, a wrong length.
-    """
+    """Decode PLAINTEXT_2 (`with_c_r`) or PLAINTEXT_3."""
     start = 1 if with_c_r else 0
     usual = _usual_plaintext(data, start, RENEWALS_EAD) or _usual_plaintext(data, start, b"")
     if usual is not None:
@@ -126,11 +112,7 @@ def says_renewals(ead: bytes) -> bool:
 
 
 def decode_plaintext_4(data: bytes) -> None:
-    """Check PLAINTEXT_4, which is at most an EAD.
-
-    Raises:
-        HandshakeFailed: wrong structure or a critical EAD.
-    """
+    """Check PLAINTEXT_4, which is at most an EAD."""
     if data:
         _check_ead(_sequence(data, MAX_MESSAGE))
 
@@ -168,7 +150,6 @@ def printable(text: str) -> str:
 
 
 def _usual_message_1(data: bytes) -> Message1 | None:
-    """METHOD and one suite below 24, G_X, a short C_I, no EAD."""
     item = data[2:-1]
     g_x, ends = _body(item), (data[0:1], data[1:2], data[-1:])
     if len(data) > MAX_MESSAGE_1 or bstr(g_x) != item or not all(map(_is_small_int, ends)):
@@ -177,7 +158,6 @@ def _usual_message_1(data: bytes) -> Message1 | None:
 
 
 def _usual_plaintext(data: bytes, start: int, ead: bytes) -> Plaintext | None:
-    """A C_R of `start` bytes, an x5chain of one certificate, a signature, and this EAD."""
     end = len(data) - SIGNATURE_LENGTH - len(ead)
     item = data[start + len(X5CHAIN_HEAD) : end - len(_SIGNATURE_HEAD)]
     certificate = _body(item)
@@ -195,7 +175,6 @@ def _usual_plaintext(data: bytes, start: int, ead: bytes) -> Plaintext | None:
 
 
 def _body(item: bytes) -> bytes:
-    """The content of a byte string, if `item` is one of up to 64 KiB; else anything."""
     return item[_HEADS.get(item[:1], 1) :]
 
 
@@ -215,7 +194,7 @@ def _sequence(data: bytes, limit: int) -> list[Value]:
 
 
 def _decode_suites(value: Value) -> tuple[int, ...]:
-    """Suites = [2* int] / int (RFC 9528 section 5.2.1)."""
+    # Suites = [2* int] / int (RFC 9528 section 5.2.1).
     items = value if isinstance(value, list) else [value]
     ints = [item for item in items if isinstance(item, int) and not isinstance(item, bool)]
     if len(ints) != len(items) or len(items) > MAX_SUITES:
@@ -234,12 +213,10 @@ def _decode_identifier(value: Value) -> bytes:
 
 
 def _is_small_int(value: bytes) -> bool:
-    """Whether this one byte is the CBOR encoding of an integer from -24 to 23."""
     return len(value) == 1 and (value[0] <= 0x17 or 0x20 <= value[0] <= 0x37)
 
 
 def _check_ead(items: list[Value]) -> bytes:
-    """Parse 1*(label, ? value); refuse critical ones, none is known; return the bytes."""
     previous_was_label = False
     for item in items:
         if isinstance(item, bytes) and previous_was_label:

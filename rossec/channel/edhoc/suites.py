@@ -53,11 +53,11 @@ class KeyExchange(Protocol):
     responder_length: int
 
     def start(self, random: Random) -> tuple[Finish, bytes]:
-        """Return what turns G_Y into the shared secret, and G_X to send."""
+        # Return what turns G_Y into the shared secret, and G_X to send.
         ...
 
     def answer(self, random: Random, g_x: bytes) -> tuple[bytes, bytes]:
-        """Return G_Y to send and the shared secret."""
+        # Return G_Y to send and the shared secret.
         ...
 
 
@@ -68,12 +68,11 @@ class X25519Exchange:
     responder_length = 32
 
     def start(self, random: Random) -> tuple[Finish, bytes]:
-        """Return what finishes the exchange, and G_X."""
         key = x25519.X25519PrivateKey.from_private_bytes(random(32))
         return partial(_x25519, key), key.public_key().public_bytes_raw()
 
     def answer(self, random: Random, g_x: bytes) -> tuple[bytes, bytes]:
-        """Return G_Y and the shared secret."""
+        # Return G_Y and the shared secret.
         finish, g_y = self.start(random)
         return g_y, finish(g_x)
 
@@ -88,13 +87,12 @@ class P256Exchange:
     responder_length = 32
 
     def start(self, random: Random) -> tuple[Finish, bytes]:
-        """Return what finishes the exchange, and G_X."""
         scalar = int.from_bytes(random(40)) % (_P256_ORDER - 1) + 1  # bias below 2^-64
         key = ec.derive_private_key(scalar, ec.SECP256R1())
         return partial(_p256, key), key.public_key().public_numbers().x.to_bytes(32)
 
     def answer(self, random: Random, g_x: bytes) -> tuple[bytes, bytes]:
-        """Return G_Y and the shared secret."""
+        # Return G_Y and the shared secret.
         finish, g_y = self.start(random)
         return g_y, finish(g_x)
 
@@ -111,13 +109,12 @@ class HybridExchange:
     responder_length = 1088 + 32
 
     def start(self, random: Random) -> tuple[Finish, bytes]:
-        """Return what finishes the exchange, and G_X."""
         key = mlkem.MLKEM768PrivateKey.from_seed_bytes(random(64))
         finish, share = _X25519.start(random)
         return partial(_hybrid, key, finish), key.public_key().public_bytes_raw() + share
 
     def answer(self, random: Random, g_x: bytes) -> tuple[bytes, bytes]:
-        """Return G_Y and the shared secret."""
+        # Return G_Y and the shared secret.
         try:
             key = mlkem.MLKEM768PublicKey.from_public_bytes(g_x[:1184])
         except ValueError:
@@ -233,7 +230,6 @@ class Secret:
         self._hmac = HMAC(key, _SHA256)
 
     def expand(self, info: bytes, length: int) -> bytes:
-        """EDHOC_Expand: HKDF-Expand, at most 8160 bytes."""
         if length > HASH_LENGTH:
             return HKDFExpand(_SHA256, length, info).derive(self._key)
         block = self._hmac.copy()  # one block alone: RFC 5869 section 2.3
@@ -300,7 +296,6 @@ class EdhocExporter:
 
     @classmethod
     def derive(cls, prk_4e3m: Secret, th_4: bytes) -> "EdhocExporter":
-        """PRK_out = EDHOC_KDF( PRK_4e3m, 7, TH_4, hash_length )."""
         return cls(kdf(prk_4e3m, KdfLabel.PRK_OUT, th_4, HASH_LENGTH))
 
     def export(self, label: int, context: bytes, length: int) -> bytes:
@@ -308,7 +303,6 @@ class EdhocExporter:
         return kdf(self._prk_exporter, label, context, length)
 
     def bare(self) -> "EdhocExporter":
-        """The same without the cached key for `export`."""
         return EdhocExporter(self.prk_out)
 
     def update(self, context: bytes) -> "EdhocExporter":

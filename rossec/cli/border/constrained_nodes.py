@@ -88,7 +88,7 @@ def add(
 
 
 def _secret(things: ThingFiles, name: str, out: Path | None) -> Path:
-    """Make a secret, give it to its owner, and return the file that describes it."""
+    # Make a secret, give it to its owner, and return the file that describes it.
     if out is not None and out.exists():
         raise ConfigurationError(f"{out} exists and is not overwritten", "name a new file")
     if out is not None and not out.parent.is_dir():  # before a secret is made that nobody gets

@@ -70,7 +70,6 @@ def _print_ready(router: BorderRouter, *, as_json: bool) -> None:
 
 
 async def _write_status(router: BorderRouter) -> None:
-    """Say what it does, again and again; a full disk is no reason to end."""
     while True:
         try:
             border_router.write_status(

@@ -154,7 +154,6 @@ def show_request(service: AuthorityService, row: RequestRow, *, wildcard: bool) 
 
 
 def _enrollment_status(store: Store, row: RequestRow) -> str:
-    """Whether the name is enrolled already, and with which key."""
     known = store.identities.valid(row.name, now())
     if any(each.thumbprint != row.thumbprint for each in known):
         until = format_time(known[-1].not_after)
@@ -278,7 +277,6 @@ def enroll(
 
 
 def _read_code(code: str | None, image: Path | None, csr_file: Path | None) -> qr.Code:
-    """The code from exactly one source; with none, ask at the terminal."""
     if sys.stdin.isatty() and (code, image, csr_file) == (None, None, None):
         code = _prompt_for_code()
     match (code, image, csr_file):
@@ -295,7 +293,6 @@ def _read_code(code: str | None, image: Path | None, csr_file: Path | None) -> q
 
 
 def _prompt_for_code() -> str:
-    """Text pasted here needs no quotes, unlike in a shell."""
     try:
         typed: str = click.prompt("the text below the code", err=True)
     except click.Abort as abort:
@@ -307,7 +304,6 @@ def _prompt_for_code() -> str:
 def _destination(
     code: qr.Code, given_address: str | None, csr_file: Path | None
 ) -> Destination | None:
-    """Where the node waits; None if files are copied by hand."""
     if given_address is not None or code.address:
         return addresses.split(given_address or code.address)
     if csr_file is not None:
@@ -333,7 +329,6 @@ def _source(code: qr.Code, csr_file: Path | None, destination: Destination | Non
 
 
 def _deliver_identity(core: AuthorityEnrollment, bundle: bytes, destination: Destination) -> None:
-    """Offer the identity, and wait for the confirmation at the node."""
     *chain, root = from_pem(bundle)
     offer = core.offer(chain, root, secrets.token_bytes(NONCE_SIZE), now())
 

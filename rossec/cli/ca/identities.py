@@ -104,10 +104,8 @@ def list_(environment: Environment, everything: bool, in_json: bool) -> None:
 
 
 def _remarks(found: list[tuple[CertificateRow, str]], at: int) -> list[str]:
-    """What is to be done: identities that end soon and were not renewed, and those that are over.
-
-    Of a name only the newest identity counts: an older one was renewed, or another key replaced it.
-    """
+    # What is to be done: identities that end soon and were not renewed, and those that are over.
+    # Of a name only the newest identity counts: an older one was renewed, or another key replaced it.
     newest = {row.name: (row, state) for row, state in found}.values()
     soon = [row.name for row, state in newest if state == "valid" and ends_soon(row, at)]
     over = [row.name for row, state in newest if state == "expired"]
@@ -212,7 +210,6 @@ def _renew(
 
 
 def _install(service: AuthorityService, name: str, bundle: Path) -> bool:
-    """Install it where the node's directory is here; returns whether it is."""
     home = NodeHome.of(service.rossec_home, name)
     if not (home.path / "node.pem").exists():
         return False

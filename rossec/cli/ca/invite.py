@@ -85,17 +85,12 @@ def command(
 
 
 def _address(given: str, home: AuthorityHome) -> str:
-    """`host:port` of the join port; where only a host is given, the service knows its port.
-
-    Raises:
-        ConfigurationError: not an address.
-    """
+    # `host:port` of the join port; where only a host is given, the service knows its port.
     host, port = addresses.split(given, _join_port(home))
     return addresses.join(host, port)
 
 
 def _join_port(home: AuthorityHome) -> int:
-    """The port of the service that runs, else the usual one."""
     client = KeyServiceClient.find(home.path)
     if client is None:
         return addresses.JOIN_PORT

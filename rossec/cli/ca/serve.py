@@ -149,13 +149,10 @@ def serve(
 
 @dataclass
 class _Admission:
-    """Who may use the service's socket: neither the network face nor the console's pages."""
-
     console: Console
     face: FaceProcess | None
 
     def admit(self, peer: UnixPeer) -> None:
-        """Raise `PeerUserRefused` for one of them."""
         if self.face is not None:
             self.face.admit(peer)
         self.console.peers.refuse(peer)
@@ -163,8 +160,6 @@ class _Admission:
 
 @dataclass
 class _Serving:
-    """What runs."""
-
     environment: Environment
     home: AuthorityHome
     process: KeyServiceProcess
@@ -173,7 +168,6 @@ class _Serving:
     network: NetworkWork | None
 
     async def run(self, *, as_json: bool) -> None:
-        """Serve until a signal."""
         audit, stop = logging.getLogger(AUDIT), stop_on_signals()
         try:
             await self.process.start()
@@ -207,11 +201,6 @@ class _Serving:
 
 
 def _join_address(environment: Environment, given: str, face: FaceProcess | None) -> str:
-    """Where nodes reach the join port, for a code.
-
-    Raises:
-        ConfigurationError: there is none.
-    """
     if face is None or not face.port:
         raise ConfigurationError(
             "this service has no join port", "start it without --no-network: rossec ca serve"
@@ -282,7 +271,6 @@ def status(environment: Environment, as_json: bool) -> None:
 
 
 def _running(environment: Environment, wait: float = 0) -> KeyServiceClient:
-    """The service that runs, or will within `wait` seconds."""
     directory, seconds = AuthorityHome.at(environment.home).path, clock.counter()
     until = seconds() + wait
     while (client := KeyServiceClient.find(directory)) is None:

@@ -135,7 +135,6 @@ def write_identity(request: Path, bundle: bytes) -> Path:
 
 
 def _check_codes(codes: tuple[str, ...], requests: list[bytes]) -> None:
-    """Every request needs its code, and every code its request."""
     parsed = [qr.parse(text) for text in codes]
     for code in parsed:
         code.check_time(now())
@@ -400,11 +399,6 @@ def _check_renewal(given: dict[str, Any]) -> None:
 
 
 def _check_code(code: str | None, credential: Credential) -> bool:
-    """Whether a code was given, and fits.
-
-    Raises:
-        ConfigurationError: it was made for another credential.
-    """
     if code is None:
         return False
     if not qr.parse(code).matches(described(credential)):
@@ -435,7 +429,6 @@ def _show(service: AuthorityService, order: ThingOrder, *, checked: bool) -> Non
 def _hand_over(
     service: AuthorityService, signed: SignedThing, request: Path | None, out: Path | None
 ) -> None:
-    """Write what was signed, and install it where it belongs if that is here."""
     statement, name = signed.statement, signed.statement.name
     target = out or Path(f"{name.lstrip('/').replace('/', '.')}.thing")
     files.replace(target, signed.data, 0o644)

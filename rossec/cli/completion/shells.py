@@ -64,7 +64,6 @@ class OutlineTable:
             self._outlines = found["outlines"] if found.get("stamp") == self._stamp else {}
 
     def get(self, place: str, make: Callable[[], Outline | None]) -> Outline | None:
-        """The outline of the command at `place`; `make` imports it: None if it is a group."""
         if place in self._outlines or self._stamp is None:
             found: Outline | None = self._outlines.get(place) or make()
             return found
@@ -75,7 +74,7 @@ class OutlineTable:
         return made
 
     def _keep(self) -> None:
-        """Write the cache; where it cannot be written, completion is slow and right."""
+        # Write the cache; where it cannot be written, completion is slow and right.
         text = json.dumps({"stamp": self._stamp, "outlines": self._outlines})
         new = self._cache.with_name(f"{self._cache.name}.{os.getpid()}")
         with contextlib.suppress(OSError):
@@ -85,7 +84,7 @@ class OutlineTable:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """A table in a file; empty if it cannot be read."""
+    # A table in a file; empty if it cannot be read.
     try:
         with path.open("rb") as stream:
             found = json.loads(stream.read(_MAX))
@@ -96,7 +95,6 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _stamp(directory: Path) -> str:
-    """What changes when a file of the command line is written, added or removed."""
     files = [
         entry.stat()
         for folder in [directory, *filter(Path.is_dir, directory.iterdir())]
@@ -134,7 +132,6 @@ def _values(kind: str) -> Values | None:
 def _offer(
     kind: str, context: click.Context, _param: click.Parameter, incomplete: str
 ) -> list[CompletionItem[Any]]:
-    """The names of a kind that begin with what is typed."""
     if kind == COMMAND:
         return _FILES
     from rossec.cli.completion.sources import Sources  # noqa: PLC0415 - not needed for options
@@ -217,14 +214,11 @@ complete --no-files --command rossec --arguments '(_rossec_completion)'
 
 
 class _Shell(ShellComplete):
-    """What was typed is split as a shell splits it, and nothing in it is expanded."""
-
     def __init__(self, group: click.Command, environment: Any) -> None:
         super().__init__(group, {"obj": environment}, "rossec", VARIABLE)
         self._variables = environment.variables
 
     def get_completion_args(self) -> tuple[list[str], str]:
-        """The words after `rossec` that are complete, and the one that is being typed."""
         line = self._variables.get("COMP_LINE")
         if line is None:  # as the scripts of click have it
             words = split_arg_string(self._variables["COMP_WORDS"])
@@ -236,7 +230,6 @@ class _Shell(ShellComplete):
         return words[1:-1], words[-1]
 
     def format_completion(self, item: CompletionItem[Any]) -> str:
-        """Type, value and description, if there is one."""
         return "\t".join((item.type, item.value, *([item.help] if item.help else [])))
 
 
@@ -244,14 +237,12 @@ class _Bash(_Shell):
     """Bash shows no descriptions, and replaces only what stands behind the last `:` or `=`."""
 
     def get_completions(self, args: list[str], incomplete: str) -> list[CompletionItem[Any]]:
-        """The end of each value, as bash inserts it."""
         found = super().get_completions(args, incomplete)
         typed = incomplete.partition("=")[2] if incomplete[:2] == "--" else incomplete
         kept = 0 if "COMP_LINE" not in self._variables else typed.rfind(":") + 1
         return [CompletionItem(item.value[kept:], item.type) for item in found]
 
     def format_completion(self, item: CompletionItem[Any]) -> str:
-        """Type and value."""
         return f"{item.type},{item.value}"
 
 
@@ -295,7 +286,6 @@ def completion(shell: str) -> None:
 
 
 def _program() -> str:
-    """The path of this program: Tab runs no other; else by name, as of a program on PATH."""
     path = Path(sys.argv[0])
     if path.name != "rossec":
         return "rossec"

@@ -151,7 +151,6 @@ def _parameter(outline: Outline, complete: Values | None) -> click.Parameter:
 
 
 def _flags(outline: Outline) -> list[str]:
-    """As click declares them: `--yes/--no`."""
     pairs = itertools.zip_longest(outline["opts"], outline["others"], fillvalue="")
     return [f"{one}/{other}" if other else one for one, other in pairs]
 

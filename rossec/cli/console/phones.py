@@ -93,13 +93,11 @@ def phone(environment: Environment, name: str, no_wait: bool, as_json: bool) -> 
 
 
 def _phones(home: AuthorityHome) -> dict[bytes, str]:
-    """The phones that can approve: names by id."""
     with closing(home.store()) as store:
         return {passkey.id: passkey.name for passkey in store.passkeys.active()}
 
 
 def _wait(home: AuthorityHome, known: dict[bytes, str]) -> str:
-    """What came of the code, as far as the record tells: looking leaves no trace there."""
     end = time.monotonic() + CODE_LIFETIME
     while time.monotonic() < end:
         for number, name in _phones(home).items():
@@ -147,7 +145,6 @@ def remove(environment: Environment, name: str, reason: str) -> None:
 
 
 def _last_used(store: Store) -> dict[bytes, int]:
-    """When each passkey approved something last."""
     return {each.passkey: each.at for each in store.approvals.all()}
 
 

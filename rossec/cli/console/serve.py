@@ -94,11 +94,6 @@ def serve(environment: Environment, options: Options, form: Form, *, rename: boo
 
 
 def _preview(environment: Environment) -> "PreviewProcess":
-    """Checked before anything listens.
-
-    Raises:
-        HintedError: the node of the preview is not enrolled here.
-    """
     from rossec.console.server.supervisor import PreviewProcess, check_enrolled
 
     check_enrolled(environment.home)
@@ -123,7 +118,6 @@ def _origins_of_phones(home: AuthorityHome) -> set[str]:
 def _handing_out(
     endpoint: Endpoint, setup: TlsSetup | None, environment: Environment
 ) -> Iterator[None]:
-    """Hand the certificate of the own authority out, if that was asked for."""
     if not endpoint.hand_out or setup is None or setup.authority is None:
         yield
         return
@@ -150,7 +144,7 @@ def _say_ready(
 
 
 def _say_authority(endpoint: Endpoint, authority: TlsAuthority) -> None:
-    """What a person needs whose phone does not trust the authority yet."""
+    # What a person needs whose phone does not trust the authority yet.
     for line in describe(authority, now()):
         say(line)
     if not endpoint.hand_out:

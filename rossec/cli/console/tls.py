@@ -43,7 +43,6 @@ def tls(environment: Environment, renew: bool, name: str | None, as_json: bool) 
 
 
 def _name(directory: Path, given: str | None) -> str:
-    """The name for a new authority: as given, as before, or as mDNS announces this host."""
     if given is not None:
         return check_name(given)
     try:

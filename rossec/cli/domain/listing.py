@@ -61,7 +61,6 @@ def show(environment: Environment, label: str, in_json: bool) -> None:
 
 
 def _newest(rows: list[DomainRow]) -> list[DomainRow]:
-    """The last terms of each domain, by label and root key."""
     return list({(row.label, row.root): row for row in rows}.values())
 
 

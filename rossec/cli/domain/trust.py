@@ -299,7 +299,6 @@ def accept(
 
 
 def _label(home: AuthorityHome, card: Card, given: str | None) -> str:
-    """The label: as given, or the one it has, or its name where that can be one."""
     if given is not None:
         return check_label(given)
     domain = card.anchor.domain
@@ -315,7 +314,7 @@ def _label(home: AuthorityHome, card: Card, given: str | None) -> str:
 
 
 def _check_apart(home: AuthorityHome, domain: ForeignDomain) -> None:
-    """What would be refused when it is signed, before a person compares and answers."""
+    # What would be refused when it is signed, before a person compares and answers.
     if domain.domain == home.domain:
         raise ConfigurationError(
             f"this is the card of {home.domain}, the own domain",

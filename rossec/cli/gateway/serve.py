@@ -71,7 +71,6 @@ async def _serve(
 async def _joined(
     stack: AsyncExitStack, environment: Environment, name: str, stop: asyncio.Event
 ) -> Node | None:
-    """The gateway's node, as soon as the master is in reach; None: stopped before."""
     said = ""
     while not stop.is_set():
         try:
@@ -88,11 +87,6 @@ async def _joined(
 
 
 def _check_origins(node: Node, rules: Sequence[TopicRule]) -> None:
-    """Refuse a label that no trusted domain has; say of a domain that it has granted nothing.
-
-    Raises:
-        ConfigurationError: there is no such domain.
-    """
     granted = node.access.foreign_domains
     for label in dict.fromkeys(each.label for each in rules):
         domain = node.access.domain_called(label)

@@ -89,20 +89,17 @@ def deliver(environment: Environment, master_uri: str | None) -> None:
 
 
 def _place(grant: Grant, state: str) -> tuple[object, ...]:
-    """Own nodes before those of other domains, grants in force before others, the newest first."""
     foreign = is_alias(grant.subject)
     return foreign, grant.subject, state in _OVER, -grant.expires, -grant.not_before, grant.id
 
 
 def _ended(grant: Grant, revoked: frozenset[bytes]) -> str:
-    """`revoked`, `expired`, or empty: in force."""
     if not revoked.isdisjoint((grant.id, grant.holder)):
         return "revoked"
     return "expired" if now() >= grant.cap else ""
 
 
 def _complete(service: AuthorityService, grants: list[Grant], states: dict[bytes, str]) -> None:
-    """Fill in the states of the grants in force: what the master says, and what is here."""
     answered, reason = _ask_master(service)
     for grant in grants:
         if states[grant.id]:
@@ -116,7 +113,6 @@ def _complete(service: AuthorityService, grants: list[Grant], states: dict[bytes
 
 
 def _ask_master(service: AuthorityService) -> tuple[Mapping[bytes, str], str]:
-    """What the master says of the grants in force, or nothing, and why."""
     try:
         return service.delivery_states(), ""
     except (NotDelivered, ConfigurationError) as error:

@@ -206,7 +206,6 @@ def deny(environment: Environment, request_ids: tuple[str, ...], policy_path: Pa
 def _collected(
     service: AuthorityService, policy_path: Path | None, request_files: Sequence[Path] = ()
 ) -> PolicyFile:
-    """The policy that decides, after the new requests were recorded."""
     policy = read_policy(service.rossec_home, policy_path, signs=True)
     _collect(service, policy, request_files)
     return policy

@@ -78,7 +78,7 @@ _RESTRICTED: Final = Right.SUBSCRIBE | Right.CALL  # by conditions and filters g
 
 
 def _once(_context: click.Context, _parameter: click.Parameter, given: tuple[Any, ...]) -> Any:
-    """The value of an option that is given once: of two click would lose the first."""
+    # The value of an option that is given once: of two click would lose the first.
     if len(given) > 1:
         raise click.BadParameter("given more than once, and one would be lost")
     return given[0] if given else None
@@ -274,7 +274,7 @@ def _clamping(text: str) -> tuple[str, float, float]:
 
 
 def _number(text: str) -> float:
-    """An integer where it is written so: integer fields accept no float."""
+    # An integer where it is written so: integer fields accept no float.
     try:
         return int(text)
     except ValueError:
@@ -370,7 +370,6 @@ def presets() -> None:
 
 
 def _has_tail(service: AuthorityService, name: str) -> bool:
-    """Whether the newest identity of a node of this domain is for anonymous nodes too."""
     with contextlib.closing(service.home.store()) as store:
         return not is_alias(name) and store.valid_certificate(name, now()).wildcard
 
@@ -378,7 +377,6 @@ def _has_tail(service: AuthorityService, name: str) -> bool:
 def _check_foreign(
     node: str, renewal: int, out: Path | None, certificate: Path | None, *, foreign: bool
 ) -> None:
-    """What differs for a node of another domain, before anything is signed."""
     if not foreign:
         if certificate is not None:
             raise ConfigurationError(
@@ -471,7 +469,6 @@ def narrow(
 
 
 def _receiver(home: NodeHome, path: Path, at: int) -> Identity:
-    """The node of the own domain that a file with its certificate names."""
     pem = files.read(path, options.MAX_PEM, ConfigurationError(f"there is no file {path}", ""))
     anchor = home.anchor()
     chain = [each for each in from_pem(pem) if each != anchor.certificate]
@@ -495,7 +492,7 @@ def _check_held(home: NodeHome, held: Grant, may_narrow: int, at: int) -> None:
 
 
 def _check_useful(draft: Draft, held: Grant) -> None:
-    """A right on one name that FILE does not give is a mistake; of patterns nobody can say."""
+    # A right on one name that FILE does not give is a mistake; of patterns nobody can say.
     for permission in draft.permissions:
         if "*" in permission.pattern:
             continue

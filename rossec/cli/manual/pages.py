@@ -152,7 +152,6 @@ def _noun(name: str, command: click.Command, version: str) -> list[str]:
 
 
 def _below(path: str, command: click.Command) -> Iterator[tuple[str, click.Command]]:
-    """A command and all below it, by their words."""
     yield path, command
     if isinstance(command, click.Group):
         for name, each in sorted(command.commands.items()):
@@ -160,7 +159,6 @@ def _below(path: str, command: click.Command) -> Iterator[tuple[str, click.Comma
 
 
 def _runs(command: click.Command) -> bool:
-    """Whether it does something without a verb."""
     return not isinstance(command, click.Group) or command.invoke_without_command
 
 
@@ -170,7 +168,6 @@ def _head(name: str, command: click.Command, version: str) -> list[str]:
 
 
 def _summary(command: click.Command) -> str:
-    """The first sentence of the help text, on one line."""
     first = " ".join((command.help or "").split("\n\n")[0].split())
     return first.partition(". ")[0].rstrip(".")
 
@@ -188,7 +185,6 @@ def _synopsis(path: str, command: click.Command) -> list[str]:
 
 
 def _text(command: click.Command) -> list[str]:
-    """The help text; a paragraph that begins with \\b keeps its lines, as in click."""
     lines: list[str] = []
     text = inspect.cleandoc(command.help or "").partition("\f")[0]
     for part in filter(None, (each.strip("\n") for each in text.split("\n\n"))):
@@ -207,7 +203,6 @@ def _records(command: click.Command) -> list[str]:
 
 
 def _option_records(command: click.Command) -> list[tuple[str, str]]:
-    """The options but for --help, and what they mean."""
     context = _context(PROGRAM, command)
     options = (each for each in command.params if isinstance(each, click.Option))
     return [record for each in options if (record := each.get_help_record(context)) is not None]

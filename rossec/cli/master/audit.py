@@ -66,7 +66,6 @@ def audit(
 
 
 def _usual(environment: Environment, *, of_authority: bool) -> tuple[NodeHome, Path]:
-    """The node that writes the audit, and the file it writes now."""
     if not of_authority:
         node = NodeHome.of(environment.home, own_master(environment.variables))
         return node, node.path / AUDIT
@@ -77,7 +76,6 @@ def _usual(environment: Environment, *, of_authority: bool) -> tuple[NodeHome, P
 
 
 def _key_of(home: NodeHome) -> bytes | None:
-    """The thumbprint of the key of the node that writes the audit, where this is its host."""
     return thumbprint(home.signer().public_key) if (home.path / "node.key").exists() else None
 
 

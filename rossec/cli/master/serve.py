@@ -90,7 +90,6 @@ def run(
 
 
 def _only_master(directory: Path) -> AbstractContextManager[None]:
-    """One master at a time runs from a directory."""
     busy = ConfigurationError(
         f"another master runs from {directory}",
         "end it first; two would lose each other's parameters",
@@ -198,11 +197,6 @@ def _commands(server: MasterServer, mesh: Mesh) -> Mapping[str, Any]:
 
 
 def _renewer(environment: Environment, file: Path | None) -> Renewer:
-    """Renews identities with the intermediate of this host, which is unlocked here.
-
-    Raises:
-        ConfigurationError: there is no intermediate, or it is the root, whose key stays offline.
-    """
     from rossec.authority.renewals import renew  # noqa: PLC0415 - as above
     from rossec.cli.shared.service import service_of  # noqa: PLC0415 - as above
 

@@ -57,12 +57,6 @@ class LaunchFiles:
     notes: list[str] = field(default_factory=list)
 
     def write(self) -> None:
-        """Write the files, all or none.
-
-        Raises:
-            ConfigurationError: one exists already.
-            NotWritten: the disk refused one.
-        """
         for path in self.written:
             if path.exists() or path.is_symlink():
                 raise ConfigurationError(
@@ -97,8 +91,6 @@ def read(source: Path, out: Path, name_of: NameOf) -> LaunchFiles:
 
 
 class _Reader:
-    """The files in the directory of the first one."""
-
     def __init__(self, directory: Path, out: Path, name_of: NameOf) -> None:
         self.found = LaunchFiles()
         self._directory = directory
@@ -107,7 +99,6 @@ class _Reader:
         self._targets: dict[Path, Path] = {}
 
     def add(self, source: Path, target: Path) -> None:
-        """Read a file that is to be written to `target`, and what it includes."""
         if len(self._targets) == MAX_FILES:
             raise MetadataRefused(f"more than {MAX_FILES} launch files")
         if target in self._targets.values():
@@ -127,7 +118,6 @@ class _Reader:
         self.found.written[target] = apply(data, changes)
 
     def _include(self, source: Path, include: Include) -> list[Edit]:
-        """Follow an include; returns what becomes of it."""
         match = _BESIDE.fullmatch(include.file)
         beside = None if match is None else self._directory / match[1]
         if match is None or beside is None or not beside.is_file():

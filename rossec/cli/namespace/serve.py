@@ -61,7 +61,6 @@ class Coverage:
         self._keys = (_NO_KEY, *sorted(pinned))
 
     def __call__(self, node: str, kind: Kind, name: str) -> bool:
-        """Whether `node` has any right on the topic or service `name`; of itself, any at all."""
         held = [grant for grant in self._grants if covers(grant.subject, node, wildcard=True)]
         if kind is Kind.NODE:
             return bool(held) or any(map(self._has_rules, self._subjects(node)))

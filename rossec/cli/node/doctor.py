@@ -110,7 +110,6 @@ def check_domains(home: Path, node: NodeHome, now: int) -> Iterator[str]:
 
 
 def _recorded(home: Path, anchor: TrustAnchor) -> DomainList | None:
-    """The newest list of an authority on this machine, if it is the node's."""
     with suppress(HintedError):
         authority = AuthorityHome.at(home)
         if authority.anchor().thumbprint == anchor.thumbprint:
@@ -131,7 +130,7 @@ def known_revocations(home: Path, node: NodeHome) -> dict[bytes, str]:
 
 
 def _listed(place: NodeHome, anchor: TrustAnchor) -> Iterator[bytes]:
-    """What a list that was saved holds; a tree's entries are only in a master's home."""
+    # What a list that was saved holds; a tree's entries are only in a master's home.
     data = place.load_revocations()
     if data is None:
         return
@@ -146,7 +145,7 @@ def _listed(place: NodeHome, anchor: TrustAnchor) -> Iterator[bytes]:
 
 
 def _known_revocations_recorded(home: Path, anchor: TrustAnchor) -> frozenset[bytes]:
-    """Of the authority itself, if it is the node's and not an intermediate below it."""
+    # Of the authority itself, if it is the node's and not an intermediate below it.
     with suppress(HintedError):
         authority = AuthorityHome.at(home)
         if authority.anchor().thumbprint == anchor.thumbprint and not authority.is_intermediate:
@@ -188,7 +187,6 @@ async def check_node_addresses(home: NodeHome, call: MasterCall) -> AsyncIterato
 
 
 def _nodes(state: object) -> list[str]:
-    """Who publishes or provides what this node may see, each once."""
     match state:
         case [list() as publishers, _, list() as services]:
             entries = [*publishers, *services]
@@ -252,7 +250,6 @@ class _Judge:
         self.late: HintedError | None = None
 
     def verify(self, chain: tuple[bytes, ...], at: int) -> Identity:
-        """As the anchors do; out of its time, as of the time of this node's own certificate."""
         try:
             return self._anchors.verify(chain, at)
         except (CertificateExpired, CertificateNotYetValid) as error:
@@ -283,12 +280,6 @@ async def _connect(
 
 
 def _opened(home: NodeHome, master: Identity, answer: object) -> tuple[bytes, Timestamp]:
-    """The signed list, and the master's timestamp.
-
-    Raises:
-        ConfigurationError: the node is revoked, or there is no list.
-        RevocationRefused: one of them is not signed as it should be.
-    """
     match answer:
         case [bytes() as data, b""] if is_of_revoked(answer):
             raise ConfigurationError(f"{revoked_text(home.name)}{_where(home, data)}", anew(home))
@@ -299,7 +290,7 @@ def _opened(home: NodeHome, master: Identity, answer: object) -> tuple[bytes, Ti
 
 
 def _where(home: NodeHome, data: bytes) -> str:
-    """Whether the authority's own signature shows it; a tree would need a proof."""
+    # Whether the authority's own signature shows it; a tree would need a proof.
     statement = open_statement(data, home.anchor().public_key)
     own = home.identity(now())
     if isinstance(statement, RevocationList) and not statement.entries.isdisjoint(own.keys):
@@ -331,7 +322,6 @@ def describe_offset(issued: int, begun: float, ended: float) -> Outcome:
 
 
 async def _check_master_key(revocations: Revocations, master: Identity, call: MasterCall) -> None:
-    """Raise ConfigurationError if the master itself is revoked, and still runs."""
     found = await _revoked_of(revocations, master.keys, call)
     if found:
         raise ConfigurationError(
@@ -343,7 +333,6 @@ async def _check_master_key(revocations: Revocations, master: Identity, call: Ma
 async def _check_grants(
     revocations: Revocations, grants: Iterable[Grant], call: MasterCall
 ) -> AsyncIterator[Outcome]:
-    """Of grants that are in order here: whether the newest list revokes them."""
     by_entry = {entry: grant for grant in grants for entry in grant.revocable}
     for entry in await _revoked_of(revocations, tuple(by_entry), call):
         yield ConfigurationError(
@@ -355,11 +344,6 @@ async def _check_grants(
 async def _revoked_of(
     revocations: Revocations, entries: Sequence[bytes], call: MasterCall
 ) -> list[bytes]:
-    """Those that are revoked; where the list is a tree, the master is asked for proofs.
-
-    Raises:
-        RevocationsStale: of one it is not known.
-    """
     for start in range(0, len(entries), MAX_PROOFS_PER_CALL):
         for entry in entries[start : start + MAX_PROOFS_PER_CALL]:
             with suppress(Revoked, RevocationsStale):
@@ -434,10 +418,7 @@ class Finding:
 
 
 def _all(environment: Environment) -> tuple[list[NodeHome], list[str]]:
-    """The nodes of this machine, and the names of those that have a key and no identity yet.
-
-    Where none has an identity, that is what has to be said of each.
-    """
+    # Where none has an identity, that is what has to be said of each.
     found = [NodeHome.of(environment.home, name) for name in nodes_in(environment.home)]
     if not found:
         raise ConfigurationError(
@@ -479,7 +460,6 @@ def _finding(home: NodeHome, check: str, found: Outcome) -> Finding:
 
 
 def _say(findings: list[Finding], plain: list[str], *, several: bool) -> None:
-    """Each cause once, with the nodes that have it."""
     causes: dict[tuple[bool, str, str], list[str]] = {}
     for finding in findings:
         causes.setdefault((finding.ok, finding.text, finding.hint), []).append(finding.node)
@@ -517,7 +497,6 @@ def _identity(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
 
 
 def _clock(home: NodeHome, identity: Identity) -> Iterator[Outcome]:
-    """What the authority has signed shows a clock that is behind, also without a master."""
     signed = signed_at(identity.not_before, identity.not_after)
     if (data := home.load_revocations()) is not None:
         with suppress(RevocationRefused):  # a list of another authority says nothing
@@ -561,7 +540,6 @@ def _grants(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
 def _doctor_opened(
     environment: Environment, home: NodeHome
 ) -> tuple[list[Grant], dict[type[HintedError], list[HintedError]]]:
-    """The grants that hold as far as this host knows, and why others do not, by kind."""
     revoked, refused = (
         known_revocations(environment.home, home),
         defaultdict[type[HintedError], list[HintedError]](list),
@@ -579,7 +557,6 @@ def _doctor_opened(
 
 
 def _label(home: NodeHome, grant: Grant) -> str:
-    """What the domain of the grant is called here, empty for the own one."""
     anchor = home.anchor()
     listed = DomainFiles(home, anchor).anchors().listed_domain(grant.domain)
     if listed is not None:
@@ -608,7 +585,6 @@ def _master(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
 
 
 async def _ask_master(environment: Environment, home: NodeHome) -> list[Outcome]:
-    """All that is found, and what ended it."""
     found = list[Outcome]()
     try:
         usable, _ = _doctor_opened(environment, home)

@@ -78,11 +78,6 @@ class EnrollmentScreen:
         self._node = WaitingNode(core, now, self._show_refusal)
 
     async def run(self, host: str, port: int) -> None:
-        """Show the code, and return when the node is enrolled.
-
-        Raises:
-            EnrollmentRefused: it is not; the reason.
-        """
         stopped = EnrollmentOver("the enrollment was stopped")
         asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, self._node.stop, stopped)
         listener = await enrollment_control.serve(self._home.path, self._handle_control)
@@ -139,7 +134,6 @@ class EnrollmentScreen:
 
     @contextmanager
     def _confirmation(self) -> Iterator[None]:
-        """An offer is pending: show it, and read the answer if stdin is a terminal."""
         for line in authority_lines(self._pending()):
             say(line)
         if not sys.stdin.isatty():
@@ -175,14 +169,12 @@ class EnrollmentScreen:
         }
 
     def _handle_control(self, request: enrollment_control.Answer) -> enrollment_control.Answer:
-        """To `rossec node confirm`."""
         if request.get("do") == "confirm":
             self._node.confirm(str(request.get("digits")), self._activate)
             return {}
         return self._pending()
 
     def _activate(self, pending: Pending) -> None:
-        """From here on the node trusts the authority."""
         self._home.install(to_pem(*pending.chain, pending.root), now())
 
 
@@ -291,7 +283,7 @@ def confirm(environment: Environment, name: str, digits: tuple[str, ...], yes: b
 
 
 def _ask_whether_same(digits: str) -> None:
-    """Raises ConfigurationError unless the answer is yes, or the digits themselves."""
+    # Raises ConfigurationError unless the answer is yes, or the digits themselves.
     try:
         answer: str = click.prompt(
             f"{SAME_DIGITS} [y/N]", default="n", show_default=False, err=True
@@ -376,12 +368,7 @@ def join_domain(
 
 
 def _code(path: Path | None, stdin: BinaryIO) -> InvitationCode:
-    """The code from the file, or from standard input; from a terminal it is not shown.
-
-    Raises:
-        CodeRefused: not a code.
-        ConfigurationError: the file is too large.
-    """
+    # The code from the file, or from standard input; from a terminal it is not shown.
     if path is not None:
         if path.is_file() and path.stat().st_mode & 0o077:
             note(f"{path} can be read by other users, who could join by it: chmod 600 {path}")
@@ -395,7 +382,7 @@ def _code(path: Path | None, stdin: BinaryIO) -> InvitationCode:
 
 
 def _is_whole(typed: str) -> bool:
-    """Whether what was pasted so far is a code: a mail or a chat may have broken its line."""
+    # Whether what was pasted so far is a code: a mail or a chat may have broken its line.
     try:
         invitation.parse(typed)
     except CodeRefused:
@@ -415,11 +402,6 @@ def _parsed(data: bytes) -> InvitationCode:
 
 
 def _name(code: InvitationCode, given: str | None) -> str:
-    """The name to join as: the one of the invitation, or the given one within it.
-
-    Raises:
-        ConfigurationError: it must be given, or the invitation is not for it.
-    """
     pattern = code.pattern
     if given is None:
         if "*" in pattern:
@@ -442,11 +424,6 @@ def _name(code: InvitationCode, given: str | None) -> str:
 
 
 def _is_enrolled(home: NodeHome, code: InvitationCode) -> bool:
-    """Whether this node has a valid identity of the authority that the code names.
-
-    Raises:
-        ConfigurationError: it trusts another authority.
-    """
     if not (home.path / "ca.pem").exists():
         return False
     if sha256(home.anchor().certificate).digest() != code.root:

@@ -64,7 +64,6 @@ def _request(home: NodeHome, domain: str, *, anonymous: bool) -> Path:
 def _names(
     given: tuple[str, ...], meta_path: Path | None, rules_path: Path | None
 ) -> tuple[str, ...]:
-    """The names of the requests: given, or by rules."""
     if bool(given) is (meta_path is not None):
         raise click.UsageError("give NAME, or --meta FILE")
     if meta_path is not None:

@@ -91,7 +91,7 @@ def sidecar(
 
 
 def _user_id(name: str) -> int:
-    """A number need not be in the password file, as of users of containers."""
+    # A number need not be in the password file, as of users of containers.
     try:
         found = int(name) if name.isdecimal() else pwd.getpwnam(name).pw_uid
     except KeyError:

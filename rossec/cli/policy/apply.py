@@ -117,12 +117,11 @@ def review(environment: Environment, log: Path, policy_path: Path | None) -> Non
 
 
 def _count_own(read: PolicyFile) -> int:
-    """The number of rules that stand in the file: that of `basics` is one word there."""
     return sum(rule.id != BASICS for rule in read.policy.rules)
 
 
 def _existing(path: Path) -> PolicyFile:
-    """The policy, or a new one that gives basics alone; not written yet."""
+    # The policy, or a new one that gives basics alone; not written yet.
     if path.exists():
         return PolicyFile.read(path)
     if not path.parent.is_dir():
@@ -137,7 +136,6 @@ def _read_log(path: Path) -> list[Observation]:
 
 
 async def _observe_graph(environment: Environment, node: str) -> list[Observation]:
-    """The graph, as `node` may see it."""
     home = NodeHome.of(environment.home, node)
     async with master_as(environment, home, await find_master(environment, home)) as client:
         await client.ask(PRESENT_GRANTS, home.name, home.grants())
@@ -147,7 +145,6 @@ async def _observe_graph(environment: Environment, node: str) -> list[Observatio
 
 
 def _with_certified_names(environment: Environment, seen: list[Observation]) -> list[Observation]:
-    """The observations under the names in certificates, where these are known."""
     if not (environment.home / "ca" / "ca.pem").exists():
         return seen
     with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
@@ -266,7 +263,6 @@ def apply(
 
 
 def _remark(policy: PolicyFile, given: Path | None) -> None:
-    """Say that lint finds leaks; it refuses nothing."""
     leaks = [item for item in lint(policy.policy, layout_of) if item.is_leak]
     if leaks:
         command = shlex.join(["rossec", "policy", "lint", *([str(given)] if given else [])])
@@ -293,11 +289,6 @@ def _carry_out(service: AuthorityService, plan: PolicyPlan, *, yes: bool, as_jso
 
 
 def _check_contradictions(plan: PolicyPlan) -> None:
-    """Return if no grant made by hand allows what the policy denies.
-
-    Raises:
-        PolicyContradicted: some do.
-    """
     grants = {each.grant.id for each in plan.contradictions}
     if grants:
         allow = "grant made by hand allows" if len(grants) == 1 else "grants made by hand allow"

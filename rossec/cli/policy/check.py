@@ -265,7 +265,6 @@ def _outlook(plan: PolicyPlan) -> Iterator[str]:
 
 
 def _by_nodes(rows: Iterable[tuple[str, tuple[str, str]]]) -> Iterator[str]:
-    """One line for each text, with the nodes it is about after its first sign."""
     nodes: dict[tuple[str, str], dict[str, None]] = {}
     for node, signed_text in rows:
         nodes.setdefault(signed_text, {})[node] = None

@@ -105,7 +105,7 @@ def explain(
 
 
 def _tried(read: PolicyFile, verdict: Verdict, message_file: Path) -> dict[str, object]:
-    """What would become of a message."""
+    # What would become of a message.
     kind = read.policy.type_of(verdict.name)
     if kind is None:
         raise ConfigurationError(
@@ -122,7 +122,6 @@ def _without_policy(
     node: str, subject: Subject, right: Right, name: str, held: list[Grant],
     certified: Collection[str], *, as_json: bool,
 ) -> None:  # fmt: skip
-    """Grants that were signed by hand are all there is."""
     if subject.name not in certified:
         note(f"nobody named {node} is enrolled here ({suggest(node, certified)})")
     lines = held_lines(held, right, name)
@@ -143,7 +142,6 @@ def _as_json(grant: Grant) -> dict[str, object]:
 
 
 def _certified(environment: Environment) -> dict[str, set[bytes]]:
-    """The keys that are certified here, by the name of their node."""
     found: dict[str, set[bytes]] = {}
     if (environment.home / "ca" / "ca.pem").exists():
         store = AuthorityHome.at(environment.home).store()
@@ -156,7 +154,7 @@ def _certified(environment: Environment) -> dict[str, set[bytes]]:
 
 
 def _note_unknown(node: str, subject: Subject, policy: Policy, certified: Collection[str]) -> None:
-    """Say what is not known of the node: whether there is one of that name, or its key."""
+    # Say what is not known of the node: whether there is one of that name, or its key.
     if not _is_known(policy, subject, certified):
         close = suggest(subject.name, {*certified, *_named(policy)})
         note(f"nobody named {node} is known: not enrolled here, and no rule names it ({close})")
@@ -165,7 +163,7 @@ def _note_unknown(node: str, subject: Subject, policy: Policy, certified: Collec
 
 
 def _is_known(policy: Policy, subject: Subject, certified: Collection[str]) -> bool:
-    """Whether the node is enrolled, of another domain, or meant by a rule that is not for all."""
+    # Whether the node is enrolled, of another domain, or meant by a rule that is not for all.
     if subject.name in certified or is_alias(subject.name):
         return True
     return any(
@@ -189,7 +187,6 @@ def _named(policy: Policy) -> set[str]:
 def _in_force(
     environment: Environment, keys: Collection[bytes], right: Right, name: str
 ) -> list[Grant]:
-    """The grants that the authority here signed, for every key that is certified for the node."""
     if not keys or not (environment.home / "ca" / "ca.pem").exists():
         return []
     store = AuthorityHome.at(environment.home).store()
@@ -282,7 +279,6 @@ def show_privacy(
 
 
 def _day(time: int) -> str:
-    """As the console's pages say it: in this host's time zone."""
     from rossec.console.words import day  # noqa: PLC0415 - for a page alone
 
     return day(time)
@@ -291,7 +287,6 @@ def _day(time: int) -> str:
 def _held(
     home: AuthorityHome, decider: Decider, told: Callable[[int], str]
 ) -> list[ReceiverAccess]:
-    """What is granted now, with the reason the policy gives for it today."""
     store = home.store()
     try:
         revoked = store.revoked_entries()
@@ -333,11 +328,6 @@ def _is_wanted(node: str | None, field: str | None, receiver: str, path: str) ->
 def _page(
     accesses: list[ReceiverAccess], wanted: Callable[[str, str], bool], policy: Policy
 ) -> str:
-    """The report as the console shows it, as one file.
-
-    Raises:
-        ConfigurationError: the extra `console` is missing.
-    """
     try:
         from rossec.console.matrix import topics  # noqa: PLC0415 - an extra
         from rossec.console.pages.visibility import write  # noqa: PLC0415 - an extra

@@ -51,7 +51,6 @@ class Tally:
     example: list[str] = field(default_factory=list)
 
     def count(self, kind: str, message: bytes, outcome: TrialOutcome) -> None:
-        """Count one message."""
         if outcome.message is None:
             self.withheld += 1
             self.reason = self.reason or outcome.reason
@@ -95,7 +94,6 @@ def simulate(
 
 
 def _in_force(environment: Environment) -> PolicyFile:
-    """The policy in force; without one, a policy that denies everything."""
     path = place(environment.home, None)
     if path.exists():
         return read_policy(environment.home, None)
@@ -148,7 +146,6 @@ def _messages(bag: Path) -> Iterator[tuple[str, Layout, int, int, bytes]]:
 
 
 def _bound_chunks(reader: Reader) -> None:
-    """Have no chunk become longer than a message needs: five kilobytes can hold gigabytes."""
     bounded = {bz2.decompress: bz2.BZ2Decompressor, lz4.frame.decompress: LZ4FrameDecompressor}
     for position, chunk in reader.chunks.items():
         make = bounded.get(chunk.decompressor)
@@ -165,7 +162,6 @@ def _decompress(make: Callable[[], Any], data: bytes) -> bytes:
 
 
 def _layout(connection: Any) -> Layout | None:
-    """From the definition in the bag; a connection without a valid one is left out."""
     name = connection.msgtype.replace("/msg/", "/")
     try:
         check_name(connection.topic)
@@ -179,7 +175,6 @@ def _layout(connection: Any) -> Layout | None:
 def _receivers(
     environment: Environment, nodes: tuple[str, ...], *policies: Policy
 ) -> list[Subject]:
-    """The given nodes, else one node for each subject of the two policies."""
     if nodes:
         return [subject_of(environment, node) for node in nodes]
     found = {

@@ -95,7 +95,6 @@ async def _serve(
 
 
 async def _carrier(routers: Routers, stop: asyncio.Event) -> Carrier | None:
-    """A session with the routers; None: stopped before there was one."""
     said = ""
     while not stop.is_set():
         try:
@@ -115,11 +114,6 @@ async def _carrier(routers: Routers, stop: asyncio.Event) -> Carrier | None:
 
 
 def _admission(doors: str) -> Admission:
-    """Where doors are, and who may use them.
-
-    Raises:
-        ConfigurationError: not an address of this host.
-    """
     if not doors:
         return Callers({os.geteuid()}, loopback=find_loopback())
     try:

@@ -199,7 +199,6 @@ def _check_listed(anchors: Anchors, label: str) -> None:
 
 
 def _label_of(anchors: Anchors, found: RelayCard) -> str:
-    """The label here of the domain of a card; empty: the own one."""
     if found.domain == anchors.own.domain:
         return ""
     listed = anchors.listed_domain(found.domain)
@@ -241,7 +240,7 @@ def home_of(environment: Environment, directory: Path | None) -> RouterHome:
 
 
 def _reached(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Options of what makes a seat file: where the router is found, if it was not told yet."""
+    # Options of what makes a seat file: where the router is found, if it was not told yet.
     listen = click.option(
         "--listen", metavar="LOCATOR", multiple=True,
         help="where this router will listen, if it never ran yet; as of rossec router",
@@ -322,7 +321,6 @@ def remove_account(home: RouterHome, names: tuple[str, ...]) -> None:
 
 
 def _check_reached(home: RouterHome, host: tuple[str, ...], listen: tuple[str, ...]) -> None:
-    """Keep what was told, and find the locators before anything is made for them."""
     home.tell(hosts=host, listen=listen)
     home.settings().locators  # noqa: B018 - raises
 
@@ -510,7 +508,6 @@ def _find(sites: dict[str, SiteSettings], label: str) -> SiteSettings:
 
 
 def _foreign(home: NodeHome, label: str) -> str:
-    """`label`, if the list of domains that the master holds has it; else empty."""
     if not home.path.is_dir():
         return ""
     try:

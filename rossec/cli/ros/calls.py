@@ -263,14 +263,12 @@ def _run(
 
 
 def _readable(value: object) -> str:
-    """A value on one line; lists and mappings as JSON, which escapes control characters."""
     if isinstance(value, str):
         return printable(value)
     return json_text(_encodable(value), 2 if isinstance(value, dict) else None)
 
 
 def _encodable(value: object) -> object:
-    """The value as JSON has it: bytes as base64, times as text."""
     match value:
         case dict():
             return {str(key): _encodable(below) for key, below in value.items()}

@@ -55,17 +55,14 @@ class SystemState:
 
     @property
     def topics(self) -> list[str]:
-        """Every topic that somebody publishes or subscribes to."""
         return sorted({*self.publishers, *self.subscribers})
 
     @property
     def nodes(self) -> list[str]:
-        """Every node that publishes, subscribes or provides something."""
         groups = (self.publishers, self.subscribers, self.services)
         return sorted({node for names in groups for nodes in names.values() for node in nodes})
 
     def type_of(self, topic: str) -> str:
-        """The type of a topic's messages."""
         return self.types.get(topic, UNKNOWN)
 
 
@@ -81,7 +78,6 @@ def system_state(environment: Environment, node: str) -> SystemState:
 
 
 def _keep_for_completion(environment: Environment, found: SystemState) -> None:
-    """Tab completes these names from now on, and asks no master itself."""
     names = {
         values.NODE: found.nodes,
         values.SERVICE: sorted(found.services),
@@ -393,12 +389,6 @@ async def _print_graph(environment: Environment, home: NodeHome, uri: str, as_js
 
 
 async def _print_changes(environment: Environment, home: NodeHome, uri: str, as_json: bool) -> None:
-    """Query graph changes until interrupted, reconnecting when needed.
-
-    Raises:
-        ConfigurationError: the identity has expired and was not renewed.
-        HintedError, OSError: there was no answer at all.
-    """
     view, pause, last_error = GraphView(), PAUSE, ""
     own = LiveCredentials(home.credentials())
     renewal = IdentityRenewal(home, own, now())
@@ -424,7 +414,6 @@ async def _print_changes(environment: Environment, home: NodeHome, uri: str, as_
 
 
 def _check_identity(home: NodeHome) -> None:
-    """Stop when the identity has expired: no master accepts it any more."""
     try:
         home.identity(now())
     except CertificateExpired as error:

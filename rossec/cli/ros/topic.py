@@ -100,18 +100,17 @@ class Arrivals:
         self._said: set[str] = set()
 
     def connected(self, _: RawSource) -> None:
-        """Nothing is to be said of a publisher that is connected."""
+        ...
 
     def received(self, source: RawSource, messages: Sequence[bytes]) -> None:
-        """Keep what came; its bytes are of a buffer that is used again."""
         self._queue.extend((source, bytes(message)) for message in messages)
         self._wake.set()
 
     def disconnected(self, _: RawSource) -> None:
-        """Nothing is to be said of a publisher that has gone."""
+        ...
 
     def refused(self, error: Exception) -> None:
-        """Say once why a publisher is not connected, or no longer."""
+        # Say once why a publisher is not connected, or no longer.
         hint = getattr(error, "hint", "")
         text = printable(f"{error}" + (f"; {hint}" if hint else ""))
         if text not in self._said:
@@ -119,7 +118,6 @@ class Arrivals:
             note(text)
 
     async def messages(self) -> AsyncIterator[Arrived]:
-        """What arrives, for ever."""
         while True:
             while self._queue:
                 yield self._queue.popleft()
@@ -252,7 +250,7 @@ async def _echo_any(
 
 
 async def _read(arrivals: Arrivals) -> AsyncIterator[Message]:
-    """Messages by the types that publishers claim; what cannot be read is said, and left out."""
+    # Messages by the types that publishers claim; what cannot be read is said, and left out.
     async for source, data in arrivals.messages():
         try:
             yield readable(source.type).deserialize(data)
@@ -282,13 +280,12 @@ class Messages:
     """The messages of a command line, in turn and again; what says `now` is made each time anew."""
 
     def __init__(self, kind: MessageType, contents: Sequence[object]) -> None:
-        """`contents` is not empty; raises ConfigurationError where one does not fit the type."""
+        # `contents` is not empty; raises ConfigurationError where one does not fit the type.
         self.kind = kind
         self._contents = contents
         self._made = [self._make(content) for content in contents]
 
     def at(self, number: int) -> Message:
-        """The message that is sent as number `number`, from 0."""
         place = number % len(self._contents)
         content = self._contents[place]
         return self._make(content) if mentions_now(content) else self._made[place]

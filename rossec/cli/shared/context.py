@@ -75,7 +75,6 @@ class Duration(click.ParamType[int]):
     name = "duration"
 
     def __init__(self, days: int | None = None) -> None:
-        """Allow at most `days` days."""
         self._days = days
 
     def convert(
@@ -99,13 +98,11 @@ class UnlockTime(click.ParamType[int]):
     name = "duration"
 
     def __init__(self, most: int) -> None:
-        """Allow at most `most` seconds."""
         self._duration = Duration(most // _UNITS["d"])
 
     def convert(
         self, value: object, param: click.Parameter | None, ctx: click.Context | None
     ) -> int:
-        """Seconds of the duration `value`; 0: no end."""
         return 0 if value in {0, "0"} else self._duration.convert(value, param, ctx)
 
 
@@ -177,7 +174,6 @@ def run(program: click.Command, arguments: Sequence[str], environ: Mapping[str, 
 
 
 def _report(error: click.ClickException) -> int:
-    """Print a click error as error and hint."""
     if isinstance(error, click.exceptions.NoArgsIsHelpError):
         click.echo(error.format_message())
         return USAGE
@@ -201,7 +197,6 @@ class LazyCommand(click.Command):
     """A command that is listed: its name, its help line, and the place it is imported from."""
 
     def __init__(self, name: str, place: str, help_line: str) -> None:
-        """`place` is "module:attribute" below `rossec.cli`."""
         super().__init__(name, help=help_line)
         self.place = place
 

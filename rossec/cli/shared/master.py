@@ -239,4 +239,4 @@ def open_held(home: NodeHome, token: bytes, now: int) -> Grant:
 
 
 def _not_asked(entry: bytes, now: int) -> None:
-    """Revocation is looked up by who knows a list."""
+    ...

@@ -87,7 +87,6 @@ def _value(message: Message, field: str, indent: int, hidden: Kinds = ()) -> str
 
 
 def _list(values: list[Any], indent: int, hidden: Kinds) -> str:
-    """Messages and texts have lines of their own, numbers stand in one."""
     head = f"\n{' ' * indent}- "
     if values and is_message(values[0]):
         return "".join(head + _below(render(item, indent + 2, hidden)) for item in values)
@@ -97,7 +96,6 @@ def _list(values: list[Any], indent: int, hidden: Kinds) -> str:
 
 
 def _length(message: Message, field: str, hidden: Kinds) -> str:
-    """What rostopic prints instead of a hidden value; empty: it is shown."""
     value = field_value(message, field)
     if isinstance(value, list | np.ndarray):
         kind = element_type(message, field)
@@ -109,7 +107,6 @@ def _length(message: Message, field: str, hidden: Kinds) -> str:
 
 
 def _below(text: str) -> str:
-    """The lines of a message below its name; an empty message (`{}`) has none."""
     return f"\n{text}" if text else "{}"
 
 
@@ -120,7 +117,6 @@ def _scalar(value: object) -> str:
 
 
 def _float(value: float) -> str:
-    """A number that YAML 1.1 reads as one: `1e-05` is text there, as it has no point."""
     if math.isnan(value):
         return ".nan"
     if math.isinf(value):
@@ -201,12 +197,9 @@ def mentions_now(content: object) -> bool:
 
 @dataclass(frozen=True)
 class _Filling:
-    """One message being filled; `path` says where an error is, as `pose.position`."""
-
     now: int
 
     def message(self, path: str, message: Message, content: object) -> None:
-        """Set fields of `message`."""
         if is_time(message):
             self._time(path, message, content)
         elif content == "auto" and message.__msgtype__ == _HEADER:
@@ -255,7 +248,6 @@ class _Filling:
 
 
 def _by_name(path: str, message: Message, content: object) -> dict[str, object]:
-    """What each field shall be; a list names them all in order."""
     fields = field_names(message)
     where = f"{path}: " if path else ""
     shown = [TIME_FIELDS[name] for name in fields] if is_time(message) else fields
@@ -284,7 +276,6 @@ def _by_name(path: str, message: Message, content: object) -> dict[str, object]:
 
 
 def _like(path: str, current: Any, value: object) -> object:
-    """`value` as the type the field has."""
     try:
         if isinstance(current, np.ndarray):
             return _array(path, current, value)
@@ -360,11 +351,6 @@ def parse_arguments(texts: Sequence[str]) -> object:
 
 
 def _refuse_split(texts: Sequence[str]) -> None:
-    """Refuse what a shell made several words of: `{header: {frame_id: map}}` without quotes.
-
-    Raises:
-        ConfigurationError: a word opens a bracket that only a later one closes.
-    """
     if len(texts) > 1 and any(_unclosed(text) for text in texts) and not _unclosed(" ".join(texts)):
         raise ConfigurationError(
             f"the shell made {len(texts)} words of the message",
@@ -398,7 +384,6 @@ class RateWindow:
         self._fresh = False
 
     def add(self, now: float) -> None:
-        """A message came at `now`, in seconds."""
         self._times.append(now)
         self._fresh = True
 
@@ -425,7 +410,6 @@ class SizeWindow:
         self._messages: deque[tuple[float, int]] = deque(maxlen=size)
 
     def add(self, now: float, size: int) -> None:
-        """A message of `size` bytes came at `now`, in seconds."""
         self._messages.append((now, size))
 
     def describe(self, now: float) -> str:

@@ -192,8 +192,6 @@ def _is_shown() -> bool:
 
 
 class _Line:
-    """The line, drawn by a thread of its own: the work may hold this one."""
-
     def __init__(self, what: str) -> None:
         self._what = printable(what)[:_WIDTH]
         self._begun = time.monotonic()
@@ -205,7 +203,6 @@ class _Line:
         TEMPORARY.append(self._take_away)
 
     def end(self) -> None:
-        """Take the line away for good."""
         TEMPORARY.remove(self._take_away)
         self._done.set()
         self._thread.join()

@@ -58,7 +58,7 @@ def read_lines(question: str, is_whole: Callable[[str], bool]) -> str:
 
 @contextmanager
 def _without_echo() -> Iterator[int]:
-    """The terminal of this process, as it was afterwards; what was not read then is gone."""
+    # The terminal of this process, as it was afterwards; what was not read then is gone.
     terminal = os.open("/dev/tty", os.O_RDWR | os.O_NOCTTY)
     try:
         before = termios.tcgetattr(terminal)
@@ -130,7 +130,6 @@ def long_enough(typed: str) -> str:
 
 
 def _ask(question: str, check_new: Callable[[str], str] | None = None) -> str:
-    """`check_new`: it is a new one, which is checked before it is asked for a second time."""
     try:
         answer: str = click.prompt(
             question, hide_input=can_hide(), err=True,
@@ -165,5 +164,4 @@ def _given(file: Path | None, environ: Mapping[str, str]) -> str | None:
 
 
 def _is_ours_alone(file: Path) -> bool:
-    """A pipe (`--passphrase-file <(pass show ca)`) has a mode without meaning."""
     return not file.is_file() and file.stat().st_uid in (os.getuid(), 0)

@@ -48,12 +48,7 @@ async def begin(request: Request, context: ConsoleContext) -> Response:
 
 
 async def read_frame(request: Request, context: ConsoleContext) -> Response:
-    """Read the code in a frame of a camera; answers with its text, or that there is none.
-
-    Raises:
-        HttpRefused: not a picture, or nobody reads them here.
-        PictureRefused: it cannot be read.
-    """
+    """Read the code in a frame of a camera; answers with its text, or that there is none."""
     if request.headers.get("content-type") not in _PICTURES:
         raise HttpRefused("this is not a picture", "send a JPEG", status=415)
     if context.scanner is None:
@@ -66,11 +61,7 @@ async def read_frame(request: Request, context: ConsoleContext) -> Response:
 
 
 async def show_one(request: Request, context: ConsoleContext) -> Response:
-    """An enrollment, by its stage.
-
-    Raises:
-        EnrollmentUnknown: there is none.
-    """
+    """An enrollment, by its stage."""
     number = request.path_params["id"]
     found = context.enrollments.get(number)
     found.check_time()
@@ -145,11 +136,7 @@ async def show_invite(request: Request, context: ConsoleContext) -> Response:
 
 
 async def show_made(request: Request, context: ConsoleContext) -> Response:
-    """The code that was made: once, and only where it was approved.
-
-    Raises:
-        HintedError: there is no such approval.
-    """
+    """The code that was made: once, and only where it was approved."""
     number = from_base64url(request.path_params["id"])
     outcome = await context.service.outcome(number)
     session = request.state.session.id

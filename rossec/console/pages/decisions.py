@@ -66,13 +66,12 @@ async def show_ask(request: Request, context: ConsoleContext) -> Response:
 
 
 def _others(questions: tuple[GrantQuestion, ...], found: GrantQuestion) -> int:
-    """How many more things the node asked for in the same request."""
     same = [each for each in questions if each.request == found.request]
     return len(same) - 1
 
 
 async def _answered(request: Request, context: ConsoleContext, number: bytes) -> Response:
-    """How it was answered, by the record; a service that does not say leaves it open."""
+    # How it was answered, by the record; a service that does not say leaves it open.
     try:
         answers = await context.service.question_answers(number)
     except HintedError:
@@ -90,7 +89,6 @@ async def deny(request: Request, context: ConsoleContext) -> Response:
 
 
 async def _graph(context: ConsoleContext) -> tuple[FactView, ...]:
-    """The graph; empty while the master is out of reach."""
     try:
         return await context.service.graph()
     except HintedError:
@@ -162,11 +160,7 @@ _EMPTY: Final[Mapping[str, str]] = {"reason": "", "name": ""}
 
 
 async def ask_grant(request: Request, context: ConsoleContext) -> Response:
-    """Ask for the reason to end one grant.
-
-    Raises:
-        HttpRefused: there is no such grant.
-    """
+    """Ask for the reason to end one grant."""
     return await _ask_grant(request, context)
 
 
@@ -193,11 +187,7 @@ async def revoke_grant(request: Request, context: ConsoleContext) -> Response:
 
 
 async def ask_node(request: Request, context: ConsoleContext) -> Response:
-    """Ask for the reason to revoke a whole node.
-
-    Raises:
-        HttpRefused: there is no such node.
-    """
+    """Ask for the reason to revoke a whole node."""
     name = await _node(context, f"/{request.path_params['name']}")
     return _ask_node(request, context, name)
 
@@ -250,7 +240,7 @@ async def show_ending(request: Request, context: ConsoleContext) -> Response:
 
 
 async def _subject(request: Request, context: ConsoleContext) -> tuple[str, tuple[object, ...]]:
-    """The node that was meant, and what it could do: as the record says, not the address."""
+    # The node that was meant, and what it could do: as the record says, not the address.
     found = request.query_params
     if "grant" in found:
         return await _grant(context, from_base64url(found["grant"]))

@@ -132,21 +132,13 @@ def challenge_fields(made: LoginChallenge, now: int) -> dict[str, object]:
 
 
 def read_assertion(fields: dict[str, Any]) -> Assertion:
-    """What `approve.js` sends of an assertion.
-
-    Raises:
-        HttpRefused: a field is missing or malformed.
-    """
+    """What `approve.js` sends of an assertion."""
     names = ("credential", "clientData", "authenticatorData", "signature")
     return Assertion(*(bytes_field(fields, name) for name in names))
 
 
 def read_registration(fields: dict[str, Any]) -> Registration:
-    """What `approve.js` sends of a new passkey.
-
-    Raises:
-        HttpRefused: a field is missing or malformed, or the name is empty.
-    """
+    """What `approve.js` sends of a new passkey."""
     name = text_field(fields, "name", MAX_PHONE_NAME).strip()
     if not name:
         raise HttpRefused("a phone needs a name", "for example: my phone", status=422)
@@ -156,22 +148,13 @@ def read_registration(fields: dict[str, Any]) -> Registration:
 
 
 def check_pause(request: Request, context: ConsoleContext) -> None:
-    """Return if this address was not wrong too often.
-
-    Raises:
-        HttpRefused: it has to wait.
-    """
+    """Return if this address was not wrong too often."""
     if context.failures.is_blocked(address_of(request), context.elapsed()):
         raise HttpRefused("too many attempts", "wait a minute", status=429)
 
 
 async def counted(request: Request, context: ConsoleContext, asking: Awaitable[_T]) -> _T:
-    """What `asking` returns; a refusal counts against the address.
-
-    Raises:
-        HttpRefused: the service refused.
-        KeyServiceFailed: it does not answer, which is nobody's fault here.
-    """
+    """What `asking` returns; a refusal counts against the address."""
     try:
         return await asking
     except KeyServiceFailed:
@@ -270,12 +253,7 @@ PHONES_PAGES: Final = (
 
 
 async def prepare(request: Request, context: ConsoleContext) -> Response:
-    """Have a statement made of a form; answers with what the passkey is to sign.
-
-    Raises:
-        HttpRefused: no phone can approve.
-        HintedError: the form or the service refuses.
-    """
+    """Have a statement made of a form; answers with what the passkey is to sign."""
     act = await approvals.read(context, request.path_params["kind"], await read_form(request))
     owner = owner_of(request.state.session)
     made = await context.service.prepare(act.kind, *act.arguments, owner=owner)
@@ -294,11 +272,7 @@ async def prepare(request: Request, context: ConsoleContext) -> Response:
 
 
 async def approve(request: Request, context: ConsoleContext) -> Response:
-    """Approve a statement with a passkey's assertion; answers with the next page.
-
-    Raises:
-        HintedError: it was not asked here, or the service refuses.
-    """
+    """Approve a statement with a passkey's assertion; answers with the next page."""
     statement = from_base64url(request.path_params["id"])
     session = request.state.session.id
     act = context.pending.get(statement, session)
@@ -325,11 +299,7 @@ class Given(NamedTuple):
 
 
 async def show_approved(request: Request, context: ConsoleContext) -> Response:
-    """One approval, until it is done.
-
-    Raises:
-        HintedError: there is none with this id.
-    """
+    """One approval, until it is done."""
     number = from_base64url(request.path_params["id"])
     outcome = await context.service.outcome(number)
     approvals = await context.service.approvals(_RECENT)
@@ -347,7 +317,7 @@ async def show_approved(request: Request, context: ConsoleContext) -> Response:
 
 
 def _given(data: bytes) -> list[Given]:
-    """What the grants with these claims give; nothing if they cannot be read, or are not made."""
+    # What the grants with these claims give; nothing if they cannot be read, or are not made.
     try:
         bodies = decode(data, limit=MAX_PAYLOAD) if data else []
         found = bodies if isinstance(bodies, list) else []

@@ -74,7 +74,6 @@ async def show_today(request: Request, context: ConsoleContext) -> Response:
 
 
 async def _waiting(context: ConsoleContext, questions: Iterable[GrantQuestion]) -> list[Waiting]:
-    """Requests for grants and identities, new phones, and a changed policy, the oldest first."""
     found = [
         Waiting(
             _asked(each),
@@ -129,10 +128,7 @@ def silent(home: Overview) -> int:
 
 
 def _looks(context: ConsoleContext, matrix: Matrix) -> dict[str, Any]:
-    """The topic that shows best that it depends who looks: seen in two ways, a place before all.
-
-    `moving` is the node whose place it is, if it is one's.
-    """
+    # `moving` is the node whose place it is, if it is one's.
     for row in sorted(matrix.rows, key=_contrast, reverse=True):
         found = visibility.comparison(context, row)
         if found is not None:
@@ -148,7 +144,7 @@ def _contrast(row: TopicRow) -> tuple[bool, bool, int]:
 
 
 def _new(request: Request, numbers: list[int]) -> int:
-    """How many things happened since this session looked at the log."""
+    # How many things happened since this session looked at the log.
     seen = request.state.session.seen
     return 0 if seen is None else sum(number > seen for number in numbers)
 
@@ -184,7 +180,7 @@ async def log(request: Request, context: ConsoleContext) -> Response:
 
 
 def _bounded(told: list[Sentence]) -> tuple[list[Sentence], int]:
-    """At most so many denials, the newest, and how many are left out: nodes cause them at will."""
+    # At most so many denials, the newest, and how many are left out: nodes cause them at will.
     denied = [each for each in told if each.number < 0]
     left = set(denied[MAX_REFUSED:])
     return [each for each in told if each not in left], len(left)
@@ -193,7 +189,6 @@ def _bounded(told: list[Sentence]) -> tuple[list[Sentence], int]:
 async def _events(
     context: ConsoleContext, before: int, node: str, known: Known
 ) -> tuple[list[EventView], int]:
-    """Entries with about `THINGS` sentences, and the number before which there are more, or 0."""
     found: list[EventView] = []
     following = before
     for _ in range(_ROUNDS):
@@ -212,14 +207,12 @@ async def _events(
 def _between(
     denied: tuple[DenialView, ...], events: list[EventView], before: int, following: int
 ) -> list[DenialView]:
-    """The denials of the time of this part: none is shown twice, none left out."""
     first = min((event.at for event in events), default=0) if following else 0
     last = max((event.at for event in events), default=0) if before else None
     return [each for each in denied if each.at >= first and (last is None or each.at < last)]
 
 
 def _look(request: Request, events: list[EventView], told: list[Sentence]) -> int:
-    """How many things are new to this session, which has seen them now."""
     session = request.state.session
     seen = session.seen
     if events:
@@ -250,11 +243,7 @@ HAPPENED_PAGES: Final = (Page("/log", ("GET",), log), Page("/way", ("GET",), way
 
 
 async def stream(request: Request, context: ConsoleContext) -> Response:
-    """A stream that ends with its session.
-
-    Raises:
-        HttpRefused: there are too many.
-    """
+    """A stream that ends with its session."""
     session = request.state.session
     is_valid = lambda: context.sessions.is_valid(session, context.elapsed())  # noqa: E731 - one expression
     return StreamingResponse(context.news.open(is_valid), media_type="text/event-stream")

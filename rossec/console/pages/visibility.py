@@ -74,7 +74,6 @@ class Overview(NamedTuple):
 
     @property
     def ending(self) -> frozenset[str]:
-        """Ids of grants and keys of nodes, in hex, that were ended and may still be used."""
         grants = [each for each in self.held if each.is_ending]
         keys = {each.grant.holder for each in grants}
         return frozenset(
@@ -88,18 +87,12 @@ class Overview(NamedTuple):
         return node.key in keys or not self.heard.has(node.revoked_at, keeps=False)
 
     def named(self, name: str) -> list[NodeView]:
-        """The identities of a name: its newest first."""
         found = [node for node in self.nodes if node.name == name]
         return sorted(found, key=lambda node: -node.not_before)
 
 
 async def load(context: ConsoleContext, names: Names = NONE) -> Overview:
-    """Ask for it; `names` has the types of topics that the graph and the grants do not tell.
-
-    Raises:
-        HintedError: the service refuses, or is not there.
-        GrantMalformed: the record has a grant that cannot be read.
-    """
+    """Ask for it; `names` has the types of topics that the graph and the grants do not tell."""
     now = context.clock()
     nodes, grants = await context.service.nodes(), await context.service.grants()
     facts: tuple[FactView, ...] = ()
@@ -171,11 +164,7 @@ def comparison(context: ConsoleContext, row: TopicRow) -> looks.Comparison | Non
 
 
 def name_of(text: str) -> str:
-    """The absolute name or pattern in a path, which came without its first slash.
-
-    Raises:
-        HttpRefused: it is not one.
-    """
+    """The absolute name or pattern in a path, which came without its first slash."""
     try:
         return check_pattern(f"/{text}")
     except PatternRefused as error:
@@ -183,11 +172,7 @@ def name_of(text: str) -> str:
 
 
 def position(text: str | None) -> int:
-    """A number in an address: where a part of a long table begins.
-
-    Raises:
-        HttpRefused: it is no number.
-    """
+    """A number in an address: where a part of a long table begins."""
     if not text:
         return 0
     if not (text.isascii() and text.isdecimal() and len(text) <= 12):
@@ -365,7 +350,6 @@ async def grant(request: Request, context: ConsoleContext) -> Response:
 
 
 def _holder(home: Overview, held: HeldGrant) -> bool:
-    """Whether the key that the grant is for is still one of its node."""
     return any(node.key == held.grant.holder and not node.revoked_at for node in home.nodes)
 
 

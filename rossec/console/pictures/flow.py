@@ -27,13 +27,7 @@ def draw(
     refused: Mapping[str, Sequence[str]] | None = None,
     title: Callable[[str], str] = lambda _: "",
 ) -> Element | None:
-    """The flow of the first rows and receivers of `matrix`; None where nothing flows.
-
-    Args:
-        refused: by receiver, the names that it was refused; one that may see nothing else has
-            a box too.
-        title: what people call a name; empty: it has no title.
-    """
+    """The flow of the first rows and receivers of `matrix`; None where nothing flows."""
     shown = matrix.window(slice(MAX_ROWS), slice(MAX_ROWS))
     ends = {name: found for name, found in (refused or {}).items() if found}
     receivers = _first([*shown.receivers, *sorted(ends)])
@@ -75,7 +69,6 @@ def _heads() -> list[Element]:
 
 
 def _spread(names: Sequence[str], height: float) -> dict[str, float]:
-    """The heights of the middles of boxes, evenly over the column."""
     pitch = (height - _TOP) / max(1, len(names))
     return {name: _TOP + pitch * (at + 0.5) for at, name in enumerate(names)}
 
@@ -157,7 +150,6 @@ def _cross(x: float, y: float) -> Element:
 
 
 def _stub(y: float, names: Sequence[str]) -> Element:
-    """The dead end of a receiver: the name that it was refused, or how many."""
     start = _RECEIVERS[1]
     said = cut(names[0], 13) if len(names) == 1 else f"{len(names)} refused"
     return Element(

@@ -79,7 +79,6 @@ def _picture(seen: SeenTopic) -> Image.Image | None:
 
 
 def _png(picture: Image.Image) -> bytes:
-    """The PNG of at most `_MAX_PNG` bytes, as large as it can be."""
     data = b""
     for side in _SIDES:
         small = picture.copy()
@@ -128,7 +127,6 @@ def draw_scan(seen: SeenTopic, reach: float) -> Element | None:
 
 
 def _rays(seen: SeenTopic) -> list[Point]:
-    """Angle and distance of each ray of the last scan that met something."""
     if not seen.samples:
         return []
     fields = seen.samples[-1].fields
@@ -295,13 +293,11 @@ def compare(recorded: Recorded, cells: Iterable[Cell]) -> Comparison:
 
 
 def _newest(kind: str) -> int:
-    """How many messages are looked at: of a picture or a scan only the last is drawn."""
+    # How many messages are looked at: of a picture or a scan only the last is drawn.
     return _LAST if kind in (SCAN_TYPE, IMAGE_TYPE) else MAX_MESSAGES
 
 
 class _Drawer(NamedTuple):
-    """What the pictures of one topic share; `during` is how long all of it took."""
-
     frame: place.Frame | None
     reach: float
     field: str
@@ -343,7 +339,6 @@ def _look(drawer: _Drawer, group: Sequence[Cell], seen: SeenTopic | None) -> Loo
 
 
 def _looks_picture(drawer: _Drawer, cell: Cell, seen: SeenTopic) -> tuple[str, str, Element | None]:
-    """Heading, how much it is, and the picture; without one the fields are shown."""
     messages = words.count(len(seen.samples), "message")
     if drawer.frame is not None:
         return _place(drawer.frame, cell, seen, drawer.during)
@@ -375,7 +370,6 @@ def _place(
 
 
 def _fields(seen: SeenTopic, cell: Cell) -> tuple[FieldLine, ...]:
-    """The last message as text; what a filter removed has no value."""
     rules = [rule for each in cell.restrictions for rule in each.filters]
     found: list[FieldLine] = []
     _walk(seen.samples[-1].fields, "", rules, found)

@@ -45,11 +45,9 @@ class Frame(NamedTuple):
 
     @property
     def scale(self) -> float:
-        """Units of the picture for a metre."""
         return WIDTH / self.width
 
     def at(self, point: Point) -> Point:
-        """Where a point in metres lies in the picture; north is up."""
         x = WIDTH / 2 + (point[0] - self.x) * self.scale
         y = HEIGHT / 2 - (point[1] - self.y) * self.scale
         return min(max(x, 0.0), WIDTH), min(max(y, 0.0), HEIGHT)
@@ -148,7 +146,6 @@ def _origin(seen: SeenTopic) -> Point | None:
 
 
 def _points(seen: SeenTopic, origin: Point | None) -> list[Point]:
-    """The places in metres; none if all are zero, which is what a removed field leaves."""
     if seen.type == _ON_EARTH:
         if origin is None:
             return []
@@ -169,12 +166,11 @@ def _points(seen: SeenTopic, origin: Point | None) -> list[Point]:
 
 
 def _is_near(point: Point) -> bool:
-    """Whether it can be drawn: not a number, and infinitely far, are neither."""
+    # Whether it can be drawn: not a number, and infinitely far, are neither.
     return all(abs(value) < _FAR for value in point)
 
 
 def _paper(frame: Frame, cell: Extent | None) -> Element:
-    """The ground with lines a metre apart, or those between cells."""
     wide, high = cell or _metres(frame)
     lines: list[Element] = [Element("rect", width=WIDTH, height=HEIGHT, class_="ground", rx=8.0)]
     reach = frame.width * HEIGHT / WIDTH / 2
@@ -193,7 +189,6 @@ def _metres(frame: Frame) -> Extent:
 
 
 def _steps(low: float, high: float, step: float, between: bool) -> list[float]:
-    """Multiples of `step` inside, or the middles between them: a cell is around its multiple."""
     offset = 0.5 if between else 0.0
     first = math.ceil(low / step - offset)
     last = math.floor(high / step - offset)
@@ -203,7 +198,6 @@ def _steps(low: float, high: float, step: float, between: bool) -> list[float]:
 
 
 def _ruler(frame: Frame) -> Element:
-    """A length to compare with, at the lower right."""
     length = _round_length(frame.width / 4)
     left, right, y = WIDTH - 14 - length * frame.scale, WIDTH - 14, HEIGHT - 12
     said = f"{length:g} m" if length < 1000 else f"{length / 1000:g} km"
@@ -215,13 +209,12 @@ def _ruler(frame: Frame) -> Element:
 
 
 def _round_length(metres: float) -> float:
-    """1, 2 or 5 times a power of ten, at most `metres`."""
     power: float = 10.0 ** math.floor(math.log10(metres))
     return max(step * power for step in (1, 2, 5) if step * power <= metres)
 
 
 def _track(points: list[Point], frame: Frame) -> list[Element]:
-    """The track, the older the paler; pieces share their ends, so that no gap shows."""
+    # The track, the older the paler; pieces share their ends, so that no gap shows.
     thinned = points[:: max(1, len(points) // _MAX_POINTS)]
     drawn = [frame.at(point) for point in (*thinned, points[-1])]
     size = max(2, math.ceil(len(drawn) / _SHADES))
@@ -235,7 +228,6 @@ def _track(points: list[Point], frame: Frame) -> list[Element]:
 
 
 def _arrow(seen: SeenTopic, last: Point, frame: Frame) -> list[Element]:
-    """A disc where it is now, and a wedge in its direction where one is known."""
     x, y = frame.at(last)
     parts = [Element("circle", cx=x, cy=y, r=11.0, class_="halo")]
     heading = _heading(seen)
@@ -250,7 +242,6 @@ def _arrow(seen: SeenTopic, last: Point, frame: Frame) -> list[Element]:
 
 
 def _heading(seen: SeenTopic) -> float | None:
-    """The angle of the last direction about the vertical; None if it was removed."""
     field = _POSITION.get(seen.type, "").rpartition("position")[0]
     try:
         turn = _read(seen.samples[-1], f"{field}orientation")
@@ -262,7 +253,6 @@ def _heading(seen: SeenTopic) -> float | None:
 
 
 def _squares(points: list[Point], frame: Frame, cell: Extent) -> list[Element]:
-    """A square for each place, the darker the longer it was there; the last has a border."""
     counts = Counter(points)
     most = max(counts.values())
     wide, high = cell[0] * frame.scale, cell[1] * frame.scale

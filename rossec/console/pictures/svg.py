@@ -32,11 +32,6 @@ class Element:
     __slots__ = ("_text",)
 
     def __init__(self, tag: str, *children: Child, **attributes: object) -> None:
-        """`class_` is the attribute `class`; an underscore within a name is a hyphen.
-
-        Raises:
-            ValueError: an element or attribute that does not belong in a picture.
-        """
         if tag not in _TAGS:
             raise ValueError(f"no {tag[:20]!r} in a picture")
         written = "".join(_attribute(name, value) for name, value in attributes.items())
@@ -51,11 +46,6 @@ class Element:
 
     @classmethod
     def picture(cls, data: str, **attributes: object) -> "Element":
-        """An `image` of base64 text of a PNG.
-
-        Raises:
-            ValueError: other characters.
-        """
         if re.fullmatch(r"[A-Za-z0-9+/]+={0,2}", data) is None:
             raise ValueError("not base64")
         made = cls("image", **attributes)
@@ -76,11 +66,7 @@ def _child(child: Child) -> str:
 
 
 def number(value: float) -> str:
-    """A coordinate with at most one decimal.
-
-    Raises:
-        ValueError: not finite.
-    """
+    """A coordinate with at most one decimal."""
     if not math.isfinite(value):
         raise ValueError("a coordinate that is not finite")
     text = f"{value:.1f}".removesuffix(".0")

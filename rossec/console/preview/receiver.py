@@ -50,7 +50,6 @@ class PreviewReceiver:
         self._subscribers: dict[str, Subscriber] = {}
 
     async def run(self) -> None:
-        """Receive until cancelled; a master that is away is tried again."""
         while True:
             try:
                 environ = await discover_master(self._environ, NAME)
@@ -85,7 +84,7 @@ class PreviewReceiver:
         )
 
     async def _end_lost(self, node: Node) -> None:
-        """Unsubscribe from what it may not receive any more."""
+        # Unsubscribe from what it may not receive any more.
         for topic in tuple(self._subscribers):
             if not node.access.holds(Right.SUBSCRIBE, topic, clock.now()):
                 await self._subscribers.pop(topic).close()

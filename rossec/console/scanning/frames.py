@@ -35,11 +35,7 @@ def frame(body: bytes) -> bytes:
 
 
 def size(head: bytes, limit: int) -> int:
-    """The number of bytes after a frame's head.
-
-    Raises:
-        KeyMessageRefused: none, or more than `limit`.
-    """
+    """The number of bytes after a frame's head."""
     found = int.from_bytes(head)
     if not 0 < found <= limit:
         raise KeyMessageRefused(f"a picture's frame of {found} bytes where {limit} are allowed")
@@ -52,11 +48,7 @@ def write_answer(answer: Found | Unreadable) -> bytes:
 
 
 def read_answer(body: bytes) -> Found | Unreadable:
-    """Read the body of an answer's frame.
-
-    Raises:
-        KeyMessageRefused: malformed.
-    """
+    """Read the body of an answer's frame."""
     try:
         match decode(body, limit=MAX_ANSWER):
             case [0, str() as text] if len(text) <= MAX_TEXT:

@@ -39,11 +39,7 @@ def answer(picture: bytes) -> Found | Unreadable:
 
 
 def serve(source: BinaryIO, sink: BinaryIO, read: Callable[[bytes], Found | Unreadable]) -> None:
-    """Answer pictures until there are no more.
-
-    Raises:
-        KeyMessageRefused: a frame that is too long.
-    """
+    """Answer pictures until there are no more."""
     while len(head := source.read(frames.HEAD)) == frames.HEAD:
         picture = source.read(frames.size(head, frames.MAX_PICTURE))
         sink.write(frames.write_answer(read(picture)))

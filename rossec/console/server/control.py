@@ -50,17 +50,14 @@ class Settings:
 
     @property
     def origin(self) -> str:
-        """The address as people are told it."""
         return self.origins[0]
 
     @property
     def rp_id(self) -> str:
-        """The name that passkeys belong to (WebAuthn: relying party identifier)."""
         return urlsplit(self.origin).hostname or ""
 
     @property
     def hosts(self) -> frozenset[str]:
-        """What a request's `Host` may be."""
         return frozenset(urlsplit(origin).netloc for origin in self.origins)
 
 
@@ -104,11 +101,7 @@ def write(word: ControlMessage) -> bytes:
 
 
 def read(body: bytes) -> ControlMessage:
-    """Read the body of a frame.
-
-    Raises:
-        KeyMessageRefused: malformed, or not in the table.
-    """
+    """Read the body of a frame."""
     try:
         value = decode(body, limit=MAX_FRAME)
     except EncodingError as error:

@@ -77,11 +77,9 @@ class Place:
         self._owner = ""
 
     def closed_by(self, close: Callable[[], None]) -> None:
-        """How to close the connection, to make room."""
         self._slot.close = close
 
     def belongs_to(self, owner: str) -> None:
-        """A session of `owner` was shown on it: it counts among those, if they have room."""
         if owner == self._owner:
             return
         slot = self._sessions.admit(owner)
@@ -91,7 +89,6 @@ class Place:
             self._slot, self._owner = slot, owner
 
     def release(self) -> None:
-        """The connection is closed."""
         self._slot.release()
 
 
@@ -105,12 +102,10 @@ class ConnectionShares:
         self._proxies = HalfOpenCount(PROXIES)
 
     def __len__(self) -> int:
-        """How many are taken."""
         counts = (self._strangers, self._sessions, self._other_users, self._proxies)
         return sum(map(len, counts))
 
     def take(self, address: str, *, is_other_user: bool) -> Place | None:
-        """A place for a connection from `address` (empty: of a proxy); None: there is no room."""
         if is_other_user:
             count = self._other_users
         else:
@@ -136,7 +131,6 @@ class BoundedProtocol(H11Protocol):
     has_begun = False
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin with a connection, whose handshake is done if it has one."""
         super().connection_made(transport)
         self.has_begun = True
         if self.place is not None:
@@ -145,7 +139,6 @@ class BoundedProtocol(H11Protocol):
         self._arm()
 
     def data_received(self, data: bytes) -> None:
-        """Take bytes; a deadline runs while no whole head is there."""
         date = formatdate(usegmt=True).encode()  # RFC 9110 section 6.6.1
         self.server_state.default_headers = [(b"date", date)]
         super().data_received(data)
@@ -153,21 +146,19 @@ class BoundedProtocol(H11Protocol):
             self._disarm()
 
     def on_response_complete(self) -> None:
-        """Wait for the next head."""
         self._arm()
         super().on_response_complete()
         if self._is_answering:  # it was there already
             self._disarm()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Forget the deadline, and give the place back."""
         self._disarm()
         if self.place is not None:
             self.place.release()
         super().connection_lost(exc)
 
     def send_400_response(self, msg: str) -> None:
-        """Close instead: such an answer would lack the headers that all have."""
+        # Close instead: such an answer would lack the headers that all have.
         del msg
         self.transport.abort()
 
@@ -187,8 +178,6 @@ class BoundedProtocol(H11Protocol):
 
 
 class _Placed:
-    """The application, told of each request which place its connection has."""
-
     def __init__(self, app: Any, place: Place) -> None:
         self._app, self._place = app, place
 
@@ -238,7 +227,6 @@ class ConsoleServer:
             asyncio.get_running_loop().add_reader(listening.fileno(), self._accept, listening)
 
     def _accept(self, listening: socket.socket) -> None:
-        """Accept a few, then return to the loop for the open connections."""
         loop = asyncio.get_running_loop()
         for _ in range(_ACCEPTS_PER_TURN):
             try:
@@ -259,7 +247,6 @@ class ConsoleServer:
             self._beginning.spawn(self._begin(sock, place), name="a connection of the console")
 
     def _place_for(self, sock: socket.socket, where: Any) -> Place | None:
-        """A place for a connection; None: it is of no user who may connect, or there is no room."""
         if sock.family == socket.AF_UNIX:  # a proxy
             try:
                 require_user(sock, self._proxy_users)
@@ -275,7 +262,6 @@ class ConsoleServer:
         return self.places.take(where[0], is_other_user=False)
 
     async def _begin(self, sock: socket.socket, place: Place) -> None:
-        """The handshake, if there is one; then the connection is its protocol's."""
         loop = asyncio.get_running_loop()
         protocol = BoundedProtocol(self._config, self._state, {}, loop)
         protocol.place = place
@@ -307,6 +293,5 @@ class ConsoleServer:
 
 
 def _end(sock: socket.socket) -> None:
-    """End a connection whose transport has it: it sees the end, and closes."""
     with suppress(OSError):
         sock.shutdown(socket.SHUT_RDWR)

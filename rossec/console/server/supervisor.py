@@ -77,11 +77,6 @@ class ScannerSupervisor:
         self._worker: asyncio.subprocess.Process | None = None
 
     async def run(self) -> None:
-        """Answer until the web process ends its end.
-
-        Raises:
-            KeyMessageRefused: it breaks the protocol.
-        """
         reader, writer = await asyncio.open_connection(sock=self._socket)
         try:
             while True:
@@ -95,7 +90,6 @@ class ScannerSupervisor:
             await self._end()
 
     async def _next(self, reader: asyncio.StreamReader) -> bytes:
-        """The next picture; while none comes, no worker is kept for longer than `idle`."""
         try:
             async with asyncio.timeout(self._idle):
                 head = await reader.readexactly(frames.HEAD)
@@ -179,7 +173,6 @@ class PreviewProcess:
 
     @property
     def pid(self) -> int | None:
-        """The process that runs now."""
         return None if self._process is None else self._process.pid
 
     def start(self) -> socket.socket:
@@ -259,11 +252,9 @@ class WebProcess:
 
     @property
     def pid(self) -> int | None:
-        """The process that runs now."""
         return None if self._process is None else self._process.pid
 
     async def run(self) -> None:
-        """Keep one running until this is cancelled."""
         delay = 0.5
         while True:
             begin = asyncio.get_running_loop().time()
@@ -279,11 +270,6 @@ class WebProcess:
             await asyncio.sleep(delay)
 
     async def started(self) -> None:
-        """Wait until the first one serves.
-
-        Raises:
-            ConfigurationError: it does not.
-        """
         try:
             async with asyncio.timeout(START):
                 await self._future()
@@ -307,7 +293,6 @@ class WebProcess:
             writer.transport.abort()
 
     def _spawn(self) -> tuple[socket.socket, socket.socket]:
-        """Start the process; returns our ends of the socketpairs."""
         ours, theirs = socket.socketpair()
         scanner, other = socket.socketpair()
         messages_end = None if self._preview is None else self._preview.start()
@@ -331,7 +316,6 @@ class WebProcess:
         return ours, scanner
 
     async def _listen(self, reader: asyncio.StreamReader) -> None:
-        """Take what it says, until it ends."""
         try:
             while True:
                 head = await reader.readexactly(messages.HEAD)
@@ -351,7 +335,6 @@ class WebProcess:
         await certificates(install)
 
     async def _end(self) -> None:
-        """Reap it: it ends with the connection, or is killed."""
         await self._end_process()
         if self._preview is not None:
             await self._preview.end()

@@ -57,11 +57,7 @@ def make_context() -> ssl.SSLContext:
 
 
 def load_bundle(context: ssl.SSLContext, bundle: bytes) -> None:
-    """Use `bundle` for connections from now on; those that are open keep what they have.
-
-    Raises:
-        ConfigurationError: OpenSSL cannot use it.
-    """
+    """Use `bundle` for connections from now on; those that are open keep what they have."""
     descriptor = os.memfd_create("tls", os.MFD_CLOEXEC)
     try:
         os.write(descriptor, bundle)
@@ -93,12 +89,6 @@ class ScannerClient:
         self._ended = False
 
     async def read(self, picture: bytes) -> str | None:
-        """The text of the one code in a picture; None: there is none in it.
-
-        Raises:
-            PictureRefused: too large, several codes, not a picture, or it took too long.
-            ScannerBusy: another picture is being read.
-        """
         if not 0 < len(picture) <= frames.MAX_PICTURE:
             raise PictureRefused(
                 f"a picture has at most {frames.MAX_PICTURE // 1024} kB here", _PASTE
@@ -118,7 +108,6 @@ class ScannerClient:
                 raise PictureRefused("pictures cannot be read any more", _PASTE)
 
     async def close(self) -> None:
-        """End the connection, and with it the worker."""
         self._ended = True
         await self._tasks.close()
         if self._streams is None:
@@ -128,7 +117,6 @@ class ScannerClient:
             await asyncio.sleep(0)
 
     async def _work(self, picture: bytes, answer: asyncio.Future[Answer | None]) -> None:
-        """Have a picture read, some time after the one before; None: nobody reads any more."""
         loop = asyncio.get_running_loop()
         try:
             await asyncio.sleep(max(0.0, self._next - loop.time()))
@@ -173,16 +161,14 @@ class PreviewClient:
         self._tasks = TaskSet()
 
     def recorded(self, topic: str) -> Recorded | None:
-        """The last minute of a topic; None if it is not received, or nothing came."""
+        # The last minute of a topic; None if it is not received, or nothing came.
         return self._memory.recorded(topic)
 
     def start(self) -> None:
-        """Begin to take messages."""
         self._tasks.spawn(self._take(), "preview of the console")
         self._tasks.spawn(self._sweep(), "end of the preview's minute")
 
     async def close(self) -> None:
-        """End it; the receiving process ends with the connection."""
         await self._tasks.close()
         self._socket.close()
 
@@ -237,11 +223,6 @@ class WebProcess:
         )
 
     async def run(self, supervisor: socket.socket, listening: Sequence[socket.socket]) -> None:
-        """Serve until the supervisor ends its end of the socketpair.
-
-        Raises:
-            KeyMessageRefused, ConfigurationError: the supervisor breaks the protocol.
-        """
         reader, writer = await asyncio.open_connection(sock=supervisor)
         try:
             if self._tls is not None:

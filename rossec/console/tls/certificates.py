@@ -51,12 +51,7 @@ _RENEW: Final = "make a new one: rossec console tls --renew"
 
 
 def open_authority(directory: Path) -> TlsAuthority:
-    """The authority in `directory`. Its validity is not checked here.
-
-    Raises:
-        ConfigurationError: there is none, or it is damaged, or others can read its key.
-        PathRefused: others can write there.
-    """
+    """The authority in `directory`. Its validity is not checked here."""
     key = _read_key(directory / KEY)
     pem = files.read_own(directory / CERTIFICATE, _MAX_FILE, _NONE)
     try:
@@ -72,12 +67,7 @@ def exists(directory: Path) -> bool:
 
 
 def renew(directory: Path, name: str, host: Address | None, now: int) -> TlsAuthority:
-    """Make a new authority for `name` with a new key, in the place of one that is there.
-
-    Raises:
-        NotWritten: the disk refused it.
-        PathRefused: others can write there.
-    """
+    """Make a new authority for `name` with a new key, in the place of one that is there."""
     files.make_private_directory(directory)
     with files.locked_directory(directory):
         key = ec.generate_private_key(ec.SECP256R1())
@@ -93,12 +83,7 @@ def renew(directory: Path, name: str, host: Address | None, now: int) -> TlsAuth
 def authority_for(
     directory: Path, name: str, host: Address | None, now: int, *, rename: bool
 ) -> TlsAuthority:
-    """The authority for `name`, made if there is none.
-
-    Raises:
-        ConfigurationError: the one that is there is for another name, and not to be replaced
-            (`rename`); it is damaged; it is not valid now.
-    """
+    """The authority for `name`, made if there is none."""
     if not exists(directory):
         return renew(directory, name, host, now)
     found = open_authority(directory)
@@ -151,15 +136,9 @@ class CertificateSource(Protocol):
     """Where the server's key and chain come from."""
 
     def first(self, now: int) -> bytes:
-        """The bundle to begin with.
-
-        Raises:
-            ConfigurationError: there is none that can be used.
-        """
         ...
 
     def newer(self, now: int) -> bytes | None:
-        """A bundle that replaces the one given last; None: that one stays."""
         ...
 
 
@@ -181,7 +160,6 @@ class OwnCertificates:
         self._renew_at = 0
 
     def first(self, now: int) -> bytes:
-        """As of `CertificateSource`."""
         key = ec.generate_private_key(ec.SECP256R1())
         leaf = self._authority.issue(
             key.public_key(), now=now, serial=self._serial(), address=self._address
@@ -191,7 +169,6 @@ class OwnCertificates:
         return key_pem(key) + certificate.public_bytes(Encoding.PEM)
 
     def newer(self, now: int) -> bytes | None:
-        """As of `CertificateSource`: at two thirds of the time; none once the authority ended."""
         if now < self._renew_at:
             return None
         try:
@@ -217,14 +194,12 @@ class FileCertificates:
         self._state: object = None
 
     def first(self, now: int) -> bytes:
-        """As of `CertificateSource`."""
         self._state = self._look()
         chain, key = (_read(path) for path in self._paths)
         check_bundle(chain, key, self._name, now)
         return key.rstrip() + b"\n" + chain
 
     def newer(self, now: int) -> bytes | None:
-        """As of `CertificateSource`: when one of the files is another one, and both fit."""
         if self._look() == self._state:
             return None
         try:
@@ -247,11 +222,7 @@ def renewal_time(issued: int, end: int) -> int:
 
 
 def check_bundle(chain: bytes, key: bytes, name: str, now: int) -> None:
-    """Check that a chain and a key (PEM) can serve `name` at `now`. Pure.
-
-    Raises:
-        ConfigurationError: they cannot; the message says why.
-    """
+    """Check that a chain and a key (PEM) can serve `name` at `now`. Pure."""
     try:
         leaf = x509.load_pem_x509_certificates(chain)[0]
     except ValueError as error:
@@ -276,7 +247,7 @@ def check_bundle(chain: bytes, key: bytes, name: str, now: int) -> None:
 
 
 def _names(leaf: x509.Certificate, name: str) -> bool:
-    """Whether `leaf` has `name`, or a wildcard for its first label (RFC 9525 section 6.3)."""
+    # Whether `leaf` has `name`, or a wildcard for its first label (RFC 9525 section 6.3).
     try:
         found = leaf.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     except x509.ExtensionNotFound:
@@ -290,7 +261,6 @@ def _end(certificate: x509.Certificate) -> int:
 
 
 def _read(path: Path) -> bytes:
-    """A file of the operator; it may be a link, as those of ACME clients are."""
     missing = ConfigurationError(f"there is no {path}", "name a PEM file")
     return files.read_own(path, _CERTIFICATES_MAX_FILE, missing, link=True)
 

@@ -293,7 +293,7 @@ def _way(value: object) -> Way | None:
 
 
 def _is_count(value: object) -> bool:
-    """Whether it is a number that is not negative; neither is infinity, which has no integer."""
+    # Whether it is a number that is not negative; neither is infinity, which has no integer.
     return type(value) in (int, float) and 0 <= value <= _MAX_COUNT  # type: ignore[operator]
 
 

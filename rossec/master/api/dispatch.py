@@ -191,7 +191,6 @@ class MasterApi:
         return request
 
     def keep_views(self, thumbprints: frozenset[bytes]) -> None:
-        """Discard what was sent to all other keys."""
         self.watch_calls.views.keep_only(thumbprints)
         self.site_calls.views.keep_only(thumbprints)
 
@@ -270,7 +269,6 @@ class Multicall:
 
     @property
     def done(self) -> bool:
-        """Whether no element is left."""
         return self._bytes_left < 0 or len(self._answers) == len(self._calls)
 
     @property
@@ -297,11 +295,10 @@ class Multicall:
         return tuple(events)
 
     def restart_element(self) -> None:
-        """Discard the partial result of the element in progress."""
         self._work = None
 
     def _run_element(self, begin: BeginCall, expired: TurnExpired) -> CallOutcome | None:
-        """Process one element; None: it is not finished."""
+        # Process one element; None: it is not finished.
         try:
             begun = self._begin_next(begin) if self._work is None else self._work
             outcome = begun if isinstance(begun, CallOutcome) else advance(begun, expired)
@@ -371,7 +368,6 @@ class RevokedConnections:
         return not full
 
     def release(self, keys: tuple[bytes, ...]) -> None:
-        """An admitted connection has ended."""
         self._counts -= Counter(keys)  # drops zeros
 
 
@@ -398,11 +394,7 @@ class RevokedCalls:
 def answer_revoked(
     statements: TrustState, now: int, method: str, params: tuple[object, ...]
 ) -> list[object]:
-    """Answer a call of a revoked identity.
-
-    Raises:
-        HangUp: any call but those by which a node learns that it is revoked.
-    """
+    """Answer a call of a revoked identity."""
     match params:
         case (str(), *_) if method in _LIST_METHODS:
             # Always whole: an empty list would mean that there is none.

@@ -55,7 +55,6 @@ class GraphCalls:
         self._version = -1
 
     def methods(self) -> Methods:
-        """The entries of the method table."""
         topic, type_name = arg.topic("topic"), arg.type_name("topic_type")
         service, api = arg.topic("service"), arg.uri("caller_api", "http")
         service_api = arg.uri("service_api", "rosrpc")
@@ -133,10 +132,8 @@ class GraphCalls:
         return Reply(uri, f"rosrpc URI: [{uri}]")
 
     def _ask(self, name: str, request: CallRequest) -> None:
-        """Have other masters asked for a name that is not one of this master.
-
-        Not for a foreigner, whoever it names: what is imported is shown to no other domain.
-        """
+        # Have other masters asked for a name that is not one of this master.
+        # Not for a foreigner, whoever it names: what is imported is shown to no other domain.
         registered = self._registry.node_uri(name) or self._registry.service_uri(name)
         if registered is None and not request.caller.is_foreign:
             self._demand.ask(name, request.now)
@@ -153,7 +150,6 @@ class GraphCalls:
         return Reply((yield from self._state(caller)), "current system state")
 
     def _state(self, caller: Caller) -> Generator[None, None, EncodedList]:
-        """What the caller may see; cached while neither the graph nor the caller changes."""
         version = self._graph.version
         if self._version != version:
             self._version = version
@@ -184,7 +180,6 @@ class GraphCalls:
         return found
 
     def _entry(self, key: str, names: tuple[str, ...]) -> EncodedList:
-        """One name with its nodes, encoded once for all callers that may see it."""
         entry = self._entries.get((key, names))
         if entry is None:
             if len(self._entries) >= _MAX_CACHED_ENTRIES:
@@ -220,7 +215,6 @@ class GraphCalls:
     def _visible_types(
         self, caller: Caller, topics: Iterable[tuple[str, str] | None]
     ) -> Generator[None, None, list[list[str]]]:
-        """Those of `topics`, with their types, that the caller may see."""
         shown, at_once = list[list[str]](), caller.names_per_yield
         for number, topic in enumerate(topics, 1):
             if topic is not None and is_topic_visible(self._graph, caller, topic[0]):
@@ -242,8 +236,6 @@ View: TypeAlias = frozenset[Fact]
 
 
 class _Sent(NamedTuple):
-    """What a caller knows: facts, and what was said beside them."""
-
     facts: View
     beside: tuple[bytes, ...]
 
@@ -264,7 +256,6 @@ class GraphViews:
         return sum(map(len, self._views.values()))
 
     def keep_only(self, thumbprints: frozenset[bytes]) -> None:
-        """Discard the views of all other keys."""
         for key in self._views.keys() - thumbprints:
             del self._views[key]
 
@@ -276,15 +267,7 @@ class GraphViews:
         version: int,
         beside: tuple[bytes, ...] = (),
     ) -> dict[str, object]:
-        """The changes since the caller's last view; the cursor stays if there are none.
-
-        Args:
-            caller: the thumbprint of its key.
-            seen: the instance and the cursor it was answered last.
-            now: what it may see now.
-            version: of the state.
-            beside: what the caller adds to the answer; a change of it is one of the answer.
-        """
+        # The changes since the caller's last view; the cursor stays if there are none.
         instance, cursor = seen
         views = self._views.setdefault(caller, OrderedDict())
         cursor = cursor if isinstance(cursor, int) and instance == self._instance else _START
@@ -363,7 +346,6 @@ class WatchCalls:
         self.views: Final = GraphViews(instance)
 
     def methods(self) -> Methods:
-        """The entry of the method table."""
         checks = (arg.text("instance"), arg.number("cursor"))
         return {WATCH: Method(checks, {}, self._watch)}
 

@@ -146,21 +146,18 @@ class CallRequest(NamedTuple):
     is_local: bool = True
 
     def text(self, index: int) -> str:
-        """An argument that was checked to be text."""
         value = self.arguments[index]
         if not isinstance(value, str):
             raise TypeError(f"argument {index} is not text")
         return value
 
     def binary(self, index: int) -> bytes:
-        """An argument that was checked to be bytes."""
         value = self.arguments[index]
         if not isinstance(value, bytes):
             raise TypeError(f"argument {index} is not bytes")
         return value
 
     def node(self, index: int) -> NodeRef:
-        """The caller with the slave API URI that is this argument."""
         return NodeRef(self.caller.name, self.text(index), self.caller.thumbprint)
 
 
@@ -206,7 +203,6 @@ class Turns:
         self._length = length
 
     def begin(self) -> TurnExpired:
-        """Begin a turn now; returns whether it has expired."""
         end = self._clock() + self._length
         return lambda: self._clock() >= end
 

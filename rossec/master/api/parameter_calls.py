@@ -208,16 +208,12 @@ class ParameterCalls:
         return Reply(0, f"parameter {key} set", events=(persist, *events))
 
     def _affected_items(self, key: str, value: object) -> list[ParameterItem]:
-        """The items that setting `key` to `value` reaches, before and after."""
         before = self._parameters.items_affected(key)  # the last of them is `key` itself
         has_tree = isinstance(value, dict) or isinstance(before[-1][1], dict)
         return [*before, (key, value)] if has_tree else before
 
     def _set_within_quota(self, caller: Caller, key: str, value: object) -> None:
-        """Set a parameter; the net additions of one key in this run are at most half of the limit.
-
-        What was set before the master was started counts for no key.
-        """
+        # What was set before the master was started counts for no key.
         before, quota = self._parameters.size, self._limit // 2
         own = min(self._bytes_added[caller.thumbprint], before)  # others may have deleted it
         try:
@@ -231,7 +227,7 @@ class ParameterCalls:
         self._account(caller, before)
 
     def _account(self, caller: Caller, before: int) -> None:
-        """Count what a caller added since the size was `before`, at least 0 in total."""
+        # Count what a caller added since the size was `before`, at least 0 in total.
         key = caller.thumbprint
         self._bytes_added[key] = (
             min(self._bytes_added[key], before) + self._parameters.size - before
@@ -267,7 +263,6 @@ class ParameterCalls:
         return Reply("", f"Cannot find parameter [{key}] in an upwards search", -1)
 
     def _is_readable(self, caller: Caller, key: str) -> Generator[None, None, bool]:
-        """Whether the caller may read anything at or below `key`."""
         results = decisions_across_turns(caller, Right.PARAM_GET, self._item(key))
         at_once = caller.names_per_yield
         for count, decision in enumerate(results, 1):
@@ -290,7 +285,6 @@ class ParameterCalls:
         return Reply(shown, "Parameter names")
 
     def _readable_names(self, caller: Caller) -> Iterator[str | None]:
-        """Every parameter the caller may read, and None for each name it may not."""
         for item in (self._parameters.item("/"), *self._mirrors.items()):
             for decision in decisions_across_turns(caller, Right.PARAM_GET, item):
                 if decision.covered:
@@ -348,7 +342,7 @@ def _refuse_mirror(key: str, value: object = None) -> None:
 
 
 def _sendable(value: object) -> object:
-    """The value, unless it is far too long: encoding it would already take long."""
+    # The value, unless it is far too long: encoding it would already take long.
     if isinstance(value, dict) and parameters.exceeds(value, MAX_ENCODED):
         raise Fault(1, _TOO_LONG)
     return value

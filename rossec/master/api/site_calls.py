@@ -63,7 +63,6 @@ class SiteCalls:
         self.views: Final = GraphViews(instance)
 
     def methods(self) -> Methods:
-        """The entry of the method table."""
         checks = (arg.text("instance"), arg.number("cursor"), arg.patterns("wanted", MAX_WANTED))
         return {FOLLOW: Method(checks, {}, self._follow)}
 
@@ -117,7 +116,7 @@ def own_facts(registry: Registry, caller: Caller, wanted: Reach | None) -> Itera
 
 
 def _is_shown(caller: Caller, wanted: Reach | None, name: str) -> bool:
-    """An alias is not shown: it is a name of another origin."""
+    # An alias is not shown: it is a name of another origin.
     if is_alias(name) or (wanted is not None and not wanted.covers(Right.GRAPH, name)):
         return False
     exported = caller.exported is None or caller.exported.covers_any(ALL_RIGHTS, name)
@@ -129,7 +128,6 @@ def _digest(wanted: object) -> bytes:
 
 
 def _wanted(value: object) -> Reach | None:
-    """What is wanted, as a set of patterns; None: everything. The empty name wants nothing."""
     names: Sequence[object] = value if isinstance(value, list) else ()
     if not names:
         return None
@@ -175,7 +173,6 @@ class RelayCalls:
         self._own = name, uri
 
     def methods(self) -> Methods:
-        """The entries of the method table."""
         polled = (text("instance"), number("seen"), arg.doors("doors"), arg.ways("ways"))
         target = (text("domain"), arg.kind("kind"), arg.name("name"))
         return {
@@ -211,7 +208,6 @@ class RelayCalls:
         return Reply([*place], "target")
 
     def _exported(self, label: str, now: int) -> Reach | None:
-        """What the domain with this label is shown; None: everything."""
         if not label:
             return None
         domains = self._statements.domains
@@ -221,7 +217,6 @@ class RelayCalls:
         return domains.exported(listed.entry.domain)
 
     def _place(self, kind: str, name: str, exported: Reach | None) -> Endpoint | None:
-        """Host and port of what is registered here and shown; None: there is no such thing."""
         own_name, own_uri = self._own
         if kind == MASTER:
             return endpoint(own_uri) if name == own_name else None

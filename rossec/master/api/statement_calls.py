@@ -93,7 +93,6 @@ class StatementCalls:
         self._deposits = deposits
 
     def methods(self) -> Methods:
-        """The entries of the method table."""
         grants = arg.binaries("grants", PRESENT_LIMIT)
         renewed = arg.binaries("grants", RENEW_LIMIT)
         return {
@@ -116,7 +115,6 @@ class StatementCalls:
         }
 
     def _present(self, request: CallRequest) -> Steps:
-        """In turns: each token costs several signatures, and 64 KiB of CBOR before the first."""
         tokens, reasons = binaries(request.arguments[1]), list[str]()
         for token in tokens:
             reasons += self._statements.present(request.caller, [token], request.now).refused
@@ -151,7 +149,7 @@ class StatementCalls:
         return Reply(list(self._statements.current(request.now)), "revocations")
 
     def _since(self, request: CallRequest) -> Reply:
-        """The list, unless the caller says that it holds the same."""
+        # The list, unless the caller says that it holds the same.
         self._statements.held_lists.record(request.caller, request.binary(1), request.now)
         return Reply(
             list(self._statements.revocations_for(request.caller, request.now)), "revocations"
@@ -170,7 +168,6 @@ class StatementCalls:
         return _update_reply(newer, request)
 
     def _entries(self, request: CallRequest) -> Reply:
-        """All entries of the tree in force, which name what was ever revoked: to own masters."""
         if not request.caller.is_own_master:
             raise Refused("only another master of this domain may call this")
         return Reply(self._statements.tree_entries, "entries")
@@ -191,7 +188,6 @@ class StatementCalls:
         return Reply(answer, "revocations")
 
     def _names_of(self, node: str) -> list[str]:
-        """The names a node is registered for; a subscription to all parameters names none."""
         keys = (key for kind in Kind for key in self._registry.keys_of(node, kind))
         return [name for key in keys if (name := key.removesuffix("/"))]
 
@@ -227,7 +223,6 @@ class DomainCalls:
         self._statements = statements
 
     def methods(self) -> Methods:
-        """The entries of the method table."""
         domain, digest = arg.text("domain"), arg.binary("digest")
         entries = arg.binaries("entries", PROOF_LIMIT)
         return {
@@ -284,7 +279,6 @@ class DepositCalls:
         self._deposits = deposits
 
     def methods(self) -> Methods:
-        """The entries of the method table."""
         known = arg.binary("known")
         return {
             "rossec.depositGrants": Method(
@@ -361,7 +355,6 @@ def _deposited(
 
 
 def _split(value: bytes, size: int, most: int) -> list[bytes]:
-    """The items of `size` bytes that `value` consists of."""
     if len(value) % size or len(value) > size * most:
         raise Refused(f"expected at most {most} ids of {size} bytes, one after the other")
     return [value[at : at + size] for at in range(0, len(value), size)]
@@ -378,7 +371,6 @@ class RenewalCalls:
         self._statements = statements
 
     def methods(self) -> Methods:
-        """The entries of the method table."""
         return {
             RENEW_IDENTITY: Method((arg.binary("request"),), b"", self._renew),
             WATCH_RENEWALS: Method((arg.number("locked"),), {}, self._offer),
@@ -398,7 +390,6 @@ class RenewalCalls:
         return Reply({"renewals": found.requests, "waiting": found.waiting}, "renewals")
 
     def _settle(self, request: CallRequest) -> Steps:
-        """In turns: each bundle costs a signature or two."""
         settled = 0
         answers = request.arguments[1]
         for each in answers if isinstance(answers, list) else ():
@@ -420,7 +411,6 @@ def is_idle(answer: object) -> bool:
 
 
 def _settlements(value: object, _caller: str) -> list[Settlement]:
-    """[[SHA-256 of the request, bundle, reason]]; of the last two one is empty."""
     if not isinstance(value, list) or len(value) > OFFER_LIMIT:
         raise ArgumentRefused(f"ERROR: parameter [answers] must be a list of at most {OFFER_LIMIT}")
     return [_settlement(each) for each in value]
@@ -459,7 +449,6 @@ class AuthorityCalls:
         self._connected = connected
 
     def methods(self) -> Methods:
-        """The entries of the method table."""
         return {
             STANDING: Method((), {}, self._standing),
             DENIALS: Method((), [], self._recent_denials),

@@ -69,7 +69,7 @@ class DenialRateLimit(logging.Filter):
         self._nodes: OrderedDict[str, NodeBudget] = OrderedDict()
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether the line is written; if so, it records how many before it were not."""
+        # Whether the line is written; if so, it records how many before it were not.
         now = self._clock()
         budget = self._budget(subject(record))
         common = self._common if self._common.refill(now) >= 1 else budget.reserved

@@ -98,21 +98,13 @@ class Config:
 
 
 def load(path: Path) -> Config:
-    """Read a configuration file.
-
-    Raises:
-        ConfigurationError: no file, not YAML, or something in it is not allowed.
-    """
+    """Read a configuration file."""
     data = files.read_own(path, _SIZE, ConfigurationError(f"there is no {path}"), link=True)
     return parse(data.decode(errors="replace"), str(path))
 
 
 def parse(text: str, name: str) -> Config:
-    """Read the text of a configuration file called `name`.
-
-    Raises:
-        ConfigurationError: see `load`.
-    """
+    """Read the text of a configuration file called `name`."""
     values: dict[str, Any] = {}
     for key, word, part in _entries(_tree(text, name), name):
         where = f"{name}:{word.line}"
@@ -148,7 +140,6 @@ def _tree(text: str, name: str) -> "Part | None":
 
 
 def _entries(tree: "Part | None", name: str) -> Iterator[tuple[str, "YamlScalar", "Part"]]:
-    """Keys, their positions and values."""
     if tree is None:
         return
     entries = getattr(tree, "entries", None)

@@ -54,7 +54,6 @@ class MetricsCollector:
         self._status = status
 
     def collect(self) -> Iterator[Any]:
-        """The metrics, as prometheus_client expects them."""
         from prometheus_client import core  # noqa: PLC0415 - an extra
 
         status = self._status()
@@ -65,8 +64,6 @@ class MetricsCollector:
 
 
 class _Server(ThreadingMixIn, WSGIServer):
-    """One thread a connection, few at a time: any user of this host can connect."""
-
     daemon_threads = True
 
     def __init__(self, *arguments: Any) -> None:
@@ -75,7 +72,6 @@ class _Server(ThreadingMixIn, WSGIServer):
         super().__init__(*arguments)
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
-        """Refuse a connection beyond the limits, before a thread is started for it."""
         slot = self._count.admit(client_address[0])
         if slot is not None:
             self._slots[request] = slot
@@ -83,14 +79,14 @@ class _Server(ThreadingMixIn, WSGIServer):
         return slot is not None
 
     def shutdown_request(self, request: Any) -> None:
-        """Close the connection; it counts until then."""
         super().shutdown_request(request)
         slot = self._slots.pop(request, None)
         if slot is not None:
             slot.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Errors of connections are not logged."""
+        # Errors of connections are not logged.
+        ...
 
 
 def _end(request: Any) -> None:
@@ -99,12 +95,9 @@ def _end(request: Any) -> None:
 
 
 class _Handler(WSGIRequestHandler):
-    """One request, with a deadline: of each read, and for all of it."""
-
     timeout = DEADLINE
 
     def handle(self) -> None:
-        """Answer one request, or end the connection of whoever sends it piece by piece."""
         timer = Timer(2 * DEADLINE, _end, [self.request])
         timer.start()
         try:
@@ -113,7 +106,8 @@ class _Handler(WSGIRequestHandler):
             timer.cancel()
 
     def log_message(self, format: str, *arguments: Any) -> None:  # noqa: A002 - of the base class
-        """Requests are not logged."""
+        # Requests are not logged.
+        ...
 
 
 class MetricsExporter:

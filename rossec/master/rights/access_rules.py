@@ -94,7 +94,6 @@ def require_place(registry: Registry, topic: str, node: NodeRef) -> None:
 
 
 def _served(caller: Caller, alias: str) -> str | None:
-    """The served name that decides for a caller on an alias; None: none does."""
     if not is_alias(alias) or caller.is_foreign or is_own_gateway(caller):
         return None
     try:
@@ -280,12 +279,11 @@ class AccessControl:
             )
 
     def _administers(self, caller: Caller, service: str) -> bool:
-        """Whether `rosnode cleanup` may look the service up: it unregisters it by its address."""
         providers = self._registry.registered_nodes(Kind.SERVICE, service)
         return any(caller.may(Right.ADMIN, node.name) for node in providers)
 
     def _require_no_door(self, rule: AccessRule, arguments: tuple[object, ...]) -> None:
-        """Raise `Refused` for the address of a door: its target would lose it here."""
+        # Raise `Refused` for the address of a door: its target would lose it here.
         given = [str(arguments[at]) for at in (rule.api, rule.service) if at is not None]
         if any(self._is_door(endpoint(uri)) for uri in given):
             raise Refused("a relay of this site listens at this address")
@@ -329,7 +327,7 @@ def is_authority(peer: Identity) -> bool:
 
 
 def _require_right(caller: Caller, right: Right, name: str) -> None:
-    """Raise `Refused` unless the caller may register for, or look up, `name`."""
+    # Raise `Refused` unless the caller may register for, or look up, `name`.
     if right in _OFFERED:
         if is_alias(name):
             raise Refused(_NOT_OFFERED.format(name))
@@ -339,7 +337,7 @@ def _require_right(caller: Caller, right: Right, name: str) -> None:
 
 
 def _require_kind(scope: Scope, caller: Caller) -> None:
-    """Raise `Refused` unless the caller is what a scope without a right is for."""
+    # Raise `Refused` unless the caller is what a scope without a right is for.
     if scope is Scope.AUTHORITY and not caller.is_authority:
         raise Refused(f"only the authority's own node {AUTHORITY} may call this")
     if scope is Scope.MEMBER and caller.is_foreign:
@@ -349,7 +347,6 @@ def _require_kind(scope: Scope, caller: Caller) -> None:
 
 
 def _is_own_relay(caller: Caller) -> bool:
-    """Whether the certified name itself is a relay's: the name of a visitor is an alias."""
     return is_relay_name(caller.name) and not caller.certified and not caller.wildcard
 
 
@@ -390,11 +387,9 @@ def _require_free(registry: Registry, caller: Caller, uri: str) -> None:
 def _require_foreign_address(
     registry: Registry, caller: Caller, uri: str, *, is_local: bool
 ) -> None:
-    """Raise `Refused` for an address that a foreigner, slave API or service, cannot have.
-
-    One that is registered here as either, and one that a node of another network cannot have: a
-    link-local one names another machine in each network.
-    """
+    # Raise `Refused` for an address that a foreigner, slave API or service, cannot have.
+    # One that is registered here as either, and one that a node of another network cannot have: a link-local
+    # one names another machine in each network.
     _require_free(registry, caller, uri)
     for node in registry.providers_at(endpoint(uri)):
         if node.name != caller.name:

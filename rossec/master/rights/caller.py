@@ -123,23 +123,19 @@ class Caller:
 
     @property
     def display_name(self) -> str:
-        """The names, for people."""
         name = shown(self.name)
         return f"{name} (certified as {self.certified})" if self.certified else name
 
     @property
     def identity(self) -> str:
-        """The certified name, for people."""
         return shown(self.certified or self.name)
 
     @property
     def has_tail(self) -> bool:
-        """Whether its certified name has a wildcard tail, by which `acting_as` took another."""
         return self.wildcard or bool(self.certified)
 
     @property
     def is_foreign(self) -> bool:
-        """Whether it is a node of a foreign domain."""
         return is_alias(self.name)
 
     @property
@@ -207,10 +203,8 @@ class Caller:
         return remedy(node, right, ruled)
 
     def _no_right_there(self, right: Right, alias: str) -> HintedError:
-        """Why grants do not even come into question: nothing is called so, or none was presented.
-
-        Only a node of the own domain is told which labels there are.
-        """
+        # Why grants do not even come into question: nothing is called so, or none was presented.
+        # Only a node of the own domain is told which labels there are.
         missing = f"no grant for {right.label} on {shown(alias)}"
         try:
             found = None if self.is_foreign else split_alias(alias)
@@ -252,7 +246,6 @@ class Caller:
 
     @property
     def names_per_yield(self) -> int:
-        """How many names a query checks between two yields: fewer where each costs more."""
         return max(1, NAMES_PER_YIELD // (1 + sum(map(self.patterns, Right)) // 8))
 
     def may_see(self, name: str) -> bool:
@@ -267,7 +260,6 @@ class Caller:
 
     @property
     def has_slots(self) -> bool:
-        """Whether any grant is for messages in slots."""
         return self.reach.has_slots and not (self.is_authority or self.is_own_master)
 
     def slot(self, name: str) -> int:
@@ -302,7 +294,6 @@ class Caller:
         return origin is not None and origin[0].reach.covers_any(VISIBILITY_RIGHTS, origin[1])
 
     def _origin(self, right: Right, alias: str) -> tuple[OriginRights, str] | None:
-        """The grants that decide on `alias`, and its name at the origin; None: there are none."""
         try:
             found = split_alias(alias)
         except NameRefused:
@@ -313,7 +304,6 @@ class Caller:
         return None if rights is None else (rights, found[1])
 
     def _tree_origin(self, right: Right, namespace: str) -> tuple[Reach, str] | None:
-        """As `_origin` for parameters; `/remote/LABEL` is the root of its origin."""
         label, slash, rest = namespace.removeprefix(f"{REMOTE}/").partition("/")
         if self.is_foreign or right is not Right.PARAM_GET or namespace == REMOTE:
             return None
@@ -328,7 +318,7 @@ class Caller:
 
 
 def _ways(right: Right, alias: str) -> tuple[str, ...]:
-    """Who could give a right there: the same for every name, so it tells nothing of a gateway."""
+    # Who could give a right there: the same for every name, so it tells nothing of a gateway.
     with suppress(NameRefused):
         if right is Right.SUBSCRIBE:
             own = f"or this one for subscribe on {served_name(alias)}, if a gateway serves it"

@@ -57,7 +57,6 @@ class ForeignWord(NamedTuple):
     chain: tuple[bytes, ...] = ()
 
     def digest(self) -> bytes:
-        """The digest of the list; empty: there is none."""
         return digest(self.revocations) if self.revocations else b""
 
 
@@ -133,17 +132,14 @@ class DomainTrust:
                 self.generation += 1
 
     def word(self, domain: str) -> ForeignWord:
-        """The newest list of a foreign domain, and the last word on it, as far as there is one."""
         data, word = self._data(domain), self._words.get(domain, ForeignWord())
         return word if word.revocations == data else ForeignWord(data)
 
     @property
     def number(self) -> int:
-        """Sequence number of the list of domains; 0: there is none."""
         return 0 if self.anchors.current is None else self.anchors.current.seq
 
     def digest(self) -> bytes:
-        """The digest of the list of domains; empty: there is none."""
         return digest(self.anchors.data) if self.anchors.data else b""
 
     def proofs(self, domain: str, entries: Sequence[bytes]) -> list[bytes]:
@@ -237,7 +233,6 @@ class DomainTrust:
             self.check_fresh(peer, now)
 
     def label_of(self, domain: str) -> str:
-        """The label of a listed foreign domain; empty for any other."""
         listed = self.anchors.listed_domain(domain)
         return "" if listed is None else listed.entry.label
 
@@ -258,11 +253,9 @@ class DomainTrust:
         )
 
     def exported(self, domain: str) -> Reach | None:
-        """What a foreign domain is shown and given at all; None: what grants allow."""
         return self._exports.get(domain)
 
     def imported(self, label: str) -> Reach | None:
-        """What is taken from the domain with this label; None: all it shows. Else nothing."""
         return self._imports.get(label, _NOTHING)
 
     def verifier(self, domain: str) -> Verifier:

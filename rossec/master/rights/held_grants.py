@@ -33,15 +33,7 @@ from rossec.master.state.journals import DepositChange, GrantDeposited, GrantHel
 
 
 def check_holder(caller: Caller, grant: Grant, label: str) -> None:
-    """Return if `grant`, which is verified, is one of the caller's.
-
-    Args:
-        label: what the domain of the grant is called here; empty: it is the own one.
-
-    Raises:
-        GrantNotHeld: it is bound to another key, or for the anonymous nodes of another identity.
-        NarrowingOutsideDomain: it was handed to another domain.
-    """
+    """Return if `grant`, which is verified, is one of the caller's."""
     if grant.holder != caller.thumbprint:
         raise GrantNotHeld("the grant is bound to another key", f"it was issued to {grant.subject}")
     name = caller.certified or caller.name
@@ -116,7 +108,6 @@ class PresentedGrants:
     def caller(
         self, peer: Peer, context: EvaluationContext, judge: Judge, *, wildcard: bool
     ) -> Caller:
-        """The caller; the same object while neither the context nor a grant has changed."""
         caller = self._caller
         if self._evaluated_for != (context, self.version):
             self._evaluate(context, judge)
@@ -135,7 +126,6 @@ class PresentedGrants:
         return caller
 
     def _evaluate(self, context: EvaluationContext, judge: Judge) -> None:
-        """Compute the rights of the grants that are valid in `context`."""
         grants = self.grants.values()
         valid = [grant for grant in grants if _is_valid(grant, context.now, judge)]
         ids = tuple(grant.id for grant in valid)
@@ -150,44 +140,38 @@ class PresentedGrants:
     def _refuse(
         self, judge: Judge, holder: bytes, now: int, domain: str, right: Right, name: str
     ) -> Decision:
-        """Decide by the grants of one domain; raises as `grants.decision.authorize`."""
         held = [grant for grant in self.grants.values() if grant.domain == domain]
         check = partial(judge.check, domain)
         return authorize(held, right, name, holder=holder, now=now, check=check)
 
     def drop_domains(self, domains: Collection[str]) -> None:
-        """Remove the grants of these domains: their keys may be others now."""
         for key in [key for key, grant in self.grants.items() if grant.domain in domains]:
             del self.grants[key], self.sizes[key]
             self.version += 1
 
     def drop_tails(self) -> None:
-        """Remove the grants on names of anonymous nodes: the key speaks without their tail."""
         for key in [key for key, grant in self.grants.items() if grant.has_tail_patterns]:
             del self.grants[key], self.sizes[key]
             self.version += 1
         self.has_tails = False
 
     def drop_expired(self, now: int) -> None:
-        """Remove expired grants."""
         for key in [key for key, grant in self.grants.items() if grant.expires <= now]:
             del self.grants[key], self.sizes[key]
             self.version += 1
 
     def count_failure(self, now: int) -> None:
-        """Count a refused grant of this key."""
         self.failures += 1
         if self.failures == 1:
             self.failing_since = now
 
     def has_failed_too_often(self, now: int) -> bool:
-        """Whether the grants of this key are not verified for now."""
+        # Whether the grants of this key are not verified for now.
         if not 0 <= now - self.failing_since < FAILURE_WINDOW:
             self.failures = 0
         return self.failures >= MAX_FAILURES
 
     def put(self, token: bytes, grant: Grant) -> None:
-        """Add a grant, in place of an older version of it: it may have been renewed."""
         for key in [key for key, other in self.grants.items() if other.id == grant.id]:
             if self.grants[key].expires > grant.expires:
                 return
@@ -198,12 +182,12 @@ class PresentedGrants:
         self.version += 1
 
     def is_full_for(self, size: int) -> bool:
-        """Whether a grant of `size` bytes would exceed a limit."""
+        # Whether a grant of `size` bytes would exceed a limit.
         return len(self.grants) >= MAX_HELD or sum(self.sizes.values()) + size > MAX_HELD_BYTES
 
 
 def _is_valid(grant: Grant, now: int, judge: Judge) -> bool:
-    """Whether `grants.decision` would accept the grant now; its holder was checked before."""
+    # Whether `grants.decision` would accept the grant now; its holder was checked before.
     try:
         check_time(grant, now)
         for entry in grant.revocable:
@@ -270,7 +254,7 @@ def _refuse(data: bytes, now: int) -> Grant:
 
 
 def _forget(changes: Sequence[DepositChange]) -> None:
-    """A master without a disk."""
+    ...
 
 
 class Deposits:
@@ -390,7 +374,7 @@ class Deposits:
             self._first_end = min((each.ends for each in self._by_id.values()), default=None)
 
     def _admit(self, deposit: Deposit, accepted: dict[bytes, Deposit]) -> None:
-        """Add to `accepted` unless it is in the table; raises a `GrantError` without room."""
+        # Add to `accepted` unless it is in the table; raises a `GrantError` without room.
         known = self._by_id.get(deposit.grant_id)
         if known is not None and known.data == deposit.data:
             return
@@ -440,7 +424,6 @@ def _size(deposits: Iterable[Deposit]) -> int:
 
 
 def _signed_part(token: bytes) -> bytes:
-    """The grant in a token, as the authority signed it; empty if it is malformed."""
     try:
         return unpack(token).grant
     except GrantError:

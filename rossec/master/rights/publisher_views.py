@@ -34,8 +34,6 @@ CallerOf = Callable[[NodeRef, int], Caller | None]
 
 
 class _Told(NamedTuple):
-    """What a node was told last, by alias."""
-
     node: NodeRef
     uris: dict[str, tuple[str, ...]]
 
@@ -78,7 +76,6 @@ class AliasPublishers:
         return found
 
     def forget(self, topic: str, name: str) -> None:
-        """The node `name` has unregistered."""
         if name in self._told:
             self._told[name].uris.pop(topic, None)
 
@@ -105,7 +102,6 @@ class AliasPublishers:
         return [event for node in nodes for event in self._change(node, alias, now)]
 
     def changes_for(self, name: str, now: int) -> list[PublishersChanged]:
-        """The same for the nodes of one certified name: its rights have changed."""
         names = [each for each in self._told if covers(name, each, wildcard=True)]
         return [event for each in names for event in self._changes_of(each, now)]
 
@@ -117,7 +113,6 @@ class AliasPublishers:
             yield self._changes_of(name, now)
 
     def next_slot(self, now: int) -> int | None:
-        """When a slot begins next in which somebody may have to be told; None: nobody."""
         return min((now - now % slot + slot for slot in self._slots), default=None)
 
     def _at(self, topic: str, slot: int) -> list[str]:
@@ -128,8 +123,6 @@ class AliasPublishers:
         return [*own, *self._registry.imported_publishers(topic)]
 
     def _note(self, topic: str, now: int) -> None:
-        """Note who publishes a topic now, and who had to go."""
-
         def is_cut(node: NodeRef) -> bool:
             caller = self._caller_of(node, now)
             return caller is None or not caller.may(Right.PUBLISH, topic)
@@ -138,7 +131,6 @@ class AliasPublishers:
         self.graph.presence.note(topic, is_cut)
 
     def _is_apart(self, node: NodeRef, topic: str, now: int) -> bool:
-        """Whether a subscriber is told in slots, or was until now."""
         caller = self._caller_of(node, now)
         told = self._told.get(node.name)
         was = told is not None and told.node == node and topic in told.uris
@@ -287,7 +279,7 @@ def is_topic_visible(graph: Graph, caller: Caller, topic: str) -> bool:
 def _answering(
     found: Iterator[tuple[str, tuple[str, ...]]], silent: frozenset[str]
 ) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Served names without gateways that do not answer: another one takes over what they served."""
+    # Served names without gateways that do not answer: another one takes over what they served.
     for key, nodes in found:
         yield key, tuple(n for n in nodes if n not in silent) if is_in_gateway(key) else nodes
 
@@ -297,7 +289,7 @@ def _with_gateways(
     found: Iterator[tuple[str, tuple[str, ...]]],
     served: dict[str, tuple[str, ...]],
 ) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Consumes `served`; names that are not visible are yielded too, as each costs time."""
+    # Consumes `served`; names that are not visible are yielded too, as each costs time.
     for key, nodes in found:
         gateways = served.pop(key, ())
         if gateways and may_see_served(caller, key):

@@ -84,7 +84,6 @@ class Delegate:
 
     @property
     def id(self) -> bytes | None:
-        """The id of the delegation held, by which it is revoked; None: none is held."""
         return None if self._held is None else self._held.id
 
     def renew(
@@ -109,7 +108,6 @@ class Delegate:
         return renewed, pack(data, ticket, self._data)
 
     def _ticket(self, grant: Grant, held: OpenDelegation, now: int, seq: int) -> Ticket:
-        """Valid from `SKEW` ago: nodes whose clocks lag by less accept it at once."""
         if now >= grant.cap:
             raise RenewalTooWide(
                 f"grant {grant.short_id} has reached its cap, {format_time(grant.cap)}",
@@ -173,8 +171,6 @@ class Settlement(NamedTuple):
 
 @dataclass(slots=True)
 class _Entry:
-    """What is kept of one key: a request, then its answer."""
-
     name: str
     wildcard: bool
     key: bytes  # of the certificate that is asked for
@@ -216,15 +212,9 @@ class IdentityRenewals:
         self.on_answered: Callable[[bytes], None] = _ignore_key
 
     def waiting(self, now: int) -> int:
-        """How many requests have no answer yet."""
         return sum(not each.is_answered and _is_kept(each, now) for each in self._entries.values())
 
     def ask(self, holder: bytes, request: bytes, now: int, check: RevocationCheck) -> RenewalAnswer:
-        """Answer what the peer with the key `holder` asks for; `check` raises for revoked keys.
-
-        Raises:
-            CAError: it is refused, by this master or by the authority.
-        """
         if self._renewer is not None:
             return RenewalAnswer(self._renewer(request, now, check), "identity renewed")
         if len(request) > MAX_RENEWAL:
@@ -247,7 +237,6 @@ class IdentityRenewals:
         return self._place(holder, entry, renewal, request, now)
 
     def offer(self, now: int, *, locked: bool) -> Offer:
-        """What the authority's service, which asks, has to decide; nothing while it is `locked`."""
         self._seen_at, self._is_locked = now, locked
         self._prune(now)
         waiting = [each for each in self._entries.values() if not each.is_answered]
@@ -257,10 +246,7 @@ class IdentityRenewals:
         return Offer([each.request for each in due], len(waiting))
 
     def settle(self, found: list[Settlement], now: int, check: RevocationCheck) -> int:
-        """Keep the answers to what was offered; returns to how many.
-
-        An answer to no request, or with another certificate than was asked for, is left out.
-        """
+        # An answer to no request, or with another certificate than was asked for, is left out.
         offered = {each.offered: key for key, each in self._entries.items() if each.offered}
         settled = 0
         for each in found:
@@ -288,7 +274,6 @@ class IdentityRenewals:
     def _place(
         self, holder: bytes, entry: _Entry | None, renewal: Renewal, request: bytes, now: int
     ) -> RenewalAnswer:
-        """Keep a request, in the place of what there is of its key."""
         if entry is not None and not entry.is_answered and entry.key == renewal.request.thumbprint:
             entry.request, entry.verified_at, entry.ends = request, now, now + MAX_AGE
             if _is_due(entry, now):
@@ -332,18 +317,18 @@ class IdentityRenewals:
 
 
 def _is_kept(entry: _Entry, now: int) -> bool:
-    """Whether it counts: what a clock that was ahead has left would be in the way for as long."""
+    # Whether it counts: what a clock that was ahead has left would be in the way for as long.
     return entry.verified_at - MAX_AGE <= now < entry.ends
 
 
 def _is_due(entry: _Entry, now: int) -> bool:
-    """Whether the service is to see it: it did not yet, or did not answer."""
+    # Whether the service is to see it: it did not yet, or did not answer.
     return entry.offered_at is None or not 0 <= now - entry.offered_at < OFFERED_AGAIN
 
 
 def _ignore() -> None:
-    """Nobody waits."""
+    ...
 
 
 def _ignore_key(_holder: bytes) -> None:
-    """Likewise."""
+    ...

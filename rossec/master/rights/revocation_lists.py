@@ -64,26 +64,20 @@ class HeldLists:
         self._held: dict[tuple[str, bytes], tuple[bytes, int]] = {}
 
     def record(self, peer: Peer, digest: bytes, now: int) -> None:
-        """Record what a node holds at `now`."""
         key = peer.name, peer.thumbprint
         if len(self._held) >= MAX_HELD_LISTS and key not in self._held:
             self._held.clear()  # a wildcard identity has as many names as it wants
         self._held[key] = digest, now
 
     def holds(self, peer: Peer, digest: bytes) -> bool:
-        """Whether a node said that it holds this list."""
         return self._held.get((peer.name, peer.thumbprint), (None, 0))[0] == digest
 
     def keep_only(self, thumbprints: frozenset[bytes]) -> None:
-        """Discard what all other keys hold."""
         self._held = {key: held for key, held in self._held.items() if key[1] in thumbprints}
 
     def standing(self, connected: Iterable[Peer], digest: bytes, now: int) -> ListStanding:
-        """How far a list has come among the `connected`, certified identities.
-
-        Nodes of a wildcard identity count one by one, as long as they speak. An identity that is
-        connected and silent counts as one node that does not hold the list.
-        """
+        # Nodes of a wildcard identity count one by one, as long as they speak. An identity that is connected
+        # and silent counts as one node that does not hold the list.
         speaking: dict[bytes, list[tuple[str, bool]]] = {}
         for (name, key), (held, at) in self._held.items():
             if now - at <= SILENT_AFTER:
@@ -130,11 +124,9 @@ class ListInForce:
         self._timestamp_cache: tuple[int, bytes] = (-1, b"")
 
     def revoked(self) -> frozenset[bytes]:
-        """All revoked entries."""
         return self._revocations.entries
 
     def current(self, now: int) -> tuple[bytes, bytes]:
-        """The list and a timestamp of this second; empty while there is no list."""
         revocations = self._revocations.current
         if revocations is None:
             return b"", b""
@@ -143,41 +135,30 @@ class ListInForce:
         return self._revocations.data, self._timestamp_cache[1]
 
     def revocations_for(self, peer: Peer, now: int) -> tuple[bytes, bytes]:
-        """As `current`, but without the list if the node has said that it holds it."""
         data, stamp = self.current(now)
         return (b"" if self.held_lists.holds(peer, digest(data)) else data), stamp
 
     def standing(self, connected: Iterable[Peer], now: int) -> ListStanding:
-        """How many of the `connected` hold the list in force."""
         return self.held_lists.standing(connected, digest(self._revocations.data), now)
 
     @property
     def list_data(self) -> bytes:
-        """The signed list or tree in force, as received; empty: none."""
         return b"" if self._revocations.current is None else self._revocations.data
 
     @property
     def tree_entries(self) -> bytes:
-        """The entries of the tree in force; empty: a list is, or they are missing."""
         return b"" if self._listing is None else self._listing.encoded()
 
     @property
     def list_number(self) -> tuple[int, int]:
-        """Epoch and sequence number of the list in force; zeros: none."""
         current = self._revocations.current
         return (0, 0) if current is None else current.number
 
     @property
     def number(self) -> int:
-        """Sequence number of the list in force; 0: none."""
         return 0 if self._revocations.current is None else self._revocations.current.seq
 
     def update(self, data: bytes, now: int) -> bool:
-        """Accept a list signed by the authority; returns whether it differs from the one held.
-
-        Raises:
-            RevocationRefused: forged, malformed, or older than one seen.
-        """
         if is_tree(data):
             raise RevocationRefused("a revocation tree needs its entries", _PUBLISH)
         before = self._revocations.data
@@ -186,14 +167,10 @@ class ListInForce:
         return self._list_replaced(before)
 
     def update_tree(self, data: bytes, entries: bytes, now: int) -> bool:
-        """Accept a tree signed by the authority, with all its entries; as `update`."""
         return finished(self.take_tree(data, entries, now))
 
     def take_tree(self, data: bytes, entries: bytes, now: int) -> Generator[None, None, bool]:
-        """As `update_tree`, in steps: anybody may send this, and most of it is known or invented.
-
-        What costs least is compared first: the octets, the signature, the number, the size.
-        """
+        # What costs least is compared first: the octets, the signature, the number, the size.
         if self._listing is not None and data == self._revocations.data:
             return False
         signed = open_tree(data, self._anchor.public_key)
@@ -225,11 +202,9 @@ class ListInForce:
         return self._list_replaced(before)
 
     def proofs(self, entries: Sequence[bytes]) -> list[bytes]:
-        """The proof of each entry in the tree in force; empty while a list is in force."""
         return [] if self._listing is None else [self._listing.prove(item) for item in entries]
 
     def _list_replaced(self, before: bytes) -> bool:
-        """Reset what depends on the list; returns whether it differs from `before`."""
         self._timestamp_cache = (-1, b"")
         return self._revocations.data != before
 
@@ -247,10 +222,6 @@ def pertaining(
 
     Its own grants; grants of any holder for these names, and the keys of these holders; the
     delegation of renewal. Yields where other calls may be answered.
-
-    Args:
-        grants: those that were presented to the master: it does not know the others.
-        own: the thumbprint of the caller's key, and the id of the delegation.
     """
     found, keys = set(own), frozenset(names)
     revoked = [item for item in grants if not entries.isdisjoint(entries_of(item))]
@@ -308,7 +279,6 @@ class Series:
         self._updates: deque[TrlUpdate] = deque(maxlen=MAX_N)
 
     def note(self, entries: frozenset[bytes]) -> None:
-        """Record that the part of this requester is now `entries`."""
         if entries == self._entries:
             return
         removed, added = sorted(self._entries - entries), sorted(entries - self._entries)
@@ -317,11 +287,6 @@ class Series:
         self._next += 1
 
     def answer(self, query: Query) -> dict[int | str, Value]:
-        """The answer to a query.
-
-        Raises:
-            QueryRefused: a cursor that was never sent.
-        """
         last = self._updates[-1].number if self._updates else None
         if query.diff is None:
             return {_FULL_SET: [*sorted(self._entries)], _CURSOR: last}
@@ -370,11 +335,7 @@ class RevocationQueries:
 
 
 def read_query(query: bytes) -> Query:
-    """Read a query: the map {? "diff": uint, ? "cursor": uint}; a cursor needs diff.
-
-    Raises:
-        QueryRefused: it is malformed; the number at the end is RFC 9770's error code.
-    """
+    """Read a query: the map {? "diff": uint, ? "cursor": uint}; a cursor needs diff."""
     try:
         value = decode(query, limit=MAX_QUERY)
     except EncodingError as error:
@@ -389,7 +350,6 @@ def read_query(query: bytes) -> Query:
 
 
 def _batch(updates: list[TrlUpdate]) -> list[TrlUpdate]:
-    """The oldest updates that fit into one answer."""
     batch: list[TrlUpdate] = []
     hashes = 0
     for update in updates[:MAX_DIFF_BATCH]:

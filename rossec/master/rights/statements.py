@@ -128,7 +128,6 @@ class TrustState(ListInForce):
         return self._caller(peer, now, self._judge._replace(check=check, exported=exported))
 
     def _check_grant(self, domain: str, entry: bytes, now: int) -> None:
-        """The own list counts for every grant here, that of its domain for a foreign one too."""
         self._revocations.check(entry, now)
         if domain != self._anchor.domain:
             self.domains.check_known(domain, entry, now)
@@ -175,14 +174,12 @@ class TrustState(ListInForce):
         return Presented(len(held.grants), tuple(refused))
 
     def has_presented(self, holder: bytes, grant_id: bytes) -> bool:
-        """Whether a valid or expired grant is among those that its holder has presented."""
         held = self._held.get(holder)
         return held is not None and any(each.id == grant_id for each in held.grants.values())
 
     def pertaining(
         self, caller: Caller, names: Iterable[str]
     ) -> Generator[None, None, frozenset[bytes]]:
-        """The revoked entries that pertain to a caller, see `pertaining.pertaining`."""
         own = caller.thumbprint, self._delegate.id
         return pertaining(self._revocations.entries, self._known_grants(), own, names)
 
@@ -220,7 +217,6 @@ class TrustState(ListInForce):
             raise
 
     def check(self, entry: bytes, now: int) -> None:
-        """As `Revocations.check`, against the list in force."""
         self._confirm(now)
         self._revocations.check(entry, now)
 
@@ -239,7 +235,6 @@ class TrustState(ListInForce):
         return own, self.domains.digest()
 
     def _list_replaced(self, before: bytes) -> bool:
-        """Reset what depends on the list; returns whether it differs from `before`."""
         self._revoked_grants = {
             grant.id: grant
             for grant in self._known_grants()
@@ -272,10 +267,8 @@ class TrustState(ListInForce):
         return self._held_by(peer).caller(peer, self._context, judge, wildcard=wildcard)
 
     def _held_by(self, peer: Peer) -> PresentedGrants:
-        """The grants of a key, until `keep_only` discards them.
-
-        One key may be certified in several domains, where it is another peer.
-        """
+        # The grants of a key, until `keep_only` discards them.
+        # One key may be certified in several domains, where it is another peer.
         if peer.name.startswith(REMOTE) and is_alias(peer.name):
             place = peer.name.split("/")[2], peer.thumbprint
             return self._held_by_foreigners.setdefault(place, PresentedGrants())
@@ -285,7 +278,6 @@ class TrustState(ListInForce):
         return held
 
     def _known_grants(self) -> Iterator[Grant]:
-        """The grants held, and those that the list in force has revoked."""
         yield from self._revoked_grants.values()
         for held in (*self._held.values(), *self._held_by_foreigners.values()):
             yield from held.grants.values()
@@ -321,7 +313,7 @@ class TrustState(ListInForce):
             )
 
     def _verifier_of(self, token: bytes, caller: Caller) -> Verifier:
-        """With the key of the domain the token says it is of; a foreigner has only own grants."""
+        # With the key of the domain the token says it is of; a foreigner has only own grants.
         anchor, domains = self._anchor, self.domains
         if domains.anchors.all_listed and not caller.is_foreign:
             domain = peek(token).domain
@@ -332,7 +324,6 @@ class TrustState(ListInForce):
         return Verifier(anchor.public_key, anchor.domain, delegates, self.number, check)
 
     def _confirm(self, now: int) -> None:
-        """Confirm the list to this process, once in each second and for each list."""
         context, revocations = self._context, self._revocations
         elsewhere = self.domains.generation
         if (

@@ -52,20 +52,17 @@ class Admission:
         self._limits = limits
 
     def has_rights(self, peer: Identity) -> bool:
-        """Whether any grant of `peer` is valid now, or it is the authority or a listed master."""
         try:
             return self._state.trust.caller(peer, self._state.now()).has_rights
         except HintedError:
             return False
 
     def body_bound(self, peer: Identity) -> int:
-        """How many bytes a call of `peer` may have now."""
         if self.has_rights(peer):
             return self._limits.body
         return min(self._limits.body, self._limits.body_without_right)
 
     def has_room_for(self, peer: Identity) -> bool:
-        """Whether one more connection is within the limits; a foreign authority has any key."""
         source = source_of(peer)
         peers = [stream.peer for stream in self._state.streams]
         of_group = [other for other in peers if source_of(other).group == source.group]
@@ -92,12 +89,10 @@ class Admission:
         params: tuple[object, ...],
         peer: Identity,
     ) -> object:
-        """Answer a call of a peer without rights, which may present grants by it."""
         value = dispatch(method, params, peer)
         return self._presented(stream, value) if method == PRESENT_GRANTS else value
 
     async def _presented(self, stream: SecureStream[Identity], value: object) -> object:
-        """From now on longer calls arrive, if a grant was shown."""
         answer = await cast("Awaitable[object]", value) if isinstance(value, Awaitable) else value
         if self.has_rights(stream.peer):
             stream.raise_unit_limit()
@@ -120,7 +115,6 @@ class SiteAnswers:
         imports.on_settled = self._wake
 
     async def wait(self, longest: float = SITES_WAIT) -> None:
-        """Return when every connected site has answered what is wanted, or after `longest`."""
         if self._imports.is_settled:
             return
         if self._settled is None:
@@ -173,11 +167,6 @@ class CallAnswers:
     def dispatch(
         self, is_local: bool, method: str, params: tuple[object, ...], peer: Identity
     ) -> object:
-        """The value to answer with, or an awaitable of it.
-
-        Raises:
-            Fault: there is no such method, or the peer has just been revoked.
-        """
         call = PendingCall(is_local, method, params, peer)
         if method == MULTICALL:
             multicall = Multicall(params)
@@ -205,7 +194,6 @@ class CallAnswers:
         return await self._finish(call, self._begin(call))
 
     def _query(self, call: PendingCall, work: Work) -> object:
-        """Answer at once if one turn is enough."""
         if call.method == FOLLOW:
             self._state.site_polls.supersede(call.peer.thumbprint)
         outcome = advance(work, self._first_turn())
@@ -223,7 +211,7 @@ class CallAnswers:
         return answer
 
     def _expect_change(self, call: PendingCall) -> asyncio.Event:
-        """For a change from now on: a coroutine begins later, and would miss what comes before."""
+        # For a change from now on: a coroutine begins later, and would miss what comes before.
         if call.method == WATCH:
             return self._state.graph_changes.expect()
         return self._state.site_polls.expect(call.peer.thumbprint)
@@ -238,7 +226,7 @@ class CallAnswers:
         return answer
 
     async def _watch_graph(self, call: PendingCall, expected: asyncio.Event) -> object:
-        """Answer a change that the watcher sees: the moment of another would tell of it."""
+        # Answer a change that the watcher sees: the moment of another would tell of it.
         loop = asyncio.get_running_loop()
         end = loop.time() + WATCH_WAIT
         while True:
@@ -275,7 +263,6 @@ class CallAnswers:
         return await self._finish(again, self._begin(again))
 
     async def _probe_owner(self, owner: NodeRef, call: PendingCall) -> object:
-        """Probe `owner`, whose address another node registers, and answer again."""
         await self._effects.dialer.probe(owner)
         return await self._finish(call, self._begin(call))
 
@@ -301,7 +288,6 @@ class CallAnswers:
         return multicall.answer
 
     def _first_turn(self) -> TurnExpired:
-        """A turn at once: a part of the one that all calls which arrive together have."""
         expired, all_expired = self._turns.begin(), self._loop_turns.first()
         return lambda: expired() or all_expired()
 
@@ -316,7 +302,6 @@ class CallAnswers:
         return self._api.begin(call.method, call.params, caller, now, is_local=call.is_local)
 
     def _caller_now(self, peer: Identity) -> tuple[Caller, int]:
-        """The caller with its rights now, and the time."""
         now = self._state.now()
         try:
             return self._state.trust.caller(peer, now), now

@@ -106,7 +106,6 @@ class DenialLog:
         self._file.flush()
 
     def close(self) -> None:
-        """Close the file."""
         self._file.close()
 
 
@@ -131,10 +130,7 @@ class DenialCauses:
         self._logged: OrderedDict[_Cause, _Logged] = OrderedDict()
 
     def text(self, now: int, denied: CallDenied) -> str | None:
-        """What to log after the node and `may not`; None if the cause was logged before.
-
-        Of what every program works without it begins with `BASICS`: it is no warning.
-        """
+        # Of what every program works without it begins with `BASICS`: it is no warning.
         if denied.missing is None:
             return f"{denied.method}: {denied.status}"
         right, name = denied.missing
@@ -221,7 +217,6 @@ class MasterState:
         self.trust.identities.on_asked = self.renewal_changes.notify
 
     def now(self) -> int:
-        """The time, in whole seconds."""
         return int(self.clock())
 
     def notify(self) -> None:
@@ -231,7 +226,6 @@ class MasterState:
         self.demand_changes.notify(self.imports.demand.version)
 
     def notify_all(self) -> None:
-        """Rights or lists have changed: every answer may be another one."""
         self.graph_changes.notify()
         self.site_polls.notify()
 
@@ -371,7 +365,6 @@ class Effects:
         self.updates.post(node, (method, about), self._state.name, subject, *rest)
 
     def _enforce_list(self) -> None:
-        """Enforce a new list: as much as possible now, the rest in the next round."""
         for _ in islice(self.enforcement(), STEPS_AT_ONCE):
             pass
         self.close_revoked()  # also their pending updates
@@ -403,7 +396,6 @@ class Effects:
                 self.updates.drop(node)
 
     def _record_taken(self, node: NodeRef, method: str, params: tuple[object, ...]) -> None:
-        """A node that has taken a list has closed what the list ends."""
         match params:
             case (_, bytes(revocations), _) if revocations and method == REVOCATION_UPDATE:
                 taken = digest(revocations)
@@ -454,7 +446,6 @@ class Effects:
             self.updates.post(node, key, self._state.name, *params)
 
     def _own_nodes(self, now: int) -> list[NodeRef]:
-        """The registered nodes of the own domain; foreigners hear from their own master."""
         trust, nodes = self._state.trust, self._state.registry.nodes()
         own = [node for node in nodes if not is_alias(node.name)]
         return [node for node in own if trust.caller_of(node, now) is not None]

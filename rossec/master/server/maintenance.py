@@ -91,15 +91,12 @@ class LocalAuthority:
         self._last_warnings: dict[str, str] = {}  # by what was looked for
 
     def has_newer_list(self, now: int) -> bool:
-        """Accept the list of the authority, if it is newer; returns whether it was."""
         return self._take("list", lambda: self._newest(now))
 
     def has_newer_domains(self) -> bool:
-        """As `has_newer_list`, for the list of domains."""
         return self._take("list of domains", self._newest_domains)
 
     def _take(self, what: str, accept: Callable[[], bool]) -> bool:
-        """What `accept` returns; a reason to refuse is logged once, although each round checks."""
         try:
             newer = accept()
         except (HintedError, OSError) as error:
@@ -152,7 +149,6 @@ class OwnIdentity:
         self.credentials = LiveCredentials(home.credentials())
 
     def check(self, now: int) -> None:
-        """Reload a replaced identity, and renew one that is due; a failure is tried again."""
         self._attempt(self._reload, now)
         held = self._identity
         if now >= max(self._next_attempt, renew_at(held.not_before, held.not_after)):
@@ -199,11 +195,7 @@ class OwnIdentity:
         self._warn(f": {answer.status}", now)
 
     def _warn(self, why: str, now: int) -> None:
-        """Once an hour, but not before a service that runs had time to answer.
-
-        Raises:
-            ConfigurationError: it is time.
-        """
+        # Once an hour, but not before a service that runs had time to answer.
         held = self._identity
         if not self._next_warning and why:
             self._next_warning = now + retry_delay(held.not_before, held.not_after, _GRACE)
@@ -244,22 +236,18 @@ class Gateways:
         return len(self._asked)
 
     def start(self) -> None:
-        """Ask those that register from now on."""
         self._effects.on_served = self._served
 
     async def close(self) -> None:
-        """Ask nobody any more."""
         await self._tasks.close()
 
     def _served(self, topic: str) -> None:
-        """The publishers of a served name have changed."""
         for node in self._state.registry.registered_nodes(Kind.PUBLISHER, topic):
             if node not in self._asked:
                 self._asked.add(node)
                 self._tasks.spawn(self._ask(node), f"asking {node.name}")
 
     async def _ask(self, node: NodeRef) -> None:
-        """Ask a gateway while it serves something."""
         client, loop = _Client(self._effects, self._state.name, node), asyncio.get_running_loop()
         heard, failures = loop.time(), 0
         try:
@@ -287,7 +275,6 @@ class Gateways:
             self._state.notify()
 
     def _note(self, node: NodeRef, *, silent: bool) -> None:
-        """Note whether a gateway answers, and let subscribers know if that is news."""
         if not self._state.registry.set_silent(node, silent=silent):
             return
         _audit.warning("%s %s", node.name, "does not answer" if silent else "answers again")
@@ -297,15 +284,12 @@ class Gateways:
         self._state.notify()
 
     def _topics(self, node: NodeRef) -> list[str]:
-        """What a gateway serves: nothing when it is registered no more, or with another address."""
         registry = self._state.registry
         keys = registry.keys_of(node.name, Kind.PUBLISHER) if registry.is_current(node) else ()
         return [key for key in keys if is_in_gateway(key)]
 
 
 class _Client:
-    """One connection to a gateway, made anew after each failure."""
-
     def __init__(self, effects: Effects, master: str, node: NodeRef) -> None:
         self._effects = effects
         self._master = master
@@ -313,7 +297,6 @@ class _Client:
         self._client: RpcClient | None = None
 
     async def ask(self) -> Exception | None:
-        """Ask for the process id; returns why there is no answer."""
         try:
             async with asyncio.timeout(ANSWER_WITHIN):
                 if self._client is None or self._client.closed:
@@ -336,7 +319,7 @@ class _Client:
 
 
 def _is_refused(error: BaseException | None) -> bool:
-    """Whether nobody listens at the address: the process is gone, not just out of reach."""
+    # Whether nobody listens at the address: the process is gone, not just out of reach.
     while error is not None:
         if isinstance(error, OSError) and error.errno == errno.ECONNREFUSED:
             return True
@@ -380,14 +363,12 @@ class Maintenance:
         self._tasks = TaskSet()
 
     def start(self, keep_views: Callable[[frozenset[bytes]], None]) -> None:
-        """Begin the rounds; `keep_views` discards what watchers saw, but those with these keys."""
         self._tasks.spawn(self._run(keep_views), name="rossec master maintenance")
         if self._state.parameter_file is not None:
             saving = self._save(self._state.parameter_file)
             self._tasks.spawn(saving, name="rossec master parameters")
 
     async def close(self) -> None:
-        """End the rounds."""
         await self._tasks.close()
 
     async def _run(self, keep_views: Callable[[frozenset[bytes]], None]) -> None:
@@ -403,7 +384,6 @@ class Maintenance:
                     await self._effects.list_changed.wait()
 
     def _pause(self) -> float:
-        """Seconds to the next round; neither the end of trust in a domain waits nor a slot."""
         now = self._state.now()
         moments = self._state.trust.domains.next_end(now), self._state.aliases.next_slot(now)
         waits = [moment - self._state.clock() for moment in moments if moment is not None]
@@ -425,7 +405,6 @@ class Maintenance:
             self._state.deposit_file.sync()
 
     async def _save(self, file: ParameterFile) -> None:
-        """Save parameters; a disk takes its time, for which nothing that is revoked waits."""
         while True:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(self._interval):
@@ -437,7 +416,6 @@ class Maintenance:
             await asyncio.sleep(min(_SAVE_PAUSE, self._interval))  # also after a failure
 
     async def _enforce(self) -> None:
-        """Remove what is no longer authorized; other calls are answered meanwhile."""
         for _ in self._effects.enforcement():
             self._state.notify()
             await asyncio.sleep(0)

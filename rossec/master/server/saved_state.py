@@ -54,21 +54,18 @@ class ListFile:
         self._failing = False
 
     def save(self, data: bytes) -> None:
-        """Save a signed list or tree; durable on return, or the failure is logged."""
         self.save_by("revocations", self._home.save_revocations, data)
 
     def save_entries(self, data: bytes) -> None:
-        """Save the entries of a tree, which is saved after them."""
         self.save_by("entries", self._home.save_entries, data)
 
     def save_by(self, what: object, write: Write, data: bytes) -> None:
-        """Save the newest of `what`; durable on return, or the failure is logged."""
         self._unwritten.pop(what, None)
         self._unwritten[what] = write, data
         self.retry()
 
     def retry(self) -> None:
-        """Write what is not written yet; called in each maintenance round."""
+        # Write what is not written yet; called in each maintenance round.
         try:
             for what, (write, data) in tuple(self._unwritten.items()):
                 write(data)
@@ -103,12 +100,6 @@ class DepositFile:
         self._size = self._snapshot_size = 0
 
     def open(self) -> None:
-        """Read the file, truncate an incomplete record, and open it for appending.
-
-        Raises:
-            NotWritten, OSError: it cannot be written or read; it is unchanged.
-            PathRefused: another user could have written it.
-        """
         data = self._read()
         changes, valid = journals.decode_deposits(data)
         if valid < len(data):
@@ -120,7 +111,7 @@ class DepositFile:
         self._rewrite()
 
     def sync(self) -> None:
-        """Write what was presented since; compact the file when it has grown too long."""
+        # Write what was presented since; compact the file when it has grown too long.
         unsaved = self.deposits.unsaved
         if self._file is None or not (unsaved or self._is_long()):
             return
@@ -135,18 +126,13 @@ class DepositFile:
         unsaved.clear()
 
     def close(self) -> None:
-        """Write what is not written yet, and close."""
+        # Write what is not written yet, and close.
         self.sync()
         if self._file is not None:
             os.close(self._file)
             self._file = None
 
     def _append(self, changes: Sequence[DepositChange]) -> None:
-        """Write and sync changes.
-
-        Raises:
-            NotWritten: the disk refused them; the file is unchanged.
-        """
         if self._file is None:
             raise NotWritten(f"{self._path} is not open", "restart the master")
         records = b"".join(map(journals.encode_deposit, changes))
@@ -208,12 +194,6 @@ class ParameterFile:
         """Whether so much was written that `save` is due now."""
 
     def open(self) -> None:
-        """Read the file, truncate an incomplete record, and open it for appending.
-
-        Raises:
-            NotWritten, OSError: it cannot be written or read; it is unchanged.
-            PathRefused: another user could have written it.
-        """
         data = self._read()
         changes, valid = journals.decode_parameters(data)
         if valid < len(data):
@@ -226,7 +206,7 @@ class ParameterFile:
         self._rewrite()
 
     def write(self, change: ParameterChange) -> None:
-        """Append a change that has been made; written, not synced, on return."""
+        # Append a change that has been made; written, not synced, on return.
         if self._file is None:
             return
         record = journals.encode_parameter(change)
@@ -252,7 +232,6 @@ class ParameterFile:
             self.sync()
 
     def sync(self) -> None:
-        """Sync the file to the disk; compact it when it has grown too long."""
         if self._file is None or not self._dirty:
             return
         self._dirty = False
@@ -265,7 +244,6 @@ class ParameterFile:
             self._not_saved(error)
 
     async def save(self) -> None:
-        """As `sync`, but the loop goes on meanwhile; one at a time."""
         self.grown.clear()
         if self._file is None or not self._dirty:
             return
@@ -297,10 +275,7 @@ class ParameterFile:
         return long or self._has_grown() or not self._complete
 
     async def _compact(self) -> None:
-        """Make the shortest file piece by piece, with the changes of that time in their order.
-
-        They are in the old file too, which is in its place until the new one is whole.
-        """
+        # They are in the old file too, which is in its place until the new one is whole.
         temporary = self._path.with_name(f".{self._path.name}.{secrets.token_hex(8)}")
         made = os.open(temporary, _APPEND | os.O_CREAT | os.O_EXCL, 0o600)
         waiting, size = bytearray(), 0
@@ -336,14 +311,12 @@ class ParameterFile:
 
     @staticmethod
     async def _move(waiting: bytearray, descriptor: int) -> int:
-        """Write what waits; returns how much it was."""
         data = bytes(waiting)
         waiting.clear()
         await _in_thread(lambda: _write_all(descriptor, data))
         return len(data)
 
     def close(self) -> None:
-        """Sync and close."""
         self.sync()
         if self._file is not None:
             os.close(self._file)
@@ -367,7 +340,6 @@ class ParameterFile:
 
 
 async def _in_thread(work: Callable[[], object]) -> None:
-    """Do it in a thread; a caller that is cancelled waits for its end, as it uses a descriptor."""
     done = asyncio.ensure_future(asyncio.to_thread(work))
     try:
         await asyncio.shield(done)

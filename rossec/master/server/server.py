@@ -162,18 +162,15 @@ class MasterServer:
 
     @property
     def port(self) -> int:
-        """The port listened on."""
         return self._address[1] if self._server is None else self._server.port
 
     @property
     def uri(self) -> str:
-        """The value for ROS_MASTER_URI."""
         host = f"[{self._advertise}]" if ":" in self._advertise else self._advertise
         return f"http://{host}:{self.port}/"
 
     @property
     def context(self) -> SecureContext[Identity]:
-        """The master's own identity, to dial with."""
         return self._context
 
     @property
@@ -231,7 +228,6 @@ class MasterServer:
         self._send_mirrored(self.state.imports.mirrors.replace(site, tree))
 
     def drop_mirror(self, label: str) -> None:
-        """Forget the mirrored parameters of a site."""
         self._send_mirrored(self.state.imports.mirrors.drop(label))
 
     def _send_mirrored(self, changes: Iterable[MirrorChange]) -> None:
@@ -260,11 +256,9 @@ class MasterServer:
         }
 
     def stop(self, reason: str) -> None:
-        """Stop, as requested by an administrator."""
         self._effects.deliver(StopMaster(reason))
 
     async def stopped(self) -> None:
-        """Wait until an administrator stops the master."""
         await self._effects.stopping.wait()
 
     async def close(self) -> None:
@@ -311,7 +305,7 @@ class MasterServer:
         )
 
     async def _serve_revoked(self, stream: SecureStream[Identity]) -> None:
-        """Answer for a few seconds; not one of the streams, so it is sent no updates."""
+        # Answer for a few seconds; not one of the streams, so it is sent no updates.
         keys = stream.peer.keys
         if not self._revoked_connections.admit(keys):
             stream.abort("too many connections of a revoked identity")
@@ -392,7 +386,6 @@ def master_of(
 
 
 def _take_own(server: MasterServer, own_key: bytes, answered: bytes) -> None:
-    """Have the master's own new identity taken at once."""
     if answered == own_key:
         server.effects.list_changed.set()
 
@@ -406,7 +399,6 @@ def _trust(
     renewer: Renewer | None,
     now: int,
 ) -> TrustState:
-    """What the authority has said, as far as this host knows; raises as `master_of`."""
     anchor = home.anchor()
     revocations = saved_revocations(home, anchor, now)
     if newest is not None:
@@ -426,11 +418,6 @@ def _trust(
 def _domains(
     home: NodeHome, anchor: TrustAnchor, own: Revocations, saved_list: ListFile, now: int
 ) -> DomainTrust:
-    """The lists of foreign domains, and of what they revoked, as saved when the master stopped.
-
-    Raises:
-        DomainsRefused: the saved list is not the authority's.
-    """
     saved = DomainFiles(home, anchor)
     standing = saved.standing(saved.anchors(), own, now)
 
@@ -456,7 +443,6 @@ def _maintain(own_identity: OwnIdentity, saved_list: ListFile, now: int) -> None
 
 
 def _load_delegation(delegate: Delegate, data: bytes) -> None:
-    """A master with a new key starts all the same, without a valid delegation."""
     try:
         delegate.take(data)
     except HintedError as error:
@@ -466,7 +452,6 @@ def _load_delegation(delegate: Delegate, data: bytes) -> None:
 def _load_entries(
     trust: TrustState, revocations: Revocations, found: tuple[bytes | None, ...], now: int
 ) -> None:
-    """Complete a tree with its entries: those of the authority or those saved."""
     if not is_tree(revocations.data):
         return
     for entries in found:

@@ -73,12 +73,7 @@ class SlaveDialer:
         self.probed: Final[set[NodeRef]] = set()
 
     async def dial(self, node: NodeRef) -> RpcClient:
-        """Connect to a slave API; the peer must be the node that registered it.
-
-        Raises:
-            CallerMismatch: it is another node.
-            RossecError, OSError: the node cannot be reached.
-        """
+        # Connect to a slave API; the peer must be the node that registered it.
         host, port = parse_uri(node.uri, "the slave API")
         stream = await connect(host, port, self._context, WireProtocol.HTTP)
         if not is_node(stream.peer, node):
@@ -89,7 +84,6 @@ class SlaveDialer:
         return RpcClient(stream)
 
     async def probe(self, node: NodeRef) -> None:
-        """Connect to `node` and disconnect: if another peer answers, that is reported."""
         self.probed.add(node)
         try:
             with contextlib.suppress(RossecError, OSError, TimeoutError):
@@ -146,11 +140,9 @@ class NodeClient:
 
     @property
     def idle(self) -> bool:
-        """No update is pending."""
         return not self._pending
 
     def post(self, key: Key, *params: object) -> None:
-        """Send `key[0](*params)` soon, in place of a pending update with the same key."""
         self._pending[key], self._encoded_sizes[key] = params, encoded_size(params)
         while len(self._pending) > PENDING_LIMIT or self._is_oversized():
             self._discard(next(iter(self._pending)))
@@ -163,7 +155,6 @@ class NodeClient:
         del self._pending[key], self._encoded_sizes[key]
 
     async def run(self) -> None:
-        """Deliver until cancelled."""
         try:
             while True:
                 await self._posted.wait()
@@ -192,7 +183,6 @@ class NodeClient:
             self._discard(key)
 
     async def _deliver(self, method: str, params: tuple[object, ...]) -> bool:
-        """Whether the update was delivered, whatever the node answers."""
         try:
             async with asyncio.timeout(self._deadline):
                 if self._client is None or self._client.closed:
@@ -240,7 +230,7 @@ class Updates:
         self._closing = TaskSet()
 
     def post(self, node: NodeRef, key: Key, *params: object) -> None:
-        """Send an update to `node`, unless its key has too many clients."""
+        # Send an update to `node`, unless its key has too many clients.
         if node not in self._clients:
             if (
                 sum(other.thumbprint == node.thumbprint for other in self._clients)
@@ -255,7 +245,7 @@ class Updates:
         self._clients[node][0].post(key, *params)
 
     def prune(self, registered: Collection[NodeRef]) -> None:
-        """Disconnect from nodes that are not registered and have no pending update."""
+        # Disconnect from nodes that are not registered and have no pending update.
         gone = [
             node
             for node, (client, _) in self._clients.items()
@@ -267,17 +257,14 @@ class Updates:
 
     @property
     def nodes(self) -> tuple[NodeRef, ...]:
-        """The nodes that have a client, registered or not."""
         return tuple(self._clients)
 
     def drop(self, node: NodeRef) -> None:
-        """Disconnect now, with updates pending (the key is revoked, or the address another's)."""
         client = self._clients.pop(node, None)
         if client is not None:
             self._closing.spawn(client[1].close(), f"dropping {node.name}")
 
     async def close(self) -> None:
-        """Stop all clients."""
         clients, self._clients = self._clients, {}
         await asyncio.gather(*(tasks.close() for _, tasks in clients.values()))
         await self._closing.close()
@@ -302,16 +289,12 @@ class GrantChanges:
         return sum(map(len, self._waiting.values()))
 
     def notify(self, holders: Iterable[bytes]) -> None:
-        """There are new grants for these keys."""
         for holder in holders:
             for waiting in self._waiting.pop(holder, ()):
                 _end(waiting)
 
     async def wait(self, holder: bytes) -> None:
-        """Return after the next grant for `holder`, or after `longest` seconds.
-
-        Of too many calls of one key the oldest returns: its connection may be gone.
-        """
+        # Of too many calls of one key the oldest returns: its connection may be gone.
         waiting = asyncio.get_running_loop().create_future()
         calls = self._waiting.setdefault(holder, deque())
         calls.append(waiting)
@@ -350,7 +333,7 @@ class GraphChanges:
         self._changed: asyncio.Event | None = None  # while a call waits
 
     def notify(self, version: int | None = None) -> None:
-        """The graph has changed, unless its `version` is the one notified before."""
+        # The graph has changed, unless its `version` is the one notified before.
         if version is None or version != self._version:
             self._version = self._version if version is None else version
             if self._changed is not None:
@@ -358,16 +341,12 @@ class GraphChanges:
                 self._changed = None
 
     def expect(self) -> asyncio.Event:
-        """What the next change from now on sets, to be waited for."""
         if self._changed is None:
             self._changed = asyncio.Event()
         return self._changed
 
     async def wait(self, longest: float, expected: asyncio.Event | None = None) -> None:
-        """Return soon after the next change, or after `longest` seconds.
-
-        `expected`: of `expect`; without it changes count from the first step of this coroutine.
-        """
+        # `expected`: of `expect`; without it changes count from the first step of this coroutine.
         changed = self.expect() if expected is None else expected
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(longest):
@@ -393,10 +372,8 @@ class SitePolls:
         return len(self._waiting)
 
     def notify(self, version: int | None = None) -> None:
-        """The registrations have changed, unless their `version` was notified before.
-
-        None: the rights or the lists have changed.
-        """
+        # The registrations have changed, unless their `version` was notified before.
+        # None: the rights or the lists have changed.
         if version != self._version or version is None:
             self._version = self._version if version is None else version
             self._changes += 1
@@ -404,29 +381,24 @@ class SitePolls:
                 changed.set()
 
     def supersede(self, follower: bytes) -> None:
-        """A new call of this key has come."""
         before = self._waiting.pop(follower, None)
         if before is not None:
             before.set()
 
     def missed(self, follower: bytes) -> bool:
-        """Whether anything has changed since this was last asked, or since its last wait."""
+        # Whether anything has changed since this was last asked, or since its last wait.
         before = self._answered.get(follower)
         self._answered[follower] = self._changes
         return before != self._changes
 
     def expect(self, follower: bytes) -> asyncio.Event:
-        """What the next change from now on sets, to be waited for."""
         changed = self._waiting[follower] = asyncio.Event()
         return changed
 
     async def wait(
         self, follower: bytes, longest: float, expected: asyncio.Event | None = None
     ) -> None:
-        """Return soon after the next change, or after `longest` seconds.
-
-        `expected`: of `expect`; without it changes count from the first step of this coroutine.
-        """
+        # `expected`: of `expect`; without it changes count from the first step of this coroutine.
         changed = self.expect(follower) if expected is None else expected
         try:
             with contextlib.suppress(TimeoutError):

@@ -41,7 +41,6 @@ class Door(NamedTuple):
 
     @property
     def endpoint(self) -> Endpoint:
-        """As of a node's URI."""
         return endpoint(build_door(*self))
 
 
@@ -89,7 +88,6 @@ class _Relay:
     places: dict[Endpoint, Target] = field(default_factory=dict)
 
     def put(self, target: Target, door: Door) -> bool:
-        """Take a door; one that was at this place is there no longer. Returns whether it is new."""
         if self.doors.get(target) == door:
             return False
         before = self.places.get(door.endpoint)
@@ -130,7 +128,6 @@ class Doors:
         self._listeners: dict[str, Callable[[], None]] = {}
 
     def listen(self, label: str, changed: Callable[[], None]) -> None:
-        """Call `changed` when there are other doors, until `forget`."""
         self._listeners[label] = changed
 
     def want(self, label: str, targets: Iterable[Target]) -> int:
@@ -164,21 +161,17 @@ class Doors:
         self._listeners.pop(label, None)
 
     def door(self, target: Target) -> Door | None:
-        """Where a target is; None: there is no door yet, or its relay is silent."""
         relay = self._relays.get(self._serving.get(target.peer, ""))
         return None if relay is None else relay.doors.get(target)
 
     def is_door(self, place: Endpoint) -> bool:
-        """Whether a relay has a door at this host and port."""
         return any(place in relay.places for relay in self._relays.values())
 
     def way(self, peer: str) -> tuple[str, Way] | None:
-        """The relay that serves a peer, and its way there; None: no relay knows it."""
         name = self._serving.get(peer)
         return None if name is None else (name, self._relays[name].ways[peer])
 
     def has_room_for(self, relay: str) -> bool:
-        """Whether one more relay is within the limits."""
         return relay in self._relays or len(self._relays) < MAX_RELAYS
 
     def is_superseded(self, relay: str, instance: str) -> bool:
@@ -234,7 +227,6 @@ class Doors:
             self._wanted[target] = self._next_version()
 
     def _release(self, target: Target) -> None:
-        """Forget a target that no site wants now."""
         if any(target in wants for wants in self._wants.values()):
             return
         del self._wanted[target]
@@ -245,7 +237,6 @@ class Doors:
             relay.drop(target)
 
     def _assign(self) -> bool:
-        """Let a relay serve each peer that one knows; returns whether something has changed."""
         before = dict(self._serving)
         for peer, name in before.items():
             if name not in self._relays or peer not in self._relays[name].ways:

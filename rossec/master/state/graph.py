@@ -63,10 +63,7 @@ class PublisherLog:
         return sum(map(len, (*self._current.values(), *self._ended.values())))
 
     def note(self, topic: str, is_cut: Callable[[NodeRef], bool] = _nothing_cut) -> None:
-        """Note who publishes `topic` now; of one that is gone `is_cut` says whether it had to go.
-
-        What a revocation or the end of a right has ended is in no later answer.
-        """
+        # What a revocation or the end of a right has ended is in no later answer.
         nodes = self._registry.registered_nodes(Kind.PUBLISHER, topic)
         known = self._current.get(topic, {})
         for node in known.keys() - set(nodes):
@@ -82,7 +79,7 @@ class PublisherLog:
             self._current.pop(topic, None)
 
     def at(self, topic: str, slot: int) -> list[Published]:
-        """Who published `topic` at the beginning of the slot of so many seconds that is now."""
+        # Who published `topic` at the beginning of the slot of so many seconds that is now.
         self.note(topic)
         begin = self.now - self.now % slot
         ended = self._ended.get(topic, ())
@@ -91,13 +88,11 @@ class PublisherLog:
         return [each for each in found if each.since < begin]
 
     def ended_topics(self, name: str | None = None) -> Iterator[str]:
-        """The topics that somebody, or the node `name`, published within the longest slot."""
         for topic, ended in tuple(self._ended.items()):
             if name is None or any(each.node.name == name for each in ended):
                 yield topic
 
     def topics(self) -> list[str]:
-        """All topics that are published, or were within the longest slot."""
         return list({**self._current, **self._ended})
 
     def _keep(self, topic: str, published: Published) -> None:
@@ -119,7 +114,6 @@ class ServedTopics:
         self._found = _Found((-1, -1), {})
 
     def uris(self, alias: str) -> list[str]:
-        """The slave API URIs of the gateways that serve an alias."""
         served = _served(alias)
         if served is None or not self._is_taken(alias):
             return []
@@ -128,14 +122,12 @@ class ServedTopics:
         return own or self._imports.publisher_uris(served)[:1]
 
     def gateways(self) -> Mapping[str, tuple[str, ...]]:
-        """Every alias that is served, with the names of its gateways; empty without any."""
         version = self._registry.version, self._imports.version
         if self._found.version != version:
             self._found = _Found(version, self._find())
         return self._found.gateways
 
     def topic_type(self, alias: str) -> str:
-        """The type of what is served of an alias, `*` while it is unknown."""
         served = _served(alias)
         if served is None:
             return ANY_TYPE
@@ -150,7 +142,6 @@ class ServedTopics:
         return {alias: names for alias, names in served if self._is_taken(alias)}
 
     def _is_taken(self, alias: str) -> bool:
-        """Whether the list of domains lets it be subscribed here at all, by whom ever."""
         return self._imports.intake.gives(Right.SUBSCRIBE, alias)
 
     def _names(self, served: str) -> tuple[str, ...]:
@@ -160,8 +151,6 @@ class ServedTopics:
 
 
 class _Found(NamedTuple):
-    """The gateways by alias, and the versions of registry and imports that this was found in."""
-
     version: tuple[int, int]
     gateways: Mapping[str, tuple[str, ...]]
 
@@ -212,11 +201,9 @@ class Graph:
             yield GraphNode(name, uri)
 
     def node_uri(self, name: str) -> str | None:
-        """The slave API URI of a node."""
         return self.registry.node_uri(name) or self.imports.node_uri(name)
 
     def service_uri(self, service: str) -> str | None:
-        """The rosrpc URI of a service."""
         return self.registry.service_uri(service) or self.imports.service_uri(service)
 
     def topic_type(self, topic: str) -> str:
@@ -240,5 +227,4 @@ class Graph:
                 yield topic, name
 
     def keys_of(self, name: str, kind: Kind) -> tuple[str, ...]:
-        """The names a node is registered for."""
         return self.registry.keys_of(name, kind) or self.imports.keys_of(name, kind)

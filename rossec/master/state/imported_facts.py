@@ -74,15 +74,12 @@ class Site(NamedTuple):
 
     @property
     def namespace(self) -> str:
-        """The label in the aliases of its nodes."""
         return self.domain or self.label
 
     def node(self, name: str) -> str:
-        """The local name of a node of this site; raises NameRefused."""
         return alias_of(self.namespace, name)
 
     def key(self, name: str) -> str:
-        """The local name of a topic or service of this site; raises NameRefused."""
         return alias_of(self.domain, name) if self.domain else check_name(name)
 
     def origin(self, name: str) -> str | None:
@@ -146,7 +143,7 @@ class SiteFacts:
         self.settled = -1
 
     def registration(self, fact: Fact) -> Registered | None:
-        """What a fact about a registration is about here; None: another fact, or not usable."""
+        # What a fact about a registration is about here; None: another fact, or not usable.
         kind = _KINDS.get(fact[0])
         key = None if kind is None else self.local_key(fact[1])
         if kind is None or key is None or (is_in_gateway(key) and not _may_offer(kind, fact[2])):
@@ -154,14 +151,13 @@ class SiteFacts:
         return Registered(kind, key)
 
     def local_key(self, name: str) -> str | None:
-        """The local name of a topic or service; None: it would be longer than a name."""
+        # The local name of a topic or service; None: it would be longer than a name.
         try:
             return self.site.key(name)
         except NameRefused:
             return None
 
     def keys(self, facts: Iterable[Fact]) -> set[str]:
-        """The local names that facts are about; those of a node's registrations for the node."""
         found = set[str]()
         for kind, name, _ in facts:
             if kind == NODE:
@@ -171,12 +167,11 @@ class SiteFacts:
         return found
 
     def topics(self) -> list[str]:
-        """The topics that its nodes publish or subscribe, by their local names."""
         found = (each for registered in self.registered.values() for each in registered)
         return sorted({each.key for each in found if each.kind is not Kind.SERVICE})
 
     def add(self, fact: Fact) -> Registered | None:
-        """Take a fact that is not held; returns the registration it is about."""
+        # Take a fact that is not held; returns the registration it is about.
         self.facts.add(fact)
         kind, name, value = fact
         if kind == NODE:
@@ -192,7 +187,6 @@ class SiteFacts:
         return found
 
     def remove(self, fact: Fact) -> Registered | None:
-        """Withdraw a fact that is held; returns the registration it was about."""
         self.facts.remove(fact)
         kind, name, value = fact
         if kind == NODE:
@@ -255,7 +249,7 @@ def _check(fact: Fact) -> Fact:
 
 
 def _may_offer(kind: Kind, node: str) -> bool:
-    """Whether a node may be registered so below `/gateway`, which its own master refuses too."""
+    # Whether a node may be registered so below `/gateway`, which its own master refuses too.
     return kind is Kind.SUBSCRIBER or is_gateway(node)
 
 
@@ -281,20 +275,16 @@ class KeptPublishers:
         self._kept: dict[str, dict[str, Sequence[Address]]] = {}
 
     def keep(self, label: str, topic: str, found: Sequence[Address]) -> None:
-        """Keep these of a topic, instead of those of the same site kept before."""
         if found:
             self._kept.setdefault(label, {})[topic] = found
 
     def forget(self, label: str) -> None:
-        """Keep none of a site any more."""
         self._kept.pop(label, None)
 
     def topics(self, label: str) -> tuple[str, ...]:
-        """The topics of which publishers of a site are kept."""
         return tuple(self._kept.get(label, ()))
 
     def addresses(self, topic: str) -> list[Address]:
-        """The slave APIs of the kept publishers of a topic."""
         return [each for kept in self._kept.values() for each in kept.get(topic, ())]
 
 
@@ -332,11 +322,10 @@ class Contradictions:
         self._reported: dict[str, set[str]] = {}
 
     def forget(self, label: str) -> None:
-        """Forget what was reported of a site."""
         self._reported.pop(label, None)
 
     def report(self, held: SiteFacts, facts: Iterable[Fact]) -> list[TypeContradicted]:
-        """Those among `facts`, as far as not reported before."""
+        # Those among `facts`, as far as not reported before.
         label, events = held.site.label, list[TypeContradicted]()
         reported = self._reported.setdefault(label, set())
         for kind, name, there in facts:

@@ -68,7 +68,6 @@ class Demand:
         self._everything_until = 0
 
     def ask(self, name: str, now: int) -> None:
-        """A local node has looked up, or subscribed, `name`."""
         if self._asked.pop(name, 0) <= now and not self._is_subscribed_by_others(name):
             self.version += 1
         self._asked[name] = now + WANTED_SECONDS
@@ -76,13 +75,11 @@ class Demand:
             del self._asked[next(iter(self._asked))]
 
     def ask_everything(self, now: int) -> None:
-        """A local tool lists the graph."""
         if self._everything_until <= now:
             self.version += 1
         self._everything_until = now + WANTED_SECONDS
 
     def wanted(self, site: Site, now: int) -> tuple[str, ...]:
-        """What to ask a site for: its names, sorted; `EVERYTHING` or `NOTHING`."""
         if now < self._everything_until:
             return EVERYTHING
         found = {name for name in map(site.origin, self._names(now)) if name is not None}
@@ -123,15 +120,12 @@ class Intake:
         self.rules = rules
 
     def shows(self, name: str) -> bool:
-        """Whether a topic, service or node of a foreign domain is taken; any other name is."""
         return self.gives(ALL_RIGHTS, name)
 
     def shows_node(self, alias: str, registered: Iterable[str]) -> bool:
-        """Whether a foreign node is taken: its name is, or one that it is registered for."""
         return self.shows(alias) or any(map(self.shows, registered))
 
     def gives(self, rights: Right, name: str) -> bool:
-        """Whether one of `rights` is taken on a name of a foreign domain; on any other it is."""
         if not name.startswith(REMOTE):
             return True
         try:
@@ -270,26 +264,21 @@ class Imports:
 
     @property
     def is_settled(self) -> bool:
-        """Whether every site that is connected has answered for all that is wanted now."""
         demand = self.demand.version
         return all(held.is_lost or held.settled >= demand for held in self._sites.values())
 
     @property
     def sites(self) -> tuple[SiteStatus, ...]:
-        """All sites, by label."""
         found = (self._sites[label] for label in sorted(self._sites))
         return tuple(SiteStatus(it.site, len(it.facts), it.is_lost, it.topics) for it in found)
 
     def own_sites(self) -> Collection[str]:
-        """The labels of the sites that are other masters of the own domain."""
         return [label for label, held in self._sites.items() if not held.site.domain]
 
     def keys(self, kind: Kind) -> Collection[str]:
-        """All imported names of one kind, also those that something hides."""
         return self._entries[kind].keys()
 
     def nodes_of(self, kind: Kind, key: str) -> tuple[str, ...]:
-        """The imported nodes registered for a name, as aliases."""
         found = self._used(kind, key)
         return tuple(dict.fromkeys(self._sites[label].nodes[node].name for label, node in found))
 
@@ -316,7 +305,6 @@ class Imports:
         return next((name for name in types if name is not None), ANY_TYPE)
 
     def node_uri(self, alias: str) -> str | None:
-        """The slave API URI of an imported node."""
         found = self._find(alias)
         return None if found is None else found[0].nodes[found[1]].uri
 
@@ -342,7 +330,6 @@ class Imports:
             self.on_settled()
 
     def _find(self, alias: str) -> tuple[SiteFacts, str] | None:
-        """The site with the lowest label that has this node."""
         for label in sorted(self._sites):
             held = self._sites[label]
             if not alias.startswith(f"/remote/{held.site.namespace}/"):
@@ -353,7 +340,7 @@ class Imports:
         return None
 
     def _is_used(self, held: SiteFacts, name: str) -> bool:
-        """Whether a node has an address, which is not one of this master's own nodes."""
+        # Whether a node has an address, which is not one of this master's own nodes.
         address = held.nodes.get(name)
         if address is None or self._registry.is_registered_endpoint(address.endpoint):
             return False
@@ -363,7 +350,6 @@ class Imports:
         return self.intake.shows_node(address.name, keys)
 
     def _used(self, kind: Kind, key: str) -> list[_Entry]:
-        """The registrations for a name that count, by label."""
         entries = self._entries[kind].get(key)
         if not entries or not self.intake.shows(key):
             return []
@@ -415,7 +401,6 @@ class Imports:
         return self._changed(before)
 
     def _changed(self, before: Mapping[str, list[str]]) -> list[PublishersChanged]:
-        """The events of the topics that have other publishers than `before`."""
         return [
             self._registry.publishers_changed(topic)
             for topic, uris in before.items()
@@ -438,7 +423,6 @@ class Imports:
                 self._entries[found.kind].pop(found.key, None)
 
     def _followed_topics(self, held: SiteFacts, changes: Iterable[Fact]) -> list[str]:
-        """The topics with local subscribers whose publishers may change."""
         followed = self._registry.keys(Kind.SUBSCRIBER)
         found = held.keys(changes) if followed else set[str]()
         return sorted(k for k in found if k in followed or alias_of_served(k) in followed)

@@ -58,11 +58,7 @@ class ParameterChange(NamedTuple):
 
 
 def encode_parameter(change: ParameterChange) -> bytes:
-    """One record.
-
-    Raises:
-        XmlRpcRefused: XML-RPC cannot encode the value; no client can have set it.
-    """
+    """One record."""
     if change.deleted:
         call = xmlrpc.dump_call(_DELETE, (change.key,))
     else:

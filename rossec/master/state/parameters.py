@@ -39,11 +39,7 @@ Tree = dict[str, object]
 
 
 def check_value(value: object, depth: int = DEPTH_LIMIT) -> None:
-    """Check that `value` is a valid parameter, or a tree of them, of at most `depth` levels.
-
-    Raises:
-        ValueError: it is too deep, a name in it is not one segment, or XML-RPC cannot encode it.
-    """
+    """Check that `value` is a valid parameter, or a tree of them, of at most `depth` levels."""
     if depth < 0:
         raise ValueError(f"parameters nested deeper than {DEPTH_LIMIT}")
     if isinstance(value, dict):
@@ -59,7 +55,6 @@ def check_value(value: object, depth: int = DEPTH_LIMIT) -> None:
 
 
 def _is_segment(name: object) -> bool:
-    """Whether `name` is a valid key in a tree; XML-RPC also allows numbers as keys."""
     if not isinstance(name, str) or not name or name.startswith(names.PRIVATE):
         return False
     return names.SEPARATOR not in name
@@ -91,7 +86,6 @@ def member_size(name: str, value: object) -> int:
 
 
 def _encoded_sizes(value: object) -> Iterator[int]:
-    """The summands of `encoded_size`, those of a namespace member by member."""
     if not isinstance(value, dict):
         yield encoded_size(value)
         return
@@ -109,7 +103,6 @@ def _sizes(values: Collection[Any]) -> int:
 
 
 def _flat_size(values: Collection[Any]) -> int | None:
-    """The size of values of one kind, without a look at each in Python; None: of several kinds."""
     kinds = set(map(type, values))
     if kinds <= _FLAT:
         return _SCALAR * len(values)
@@ -203,7 +196,6 @@ class Parameters:
         self.size = size
 
     def _insertion_point(self, path: list[str], value: object) -> tuple[Tree, str, object]:
-        """Where a value is inserted: the namespace, the name in it, and its new value."""
         node = self._top
         for depth, name in enumerate(path[:-1], 1):
             below = node.get(name)
@@ -251,9 +243,6 @@ def search_candidates(namespace: str, key: str) -> list[tuple[str, str]]:
     """The keys that a search for `key` from `namespace` tries, nearest first, and their results.
 
     The search is for the first segment of `key`, upwards from `namespace`.
-
-    Raises:
-        ValueError: `key` is empty or private.
     """
     if not key or key.startswith(names.PRIVATE):
         raise ValueError("invalid key")
@@ -263,11 +252,7 @@ def search_candidates(namespace: str, key: str) -> list[tuple[str, str]]:
 
 
 def check_names(key: str, value: object) -> None:
-    """Check that every name in a tree that is to be set at `key` is a valid name.
-
-    Raises:
-        ValueError: names the invalid one.
-    """
+    """Check that every name in a tree that is to be set at `key` is a valid name."""
     if not isinstance(value, dict):
         return
     for name, below in value.items():
@@ -320,7 +305,6 @@ def _is_name(key: str) -> bool:
 
 
 def _namespaces(changed: str) -> list[str]:
-    """`/`, `/a/`, `/a/b/` of `/a/b/`."""
     ends = [at for at, letter in enumerate(changed, 1) if letter == names.SEPARATOR]
     return [changed[:end] for end in ends]
 
@@ -409,7 +393,6 @@ class Mirrors:
         return key, None
 
     def items(self) -> Iterator[tuple[str, object]]:
-        """The tree of each namespace."""
         for namespace in dict.fromkeys(held.site.namespace for held in self._mirrors.values()):
             yield self.item(f"{REMOTE}/{namespace}")
 

@@ -208,7 +208,6 @@ class Registry:
         return events
 
     def register_parameter(self, key: str, node: NodeRef) -> list[Event]:
-        """Register a subscriber to changes at or below a parameter."""
         return self._register(Kind.PARAMETER, key, node)
 
     def unregister(self, kind: Kind, key: str, node: NodeRef) -> tuple[Unregistered, list[Event]]:
@@ -257,12 +256,10 @@ class Registry:
         return [self.publishers_changed(key)] if kind is Kind.PUBLISHER else []
 
     def node_uri(self, name: str) -> str | None:
-        """The slave API URI of a registered node."""
         node = self._nodes.get(name)
         return None if node is None else node.ref.uri
 
     def node(self, name: str) -> NodeRef | None:
-        """The node registered under a name."""
         node = self._nodes.get(name)
         return None if node is None else node.ref
 
@@ -276,7 +273,6 @@ class Registry:
         return key in keys or len(keys) < REGISTRATIONS_LIMIT
 
     def is_current(self, node: NodeRef) -> bool:
-        """Whether a node with this name, URI and key is registered."""
         known = self._nodes.get(node.name)
         return known is not None and known.ref == node
 
@@ -286,7 +282,6 @@ class Registry:
 
     @property
     def silent_names(self) -> frozenset[str]:
-        """The names of those nodes."""
         return frozenset(node.name for node in self._silent)
 
     def set_silent(self, node: NodeRef, *, silent: bool) -> bool:
@@ -298,11 +293,9 @@ class Registry:
         return True
 
     def owner(self, uri: str) -> str | None:
-        """The node that registered a slave API at this host and port, in any spelling."""
         return self._owners.get(endpoint(uri))
 
     def is_registered_endpoint(self, place: Endpoint) -> bool:
-        """Whether a slave API or a service is registered at this host and port."""
         return place in self._owners or place in self._service_endpoints
 
     def providers_at(self, place: Endpoint) -> Iterator[NodeRef]:
@@ -312,54 +305,42 @@ class Registry:
             yield from (node for key in found for node in self.registered_nodes(Kind.SERVICE, key))
 
     def nodes(self) -> Iterator[NodeRef]:
-        """All registered nodes."""
         return (node.ref for node in self._nodes.values())
 
     def keys_of(self, name: str, kind: Kind) -> tuple[str, ...]:
-        """The names a node is registered for."""
         node = self._nodes.get(name)
         return () if node is None else tuple(node.keys[kind])
 
     def is_registered(self, kind: Kind, key: str, name: str) -> bool:
-        """Whether a node is registered for a name."""
         return name in self._names[kind].get(key, ())
 
     def registered_nodes(self, kind: Kind, key: str) -> tuple[NodeRef, ...]:
-        """The nodes registered for a name, in order of registration."""
         names = self._names[kind].get(key, ())
         return tuple(self._nodes[name].ref for name in names)
 
     def uris(self, kind: Kind, key: str) -> list[str]:
-        """The slave API URIs of the nodes registered for a name."""
         return [node.uri for node in self.registered_nodes(kind, key)]
 
     def publisher_uris(self, topic: str) -> list[str]:
-        """The slave API URIs of the publishers of a topic, those of other masters last."""
         return [*self.uris(Kind.PUBLISHER, topic), *self.imported_publishers(topic)]
 
     def publishers_changed(self, topic: str) -> PublishersChanged:
-        """The event that notifies the subscribers of a topic of its publishers."""
         subscribers = self.registered_nodes(Kind.SUBSCRIBER, topic)
         return PublishersChanged(topic, subscribers, tuple(self.publisher_uris(topic)))
 
     def entries(self, kind: Kind) -> Iterator[tuple[str, tuple[str, ...]]]:
-        """All names of one kind as of now, each with its nodes as of when it is yielded."""
         return ((key, tuple(names)) for key, names in tuple(self._names[kind].items()))
 
     def keys(self, kind: Kind) -> Collection[str]:
-        """All names of one kind."""
         return self._names[kind].keys()
 
     def service_uri(self, service: str) -> str | None:
-        """The rosrpc URI of a service."""
         return self._service_uris.get(service)
 
     def topic_types(self) -> Iterable[tuple[str, str]]:
-        """Every registered topic whose type is known; stock also keeps removed topics."""
         return tuple(self._types.items())
 
     def topic_type(self, topic: str) -> str:
-        """The type of a topic, `*` while it is unknown."""
         return self._types.get(topic, ANY_TYPE)
 
     def _register(self, kind: Kind, key: str, ref: NodeRef) -> list[Event]:

@@ -53,7 +53,6 @@ async def dial(host: str, port: int, within: float) -> socket.socket:
 
 
 def _family(host: str) -> int | None:
-    """That of a numeric address."""
     for family in (socket.AF_INET, socket.AF_INET6):
         try:
             socket.inet_pton(family, host)
@@ -77,7 +76,6 @@ async def _race(host: str, port: int) -> socket.socket:
 
 
 def _begin(family: int, where: tuple[str, int]) -> tuple[socket.socket, bool]:
-    """A connecting socket, and whether it is connected already."""
     sock = socket.socket(family, socket.SOCK_STREAM)
     try:
         sock.setblocking(False)
@@ -97,7 +95,6 @@ async def _complete(sock: socket.socket, where: tuple[str, int]) -> socket.socke
 
 
 def _connected(sock: socket.socket) -> bool:
-    """On loopback the connection is established when the call returns: no waiting is needed."""
     try:
         sock.getpeername()
     except OSError:

@@ -52,11 +52,9 @@ class AcceptedStreams(Generic[PeerT]):
 
     @property
     def connections(self) -> int:
-        """How many connections are open or half open."""
         return len(self._streams)
 
     def _admit(self, address: str) -> HalfOpenSlot | None:
-        """A slot for one more unfinished handshake, if the limits allow it."""
         slot = self._context.half_open.admit(address)
         if slot is not None:
             return slot
@@ -74,7 +72,6 @@ class AcceptedStreams(Generic[PeerT]):
         address: str,
         slot: HalfOpenSlot,
     ) -> SecureStream[PeerT]:
-        """Begin the handshake; when that fails, the transport is still the caller's."""
         try:
             core = self._context.responder(self._protocol)
             stream = SecureStream(core, transport, address, self._on_authenticated, self._on_end)
@@ -88,18 +85,15 @@ class AcceptedStreams(Generic[PeerT]):
         return stream
 
     def _release_slot(self, stream: SecureStream[PeerT]) -> None:
-        """The peer is authenticated, or the socket is closed."""
         slot = self._slots.pop(stream, None)
         if slot is not None:
             slot.release()
 
     def _on_authenticated(self, stream: SecureStream[PeerT]) -> None:
-        """Start the handler."""
         self._release_slot(stream)
         self._tasks.spawn(self._handle(stream), name=f"rossec connection from {stream.address}")
 
     def _on_end(self, stream: SecureStream[PeerT], error: ChannelError) -> None:
-        """Forget the connection; log a failed handshake."""
         if stream not in self._streams:
             return
         self._streams.discard(stream)
@@ -159,7 +153,6 @@ class SecureServer(AcceptedStreams[PeerT]):
 
     @property
     def port(self) -> int:
-        """The port, the same on every address."""
         return self.addresses[0][1]
 
     def listen(self, host: str | None, port: int) -> None:
@@ -175,7 +168,6 @@ class SecureServer(AcceptedStreams[PeerT]):
             self._loop.add_reader(listener.fileno(), self._accept, listener)
 
     def _accept(self, listener: socket.socket) -> None:
-        """Accept a few, then return to the loop for the open connections."""
         for _ in range(_ACCEPTS_PER_TURN):
             try:
                 sock, where = listener.accept()

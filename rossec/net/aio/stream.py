@@ -94,7 +94,6 @@ class Driver(BaseStream, Generic[PeerT]):
     # -- called by the transport
 
     def buffer_updated(self, count: int) -> None:
-        """Hand the bytes to the core and its events to the consumer."""
         try:
             events = self.connection.buffer_updated(count, wall_clock())
         except ChannelError as error:
@@ -126,7 +125,6 @@ class Driver(BaseStream, Generic[PeerT]):
             self._notify()
 
     def _handle_authenticated(self: Self, peer: PeerT) -> None:
-        """Report the peer; what is sent at once leaves with the last flight."""
         self.peer = peer
         self.authenticated = True
         self._on_authenticated(self)
@@ -134,7 +132,6 @@ class Driver(BaseStream, Generic[PeerT]):
         self._arm()
 
     def _handle_renewal(self: Self, event: Renewal[PeerT]) -> None:
-        """Tell the user at once: what arrives after it is judged by what is in force then."""
         if isinstance(event, IdentityRenewed):
             self.peer = event.identity
             self._arm()
@@ -144,18 +141,15 @@ class Driver(BaseStream, Generic[PeerT]):
             self._untold = event
 
     def eof_received(self) -> None:
-        """The peer ended the stream; without its close that is a truncation."""
         try:
             self.connection.receive_eof()
         except ChannelError as error:
             self.fail(error)
 
     def resume_writing(self) -> None:
-        """The peer caught up."""
         self._wake_waiters()
 
     def connection_lost(self) -> None:
-        """Wake all waiters, whatever the reason."""
         self._cancel_timer()
         if self.error is None:
             self.eof_received()
@@ -171,11 +165,9 @@ class Driver(BaseStream, Generic[PeerT]):
 
     @property
     def local_address(self) -> str:
-        """As of `ByteTransport.local_address`."""
         return self.transport.local_address
 
     def when_closed(self, callback: Callable[[], None]) -> None:
-        """Call back, once, when the socket is closed: some time after the connection ended."""
         if self._socket_closed:
             callback()
             return
@@ -184,7 +176,6 @@ class Driver(BaseStream, Generic[PeerT]):
         self._when_closed.append(callback)
 
     def on_renewal(self, callback: Callable[[Renewal[PeerT]], None]) -> None:
-        """Call back with what the peer renews; the grants that it presented before at once."""
         self._on_renewal = callback
         untold, self._untold = self._untold, None
         if untold is not None:
@@ -192,78 +183,59 @@ class Driver(BaseStream, Generic[PeerT]):
 
     @property
     def takes_renewals(self) -> bool:
-        """As of `Connection`."""
         return self.connection.takes_renewals
 
     def present_identity(self, chain: Sequence[bytes]) -> None:
-        """As of `Connection`, and send it."""
         if self.error is None:
             self.connection.present_identity(chain)
             self.flush()
 
     def present_grants(self, data: bytes) -> bool:
-        """As of `Connection`, and send them; false: the peer takes none, or it has ended."""
         if self.error is not None or not self.connection.present_grants(data):
             return False
         self.flush()
         return True
 
     def raise_unit_limit(self, limit: int | None = None) -> None:
-        """Accept units of up to `limit`, or `ChannelLimits.unit`: the peer is authorized.
-
-        Raises:
-            ChannelError: the connection has ended.
-        """
         self.check()
         self.connection.raise_unit_limit(limit)
 
     def pad_units(self, multiple: int) -> None:
-        """Pad what is sent from now on to a multiple of so many bytes; 0: do not."""
+        # Pad what is sent from now on to a multiple of so many bytes; 0: do not.
         self.connection.pad_units(multiple)
 
     def write(self, record: Bytes) -> None:
-        """Write a record the core has just sealed.
-
-        Raises:
-            ChannelError: the connection has ended.
-        """
         self.check()
         self.transport.write(record)
 
     def flush(self) -> None:
-        """Write what the core has queued."""
         data = self.connection.data_to_send()
         if data:
             self.transport.write(data)
 
     def _begin_close(self) -> None:
-        """Close in order, without waiting: the socket is closed with the peer's, or soon."""
         if self.error is None:
             self.connection.close()
             self.flush()
             self._end(ChannelClosed("the connection was closed"), linger=True)
 
     async def _close(self) -> None:
-        """Close in order; wait for the peer's, but not for long."""
+        # Close in order; wait for the peer's, but not for long.
         self._begin_close()
         while not self._socket_closed:
             await self._changed()
 
     def abort(self, reason: str) -> None:
-        """Abort the connection at once, for example because the peer's grant was revoked.
-
-        The peer sees a truncation.
-        """
+        # Abort the connection at once, for example because the peer's grant was revoked.
+        # The peer sees a truncation.
         self._end(ChannelClosed(reason))
         self.transport.abort()
 
     def fail(self, error: ChannelError) -> None:
-        """End the connection after the core's last flight, if it has one."""
         self.flush()
         self._end(error, linger=True)
 
     def _end(self: Self, error: ChannelError, *, linger: bool = False) -> None:
-        """End the connection for its users: every end passes here."""
         if self.error is not None:
             return
         self.error = error.bare()
@@ -273,7 +245,7 @@ class Driver(BaseStream, Generic[PeerT]):
         self._notify()
 
     def _linger(self) -> None:
-        """Send FIN; wait for the peer's, or a reset would discard the last flight."""
+        # Send FIN; wait for the peer's, or a reset would discard the last flight.
         if not self.transport.closed:
             self.transport.write_eof()
             self.transport.resume_reading()
@@ -289,7 +261,6 @@ class Driver(BaseStream, Generic[PeerT]):
             self._arm_timer(min(max(0.0, deadline - clock.time()), 86400.0))
 
     def _arm_timer(self, delay: float) -> None:
-        """One timer for all deadlines: when it fires too early, it is set again."""
         at = self._loop.time() + delay
         if self._timer is None or at < self._timer.when():
             self._cancel_timer()
@@ -368,7 +339,7 @@ class SecureStream(Driver[PeerT]):
             await self._write(self.connection.seal_unit(*pieces, reuse=True))
 
     async def _write(self, records: Iterator[Bytes]) -> None:
-        """Write each record as it is sealed: another one sealed meanwhile must come after it."""
+        # Write each record as it is sealed: another one sealed meanwhile must come after it.
         done = False
         try:
             for record in records:
@@ -381,7 +352,6 @@ class SecureStream(Driver[PeerT]):
                 self.abort("a message was given up half-way")
 
     def _send_small(self, pieces: tuple[Bytes, ...], size: int) -> None:
-        """Send a small unit at once, or queue it, to be flushed with others of its burst."""
         if size == 0:
             return
         piece = pieces[0] if len(pieces) == 1 else b"".join(pieces)
@@ -403,7 +373,7 @@ class SecureStream(Driver[PeerT]):
             self._try_flush()
 
     def _try_flush(self) -> None:
-        """Flush unless a write is in progress or the peer lags; then the next writer does."""
+        # Flush unless a write is in progress or the peer lags; then the next writer does.
         if self._turn.locked() or self.error is not None:
             return
         if self.transport.writable:
@@ -422,7 +392,6 @@ class SecureStream(Driver[PeerT]):
             self._write_now(unit)
 
     def _write_now(self, unit: bytes) -> None:
-        """Send a record; what follows within a part of its time belongs to the same burst."""
         began = monotonic()
         try:
             record = self.connection.seal_small(unit)
@@ -494,7 +463,6 @@ class SecureStream(Driver[PeerT]):
 
 
 def _size(pieces: Sequence[Bytes]) -> int:
-    """How many bytes the pieces have together."""
     total = 0
     for piece in pieces:
         total += piece.nbytes if isinstance(piece, memoryview) else len(piece)
@@ -505,7 +473,7 @@ class UnitSource(Protocol):
     """Where the bytes come from."""
 
     def receive(self) -> Awaitable[bytes]:
-        """The next bytes."""
+        ...
 
 
 async def next_messages(source: UnitSource, framing: Framing) -> list[bytes]:

@@ -43,11 +43,9 @@ class TransportOwner(Protocol):
         ...
 
     def eof_received(self) -> bool | None:
-        """The peer sends nothing more; true: this side does, the socket stays open."""
         ...
 
     def resume_writing(self) -> None:
-        """Everything written is with the kernel."""
         ...
 
     def connection_lost(self) -> None:
@@ -63,55 +61,47 @@ class ByteTransport(Protocol):
 
     @property
     def backlog(self) -> int:
-        """How many bytes are buffered here."""
         ...
 
     @property
     def closed(self) -> bool:
-        """Whether nothing more is sent or received."""
         ...
 
     @property
     def local_address(self) -> str:
-        """This side's IP address, as the peer sees it unless there is NAT between; or empty."""
+        # This side's IP address, as the peer sees it unless there is NAT between; or empty.
         ...
 
     @property
     def writable(self) -> bool:
-        """Whether a writer need not wait."""
+        # Whether a writer need not wait.
         ...
 
     @property
     def reading(self) -> bool:
-        """Whether arriving bytes are read."""
         ...
 
     def resume_reading(self) -> None:
-        """Read whenever bytes arrive."""
+        # Read whenever bytes arrive.
         ...
 
     def pause_reading(self) -> None:
-        """Read no more for now; flow control slows the peer."""
         ...
 
     def write(self, data: Bytes) -> None:
-        """Send `data`, which may change afterwards."""
         ...
 
     def limit_unsent(self) -> None:
-        """Take no more than a line can send soon: what is written then leaves soon."""
         ...
 
     def write_eof(self) -> None:
-        """End this side's stream after what was written."""
         ...
 
     def finish(self) -> None:
-        """Close once everything is written: both sides have closed."""
         ...
 
     def abort(self) -> None:
-        """Close now; what was not sent is dropped."""
+        # Close now; what was not sent is dropped.
         ...
 
 
@@ -164,7 +154,6 @@ class Transport:
 
     @property
     def reading(self) -> bool:
-        """Whether arriving bytes are read."""
         return self._reading
 
     def resume_reading(self) -> None:
@@ -257,7 +246,6 @@ class Transport:
             self._owner.resume_writing()
 
     def limit_unsent(self) -> None:
-        """Have the kernel take little more than it can send: its buffer may hold seconds."""
         with suppress(OSError):
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT)
 
@@ -325,12 +313,11 @@ class BaseStream:
         self.error: ChannelError | None = None
 
     def check(self) -> None:
-        """Raise the error that ended the connection, if it has ended: a copy, as it is kept."""
         if self.error is not None:
             raise self.error.bare()
 
     def _deliver(self, unit: Bytes) -> None:
-        """Pass the unit on at once while forwarding; queue it otherwise, a copy of a view."""
+        # Pass the unit on at once while forwarding; queue it otherwise, a copy of a view.
         write_nowait = self._write_nowait
         if write_nowait is None:
             if self._units is None:
@@ -393,7 +380,6 @@ class BaseStream:
         return unit
 
     def _notify(self) -> None:
-        """Units were queued or the connection ended; pause reading above the limit."""
         if self._callback is not None:
             self._callback()
         if self._waiters:
@@ -428,7 +414,7 @@ class BaseStream:
             self._write_nowait = None
 
     def _raise_forward_error(self) -> None:
-        """Raise it once: kept here it would be part of a cycle with the frames it names."""
+        # Raise it once: kept here it would be part of a cycle with the frames it names.
         error, self._forward_error = self._forward_error, None
         try:
             if error is not None:
@@ -440,7 +426,6 @@ class BaseStream:
         return self._write_nowait is not None and self.error is None
 
     def _changed(self) -> asyncio.Future[None]:
-        """A future for the next change of any kind; the caller checks which."""
         waiter = self._loop.create_future()
         self._waiters.append(waiter)
         return waiter
@@ -485,6 +470,5 @@ class BaseStream:
         self.check()
 
     async def wait_ended(self) -> None:
-        """Return when the connection has ended; takes no unit."""
         while self.error is None:
             await self._changed()

@@ -47,8 +47,6 @@ PeerT_contra = TypeVar("PeerT_contra", contravariant=True)
 
 
 class _Message(NamedTuple):
-    """The bytes of an answer."""
-
     data: bytes
 
 
@@ -57,35 +55,36 @@ class ServedStream(Protocol[PeerT_co]):
 
     @property
     def peer(self) -> PeerT_co:
-        """The authenticated identity at the other end."""
+        ...
 
     def on_ready(
         self, callback: Callable[[], None] | None, take: Callable[[bytes], bool] | None = None
     ) -> None:
-        """Call back, not at once, whenever `next_unit` has a new result.
-
-        `take` may be offered a unit at once instead; it returns whether it took it.
-        """
+        # Call back, not at once, whenever `next_unit` has a new result.
+        # `take` may be offered a unit at once instead; it returns whether it took it.
+        ...
 
     @property
     def has_unit(self) -> bool:
-        """Whether `next_unit` would return one."""
+        # Whether `next_unit` would return one.
+        ...
 
     def next_unit(self) -> bytes | None:
-        """The next unit, if it has arrived. Raises a `RossecError` after the end."""
+        ...
 
     @property
     def lags(self) -> bool:
-        """Whether the peer does not read what was sent."""
+        # Whether the peer does not read what was sent.
+        ...
 
     def write_nowait(self, data: bytes) -> bool:
-        """Send one unit at once."""
+        ...
 
     async def send(self, *pieces: bytes) -> None:
-        """Send one unit."""
+        ...
 
     async def close(self) -> None:
-        """Close in order."""
+        ...
 
 
 class Dispatch(Protocol[PeerT_contra]):
@@ -150,7 +149,6 @@ class CallLoop(Generic[PeerT]):
         self._ended = False
 
     async def run(self) -> None:
-        """Serve until the peer closes or breaks the protocol; raises what crashed."""
         try:
             with contextlib.suppress(TimeoutError, RossecError):
                 async with self._scope:
@@ -180,14 +178,12 @@ class CallLoop(Generic[PeerT]):
     # -- one call
 
     def _ready(self) -> None:
-        """Answer one call if there is one."""
         if self._is_free():
             self._answer_next(None)
         elif self._is_early():
             self._break_off()
 
     def _take(self, unit: bytes) -> bool:
-        """The fast path: answer the call that has just arrived."""
         free = self._is_free()
         if free:
             self._answer_next(unit)
@@ -201,17 +197,14 @@ class CallLoop(Generic[PeerT]):
         )  # `run` was cancelled just now
 
     def _is_early(self) -> bool:
-        """Whether a unit arrived before the answer to the last call."""
         return self._calls.answering and self._stream.has_unit and not self._ended
 
     def _break_off(self) -> None:
-        """End the connection, also a call whose value takes time."""
         self._end()
         if not self._scope.expired():
             self._scope.reschedule(self._loop.time())
 
     def _answer_next(self, unit: bytes | None) -> None:
-        """Answer the next call; any error here ends the connection."""
         self._busy = True
         try:
             request = self._next_request(unit)
@@ -230,7 +223,7 @@ class CallLoop(Generic[PeerT]):
             self._job.set_exception(error)
 
     def _next_request(self, unit: bytes | None) -> bytes | Oversized | None:
-        """The next call; `unit`, if not None, follows everything buffered."""
+        # The next call; `unit`, if not None, follows everything buffered.
         calls, stream = self._calls, self._stream
         request = calls.take() if unit is None and calls.pending else None
         while request is None:
@@ -284,7 +277,6 @@ class CallLoop(Generic[PeerT]):
     def _answer_steps(
         self, request: bytes | Oversized
     ) -> Generator[None, None, "_Message | Awaitable[object]"]:
-        """The bytes of the answer to a call, or what to await for its value."""
         bound = None if self._bound is None else self._bound()
         call = yield from self._calls.load_steps(request, bound)
         yield
@@ -329,7 +321,7 @@ class CallLoop(Generic[PeerT]):
     # -- time and ends
 
     def _restart_idle(self) -> None:
-        """Restart the idle time-out: not for each call, as a timer can cost more than the call."""
+        # Restart the idle time-out: not for each call, as a timer can cost more than the call.
         if self._idle is not None and (now := self._loop.time()) > self._idle_set + self._idle / 64:
             self._idle_set = now
             self._scope.reschedule(now + self._idle)
@@ -347,7 +339,7 @@ class CallLoop(Generic[PeerT]):
 
 
 def _failure(error: Exception) -> Fault:
-    """A bug must neither end the other calls nor reveal internals to the peer."""
+    # A bug must neither end the other calls nor reveal internals to the peer.
     if isinstance(error, XmlRpcRefused):
         return Fault(FAULT_CODE, str(error))
     if isinstance(error, Fault):
@@ -364,13 +356,13 @@ class Stream(Protocol):
     """What a client uses of `rossec.net.aio.SecureStream`."""
 
     async def send(self, *pieces: bytes) -> None:
-        """Send one unit."""
+        ...
 
     async def receive(self) -> bytes:
-        """The next unit. Raises a `RossecError` when the channel is closed."""
+        ...
 
     async def close(self) -> None:
-        """Close in order."""
+        ...
 
 
 class CallFailed(RossecError):
@@ -432,12 +424,10 @@ class RpcClient:
 
     @property
     def closed(self) -> bool:
-        """No call can succeed any more: connect again."""
         return self._closed
 
     @property
     def is_compact(self) -> bool:
-        """Whether the peer took the offer of the compact form."""
         return self._calls.is_compact
 
     async def call(self, method: str, *params: object) -> object:
@@ -471,7 +461,6 @@ class RpcClient:
         return xmlrpc.value_of(await self.call(method, *params))
 
     async def close(self) -> None:
-        """End the connection; calls under way fail."""
         self._closed = True
         await self._stream.close()
 

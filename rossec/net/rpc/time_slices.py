@@ -45,8 +45,6 @@ def source_of(peer: object) -> TurnOwner:
 
 
 class _Work(NamedTuple, Generic[ResultT]):
-    """Steps, and who waits for their result."""
-
     source: TurnOwner
     steps: Generator[None, None, ResultT]
     result: "asyncio.Future[ResultT]"
@@ -69,20 +67,17 @@ class Rotation:
         return bool(self._groups)
 
     def add(self, work: _Work[Any], *, first: bool = False) -> None:
-        """Wait behind the other work of its peer, or before it."""
         queue = self._groups.setdefault(work.source.group, {}).setdefault(work.source.peer, deque())
         (queue.appendleft if first else queue.append)(work)
 
     def charge(self, group: Hashable, seconds: float) -> None:
-        """The group has used so much; that is forgotten when nobody waits."""
+        # The group has used so much; that is forgotten when nobody waits.
         self._used[group] = self._used.get(group, self._least) + seconds
 
     def has_used_more(self, group: Hashable) -> bool:
-        """Whether the group has used more than the one that is next."""
         return group in self._used
 
     def take(self) -> _Work[Any]:
-        """The next; its peer and its group go to the end of those that have used as much."""
         group = self._next_group()
         peers = self._groups.pop(group)
         peer = next(iter(peers))
@@ -103,7 +98,6 @@ class Rotation:
         return group
 
     def forget_used(self) -> None:
-        """Forget what makes no difference any more: all of it when nobody waits."""
         used = self._used if self._groups else {}
         self._used = {group: spent for group, spent in used.items() if spent > self._least}
 
@@ -121,7 +115,6 @@ class LoopTurns:
         self._spent = 0.0  # seconds in this pass, for what was done at once
 
     async def run(self, source: TurnOwner, steps: Generator[None, None, ResultT]) -> ResultT:
-        """The result of `steps`; raises what they raise."""
         work = _Work(source, steps, self._loop.create_future())
         self._waiting.add(work)
         if not self._due:
@@ -134,20 +127,16 @@ class LoopTurns:
         return result
 
     async def wait(self, source: TurnOwner) -> None:
-        """Return when it is the peer's turn."""
         await self.run(source, _nothing())
 
     def has_time(self, source: Callable[[], TurnOwner]) -> bool:
-        """Whether its peer may have something done at once, without a turn; see `spend`.
-
-        Not if others wait who have used less than it has.
-        """
+        # Not if others wait who have used less than it has.
         if self._waiting and self._waiting.has_used_more(source().group):
             return False
         return self._spent < self._length
 
     def spend(self, source: Callable[[], TurnOwner], seconds: float) -> None:
-        """Something was done at once, which took so long."""
+        # Something was done at once, which took so long.
         if not self._spent:
             self._loop.call_soon(self._next_pass)
         self._spent += seconds
@@ -155,10 +144,7 @@ class LoopTurns:
             self._waiting.charge(source().group, seconds)
 
     def first(self) -> Callable[[], bool]:
-        """Begin work without waiting for a turn; returns whether it has to wait for one now.
-
-        All that is begun so in one pass of the loop has one turn together.
-        """
+        # All that is begun so in one pass of the loop has one turn together.
         if self._pass_ends is None:
             self._pass_ends = self._clock() + self._length
             self._loop.call_soon(self._next_pass)
@@ -172,7 +158,6 @@ class LoopTurns:
             self._waiting.forget_used()
 
     def _turn(self) -> None:
-        """Give one turn, and the next one in the next pass."""
         began = self._clock()
         ends = began + self._length
         while self._waiting:

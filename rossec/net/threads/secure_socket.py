@@ -75,10 +75,7 @@ class Carrier(Generic[PeerT]):
             core.streams.add(self)
 
     def abandon(self) -> None:
-        """As of `Inherited`: this descriptor is closed, the connection of the parent is not.
-
-        A lock that another thread held at the fork would never be released.
-        """
+        # A lock that another thread held at the fork would never be released.
         self._core_lock, self._reading, self._writing = Lock(), Lock(), Lock()
         self._core.abandon()
         self._units.clear()
@@ -87,10 +84,7 @@ class Carrier(Generic[PeerT]):
         self._socket.close()
 
     def abort(self) -> None:
-        """End it now, from any thread: waiting calls return, and nothing more is delivered.
-
-        The kernel would still return bytes that arrived before.
-        """
+        # The kernel would still return bytes that arrived before.
         self._aborted = True
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
@@ -98,7 +92,6 @@ class Carrier(Generic[PeerT]):
     # -- receiving
 
     def _receive(self, end: float | None) -> None:
-        """Move bytes from the socket to the core, once; the caller is the one reader."""
         self._run_timers(reading=True)
         self._flush(end)
         # One system call where there is no deadline: the kernel waits, a slice at a time.
@@ -107,7 +100,6 @@ class Carrier(Generic[PeerT]):
             self._wait(select.POLLIN, end)
 
     def _take_in(self, end: float | None, flags: int) -> bool:
-        """Whether something had arrived."""
         try:
             count = self._socket.recv_into(self._core.get_buffer(), 0, flags)
         except BlockingIOError:
@@ -154,35 +146,29 @@ class Carrier(Generic[PeerT]):
             self._renewed.append(event)
 
     def _tell_renewals(self) -> None:
-        """Tell the user, with no lock of the core held: judging takes its time, and locks."""
         while self._on_renewal is not None and self._renewed:
             self._on_renewal(self._renewed.popleft())
 
     def on_renewal(self, callback: Callable[[Renewal[PeerT]], None]) -> None:
-        """Call back, in the thread that reads, with what the peer renews."""
         self._on_renewal = callback
         self._tell_renewals()
 
     @property
     def takes_renewals(self) -> bool:
-        """As of `Connection`."""
         return self._core.takes_renewals
 
     def present_identity(self, chain: Sequence[bytes]) -> None:
-        """As of `Connection`, from any thread; it is sent now, or with what is sent next."""
         with self._core_lock:
             self._core.present_identity(chain)
         self._send_queued()
 
     def present_grants(self, data: bytes) -> bool:
-        """As of `Connection`, from any thread; as `present_identity`."""
         with self._core_lock:
             taken = self._error is None and self._core.present_grants(data)
         self._send_queued()
         return taken
 
     def _send_queued(self) -> None:
-        """Send what the core has queued as far as that needs no waiting."""
         if self.peer is None or not self._writing.acquire(blocking=False):
             return  # who writes just now sends it after that
         try:
@@ -210,7 +196,6 @@ class Carrier(Generic[PeerT]):
         self._error = self._error or error.bare()
 
     def _release(self) -> None:
-        """Call `on_released`: the peer is authenticated, or the socket was given back."""
         released, self._on_released = self._on_released, None
         if released is not None:
             released()
@@ -222,7 +207,6 @@ class Carrier(Generic[PeerT]):
     # -- sending
 
     def _write_small(self, pieces: tuple[Bytes, ...], end: float | None) -> bool:
-        """The fast path of a small unit: one record."""
         if len(pieces) != 1 or not isinstance(pieces[0], bytes):
             return False
         with self._core_lock:
@@ -242,7 +226,6 @@ class Carrier(Generic[PeerT]):
             self._write(record, end)
 
     def _flush(self, end: float | None) -> None:
-        """Write what the core queued; a thread that is writing checks again when it is done."""
         while self._core.has_data_to_send:
             if not self._writing.acquire(blocking=False):
                 return
@@ -269,7 +252,6 @@ class Carrier(Generic[PeerT]):
             raise
 
     def _send_nowait(self, data: Bytes) -> Bytes:
-        """Write what the kernel takes at once; returns the rest."""
         try:
             return memoryview(data)[self._socket.send(data, AT_ONCE) :]
         except BlockingIOError:
@@ -281,18 +263,15 @@ class Carrier(Generic[PeerT]):
     # -- waiting
 
     def settimeout(self, value: float | None) -> None:
-        """As of sockets: None waits, 0 does not."""
         self._timeout = value
 
     def gettimeout(self) -> float | None:
-        """What `settimeout` set."""
         return self._timeout
 
     def _end(self) -> float | None:
         return None if self._timeout is None else time.monotonic() + self._timeout
 
     def _wait(self, event: int, end: float | None) -> None:
-        """Wait for the socket, for the caller's deadline, or for the core's."""
         left = _MAX_WAIT if end is None else end - time.monotonic()
         if left <= 0:
             raise BlockingIOError if self._timeout == 0 else TimeoutError("timed out")
@@ -305,7 +284,6 @@ class Carrier(Generic[PeerT]):
         self._run_timers(reading=event == select.POLLIN)
 
     def _run_timers(self, *, reading: bool = False) -> None:
-        """Run the core's timers, once in a second: its deadlines are whole seconds."""
         now = _now()
         if now == self._timers_run_at:
             return
@@ -316,10 +294,7 @@ class Carrier(Generic[PeerT]):
         self._timers_run_at = now
 
     def _take_in_confirmation(self, *, reading: bool) -> None:
-        """Process received bytes before the timers: message_4 may have waited for a reader.
-
-        A connection that is only written to, or cached, has no reader.
-        """
+        # A connection that is only written to, or cached, has no reader.
         if not reading and not self._reading.acquire(blocking=False):
             return  # the reading thread takes it in
         try:
@@ -422,13 +397,11 @@ class SecureSocket(Carrier[PeerT]):
             return len(chunk)
 
     def receive_unit(self) -> bytes | memoryview:
-        """The rest of a unit that `recv` began, or the next one; empty after the peer's close."""
         with self._reading:
             return self._take(sys.maxsize)
 
     @property
     def awaits_peer(self) -> bool:
-        """Whether the peer has yet to follow a renewal of the keys: call `pump` soon."""
         return self._core.awaits_peer
 
     def pump(self) -> None:
@@ -513,7 +486,6 @@ class SecureSocket(Carrier[PeerT]):
 
     @property
     def unsent(self) -> bool:
-        """Whether `try_send` left something: `sendall`, even of nothing, sends it."""
         return self._core.has_data_to_send
 
     # -- ends

@@ -52,7 +52,6 @@ class ReplaceableGuard:
         self.apply: Callable[[bytes, float], list[Buffer] | None] = guard.apply
 
     def replace(self, guard: Guard) -> None:
-        """Use `guard` from the next message on."""
         self.check, self.apply = guard.check, guard.apply
 
 
@@ -69,8 +68,6 @@ class _LastMessage:
 
 
 class _Group:
-    """The connections of one key for one topic of one program."""
-
     def __init__(self) -> None:
         self.open: set[SharedGuard] = set()
         self.last: _LastMessage | None = None
@@ -85,11 +82,9 @@ class SharedGuard:
         self._latching = latching
 
     def replace(self, guard: Guard) -> None:
-        """Use `guard`, of the same key or without limits, from the next message on."""
         self._guard = guard
 
     def check(self, now: float) -> None:
-        """As of `Guard`."""
         self._guard.check(now)
 
     def initial_message(self, now: float) -> list[Buffer]:
@@ -150,8 +145,6 @@ HolderT = TypeVar("HolderT", bound=Hashable)
 
 @dataclass(eq=False)
 class _ProgramMemory(Generic[HolderT]):
-    """The holders of a memory and their name; the name stays when there is no holder."""
-
     name: str
     holders: set[HolderT] = field(default_factory=set)
 
@@ -181,7 +174,6 @@ class ProgramMemories(Generic[HolderT]):
         return self._scope.child(str(self._memories.index(memory)))
 
     def release(self, holder: HolderT) -> None:
-        """`holder` has ended."""
         for memory in self._memories:
             memory.holders.discard(holder)
 
@@ -246,6 +238,5 @@ class Replacing:
         return renewed
 
     def swap(self, guard: Guard | None) -> None:
-        """Put a guard from `rebuild` in the place of the one in force."""
         if self._guard is not None and guard is not None:
             self._guard.replace(guard)

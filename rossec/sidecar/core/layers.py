@@ -116,12 +116,10 @@ class EndpointMap:
         return network
 
     def add_egress(self, remote: Endpoint, port: int) -> Endpoint:
-        """Map a loopback port to `remote`; returns the endpoint for programs."""
         self._egress[port] = remote
         return Endpoint(remote.protocol, self._loopback_host, port)
 
     def remove_ingress(self, local: Endpoint, port: int) -> None:
-        """Forget the network port `port` for `local`."""
         self._ingress.pop(_casefolded(Endpoint(local.protocol, self.host, port)), None)
         self._own_uris.pop(local, None)
 
@@ -132,7 +130,6 @@ class EndpointMap:
             self._apis.pop(remote, None)
 
     def set_api(self, topics: Endpoint, api: Endpoint) -> None:
-        """The peer at `api` said that its topics are there."""
         self._apis[topics] = api
 
     def api_of(self, topics: Endpoint) -> Endpoint | None:
@@ -140,11 +137,9 @@ class EndpointMap:
         return self._apis.get(topics)
 
     def set_own_uri(self, local: Endpoint, uri: str) -> None:
-        """Store a program's own URI as the program writes it."""
         self._own_uris[local] = uri
 
     def own_uri(self, local: Endpoint) -> str:
-        """The program's own URI, byte for byte."""
         return self._own_uris.get(local, replace(local, host=self._loopback_host).uri)
 
     def network_of(self, local: Endpoint) -> Endpoint:
@@ -155,17 +150,14 @@ class EndpointMap:
         return replace(local, host=self.host)
 
     def program_at(self, network: Endpoint) -> Endpoint | None:
-        """The program of this identity at a network endpoint."""
         return self._ingress.get(_casefolded(network))
 
     def peer_at(self, local: Endpoint) -> Endpoint | None:
-        """The peer at a loopback endpoint."""
         remote = self._egress.get(local.port)
         return remote if remote is not None and remote.protocol is local.protocol else None
 
 
 def _casefolded(endpoint: Endpoint) -> Endpoint:
-    """Host names are case-insensitive, and a parsed URI is in lower case."""
     return replace(endpoint, host=endpoint.host.lower())
 
 
@@ -367,15 +359,12 @@ class AgentState:
         return caller if self.covers(caller) else self.identity.name
 
     def name_for_peer(self, caller: str, peer: Identity) -> str:
-        """As `name_for`; a foreign peer honours no certified tails."""
         return self.identity.name if peer.is_foreign else self.name_for(caller)
 
     def covers(self, name: str) -> bool:
-        """Whether a program may use `name`."""
         return self.identity.covers(name)
 
     def ingress_endpoint(self, local: Endpoint) -> Layer[Endpoint]:
-        """The endpoint at which peers reach the program at `local`."""
         return self.endpoints.add_ingress(local, opened_port((yield OpenIngress(local))))
 
     def egress_uri(
@@ -389,12 +378,10 @@ class AgentState:
         return self.endpoints.add_egress(remote, port).uri
 
     def followed_publishers(self, topic: object, uris: object) -> list[str]:
-        """The publishers to connect to: those the master names, and those in their grace period."""
         valid = [uri for uri in uris if isinstance(uri, str)] if isinstance(uris, list) else []
         return self.publisher_grace.update(topic, valid) if isinstance(topic, str) else valid
 
     def is_listed(self, topic: str, publisher: Endpoint) -> bool:
-        """Whether the master lists the node with this slave API, or may list it again."""
         uris = self.publisher_grace.to_follow(topic)
         return any(parse_endpoint(uri, WireProtocol.HTTP) == publisher for uri in uris)
 
@@ -420,11 +407,7 @@ def opened_port(event: Event) -> int:
 
 
 def authenticated_peer(event: Event) -> Identity:
-    """The peer of a `PeerAuthenticated` event.
-
-    Raises:
-        HangUp: there is no answer.
-    """
+    """The peer of a `PeerAuthenticated` event."""
     match event:
         case PeerAuthenticated(peer):
             return peer

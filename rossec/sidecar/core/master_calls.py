@@ -120,12 +120,7 @@ RULES: Final = {
 
 
 def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> Layer[object]:
-    """Answer one call of a program.
-
-    Raises:
-        Fault: no such method.
-        HangUp: the master is unreachable; the program will try again.
-    """
+    """Answer one call of a program."""
     if method == MULTICALL:
         return (yield from _multicall(agent, params))
     rule = rule_of(method)
@@ -157,7 +152,7 @@ def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> L
 def _refusal(
     agent: AgentState, method: str, rule: CallRule, params: tuple[object, ...]
 ) -> list[object] | None:
-    """The answer to a call that need not reach the master; None: it must."""
+    # The answer to a call that need not reach the master; None: it must.
     refused = without_caller(params, rule.default)
     if refused is not None:
         return refused
@@ -190,7 +185,7 @@ def _call_master(method: str, params: tuple[object, ...]) -> Layer[list[object]]
 
 
 def _search(caller: str, name: object, key: str) -> Layer[list[object]]:
-    """Search from the namespace of `caller`; the master would search from that of `name`."""
+    # Search from the namespace of `caller`; the master would search from that of `name`.
     for candidate, found in search_places(caller, key):
         answer = search_result((yield from _call_master(SEARCH, (name, candidate))), found)
         if answer is not None:
@@ -222,7 +217,7 @@ def _element(agent: AgentState, element: object) -> Layer[object]:
 def _params_for_master(
     agent: AgentState, method: str, rule: CallRule, caller: str, params: tuple[object, ...]
 ) -> Layer[tuple[object, ...] | None]:
-    """The parameters for the secured master; None: the address is not the program's own."""
+    # The parameters for the secured master; None: the address is not the program's own.
     name = caller
     if method not in UNREGISTERS:  # `rosnode cleanup` names dead nodes; the master authorizes it
         name = agent.name_for(caller)
@@ -248,12 +243,9 @@ def _params_for_master(
 
 
 def _address(agent: AgentState, method: str, given: Endpoint) -> Layer[str | None]:
-    """The address, for the master, of an endpoint that a program names.
-
-    An egress port stands for a peer: `rosnode cleanup` sends the URI that `lookupNode` returned. No
-    program can register one as its own; the sidecar would call itself. Only who registers opens a
-    port: who unregisters may name that of a program that has ended, which another one has now.
-    """
+    # An egress port stands for a peer: `rosnode cleanup` sends the URI that `lookupNode` returned. No program
+    # can register one as its own; the sidecar would call itself. Only who registers opens a port: who
+    # unregisters may name that of a program that has ended, which another one has now.
     local = local_endpoint(given.protocol, given.port)
     remote = agent.endpoints.peer_at(local)
     if method not in REGISTERS:
@@ -288,7 +280,6 @@ def _record_registration(
 def _answer_for_program(
     agent: AgentState, rule: CallRule, own_api: Endpoint | None, answer: list[object]
 ) -> Layer[list[object]]:
-    """A successful answer of the master, rewritten for the program."""
     code, status, value = answer
     match rule.result:
         case Result.NODES:
@@ -308,7 +299,6 @@ def _answer_for_program(
 
 
 def _node(agent: AgentState, remote: Endpoint) -> Layer[str]:
-    """The URI of a node; a node of the same identity is reached directly."""
     own_api = agent.endpoints.program_at(remote)
     return (yield from agent.egress_uri(remote, own_api, probe=True))
 
@@ -366,7 +356,6 @@ def rights_changed(agent: AgentState, holds: Holds) -> Layer[None]:
 
 
 def _allowed(calls: Iterable[Call], holds: Holds) -> list[Call]:
-    """Those of `calls` that this identity has the right to."""
     return [
         (method, params)
         for method, params in calls
@@ -407,7 +396,6 @@ def drop_expired_publishers(agent: AgentState) -> Layer[None]:
 def _update_publishers(
     agent: AgentState, own_api: Endpoint, topic: str, publishers: list[str]
 ) -> Layer[None]:
-    """Send a publisherUpdate to a program that may have ended."""
     uris = yield from agent.egress_uris(publishers, own_api)
     yield from _is_gone(
         agent, own_api, (yield CallProgram(own_api, "publisherUpdate", (MASTER, topic, uris)))

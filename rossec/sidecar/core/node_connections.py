@@ -116,12 +116,7 @@ def handle_peer_call(
     grants: bytes | None,
     now: int,
 ) -> Layer[object]:
-    """Answer a peer's call to the program at `local`.
-
-    Raises:
-        CallRefused, GrantError, CAError: the peer is not authorized.
-        HangUp: the program does not answer.
-    """
+    """Answer a peer's call to the program at `local`."""
     node = agent.identity.name
     if method == PRESENT_GRANTS:
         agent.access.check_peer(peer, now)
@@ -148,7 +143,6 @@ def handle_peer_call(
 
 
 def _answer_at_once(peer: Identity, method: str, params: tuple[object, ...]) -> list[object] | None:
-    """The answer that needs no program; None: it needs one."""
     if method == PORTS:
         return refusal(method, params, peer)
     refused = without_caller(params, RULES[method].default)
@@ -160,7 +154,7 @@ def _answer_at_once(peer: Identity, method: str, params: tuple[object, ...]) -> 
 
 
 def _answer_with_port(agent: AgentState, local: Endpoint, method: str) -> Layer[object]:
-    """Where its topics are, the same for every topic; a dead program does not answer."""
+    # Where its topics are, the same for every topic; a dead program does not answer.
     yield from _require_alive(agent, local, (yield Probe(local)))
     ingress = yield from agent.ingress_endpoint(topic_endpoint(local))
     if method == PORTS:
@@ -174,7 +168,6 @@ def succeeded(code: object) -> bool:
 
 
 def _refusal(answer: object) -> list[object]:
-    """An unsuccessful or invalid answer, without its value."""
     match answer:
         case [(-1 | 0) as code, str() as status, _]:
             return [code, status, 0]
@@ -185,7 +178,7 @@ def _refusal(answer: object) -> list[object]:
 
 
 def _require_alive(agent: AgentState, local: Endpoint, event: Event) -> Layer[None]:
-    """Hang up if the program did not answer; suspend its port if it has ended."""
+    # Hang up if the program did not answer; suspend its port if it has ended.
     if isinstance(event, NoAnswer):
         if event.dead:
             agent.forget(local)
@@ -203,7 +196,6 @@ def _params_for_program(
 
 
 def _invalid_request_topic(params: tuple[object, ...]) -> list[object] | None:
-    """The refusal of a `requestTopic` without TCPROS or with invalid parameters; None: valid."""
     if len(params) != 3:
         return [-1, "Error: bad call arity", []]
     if not isinstance(params[1], str) or not params[1]:
@@ -214,7 +206,6 @@ def _invalid_request_topic(params: tuple[object, ...]) -> list[object] | None:
 def _answer_for_peer(
     agent: AgentState, local: Endpoint, method: str, status: object, value: object
 ) -> Layer[object]:
-    """A program's answer, rewritten for a peer: ingress ports in place of loopback ports."""
     match method, value:
         case "getUri", _:
             return [1, status, (yield from agent.ingress_endpoint(local)).uri]
@@ -229,7 +220,6 @@ def _answer_for_peer(
 def _program_bus_info(
     agent: AgentState, local: Endpoint, entries: list[object]
 ) -> Layer[list[object]]:
-    """A program's bus info; an incoming connection names its publisher, maybe the program."""
     rewritten: list[object] = []
     for entry in entries:
         match entry:
@@ -247,12 +237,7 @@ def _program_bus_info(
 def handle_program_call(
     agent: AgentState, remote: Endpoint, method: str, params: tuple[object, ...]
 ) -> Layer[object]:
-    """Answer a program's call to the peer at `remote`.
-
-    Raises:
-        Fault: no such method.
-        HangUp: the peer does not answer.
-    """
+    """Answer a program's call to the peer at `remote`."""
     if method not in OPEN | MASTER_ONLY | SLAVE_CALLS.keys():
         raise Fault(1, f"<class 'Exception'>:method \"{printable(method, 80)}\" is not supported")
     refused = without_caller(params, RULES[method].default)
@@ -284,7 +269,6 @@ def handle_program_call(
 def _request_for_peer(
     agent: AgentState, remote: Endpoint, caller: str, topic: str
 ) -> Layer[tuple[object, ...]]:
-    """The parameters of a program's `requestTopic`: for an alias, who the peer is decides."""
     if not is_alias(topic):
         return agent.name_for(caller), topic, [[TCPROS]]
     split_alias(topic)
@@ -295,7 +279,6 @@ def _request_for_peer(
 def _answer_for_program(
     agent: AgentState, remote: Endpoint, method: str, status: object, value: object
 ) -> Layer[object]:
-    """A peer's answer, rewritten for a program: egress ports in place of addresses."""
     match method, value:
         case "requestTopic", ["TCPROS", str() as host, int() as port] if (
             host and 0 < port < 1 << 16
@@ -318,20 +301,17 @@ def _answer_for_program(
 
 
 def _topics_of(remote: Endpoint, host: str, port: int) -> Endpoint:
-    """Where the topics of the peer at `remote` are, which names this host and port."""
     if remote.door:
         return Endpoint(WireProtocol.TCPROS, remote.host, remote.port)
     return Endpoint(WireProtocol.TCPROS, host, port)
 
 
 def _leads_back(agent: AgentState, remote: Endpoint, endpoint: Endpoint) -> bool:
-    """Whether another node names an endpoint of this identity (reflection)."""
     program_at = agent.endpoints.program_at
     return program_at(endpoint) is not None and program_at(remote) is None
 
 
 def _peer_bus_info(agent: AgentState, entries: list[object]) -> Layer[list[object]]:
-    """A peer's bus info, with the URIs that `lookupNode` returns: tools compare them."""
     uris: dict[str, str] = {}
     rewritten: list[object] = []
     for entry in entries:
@@ -381,7 +361,6 @@ class AdmittedConnection:
 
     @property
     def latching(self) -> bool:
-        """Whether the publisher sends its last message to new subscribers."""
         return self.answer.get("latching") == b"1"
 
 
@@ -394,12 +373,7 @@ def admit_peer(
     memory_scope_of: FindMemoryScope,
     now: int,
 ) -> Layer[AdmittedConnection]:
-    """A peer subscribes to a topic of the program at `local`, or calls its service.
-
-    Raises:
-        ConnectionHeaderRefused, GrantError, CAError: the peer or the program is refused.
-        HangUp: the program does not answer.
-    """
+    """A peer subscribes to a topic of the program at `local`, or calls its service."""
     service, wishes = _is_service(fields), NO_WISHES
     if service is local.via_slave_api:
         raise ConnectionHeaderRefused(f"this port is not for {'services' if service else 'topics'}")
@@ -440,12 +414,6 @@ def admit_peer(
 def _request_topic(
     agent: AgentState, local: Endpoint, fields: Mapping[str, bytes], peer: Identity
 ) -> Layer[Endpoint]:
-    """The endpoint of the topic, requested from the program's slave API.
-
-    Raises:
-        ConnectionHeaderRefused: the program does not publish the topic.
-        HangUp: the program does not answer.
-    """
     topic = handshakes.requested_topic(fields)
     request = (caller_here(peer, text(fields, _CALLER)), topic, [[TCPROS]])
     event = yield CallProgram(local_endpoint(WireProtocol.HTTP, local.port), REQUEST_TOPIC, request)
@@ -466,12 +434,8 @@ def _request_topic(
 
 
 def _is_service(fields: Mapping[str, bytes]) -> bool:
-    """Whether a header is for a service. One with both fields would be authorized as one and served
-    as the other: roscpp and rospy check the topic first.
-
-    Raises:
-        ConnectionHeaderRefused: not exactly one of the two.
-    """
+    # Whether a header is for a service. One with both fields would be authorized as one and served as the
+    # other: roscpp and rospy check the topic first.
     if ("service" in fields) is ("topic" in fields):
         raise ConnectionHeaderRefused("a connection header is for a topic or for a service")
     return "service" in fields
@@ -480,7 +444,6 @@ def _is_service(fields: Mapping[str, bytes]) -> bool:
 def _tcpros_answer_for_peer(
     agent: AgentState, request: Mapping[str, bytes], answer: Mapping[str, bytes], peer: Identity
 ) -> dict[str, bytes]:
-    """The program's answer under a certified name; rospy's publishers leave out the topic."""
     if "error" in answer:
         raise ConnectionHeaderRefused(text(answer, "error"))
     completed = {
@@ -493,12 +456,10 @@ def _tcpros_answer_for_peer(
 
 
 def _program_name(fields: Mapping[str, bytes]) -> str:
-    """The caller_id of a program."""
     return text(fields, _CALLER)[:_LONGEST_NAME] if _CALLER in fields else ""
 
 
 def _caller_name(agent: AgentState, fields: Mapping[str, bytes], foreign: bool) -> bytes:
-    """The callerid for a peer: a foreign one honours no certified tails."""
     given = text(fields, _CALLER) if _CALLER in fields and not foreign else ""
     return agent.name_for(given).encode()
 
@@ -517,12 +478,7 @@ def connect_to_peer(
     memory_scope_of: FindMemoryScope,
     now: int,
 ) -> Layer[AdmittedConnection]:
-    """A program subscribes to a topic of the peer at `remote`, or calls its service.
-
-    Raises:
-        ConnectionHeaderRefused, GrantError, CAError: the peer refuses, or is not authorized to
-        publish or provide. HangUp: the peer does not answer.
-    """
+    """A program subscribes to a topic of the peer at `remote`, or calls its service."""
     service = _is_service(fields)
     wanted = text(fields, "service" if service else "topic")
     if service:
@@ -564,13 +520,7 @@ def connect_to_peer(
 def _name_granted(
     agent: AgentState, remote: Endpoint, fields: Mapping[str, bytes]
 ) -> Layer[tuple[str, bytes]]:
-    """The name whose grants count for the topic that is asked for, and the callerid for the peer.
-
-    Of an alias both depend on who the peer is, which is known before it is sent anything.
-
-    Raises:
-        HangUp: the peer does not answer.
-    """
+    # Of an alias both depend on who the peer is, which is known before it is sent anything.
     topic = text(fields, "topic")
     if not is_alias(topic):
         return topic, _caller_name(agent, fields, foreign=False)
