@@ -68,9 +68,7 @@ def handshakes(seconds: float) -> dict[str, float]:
 
     def handshake(client: Credentials, anchors: Anchors) -> None:
         left = Connection.initiator(client, anchors.verify, random=secrets.token_bytes, now=now)
-        right = Connection.responder(
-            server, home.anchors.verify, random=secrets.token_bytes, now=now
-        )
+        right = Connection.responder(server, home.anchors.verify, random=secrets.token_bytes, now=now)
         events = 0
         while data := left.data_to_send():
             events += len(right.receive_data(bytes(data), now))
@@ -79,9 +77,7 @@ def handshakes(seconds: float) -> dict[str, float]:
 
     own, foreign = home.enroll("/viewer", now), others[-1].enroll("/viewer", now)
     times = shortest_us(
-        seconds,
-        lambda: handshake(own, home.anchors),
-        lambda: handshake(foreign, others[-1].anchors),
+        seconds, lambda: handshake(own, home.anchors), lambda: handshake(foreign, others[-1].anchors)
     )
     return {
         "own_handshake_us": round(times[0], 1),
@@ -102,9 +98,7 @@ def chains(seconds: float) -> dict[str, float]:
         parent = peek(tokens[-1])
     verifier = Verifier(authority.public_key, "home", (), 0, _nothing_is_revoked)
     one, _, three, longest = tokens
-    times = shortest_us(
-        seconds, *(partial(verifier.open, token, now) for token in (one, three, longest))
-    )
+    times = shortest_us(seconds, *(partial(verifier.open, token, now) for token in (one, three, longest)))
     return {
         "verify_grant_us": round(times[0], 1),
         "verify_chain3_vs_grant": round(times[1] / times[0], 2),
@@ -118,11 +112,16 @@ def _signer() -> KeySigner:
 
 def _draft(holder: KeySigner, may_narrow: int, now: int) -> Draft:
     return Draft(
-        domain="home", subject="/remote/hospital/rounds/robot3",
-        holder=thumbprint(holder.public_key), not_before=now - 60, expires=now + DAY,
-        cap=now + DAY, serial=secrets.token_bytes(16),
-        permissions=(Permission("/robot/pose", Right.SUBSCRIBE),), may_narrow=may_narrow,
-    )  # fmt: skip
+        domain="home",
+        subject="/remote/hospital/rounds/robot3",
+        holder=thumbprint(holder.public_key),
+        not_before=now - 60,
+        expires=now + DAY,
+        cap=now + DAY,
+        serial=secrets.token_bytes(16),
+        permissions=(Permission("/robot/pose", Right.SUBSCRIBE),),
+        may_narrow=may_narrow,
+    )
 
 
 def _nothing_is_revoked(_entry: bytes, _now: int) -> None:

@@ -37,16 +37,15 @@ def _scored(seeds: Sequence[int], seconds: int, *, deflates: bool) -> dict[str, 
         rooms[room] += 1
     usual = rooms.most_common(1)[0][0]
     found = [pair for seed in seeds for pair in _lengths(seed, seconds, deflates=deflates)]
-    guessed = [
-        learned[length].most_common(1)[0][0] if length in learned else usual for length, _ in found
-    ]
+    guessed = [learned[length].most_common(1)[0][0] if length in learned else usual for length, _ in found]
     right = sum(guess == room for guess, (_, room) in zip(guessed, found, strict=True))
     prior = sum(room == usual for _, room in found)
     count = len(found)
     return {
-        "attacker": round(right / count, 3), "prior": round(prior / count, 3),
+        "attacker": round(right / count, 3),
+        "prior": round(prior / count, 3),
         "best": round(max(right, prior) / count, 3),
-    }  # fmt: skip
+    }
 
 
 def _lengths(seed: int, seconds: int, *, deflates: bool) -> Lengths:

@@ -30,9 +30,7 @@ def build(folder: Path) -> None:
         serial = secrets.randbits(127) + 1
         certificate = authority.issue(request, now=now, serial=serial, lifetime=_DAY)
         private = key.private_bytes(
-            serialization.Encoding.PEM,
-            serialization.PrivateFormat.PKCS8,
-            serialization.NoEncryption(),
+            serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
         )
         (folder / f"{name}.pem").write_bytes(private + to_pem(certificate))
 

@@ -177,11 +177,7 @@ async def _measure(folder: Path, ports: tuple[int, int, int], seconds: float) ->
     async def request_x5t() -> Pipe:
         return Pipe(await connect("127.0.0.1", ports[2], SecureContext(own, verify, known=known)))
 
-    makers: Makers = {
-        "plain": plain,
-        "tls": secured,
-        "rossec": rossec,
-    }
+    makers: Makers = {"plain": plain, "tls": secured, "rossec": rossec}
     pipes = {name: await make() for name, make in makers.items()}
     others = {"hybrid": hybrid, "x5t": request_x5t}
     await _round(pipes, makers, others, defaultdict(list))

@@ -71,9 +71,7 @@ def rounds(authority: BenchAuthority, seconds: float) -> dict[str, list[float]]:
                 timed(lambda: authority.authority.issue(request, now=NOW, serial=serial))  # noqa: B023
             )
             taken["issue"].append(timed(lambda: authority.open.issue(request, NOW)))  # noqa: B023
-            taken["log"].append(
-                timed(lambda: authority.store.log_event("bench", "/a", "entry", NOW))
-            )
+            taken["log"].append(timed(lambda: authority.store.log_event("bench", "/a", "entry", NOW)))
     return taken
 
 

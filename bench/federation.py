@@ -131,9 +131,7 @@ async def memory(site: Site) -> float:
             for number, other in enumerate(others.values()):
                 node = await stack.enter_async_context(slave(site, f"/m{number}", other.port))
                 await register_facts(node, 1000)
-            follows = {
-                name.rpartition("/")[2]: (name, other.port) for name, other in others.items()
-            }
+            follows = {name.rpartition("/")[2]: (name, other.port) for name, other in others.items()}
             alone = await _memory_with(site, {}, 0)
             return (await _memory_with(site, follows, SITES * 1000) - alone) / 1000
 

@@ -49,9 +49,7 @@ async def _cold(rules: bytes, phone: bytes, seconds: float) -> dict[str, float]:
 async def _four(runner: RuleRunner, phone: bytes, seconds: float) -> dict[str, float]:
     """Each of four asks as soon as it was answered."""
     started = time.perf_counter()
-    found = await asyncio.gather(
-        *(_repeat(lambda: runner.name(phone, *_TOPIC), seconds) for _ in range(4))
-    )
+    found = await asyncio.gather(*(_repeat(lambda: runner.name(phone, *_TOPIC), seconds) for _ in range(4)))
     passed = time.perf_counter() - started
     return {
         "median": statistics.median(each["median"] for each in found),

@@ -147,9 +147,7 @@ async def compare(seconds: float) -> dict[str, Any]:
     return _report(latencies, throughputs, handshakes)
 
 
-def _report(
-    latencies: Samples, throughputs: Samples, handshakes: dict[str, float]
-) -> dict[str, Any]:
+def _report(latencies: Samples, throughputs: Samples, handshakes: dict[str, float]) -> dict[str, Any]:
     sealed, raw = latencies["router1"], latencies["raw_router1"]
     return {
         "latency_us": {

@@ -50,9 +50,7 @@ class Authority:
     `anchor` is the root that nodes trust, `chain` follows each leaf (empty, or the intermediate).
     """
 
-    def __init__(
-        self, signer: Signer, certificate: bytes, intermediate: bytes | None = None
-    ) -> None:
+    def __init__(self, signer: Signer, certificate: bytes, intermediate: bytes | None = None) -> None:
         """Combine the key with the root's certificate (DER), or with an intermediate's below it.
 
         Raises:
@@ -82,13 +80,7 @@ class Authority:
         return self.issuer is self.anchor
 
     def issue(
-        self,
-        csr: bytes,
-        *,
-        now: int,
-        serial: int,
-        lifetime: int = LIFETIME,
-        wildcard: bool = False,
+        self, csr: bytes, *, now: int, serial: int, lifetime: int = LIFETIME, wildcard: bool = False
     ) -> bytes:
         """Return the certificate (DER) that `csr` requests, valid for `lifetime` seconds.
 
@@ -107,9 +99,7 @@ class Authority:
                 "enroll at the root, or make an intermediate that may enroll",
             )
         request = check_request(csr, self.anchor.domain, wildcard=wildcard)
-        return self._issue(
-            request.name, request.public_key, now, serial, lifetime, wildcard=wildcard
-        )
+        return self._issue(request.name, request.public_key, now, serial, lifetime, wildcard=wildcard)
 
     def renew(self, renewal: Renewal, *, now: int, serial: int, lifetime: int = LIFETIME) -> bytes:
         """Return the successor (DER) of an identity, with at most the same lifetime.
@@ -256,9 +246,7 @@ def _check_serial(serial: int) -> None:
         raise IssueRefused("a serial is a positive number of 128 bits", "use secrets.randbits(128)")
 
 
-def _builder(
-    key: ec.EllipticCurvePublicKey, serial: int, start: int, end: int
-) -> x509.CertificateBuilder:
+def _builder(key: ec.EllipticCurvePublicKey, serial: int, start: int, end: int) -> x509.CertificateBuilder:
     return (
         x509.CertificateBuilder()
         .serial_number(serial)
@@ -324,9 +312,7 @@ def read_unsigned(content: bytes, issuer: x509.Name, domain: str) -> UnsignedCer
         return UnsignedCertificate(domain, is_intermediate=True)
     svid.check_leaf(extensions)
     svid.has_wildcard(extensions)
-    return UnsignedCertificate(
-        _unsigned_name(svid.only_uri(extensions), domain), is_intermediate=False
-    )
+    return UnsignedCertificate(_unsigned_name(svid.only_uri(extensions), domain), is_intermediate=False)
 
 
 def _unsigned_name(uri: str, domain: str) -> str:

@@ -171,9 +171,7 @@ def read_intermediate(certificate: x509.Certificate, der: bytes, domain: str) ->
     start, end = svid.validity(certificate)
     may_enroll = _power(svid.policies(extensions))
     subject = svid.subject(certificate)
-    return Intermediate(
-        key, thumbprint(key), start, end, der, subject, certificate.serial_number, may_enroll
-    )
+    return Intermediate(key, thumbprint(key), start, end, der, subject, certificate.serial_number, may_enroll)
 
 
 def policy(*, may_enroll: bool) -> x509.CertificatePolicies:
@@ -184,9 +182,7 @@ def policy(*, may_enroll: bool) -> x509.CertificatePolicies:
 
 def _power(policies: frozenset[x509.ObjectIdentifier]) -> bool:
     if policies not in ({MAY_RENEW}, {MAY_ENROLL}):
-        raise CertificateRefused(
-            "the intermediate has no policy to renew or enroll", "make a new one"
-        )
+        raise CertificateRefused("the intermediate has no policy to renew or enroll", "make a new one")
     return MAY_ENROLL in policies
 
 
@@ -213,9 +209,16 @@ def check_intermediate_request(csr: bytes, domain: str) -> ec.EllipticCurvePubli
 
 
 __all__ = [
-    "MAX_CERTIFICATE", "MAX_REQUEST", "Identity", "IdentityRequest", "TrustAnchor",
-    "build_request", "check_request", "from_pem", "to_pem",
-]  # fmt: skip
+    "MAX_CERTIFICATE",
+    "MAX_REQUEST",
+    "Identity",
+    "IdentityRequest",
+    "TrustAnchor",
+    "build_request",
+    "check_request",
+    "from_pem",
+    "to_pem",
+]
 
 _MAX_PEM: Final = 16 * 1024
 
@@ -323,9 +326,12 @@ class TrustAnchor:
         identity = self._identity(leaf, issuer)
         self.check_time(now)
         check_time(
-            f"certificate of {identity.name}", identity.not_before, identity.not_after, now,
+            f"certificate of {identity.name}",
+            identity.not_before,
+            identity.not_after,
+            now,
             f"where its authority is: {way_back(identity.name)}",
-        )  # fmt: skip
+        )
         if issuer is self:
             return identity
         end = min(identity.not_after, issuer.not_after)
@@ -355,9 +361,12 @@ class TrustAnchor:
         """
         found = self.read_intermediate(der)
         check_time(
-            "intermediate's certificate", found.not_before, found.not_after, now,
+            "intermediate's certificate",
+            found.not_before,
+            found.not_after,
+            now,
             "at the root: rossec ca intermediate sign FILE --may renew",
-        )  # fmt: skip
+        )
         return found
 
     def check_time(self, now: int) -> None:
@@ -367,9 +376,12 @@ class TrustAnchor:
             CertificateExpired, CertificateNotYetValid: otherwise, which is a matter of clocks.
         """
         check_time(
-            "authority's certificate", self.not_before, self.not_after, now,
+            "authority's certificate",
+            self.not_before,
+            self.not_after,
+            now,
             "the authority is ten years old, and must be replaced by a new one",
-        )  # fmt: skip
+        )
 
     def _foreign(self, what: str, certificate: x509.Certificate) -> ForeignCertificate:
         text = f"the {what} is not signed by the authority of trust domain {self.domain!r}"
@@ -431,9 +443,7 @@ def _name(expected: str, uri: str, *, wildcard: bool) -> str:
     except NameRefused as error:
         raise CertificateRefused(f"the certificate's name is invalid: {error}") from error
     if domain != expected:
-        raise CertificateRefused(
-            f"the certificate is for trust domain {domain!r}, not {expected!r}"
-        )
+        raise CertificateRefused(f"the certificate is for trust domain {domain!r}, not {expected!r}")
     return name
 
 
@@ -487,9 +497,7 @@ class Renewal:
     @property
     def max_lifetime(self) -> int:
         """The lifetime (seconds) of the identity, which the successor's may not exceed."""
-        return self.identity.not_after - signed_at(
-            self.identity.not_before, self.identity.not_after
-        )
+        return self.identity.not_after - signed_at(self.identity.not_before, self.identity.not_after)
 
 
 def signed_at(not_before: int, not_after: int) -> int:
@@ -519,9 +527,7 @@ def sign_renewal(old: Signer, chain: Sequence[bytes], csr: bytes, now: int) -> b
     return PROFILE.sign(old, {_IAT: now, _CSR: csr, _CHAIN: certificates})
 
 
-def open_renewal(
-    data: bytes, anchor: TrustAnchor, now: int, check: Callable[[bytes, int], None]
-) -> Renewal:
+def open_renewal(data: bytes, anchor: TrustAnchor, now: int, check: Callable[[bytes, int], None]) -> Renewal:
     """Return the renewal in `data`, if it is valid.
 
     `check(entry, now)` raises when a key's thumbprint is revoked, or its status is unknown
@@ -573,8 +579,7 @@ def _open(data: bytes, identity: Identity) -> Value:
         return PROFILE.open(data, identity.public_key, limit=MAX_RENEWAL)
     except (SignatureError, EncodingError) as error:
         raise RenewalRefused(
-            f"the renewal is not signed by {identity.name}: {error}",
-            "renew on the node that has the key",
+            f"the renewal is not signed by {identity.name}: {error}", "renew on the node that has the key"
         ) from error
 
 

@@ -32,9 +32,25 @@ _HEADS: Final = ((24, 1), (24, 1), (25, 2), *2 * ((26, 4),), *4 * ((27, 8),))
 
 # The tags cbor2 6 decodes by itself; every other one reaches `tag_hook`.
 _BUILT_IN_TAGS: Final = (
-    *range(6), 25, 28, 29, 30, 35, 36, 37, 52, 54,
-    100, 256, 258, 260, 261, 1004, 43000, 55799,
-)  # fmt: skip
+    *range(6),
+    25,
+    28,
+    29,
+    30,
+    35,
+    36,
+    37,
+    52,
+    54,
+    100,
+    256,
+    258,
+    260,
+    261,
+    1004,
+    43000,
+    55799,
+)
 
 
 def encode(value: Value) -> bytes:

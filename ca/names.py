@@ -47,8 +47,21 @@ from ca.errors import NameRefused, PatternRefused
 _SIMILAR: Final = 0.6
 _COMPARED: Final = 5000  # values; more would take a second
 _MAX: Final = 255  # as `ca.names.MAX_NAME`; of longer ones nothing is proposed
-_LETTERS: Final = str.maketrans({"ß": "ss", "æ": "ae", "Æ": "AE", "ø": "o", "Ø": "O", "œ": "oe",
-                                 "Œ": "OE", "ł": "l", "Ł": "L", "đ": "d", "Đ": "D"})  # fmt: skip
+_LETTERS: Final = str.maketrans(
+    {
+        "ß": "ss",
+        "æ": "ae",
+        "Æ": "AE",
+        "ø": "o",
+        "Ø": "O",
+        "œ": "oe",
+        "Œ": "OE",
+        "ł": "l",
+        "Ł": "L",
+        "đ": "d",
+        "Đ": "D",
+    }
+)
 _NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9_]+")
 _NOT_IN_DOMAINS: Final = re.compile(r"[^a-z0-9._-]+")
 
@@ -470,14 +483,7 @@ def local_pattern(text: str) -> str:
     return check_pattern(f"{_PREFIX}{check_label(label)}{pattern}")
 
 
-__all__ = (
-    "GATEWAY",
-    "alias_of_served",
-    "is_gateway",
-    "is_in_gateway",
-    "is_served",
-    "served_name",
-)
+__all__ = ("GATEWAY", "alias_of_served", "is_gateway", "is_in_gateway", "is_served", "served_name")
 
 _SERVED_PREFIX: Final = f"{GATEWAY}/"
 

@@ -32,25 +32,30 @@ SCHEME: Final = "spiffe://"
 MAX_CERTIFICATE: Final = 2048  # a leaf with the longest name has about 900 bytes
 # All that `cryptography` raises for malformed DER; some of these are not a ValueError.
 PARSE_ERRORS: Final = (
-    ValueError, TypeError, UnsupportedAlgorithm,
-    x509.InvalidVersion, x509.DuplicateExtension, x509.UnsupportedGeneralNameType,
+    ValueError,
+    TypeError,
+    UnsupportedAlgorithm,
+    x509.InvalidVersion,
+    x509.DuplicateExtension,
+    x509.UnsupportedGeneralNameType,
     CryptographyDeprecationWarning,  # an error where warnings are errors
-)  # fmt: skip
+)
 # Private, from a UUID (ITU-T X.667); the value is NULL. Never critical: a verifier that does not
 # know it sees an identity for one name, which is less, so ignoring it is safe (RFC 5280, 4.2).
 WILDCARD: Final = x509.ObjectIdentifier("2.25.176961642418767879325470120852094281072")
 WILDCARD_VALUE: Final = b"\x05\x00"
 _ECDSA: Final = ec.ECDSA(hashes.SHA256())
 _USAGES: Final = (
-    "digital_signature", "content_commitment", "key_encipherment", "data_encipherment",
-    "key_agreement", "key_cert_sign", "crl_sign",
-)  # fmt: skip
+    "digital_signature",
+    "content_commitment",
+    "key_encipherment",
+    "data_encipherment",
+    "key_agreement",
+    "key_cert_sign",
+    "crl_sign",
+)
 _UNDERSTOOD: Final = frozenset(
-    {
-        ExtensionOID.BASIC_CONSTRAINTS,
-        ExtensionOID.KEY_USAGE,
-        ExtensionOID.SUBJECT_ALTERNATIVE_NAME,
-    }
+    {ExtensionOID.BASIC_CONSTRAINTS, ExtensionOID.KEY_USAGE, ExtensionOID.SUBJECT_ALTERNATIVE_NAME}
 )
 
 
@@ -102,9 +107,7 @@ class CertificateSignature(NamedTuple):
         return True
 
 
-def certificate_signature(
-    certificate: x509.Certificate, issuer: x509.Name
-) -> CertificateSignature | None:
+def certificate_signature(certificate: x509.Certificate, issuer: x509.Name) -> CertificateSignature | None:
     """The signature, if the issuer and the algorithm are the expected ones; else None."""
     try:
         if certificate.issuer != issuer:
@@ -116,9 +119,7 @@ def certificate_signature(
         _malformed(error)
 
 
-def is_signed_by(
-    certificate: x509.Certificate, issuer: x509.Name, key: ec.EllipticCurvePublicKey
-) -> bool:
+def is_signed_by(certificate: x509.Certificate, issuer: x509.Name, key: ec.EllipticCurvePublicKey) -> bool:
     """Whether issuer name, algorithm and signature match."""
     found = certificate_signature(certificate, issuer)
     return found is not None and found.verifies(key)
@@ -165,9 +166,7 @@ def check_leaf(extensions: x509.Extensions) -> None:
         case x509.BasicConstraints(ca=False):
             pass
         case _:
-            raise CertificateRefused(
-                "the certificate has no critical basic constraints with CA false"
-            )
+            raise CertificateRefused("the certificate has no critical basic constraints with CA false")
     if _usages(extensions) != {"digital_signature"}:
         raise CertificateRefused("the certificate's key usage is not digital signature only")
 
@@ -175,8 +174,7 @@ def check_leaf(extensions: x509.Extensions) -> None:
 def is_authority(extensions: x509.Extensions) -> bool:
     """Whether basic constraints say so, critical or not; `check_authority` checks the rest."""
     return any(
-        isinstance(extension.value, x509.BasicConstraints) and extension.value.ca
-        for extension in extensions
+        isinstance(extension.value, x509.BasicConstraints) and extension.value.ca for extension in extensions
     )
 
 
@@ -199,9 +197,7 @@ def check_intermediate(extensions: x509.Extensions) -> None:
     if path_length(extensions) != 0:
         raise CertificateRefused("the intermediate's path length is not 0")
     if _usages(extensions) != {"key_cert_sign", "crl_sign"}:
-        raise CertificateRefused(
-            "the intermediate's key usage is not certificate and CRL signing only"
-        )
+        raise CertificateRefused("the intermediate's key usage is not certificate and CRL signing only")
 
 
 def path_length(extensions: x509.Extensions) -> int | None:
@@ -236,9 +232,7 @@ def _usages(extensions: x509.Extensions) -> set[str]:
     return {name for name in _USAGES if getattr(usage, name, False)}
 
 
-def _critical(
-    extensions: x509.Extensions, kind: type[x509.ExtensionType]
-) -> x509.ExtensionType | None:
+def _critical(extensions: x509.Extensions, kind: type[x509.ExtensionType]) -> x509.ExtensionType | None:
     for extension in extensions:
         if isinstance(extension.value, kind) and extension.critical:
             return extension.value
@@ -321,9 +315,7 @@ def build_request(signer: Signer, domain: str, name: str, *, wildcard: bool = Fa
     builder = request_builder(spiffe_id(domain, refuse_alias(name)))
     if wildcard:
         check_wildcard(name)
-        builder = builder.add_extension(
-            x509.UnrecognizedExtension(WILDCARD, WILDCARD_VALUE), critical=False
-        )
+        builder = builder.add_extension(x509.UnrecognizedExtension(WILDCARD, WILDCARD_VALUE), critical=False)
     return builder.sign(X509Signer(signer), hashes.SHA256()).public_bytes(Encoding.DER)
 
 
@@ -356,9 +348,7 @@ def check_request(csr: bytes, domain: str, *, wildcard: bool = False) -> Identit
 def read_request(csr: bytes, hint: str) -> tuple[ec.EllipticCurvePublicKey, str, bool]:
     """The proven key of a CSR, the URI it is for, and whether it requests a wildcard tail."""
     if len(csr) > MAX_REQUEST:
-        raise RequestRefused(
-            f"a request of {len(csr)} bytes where at most {MAX_REQUEST} are allowed", hint
-        )
+        raise RequestRefused(f"a request of {len(csr)} bytes where at most {MAX_REQUEST} are allowed", hint)
     try:
         request = x509.load_der_x509_csr(csr)
         if not ends_with_whole_octets(csr, request.signature):
@@ -404,9 +394,7 @@ def requested_name(request: x509.CertificateSigningRequest) -> tuple[str, bool]:
                     "the request asks to be an authority", "do not sign it: find out who made it"
                 )
             case _:
-                raise RequestRefused(
-                    f"the request asks for extension {_extension_name(extension)}", _HINT
-                )
+                raise RequestRefused(f"the request asks for extension {_extension_name(extension)}", _HINT)
     match names:
         case [x509.UniformResourceIdentifier(value=uri)]:
             return uri, wildcard

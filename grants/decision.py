@@ -41,16 +41,7 @@ from grants.errors import (
     GrantRevoked,
     RestrictionMismatch,
 )
-from grants.model import (
-    TREE_RIGHTS,
-    Grant,
-    Permission,
-    Restriction,
-    Right,
-    check_time,
-    format_time,
-    merge,
-)
+from grants.model import TREE_RIGHTS, Grant, Permission, Restriction, Right, check_time, format_time, merge
 
 RevocationCheck = Callable[[bytes, int], None]
 
@@ -96,8 +87,7 @@ class Decision:
         """
         if self.restrictions:
             raise RestrictionMismatch(
-                f"{self.right.label} on {self.name} is granted with restrictions"
-                " that cannot be applied here",
+                f"{self.right.label} on {self.name} is granted with restrictions that cannot be applied here",
                 "ask for a grant without conditions and filters",
             )
 
@@ -110,13 +100,7 @@ class Decision:
 
 
 def authorize(
-    grants: Iterable[Grant],
-    right: Right,
-    name: str,
-    *,
-    holder: bytes,
-    now: int,
-    check: RevocationCheck,
+    grants: Iterable[Grant], right: Right, name: str, *, holder: bytes, now: int, check: RevocationCheck
 ) -> Decision:
     """Decide whether the key `holder` may use `right` on `name`.
 
@@ -139,9 +123,7 @@ def authorize(
     presented = tuple(grants)
     covering = {grant.id: grant for grant in presented if grant.covers(right, name)}
     if not covering:
-        raise GrantMissing(
-            f"no grant for {right.label} on {name}", near_misses(presented, right, name)
-        )
+        raise GrantMissing(f"no grant for {right.label} on {name}", near_misses(presented, right, name))
     usable = _usable(covering, holder, now, check)
     restrictions = list(_restrictions(usable, right, name))
     return Decision(
@@ -157,10 +139,7 @@ def authorize(
 def near_misses(grants: Iterable[Grant], right: Right, name: str) -> tuple[str, ...]:
     """Permissions that nearly match, one line each: same name first, then same right."""
     pairs = [
-        (link, permission)
-        for grant in grants
-        for link in grant.links
-        for permission in link.permissions
+        (link, permission) for grant in grants for link in grant.links for permission in link.permissions
     ]
     same_name = [
         f"grant {grant.short_id} gives {permission.rights.label}, not {right.label}, on {name}"
@@ -181,9 +160,7 @@ def _restrictions(grants: Iterable[Grant], right: Right, name: str) -> Iterator[
             for permission in link.permissions:
                 if permission.covers(right, name):
                     restriction = permission.restriction
-                    yield (
-                        replace(restriction, layer=layer) if restriction and layer else restriction
-                    )
+                    yield (replace(restriction, layer=layer) if restriction and layer else restriction)
 
 
 def _usable(
@@ -232,18 +209,15 @@ class Reach:
 
     __slots__ = ("_any", "_by_right", "_by_slot", "_chains", "_given", "_slot", "has_slots")
 
-    def __init__(
-        self, permissions: Iterable[Permission], chains: Iterable[Sequence["Reach"]] = ()
-    ) -> None:
+    def __init__(self, permissions: Iterable[Permission], chains: Iterable[Sequence["Reach"]] = ()) -> None:
         given = tuple(permissions)
         self._chains = tuple(tuple(links) for links in chains)
         self._given: bool = bool(given or self._chains)
         slots = {_slot(permission) for permission in given}
         self._slot = min(slots, default=0)  # of all, unless they are apart in `_by_slot`
         self._by_slot = tuple(
-            Reach(each for each in given if _slot(each) == slot)
-            for slot in slots if len(slots) > 1
-        )  # fmt: skip
+            Reach(each for each in given if _slot(each) == slot) for slot in slots if len(slots) > 1
+        )
         linked = (link.has_slots for links in self._chains for link in links)
         self.has_slots: bool = any(slots) or any(linked)
         shared: dict[_NameSets, _NameSets] = {}  # many rights mostly have equal sets
@@ -310,9 +284,7 @@ class Reach:
             namespace: a name, or `/` for all names.
         """
         sets = self._parameter_sets(right)
-        if any(
-            all(link.covers_below(right, namespace) for link in links) for links in self._chains
-        ):
+        if any(all(link.covers_below(right, namespace) for link in links) for links in self._chains):
             return True
         return sets is not None and (
             _prefix(namespace).startswith(sets[1])

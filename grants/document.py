@@ -139,24 +139,47 @@ def _deterministic_form(claims: Value) -> bytes | None:
     # Texts are assumed to be ASCII: other texts only result in bytes that differ from the body.
     match claims:
         case {
-            1: str(iss), 2: str(sub), 3: str(aud), 4: int(exp), 5: int(nbf), 7: bytes(cti),
-            8: {5: bytes(ckt)}, 9: bytes(scope), -65537: int(cap), **more,
-        } if min(exp, nbf, cap) >= 0:  # fmt: skip
+            1: str(iss),
+            2: str(sub),
+            3: str(aud),
+            4: int(exp),
+            5: int(nbf),
+            7: bytes(cti),
+            8: {5: bytes(ckt)},
+            9: bytes(scope),
+            -65537: int(cap),
+            **more,
+        } if min(exp, nbf, cap) >= 0:
             count = more.get(_MAY_NARROW)
             narrowable = head(_UINT, count) if type(count) is int and count > 0 else b""
             return b"".join(
                 (
                     head(_MAP, len(_REQUIRED) + bool(narrowable)),
-                    b"\x01", head(_TEXT, len(iss)), iss.encode(),
-                    b"\x02", head(_TEXT, len(sub)), sub.encode(),
-                    b"\x03", head(_TEXT, len(aud)), aud.encode(),
-                    b"\x04", head(_UINT, exp), b"\x05", head(_UINT, nbf),
-                    b"\x07\x50", cti, b"\x08\xa1\x05\x58\x20", ckt,
-                    b"\x09", head(_BYTES, len(scope)), scope,
-                    b"\x3a\0\1\0\0", head(_UINT, cap),
+                    b"\x01",
+                    head(_TEXT, len(iss)),
+                    iss.encode(),
+                    b"\x02",
+                    head(_TEXT, len(sub)),
+                    sub.encode(),
+                    b"\x03",
+                    head(_TEXT, len(aud)),
+                    aud.encode(),
+                    b"\x04",
+                    head(_UINT, exp),
+                    b"\x05",
+                    head(_UINT, nbf),
+                    b"\x07\x50",
+                    cti,
+                    b"\x08\xa1\x05\x58\x20",
+                    ckt,
+                    b"\x09",
+                    head(_BYTES, len(scope)),
+                    scope,
+                    b"\x3a\0\1\0\0",
+                    head(_UINT, cap),
                     narrowable and b"\x3a\0\1\x11\x91" + narrowable,
                 )
-            )  # fmt: skip
+            )
         case _:
             return None
 
@@ -363,9 +386,7 @@ def _body(data: bytes) -> bytes:
     try:
         return GRANT.peek_body(data)
     except (SignatureError, EncodingError) as error:
-        raise GrantMalformed(
-            f"not a grant: {error}", "give a file that `rossec grant` wrote"
-        ) from None
+        raise GrantMalformed(f"not a grant: {error}", "give a file that `rossec grant` wrote") from None
 
 
 def _id(body: bytes) -> bytes:

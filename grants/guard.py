@@ -29,13 +29,7 @@ from weakref import WeakValueDictionary
 
 from grants.conditions.compile import Condition, compile_condition
 from grants.decision import Decision
-from grants.errors import (
-    GrantError,
-    GrantExpired,
-    MemoryExhausted,
-    MessageRefused,
-    RestrictionMismatch,
-)
+from grants.errors import GrantError, GrantExpired, MemoryExhausted, MessageRefused, RestrictionMismatch
 from grants.filters.coarsening import (
     BodyFields,
     CommonState,
@@ -470,16 +464,11 @@ def _joined(pieces: list[Buffer]) -> Buffer:
     return pieces[0] if len(pieces) == 1 else b"".join(pieces)
 
 
-def _compile_conditions(
-    layout: Layout | None, restrictions: Iterable[Restriction]
-) -> tuple[Condition, ...]:
+def _compile_conditions(layout: Layout | None, restrictions: Iterable[Restriction]) -> tuple[Condition, ...]:
     # All conditions, each once; a restriction without a type may not read the message.
-    texts = {
-        (text, restriction.type) for restriction in restrictions for text in restriction.conditions
-    }
+    texts = {(text, restriction.type) for restriction in restrictions for text in restriction.conditions}
     return tuple(
-        compile_condition(None if kind is None else layout, text)
-        for text, kind in sorted(texts, key=repr)
+        compile_condition(None if kind is None else layout, text) for text, kind in sorted(texts, key=repr)
     )
 
 

@@ -72,8 +72,7 @@ class FilterRule:
     def __post_init__(self) -> None:
         if _PATH.fullmatch(self.path) is None:
             raise FilterRefused(
-                f"not a field path: {self.path[:80]!r}",
-                "for example pose.position or status[*].name",
+                f"not a field path: {self.path[:80]!r}", "for example pose.position or status[*].name"
             )
 
     def __str__(self) -> str:
@@ -218,11 +217,7 @@ class Permission:
 
     def matches(self, name: str, right: Right) -> bool:
         """Whether the pattern covers `name`; for parameters also if it covers a parent of it."""
-        return (
-            covers_tree(self.pattern, name)
-            if right & TREE_RIGHTS
-            else pattern_covers(self.pattern, name)
-        )
+        return covers_tree(self.pattern, name) if right & TREE_RIGHTS else pattern_covers(self.pattern, name)
 
     def covers(self, right: Right, name: str) -> bool:
         return right in self.rights and self.matches(name, right)
@@ -319,8 +314,7 @@ class Grant(Draft):
     def covers(self, right: Right, name: str) -> bool:
         """Whether every link gives `right` on `name` (restricted or not)."""
         return all(
-            any(permission.covers(right, name) for permission in link.permissions)
-            for link in self.links
+            any(permission.covers(right, name) for permission in link.permissions) for link in self.links
         )
 
     @property

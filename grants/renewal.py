@@ -39,9 +39,7 @@ MAX_TICKET: Final = 7 * 86400  # maximum lifetime of a ticket, seconds
 MIN_TICKET: Final = 60
 
 _MAX_TIME: Final = 1 << 53
-_ID_PREFIX: Final = (
-    b"rossec-delegation-id\0" + len(DELEGATION.protected).to_bytes(4) + DELEGATION.protected
-)
+_ID_PREFIX: Final = b"rossec-delegation-id\0" + len(DELEGATION.protected).to_bytes(4) + DELEGATION.protected
 
 # RFC 8392 section 3.1, RFC 8747; below -65536 for private use.
 _ISS, _AUD, _EXP, _NBF, _CTI, _CNF, _CKT = 1, 3, 4, 5, 7, 8, 5
@@ -123,13 +121,7 @@ def sign_delegation(signer: Signer, delegation: Delegation) -> bytes:
 def sign_ticket(signer: Signer, ticket: Ticket) -> bytes:
     """Sign as the holder of a delegation."""
     return TICKET.sign(
-        signer,
-        {
-            _EXP: ticket.expires,
-            _NBF: ticket.not_before,
-            _SEQ: ticket.seq,
-            _GRANT: ticket.grant,
-        },
+        signer, {_EXP: ticket.expires, _NBF: ticket.not_before, _SEQ: ticket.seq, _GRANT: ticket.grant}
     )
 
 
@@ -143,13 +135,25 @@ def open_delegation(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> OpenDeleg
     body = _open(DELEGATION, data, ca_key)
     match _decode(body):
         case {
-            1: str() as iss, 3: str() as aud, 4: exp, 5: nbf, 7: bytes() as cti,
-            8: {5: bytes() as ckt, **more}, -70010: ttl, **rest,
-        } if not rest and not more:  # fmt: skip
+            1: str() as iss,
+            3: str() as aud,
+            4: exp,
+            5: nbf,
+            7: bytes() as cti,
+            8: {5: bytes() as ckt, **more},
+            -70010: ttl,
+            **rest,
+        } if not rest and not more:
             opened = OpenDelegation(
-                aud, ckt, _number(nbf), _number(exp), _number(ttl), cti,
-                hashlib.sha256(_ID_PREFIX + body).digest()[:ID_SIZE], _issuer(iss),
-            )  # fmt: skip
+                aud,
+                ckt,
+                _number(nbf),
+                _number(exp),
+                _number(ttl),
+                cti,
+                hashlib.sha256(_ID_PREFIX + body).digest()[:ID_SIZE],
+                _issuer(iss),
+            )
         case _:
             raise RenewalMalformed("the delegation has missing or unknown claims")
     if opened.issuer != thumbprint(ca_key):
@@ -189,8 +193,7 @@ def renew(
         _check_time(what, statement, now)
     if opened.seq > seq:
         raise RenewalAhead(
-            f"the ticket requires revocation list {opened.seq}, this host has {seq}",
-            "fetch the list first",
+            f"the ticket requires revocation list {opened.seq}, this host has {seq}", "fetch the list first"
         )
     via = (delegation.id, delegation.holder)
     for what, entry in zip(("grant", "delegation", "delegate"), (grant.id, *via), strict=True):
@@ -217,14 +220,12 @@ def _check_bounds(grant: Grant, ticket: Ticket, delegation: Delegation) -> None:
 def _check_time(what: str, statement: Delegation | Ticket | Grant, now: int) -> None:
     if now < statement.not_before:
         raise RenewalNotInTime(
-            f"the {what} is not valid before {format_time(statement.not_before)}",
-            "check this host's clock",
+            f"the {what} is not valid before {format_time(statement.not_before)}", "check this host's clock"
         )
     # The grant's own end is what the ticket replaces.
     if not isinstance(statement, Grant) and now >= statement.expires:
         raise RenewalNotInTime(
-            f"the {what} expired at {format_time(statement.expires)}",
-            "ask the master for a new ticket",
+            f"the {what} expired at {format_time(statement.expires)}", "ask the master for a new ticket"
         )
 
 

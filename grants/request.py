@@ -40,12 +40,16 @@ BASICS: Final[Mapping[Right, tuple[str, ...]]] = {
     Right.PROVIDE: (f"{OWN}get_loggers", f"{OWN}set_logger_level"),
     Right.SUBSCRIBE: ("/clock",),
     Right.PARAM_GET: (
-        "/use_sim_time", "/tcp_keepalive", "/rosout_disable_topics_generation",
+        "/use_sim_time",
+        "/tcp_keepalive",
+        "/rosout_disable_topics_generation",
         "/enable_statistics",
-        "/statistics_window_min_elements", "/statistics_window_max_elements",
-        "/statistics_window_min_size", "/statistics_window_max_size",
+        "/statistics_window_min_elements",
+        "/statistics_window_max_elements",
+        "/statistics_window_min_size",
+        "/statistics_window_max_size",
     ),
-}  # fmt: skip
+}
 
 # rospy ends the name of an anonymous node with its start in ms, roscpp in ns.
 _TIMED: Final = re.compile(r"(?:_[A-Za-z0-9]+)*_[0-9]{9,}", re.ASCII)
@@ -247,9 +251,7 @@ def peek_request(data: bytes) -> GrantRequest:
         raise GrantMalformed(f"not a request for a grant: {error}") from None
 
 
-def open_request(
-    data: bytes, key: ec.EllipticCurvePublicKey, *, domain: str, now: int
-) -> GrantRequest:
+def open_request(data: bytes, key: ec.EllipticCurvePublicKey, *, domain: str, now: int) -> GrantRequest:
     """Verify a request with the key of the node it names.
 
     Raises:
@@ -291,9 +293,7 @@ def _read(payload: Value) -> GrantRequest:
                 node=_typed(claims[_SUB], str),
                 issued=_typed(claims[_IAT], int),
                 serial=_typed(claims[_CTI], bytes),
-                rights=tuple(
-                    _requested_rights(_typed(decode(_typed(claims[_SCOPE], bytes)), list))
-                ),
+                rights=tuple(_requested_rights(_typed(decode(_typed(claims[_SCOPE], bytes)), list))),
                 why=_typed(claims[_WHY], str),
             )
         case _:

@@ -24,14 +24,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from ca.encoding import MAX_SIZE, Value, decode, encode
 from ca.encoding import MAX_SIZE as MAX_GRANT
 from ca.errors import CAError, EncodingError, KeyRefused, SignatureError
-from ca.keys.signing import (
-    Profile,
-    Signer,
-    from_coordinates,
-    thumbprint,
-    thumbprint_of,
-    to_coordinates,
-)
+from ca.keys.signing import Profile, Signer, from_coordinates, thumbprint, thumbprint_of, to_coordinates
 from ca.names import split_alias
 from grants import document
 from grants.document import issuer_uri, open_grant, read_issuer, read_scope, scope_of, verify
@@ -50,9 +43,7 @@ NARROWING: Final = Profile("rossec-narrowing+cwt")
 MAX_NARROWING: Final = MAX_SIZE
 COORDINATE: Final = 32
 
-_ID_PREFIX: Final = (
-    b"rossec-narrowing-id\0" + len(NARROWING.protected).to_bytes(4) + NARROWING.protected
-)
+_ID_PREFIX: Final = b"rossec-narrowing-id\0" + len(NARROWING.protected).to_bytes(4) + NARROWING.protected
 
 # As in `grants.document`; these three are private use.
 _ISS, _SUB, _AUD, _EXP, _NBF, _CTI, _CNF, _SCOPE, _CKT = 1, 2, 3, 4, 5, 7, 8, 9, 5
@@ -156,10 +147,17 @@ def _joined(chain: tuple[Grant, ...]) -> Grant:
     first, last = chain[0], chain[-1]
     expires = min(link.expires for link in chain)
     return replace(
-        first, subject=last.subject, holder=last.holder, id=last.id, may_narrow=last.may_narrow,
-        not_before=max(link.not_before for link in chain), expires=expires, cap=expires,
-        via=(), chain=chain,
-    )  # fmt: skip
+        first,
+        subject=last.subject,
+        holder=last.holder,
+        id=last.id,
+        may_narrow=last.may_narrow,
+        not_before=max(link.not_before for link in chain),
+        expires=expires,
+        cap=expires,
+        via=(),
+        chain=chain,
+    )
 
 
 def _open_link(data: bytes, before: Grant) -> Grant:
@@ -212,20 +210,37 @@ def _named_key(claims: Value) -> bytes:
 def _read(claims: Value, body: bytes) -> tuple[Grant, bytes]:
     match claims:
         case {
-            1: str() as iss, 2: str() as sub, 3: str() as aud, 4: exp, 5: nbf,
-            7: bytes() as cti, 8: {5: bytes() as ckt, **more}, 9: bytes() as scope,
-            -70032: bytes() as parent, -70033: _, -70034: count, **rest,
-        } if not rest and not more and len(parent) == ID_SIZE:  # fmt: skip
+            1: str() as iss,
+            2: str() as sub,
+            3: str() as aud,
+            4: exp,
+            5: nbf,
+            7: bytes() as cti,
+            8: {5: bytes() as ckt, **more},
+            9: bytes() as scope,
+            -70032: bytes() as parent,
+            -70033: _,
+            -70034: count,
+            **rest,
+        } if not rest and not more and len(parent) == ID_SIZE:
             pass
         case _:
             raise GrantMalformed("a narrowing has missing or unknown claims")
     end = _number(exp)
     try:
         link = Grant(
-            aud, sub, ckt, _number(nbf), end, end, cti, read_scope(scope),
-            hashlib.sha256(_ID_PREFIX + body).digest()[:ID_SIZE], read_issuer(iss),
+            aud,
+            sub,
+            ckt,
+            _number(nbf),
+            end,
+            end,
+            cti,
+            read_scope(scope),
+            hashlib.sha256(_ID_PREFIX + body).digest()[:ID_SIZE],
+            read_issuer(iss),
             may_narrow=_number(count),
-        )  # fmt: skip
+        )
     except CAError as error:
         raise GrantMalformed(f"in a narrowing: {error}", error.hint) from None
     if link.has_tail_patterns:

@@ -80,9 +80,7 @@ def own_gateway(environ: Mapping[str, str]) -> str:
     return _own(environ, OWN_GATEWAY, GATEWAY, is_gateway)
 
 
-def _own(
-    environ: Mapping[str, str], variable: str, first: str, is_one: Callable[[str], bool]
-) -> str:
+def _own(environ: Mapping[str, str], variable: str, first: str, is_one: Callable[[str], bool]) -> str:
     name = environ.get(variable) or first
     if not is_one(name):
         raise ConfigurationError(

@@ -150,9 +150,7 @@ def exchange(one: Path, other: Path) -> None:
     """
     library = ctypes.CDLL(None, use_errno=True)
     try:
-        done = library.renameat2(
-            _AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE
-        )
+        done = library.renameat2(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE)
         number = ctypes.get_errno() if done else 0
     except AttributeError:  # a C library without it
         number = errno.ENOSYS

@@ -42,9 +42,7 @@ from rossec.errors import ConfigurationError
 _FILES: Final = ("node.pem", "ca.pem", "revocations.cose", "grants")
 
 
-def ended(
-    name: str, chain: Iterable[bytes], anchor: TrustAnchor, now: int, seen: int
-) -> CertificateExpired:
+def ended(name: str, chain: Iterable[bytes], anchor: TrustAnchor, now: int, seen: int) -> CertificateExpired:
     """The refusal of the own identity `name`, whose `chain` is not valid any more at `now`.
 
     `seen`: how late it is at least, as far as is known without the clock.
@@ -164,9 +162,7 @@ class NodeHome:
             KeyRefused: the node has a key already.
         """
         if (self.path / "node.key").exists():
-            raise KeyRefused(
-                f"{self.name} has a key already, in {self.path}", has_key(self.name, self.path)
-            )
+            raise KeyRefused(f"{self.name} has a key already, in {self.path}", has_key(self.name, self.path))
         files.make_private_directory(self.path)
         key = private_keys.generate()
         request = build_request(KeySigner(key), domain, self.name, wildcard=wildcard)

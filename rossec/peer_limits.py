@@ -86,8 +86,7 @@ class Progress:
         if self._age - self._mark_age >= WINDOW or self._age >= MAX_SECONDS:
             raise LimitExceeded(
                 f"a message is not whole after {self._age} seconds, with {length} bytes of it",
-                f"a message must arrive within {MAX_SECONDS} s,"
-                f" {MIN_BYTES // 1024} KiB of it a minute",
+                f"a message must arrive within {MAX_SECONDS} s, {MIN_BYTES // 1024} KiB of it a minute",
             )
 
 
@@ -151,11 +150,7 @@ class SharedTable(Generic[K, V]):
         if lowest == rank and counts[most] <= counts[owner] + 1:
             most = owner  # who has a share like everybody's makes room for themselves
         return next(
-            (
-                key
-                for key, entry in self._entries.items()
-                if entry.owner == most and entry.rank == lowest
-            ),
+            (key for key, entry in self._entries.items() if entry.owner == most and entry.rank == lowest),
             None,
         )
 

@@ -35,10 +35,20 @@ YELLOW: Final = "33"
 BOLD: Final = "1"
 
 STATES: Final = {
-    "ok": GREEN, "held": GREEN, "delivered": GREEN, "valid": GREEN, "in force": GREEN,
-    "not ok": RED, "revoked": RED, "denied": RED, "refused": RED,
-    "expired": YELLOW, "stale": YELLOW, "waiting": YELLOW, "unknown": YELLOW,
-}  # fmt: skip
+    "ok": GREEN,
+    "held": GREEN,
+    "delivered": GREEN,
+    "valid": GREEN,
+    "in force": GREEN,
+    "not ok": RED,
+    "revoked": RED,
+    "denied": RED,
+    "refused": RED,
+    "expired": YELLOW,
+    "stale": YELLOW,
+    "waiting": YELLOW,
+    "unknown": YELLOW,
+}
 
 PAINTED: Final = re.compile(
     "(\x1b\\[(?:{})m *(?:{}) *\x1b\\[0m)".format("|".join({*STATES.values()}), "|".join(STATES))
@@ -203,9 +213,7 @@ def _write(stream: TextIO, text: str) -> None:
 def _painted(line: str, stream: TextIO) -> str:
     if not is_wanted(stream):
         return printable(line)
-    return "".join(
-        part if place % 2 else printable(part) for place, part in enumerate(PAINTED.split(line))
-    )
+    return "".join(part if place % 2 else printable(part) for place, part in enumerate(PAINTED.split(line)))
 
 
 def printable(text: str) -> str:

@@ -37,10 +37,23 @@ FOLDERS = sorted(
     for found in (ROOT / package).rglob("__init__.py")
     if len(found.relative_to(ROOT).parts) > 2
 )
-_WITHIN = {f"rossec/{within}" for within in (
-    "master/api", "master/operation", "master/rights", "master/server", "master/state",
-    "cli/ca", "cli/grant", "cli/master", "cli/node", "cli/policy", "cli/ros", "cli/shared",
-)}  # fmt: skip
+_WITHIN = {
+    f"rossec/{within}"
+    for within in (
+        "master/api",
+        "master/operation",
+        "master/rights",
+        "master/server",
+        "master/state",
+        "cli/ca",
+        "cli/grant",
+        "cli/master",
+        "cli/node",
+        "cli/policy",
+        "cli/ros",
+        "cli/shared",
+    )
+}
 
 
 @pytest.mark.parametrize("path", PATHS)

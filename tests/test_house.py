@@ -13,9 +13,7 @@ ROOT: Final = Path(__file__).parents[1]
 PACKAGES: Final = ("ca", "grants", "rossec")
 PRODUCT: Final = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 PROGRAMS: Final = sorted(
-    path
-    for folder in (*PACKAGES, "tests", "bench", "tools")
-    for path in (ROOT / folder).rglob("*.py")
+    path for folder in (*PACKAGES, "tests", "bench", "tools") for path in (ROOT / folder).rglob("*.py")
 )
 LINES: Final = 350
 FUNCTION_LINES: Final = 60

@@ -85,8 +85,7 @@ def check_client_data(data: bytes, ceremony: Ceremony, challenge: bytes, origin:
         raise OtherChallenge(f"the passkey was not used for {ceremony}", "try again on the page")
     if value.get("challenge") != base64url(challenge):
         raise OtherChallenge(
-            "the passkey signed something else",
-            "look at the page again: what it shows may have changed",
+            "the passkey signed something else", "look at the page again: what it shows may have changed"
         )
     found = value.get("origin")
     if found != origin:
@@ -95,9 +94,7 @@ def check_client_data(data: bytes, ceremony: Ceremony, challenge: bytes, origin:
             "open the console by its own address, and register the phone there",
         )
     if value.get("crossOrigin", False) is not False or "topOrigin" in value:
-        raise OtherOrigin(
-            "the passkey was used inside another page", "open the console in a tab of its own"
-        )
+        raise OtherOrigin("the passkey was used inside another page", "open the console in a tab of its own")
 
 
 def base64url(data: bytes) -> str:
@@ -109,9 +106,7 @@ def _parse(data: bytes) -> dict[str, Any]:
     if len(data) > MAX_CLIENT_DATA:
         raise _malformed(f"{len(data)} bytes of client data")
     try:
-        value = json.loads(
-            data.decode(), object_pairs_hook=_unique, parse_constant=_refuse_constant
-        )
+        value = json.loads(data.decode(), object_pairs_hook=_unique, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
         raise _malformed("client data that is not JSON") from error
     if not isinstance(value, dict):
@@ -286,8 +281,14 @@ MAX_NAME: Final = 64
 _REGISTRATION_HINT: Final = "try again, or with another device"
 # What its parser raises for bytes that are not of the form.
 _MALFORMED: Final = (
-    ValueError, LookupError, TypeError, AttributeError, RecursionError, MemoryError, struct.error,
-)  # fmt: skip
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    RecursionError,
+    MemoryError,
+    struct.error,
+)
 
 
 class Registration(NamedTuple):
@@ -315,9 +316,15 @@ def register(
     if found is None or not 0 < len(found.credential_id) <= MAX_CREDENTIAL:
         raise PasskeyRefused("the device made no passkey", _REGISTRATION_HINT)
     return Passkey(
-        found.credential_id, check_passkey_name(name), _key(found), bytes(found.aaguid),
-        challenge.rp_id, challenge.origin, approval, at,
-    )  # fmt: skip
+        found.credential_id,
+        check_passkey_name(name),
+        _key(found),
+        bytes(found.aaguid),
+        challenge.rp_id,
+        challenge.origin,
+        approval,
+        at,
+    )
 
 
 def to_approve(passkey: Passkey) -> NewPasskey:
@@ -329,8 +336,7 @@ def check_passkey_name(name: str) -> str:
     """Return `name` if a person can read it on one line."""
     if not name.strip() or len(name) > MAX_NAME or not name.isprintable():
         raise PasskeyRefused(
-            f"the name of a phone has 1 to {MAX_NAME} printable characters",
-            "for example: Ann's phone",
+            f"the name of a phone has 1 to {MAX_NAME} printable characters", "for example: Ann's phone"
         )
     return name
 
@@ -350,9 +356,7 @@ def _key(found: "webauthn.AttestedCredentialData") -> bytes:
     try:
         key = encode(dict(found.public_key))
     except (EncodingError, TypeError) as error:
-        raise AssertionMalformed(
-            "the device's key is of an unknown form", _REGISTRATION_HINT
-        ) from error
+        raise AssertionMalformed("the device's key is of an unknown form", _REGISTRATION_HINT) from error
     read_key(key)
     return key
 
@@ -386,9 +390,14 @@ class Approval(NamedTuple):
     def of(cls, statement: Statement, payload: bytes, assertion: Assertion, at: int) -> Self:
         """The approval of `statement` by `assertion`, not verified."""
         return cls(
-            statement.id, int(statement.kind), statement.subject, statement.to_bytes(), payload,
-            *assertion, at,
-        )  # fmt: skip
+            statement.id,
+            int(statement.kind),
+            statement.subject,
+            statement.to_bytes(),
+            payload,
+            *assertion,
+            at,
+        )
 
     @property
     def assertion(self) -> Assertion:
@@ -402,9 +411,7 @@ class Approval(NamedTuple):
             ApprovalOutdated: approved before it was made, or too late.
         """
         statement = Statement.from_bytes(self.statement)
-        if (self.id, self.kind, self.subject) != (
-            statement.id, int(statement.kind), statement.subject,
-        ):  # fmt: skip
+        if (self.id, self.kind, self.subject) != (statement.id, int(statement.kind), statement.subject):
             raise StatementRefused("the approval is recorded with another's statement", "")
         statement.check_payload(self.payload)
         if not statement.made <= self.at <= statement.until:
@@ -420,9 +427,7 @@ class ApprovalVerifier:
     `counters`: those of the passkeys before, by credential id.
     """
 
-    def __init__(
-        self, passkeys: Iterable[Passkey], counters: Iterable[tuple[bytes, int]] = ()
-    ) -> None:
+    def __init__(self, passkeys: Iterable[Passkey], counters: Iterable[tuple[bytes, int]] = ()) -> None:
         self._passkeys = {passkey.id: passkey for passkey in passkeys}
         self._counters = dict(counters)
 

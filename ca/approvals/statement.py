@@ -117,9 +117,16 @@ class RevokeMaster(NamedTuple):
 
 
 What: TypeAlias = (
-    Enroll | Grant | PolicyChange | Delegate | Intermediate | NewPasskey | Invitation
-    | ForeignDomain | RevokeMaster
-)  # fmt: skip
+    Enroll
+    | Grant
+    | PolicyChange
+    | Delegate
+    | Intermediate
+    | NewPasskey
+    | Invitation
+    | ForeignDomain
+    | RevokeMaster
+)
 
 
 def _is_text(value: object) -> bool:
@@ -172,9 +179,7 @@ class _Form(NamedTuple):
 
 
 _FORMS: Final[Mapping[Kind, _Form]] = {
-    Kind.ENROLL: _Form(
-        Enroll, (_is_digest, _is_name, _is_digest, _is_flag, _is_number, _is_flag), 0, 0
-    ),
+    Kind.ENROLL: _Form(Enroll, (_is_digest, _is_name, _is_digest, _is_flag, _is_number, _is_flag), 0, 0),
     Kind.GRANT: _Form(Grant, (_is_id, _is_digest), 0, 1),
     Kind.POLICY: _Form(PolicyChange, (_is_digest, _is_digest, _is_digest), 1, 1),
     Kind.DELEGATE: _Form(Delegate, (_is_digest, _is_number, _is_number), 0),
@@ -221,8 +226,16 @@ class Statement(NamedTuple):
         except EncodingError as error:
             raise StatementRefused(f"this is not a statement: {error}", _HINT) from error
         match value:
-            case [str(version), int(kind), bytes(id_), str(domain), int(made), int(until),
-                  [int(size), bytes(root)], [*fields]] if version == VERSION:  # fmt: skip
+            case [
+                str(version),
+                int(kind),
+                bytes(id_),
+                str(domain),
+                int(made),
+                int(until),
+                [int(size), bytes(root)],
+                [*fields],
+            ] if version == VERSION:
                 what = _what(_kind(kind), fields)
                 found = cls(_kind(kind), id_, domain, made, until, size, root, what)
                 _check(found)

@@ -103,9 +103,7 @@ def sign_card(signer: Signer, card: Card) -> bytes:
     if thumbprint(signer.public_key) != card.anchor.thumbprint:
         raise CardRefused("the card is not about this authority", "an intermediate signs no cards")
     names: list[Value] = [*card.names]
-    claims: dict[int | str, Value] = {
-        _EXP: card.expires, _IAT: card.issued, _ROOT: card.root, _NAMES: names,
-    }  # fmt: skip
+    claims: dict[int | str, Value] = {_EXP: card.expires, _IAT: card.issued, _ROOT: card.root, _NAMES: names}
     if card.masters:
         claims[_MASTERS] = [*card.masters]
     return CARD.sign(signer, claims)
@@ -135,10 +133,9 @@ def open_card(data: bytes, now: int) -> Card:
 
 def _read(payload: Value) -> Card:
     match payload:
-        case {
-            4: int() as exp, 6: int() as iat, -70037: bytes() as root, -70038: list() as names,
-            **rest,
-        } if rest.keys() <= {_MASTERS}:  # fmt: skip
+        case {4: int() as exp, 6: int() as iat, -70037: bytes() as root, -70038: list() as names, **rest} if (
+            rest.keys() <= {_MASTERS}
+        ):
             masters = rest.get(_MASTERS, [])
         case _:
             raise CardRefused("the card has missing or unknown fields", _HINT)
@@ -162,14 +159,7 @@ MAX_RULES: Final = 64  # patterns of one domain, of each kind
 LEAST_FRESH, MOST_FRESH = 30, 7 * 86400
 ALL_RIGHTS: Final = 255  # bits, docs/spec/grant.md section 2
 
-_LISTS_EXP, _LISTS_IAT, _EPOCH, _SEQ, _DOMAINS, _LISTS_MASTERS = (
-    4,
-    6,
-    -70001,
-    -70002,
-    -70031,
-    -70036,
-)
+_LISTS_EXP, _LISTS_IAT, _EPOCH, _SEQ, _DOMAINS, _LISTS_MASTERS = (4, 6, -70001, -70002, -70031, -70036)
 
 NameRights = tuple[str, int]
 """A pattern of names, and the bits of the rights on them."""
@@ -215,9 +205,7 @@ class ForeignDomain:
                 f"the times of domain {self.domain} are out of range", "30 seconds to 7 days"
             )
         if self.anchor.domain != self.domain:
-            raise DomainsRefused(
-                f"the root of domain {self.domain} is that of {self.anchor.domain}"
-            )
+            raise DomainsRefused(f"the root of domain {self.domain} is that of {self.anchor.domain}")
 
     @cached_property
     def anchor(self) -> TrustAnchor:
@@ -331,18 +319,20 @@ def verify_domains(data: bytes, key: ec.EllipticCurvePublicKey) -> DomainList:
 def _check_own(domains: DomainList, own_domain: str, own_key: bytes) -> None:
     for each in domains.domains:
         if each.domain == own_domain:
-            raise DomainsRefused(
-                "the list of foreign domains names the own one", "rossec domain list"
-            )
+            raise DomainsRefused("the list of foreign domains names the own one", "rossec domain list")
         if to_coordinates(each.anchor.public_key) == own_key:
             raise DomainsRefused(f"the root of {each.domain} is this authority's own key")
 
 
 def _claims(domain: ForeignDomain) -> Value:
     claims: dict[int | str, Value] = {
-        1: domain.domain, 2: domain.label, 3: domain.root, 4: [*domain.admitted],
-        5: domain.fresh, 6: domain.until,
-    }  # fmt: skip
+        1: domain.domain,
+        2: domain.label,
+        3: domain.root,
+        4: [*domain.admitted],
+        5: domain.fresh,
+        6: domain.until,
+    }
     for key, rules in ((8, domain.exported), (9, domain.imported)):
         if rules is not None:
             claims[key] = [[pattern, rights] for pattern, rights in rules]
@@ -352,9 +342,13 @@ def _claims(domain: ForeignDomain) -> Value:
 def _lists_read(payload: Value) -> DomainList:
     match payload:
         case {
-            4: int() as exp, 6: int() as iat, -70001: int() as epoch, -70002: int() as seq,
-            -70031: list() as items, **rest,
-        } if rest.keys() <= {_LISTS_MASTERS}:  # fmt: skip
+            4: int() as exp,
+            6: int() as iat,
+            -70001: int() as epoch,
+            -70002: int() as seq,
+            -70031: list() as items,
+            **rest,
+        } if rest.keys() <= {_LISTS_MASTERS}:
             masters = rest.get(_LISTS_MASTERS, [])
         case _:
             raise DomainsRefused("the list of domains has missing or unknown fields")
@@ -383,16 +377,27 @@ class _Terms(NamedTuple):
 def _domain(item: Value) -> _Terms:
     match item:
         case {
-            1: str() as domain, 2: str() as label, 3: bytes() as root, 4: list() as admitted,
-            5: int() as fresh, 6: int() as until, **rest,
-        } if rest.keys() <= {8, 9}:  # fmt: skip
+            1: str() as domain,
+            2: str() as label,
+            3: bytes() as root,
+            4: list() as admitted,
+            5: int() as fresh,
+            6: int() as until,
+            **rest,
+        } if rest.keys() <= {8, 9}:
             patterns = tuple(each for each in admitted if isinstance(each, str))
             if len(patterns) != len(admitted):
                 raise DomainsRefused("an admitted name of a domain is not text")
             return _Terms(
-                domain, label, root, patterns, fresh, until,
-                _rules(rest[8]) if 8 in rest else None, _rules(rest[9]) if 9 in rest else None,
-            )  # fmt: skip
+                domain,
+                label,
+                root,
+                patterns,
+                fresh,
+                until,
+                _rules(rest[8]) if 8 in rest else None,
+                _rules(rest[9]) if 9 in rest else None,
+            )
         case _:
             raise DomainsRefused("a domain of the list has missing or unknown fields")
 
@@ -451,9 +456,13 @@ class ListedDomain:
         except NameRefused as error:
             raise NotAdmitted(f"a foreign node has no alias here: {error}") from error
         return replace(
-            identity, name=alias, certified=identity.name, wildcard=False,
-            not_after=min(identity.not_after, entry.until - 1), root=self.anchor.thumbprint,
-        )  # fmt: skip
+            identity,
+            name=alias,
+            certified=identity.name,
+            wildcard=False,
+            not_after=min(identity.not_after, entry.until - 1),
+            root=self.anchor.thumbprint,
+        )
 
 
 class _Snapshot(NamedTuple):
@@ -517,9 +526,12 @@ class Anchors:
             persist(data)
         self._floor = new.number
         self._snapshot = _Snapshot(
-            data, new, {each.entry.domain: each for each in listed},
-            {each.entry.label: each for each in listed}, masters,
-        )  # fmt: skip
+            data,
+            new,
+            {each.entry.domain: each for each in listed},
+            {each.entry.label: each for each in listed},
+            masters,
+        )
         return _ended(held.by_domain.values(), self._snapshot.by_domain)
 
     def verify(self, chain: Sequence[bytes], now: int) -> Identity:
@@ -551,9 +563,7 @@ class Anchors:
 
     def ended(self, now: int) -> frozenset[str]:
         """The listed domains whose time is over: their connections must end."""
-        return frozenset(
-            name for name, each in self._snapshot.by_domain.items() if now >= each.entry.until
-        )
+        return frozenset(name for name, each in self._snapshot.by_domain.items() if now >= each.entry.until)
 
 
 def _ended(before: Iterable[ListedDomain], after: dict[str, ListedDomain]) -> frozenset[str]:

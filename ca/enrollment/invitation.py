@@ -144,11 +144,17 @@ class InvitationCode:
     def body(self) -> bytes:
         """The content as octets, with the checksum: what a tag for NFC holds."""
         address = self.address.encode()
-        body = b"".join((
-            bytes([_ANONYMOUS if self.wildcard else _ONE_NAME]),
-            self.root, self.secret, self.expires.to_bytes(4), bytes([len(address)]), address,
-            self.pattern.encode(),
-        ))  # fmt: skip
+        body = b"".join(
+            (
+                bytes([_ANONYMOUS if self.wildcard else _ONE_NAME]),
+                self.root,
+                self.secret,
+                self.expires.to_bytes(4),
+                bytes([len(address)]),
+                address,
+                self.pattern.encode(),
+            )
+        )
         return body + _checksum(body)
 
     def text(self) -> str:
@@ -178,17 +184,19 @@ def parse_body(body: bytes) -> InvitationCode:
         raise _damaged()
     kind, root, rest = content[0], content[1 : 1 + _DIGEST_SIZE], content[1 + _DIGEST_SIZE :]
     if kind not in {_ONE_NAME, _ANONYMOUS}:
-        raise CodeRefused(
-            "an invitation of another version of rossec", "update the older of the two sides"
-        )
+        raise CodeRefused("an invitation of another version of rossec", "update the older of the two sides")
     secret, expires, size = rest[:SECRET_SIZE], rest[SECRET_SIZE:][:4], rest[SECRET_SIZE + 4]
     texts = rest[SECRET_SIZE + 5 :]
     if not texts.isascii() or size >= len(texts):
         raise _damaged()
     return InvitationCode(
-        root, secret, int.from_bytes(expires), texts[:size].decode(), texts[size:].decode(),
+        root,
+        secret,
+        int.from_bytes(expires),
+        texts[:size].decode(),
+        texts[size:].decode(),
         wildcard=kind == _ANONYMOUS,
-    )  # fmt: skip
+    )
 
 
 def public_key(point: bytes) -> ec.EllipticCurvePublicKey:
@@ -237,8 +245,7 @@ def read(data: bytes) -> InvitationCode:
         if write(code) == data:
             return code
     raise CodeRefused(
-        "the tag does not hold an invitation of rossec",
-        "write it with: rossec ca invite PATTERN --ndef FILE",
+        "the tag does not hold an invitation of rossec", "write it with: rossec ca invite PATTERN --ndef FILE"
     )
 
 
@@ -255,9 +262,7 @@ def transcript(
 ) -> bytes:
     """The transcript hash of one join, 32 octets; `own_nonce` is the authority's."""
     certificates: list[Value] = [_digest(certificate) for certificate in chain]
-    return _digest(
-        encode([_CONTEXT, invitation, node_nonce, own_nonce, certificates, _digest(root)])
-    )
+    return _digest(encode([_CONTEXT, invitation, node_nonce, own_nonce, certificates, _digest(root)]))
 
 
 def sign_live(signer: Signer, transcript_hash: bytes) -> bytes:
@@ -276,9 +281,7 @@ def check_live(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: byt
         ) from error
 
 
-def sign_proof(
-    signer: Signer, transcript_hash: bytes, csr: bytes, name: str, metadata: bytes = b""
-) -> bytes:
+def sign_proof(signer: Signer, transcript_hash: bytes, csr: bytes, name: str, metadata: bytes = b"") -> bytes:
     """The node's proof of the secret; `signer` has the key derived from it."""
     return _PROOF.sign(signer, _asked(transcript_hash, csr, name, metadata))
 
@@ -300,9 +303,7 @@ def sign_claim(signer: Signer, transcript_hash: bytes, metadata: bytes) -> bytes
     return _CLAIM.sign(signer, [transcript_hash, _digest(metadata)])
 
 
-def check_claim(
-    data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes, metadata: bytes
-) -> None:
+def check_claim(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes, metadata: bytes) -> None:
     """Return if the holder of the secret sends `metadata`, which are only hashed."""
     _check(_CLAIM, data, key, [transcript_hash, _digest(metadata)])
 
@@ -313,9 +314,7 @@ def _asked(transcript_hash: bytes, csr: bytes, name: str, metadata: bytes) -> li
     return [*asked, _digest(metadata)] if metadata else asked
 
 
-def _check(
-    profile: Profile, data: bytes, key: ec.EllipticCurvePublicKey, content: list[Value]
-) -> None:
+def _check(profile: Profile, data: bytes, key: ec.EllipticCurvePublicKey, content: list[Value]) -> None:
     try:
         profile.check(data, key, content)
     except SignatureError as error:
@@ -383,9 +382,13 @@ class JoinRequest:
         if not csr <= len(data) <= MAX_REQUEST_SIZE or not data[name:metadata].isascii():
             raise EnrollmentMessageRefused("a request to join of a wrong size")
         return cls(
-            data[:ID_SIZE], data[ID_SIZE:_SIZES], data[name:metadata].decode(), data[csr:],
-            data[_HEAD:name], data[metadata:csr],
-        )  # fmt: skip
+            data[:ID_SIZE],
+            data[ID_SIZE:_SIZES],
+            data[name:metadata].decode(),
+            data[csr:],
+            data[_HEAD:name],
+            data[metadata:csr],
+        )
 
     def verify(self, point: bytes) -> None:
         """Return if it was made with the secret of the invitation whose key is `point`.

@@ -257,9 +257,7 @@ def _fitting(join: Join) -> Join | None:
     return join if fits else None
 
 
-def _welcome(
-    nonce: bytes, chain: tuple[bytes, ...] | None, root: bytes, statement: bytes
-) -> Welcome | None:
+def _welcome(nonce: bytes, chain: tuple[bytes, ...] | None, root: bytes, statement: bytes) -> Welcome | None:
     if chain is None or len(nonce) != NONCE_SIZE or len(statement) > MAX_STATEMENT:
         return None
     return Welcome(nonce, chain, root, statement)
@@ -292,15 +290,14 @@ REFUSED: Final = {
         "give a name within its pattern that no other node has: --name",
     ),
     RefuseReason.REQUEST: (
-        "the authority does not accept this request", "move the node's directory away and try again"
+        "the authority does not accept this request",
+        "move the node's directory away and try again",
     ),
     RefuseReason.DENIED: (
         "this request was denied, or its key is revoked",
         "move the node's directory away and join with a new key",
     ),
-    RefuseReason.BUSY: (
-        "too many nodes are joining, or too many requests wait", "try again in a minute"
-    ),
+    RefuseReason.BUSY: ("too many nodes are joining, or too many requests wait", "try again in a minute"),
     RefuseReason.UNNAMED: (
         "the authority has no rules that give names",
         "give the name: --name; or at the authority: rossec ca serve --rules FILE",
@@ -309,7 +306,7 @@ REFUSED: Final = {
         "the authority's rules give no name for these metadata",
         "try them with the same rules: rossec namespace name FILE; its log says why",
     ),
-}  # fmt: skip
+}
 CLAIM_REFUSED: Final = {
     **REFUSED,
     RefuseReason.REFUSED: (
@@ -537,9 +534,7 @@ def _live_identity(anchor: TrustAnchor, chain: tuple[bytes, ...], now: int) -> I
     try:
         found = anchor.verify(chain, now)
     except (CertificateExpired, CertificateNotYetValid) as error:
-        raise NotTheAuthority(
-            f"the authority's node cannot be verified: {error}", _CLOCK
-        ) from error
+        raise NotTheAuthority(f"the authority's node cannot be verified: {error}", _CLOCK) from error
     except CAError as error:
         raise NotTheAuthority(
             f"the peer is not the authority: {error}", "find out who answers at that address"
@@ -570,14 +565,8 @@ AUTHORITY_TABLE: Final[
 ] = {
     (_JOIN_AUTHORITY_S.GREETING, Hello): ("_welcome", (_JOIN_AUTHORITY_S.WELCOMED,)),
     (_JOIN_AUTHORITY_S.WELCOMED, Claim): ("_take_claim", (_JOIN_AUTHORITY_S.NAMING,)),
-    (_JOIN_AUTHORITY_S.WELCOMED, Join): (
-        "_accept",
-        (_JOIN_AUTHORITY_S.DECIDING, _JOIN_AUTHORITY_S.OVER),
-    ),
-    (_JOIN_AUTHORITY_S.NAMED, Join): (
-        "_accept",
-        (_JOIN_AUTHORITY_S.DECIDING, _JOIN_AUTHORITY_S.OVER),
-    ),
+    (_JOIN_AUTHORITY_S.WELCOMED, Join): ("_accept", (_JOIN_AUTHORITY_S.DECIDING, _JOIN_AUTHORITY_S.OVER)),
+    (_JOIN_AUTHORITY_S.NAMED, Join): ("_accept", (_JOIN_AUTHORITY_S.DECIDING, _JOIN_AUTHORITY_S.OVER)),
 }
 AUTHORITY_WITHOUT_MESSAGE: Final = (
     (_JOIN_AUTHORITY_S.NAMING, _JOIN_AUTHORITY_S.NAMED, "name()"),
@@ -693,7 +682,6 @@ class AuthorityJoin:
 
     def _accept(self, message: Join) -> None:
         self._request = JoinRequest(
-            self.invitation, self._transcript, message.name, message.csr, message.proof,
-            message.metadata,
-        )  # fmt: skip
+            self.invitation, self._transcript, message.name, message.csr, message.proof, message.metadata
+        )
         self.state = AuthorityJoinState.DECIDING

@@ -118,9 +118,7 @@ def length(header: bytes) -> int:
     """
     size = int.from_bytes(header)
     if not 0 < size <= MAX_MESSAGE:
-        raise EnrollmentMessageRefused(
-            f"a message of {size} octets where 1 to {MAX_MESSAGE} are allowed"
-        )
+        raise EnrollmentMessageRefused(f"a message of {size} octets where 1 to {MAX_MESSAGE} are allowed")
     return size
 
 
@@ -169,9 +167,7 @@ def _offer(chain: list[Value], root: bytes, nonce: bytes, tag: bytes) -> Offer |
     return Offer(certificates, root, nonce, tag)
 
 
-def check_issued(
-    root: bytes, chain: Sequence[bytes], own: IdentityRequest, now: int
-) -> TrustAnchor:
+def check_issued(root: bytes, chain: Sequence[bytes], own: IdentityRequest, now: int) -> TrustAnchor:
     """Return the anchor in `root` if `chain` is exactly the identity that was asked for."""
     try:
         anchor = TrustAnchor.load(root)

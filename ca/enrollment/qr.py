@@ -65,9 +65,7 @@ class Code:
     def check_time(self, now: int) -> None:
         # Return if the code has not expired; a label code does not expire.
         if self.secret and now > self.expires:
-            raise CodeExpired(
-                f"the code expired {now - self.expires} s ago", "have the node show a new one"
-            )
+            raise CodeExpired(f"the code expired {now - self.expires} s ago", "have the node show a new one")
 
 
 def label_code(request: bytes) -> str:
@@ -85,9 +83,7 @@ def screen_code(request: bytes, secret: bytes, expires: int, address: str) -> st
     if not 0 <= expires < 1 << 32:
         raise CodeRefused("the expiry of a screen code is out of range")
     encoded_address = address.encode()
-    return _text(
-        bytes([_SCREEN]) + sha256(request).digest() + secret + expires.to_bytes(4) + encoded_address
-    )
+    return _text(bytes([_SCREEN]) + sha256(request).digest() + secret + expires.to_bytes(4) + encoded_address)
 
 
 def parse(text: str) -> Code:
@@ -101,17 +97,14 @@ def parse(text: str) -> Code:
     if len(data) > _SCREEN_MINIMUM and data[0] == _SCREEN:
         return _screen(data)
     if data and data[0] & 0x0F != _VERSION:
-        raise CodeRefused(
-            "a code of another version of rossec", "update the older of the two sides"
-        )
+        raise CodeRefused("a code of another version of rossec", "update the older of the two sides")
     raise CodeRefused("the code is incomplete or damaged", _HINT)
 
 
 def terminal(text: str) -> str:
     """The code as half blocks with explicit colours: two modules per line, 19 lines for a label."""
     rows = [
-        list(row)
-        for row in segno.make_qr(text, error="l", boost_error=False).matrix_iter(border=_BORDER)
+        list(row) for row in segno.make_qr(text, error="l", boost_error=False).matrix_iter(border=_BORDER)
     ]
     rows.append([0] * len(rows[0]))  # a QR code has an odd number of rows
     lines = (
@@ -238,9 +231,7 @@ def _lines(label: Label) -> Iterator[str]:
     if len(name) > _LINES:
         name = [*name[: _LINES - 1], "..."]
     digits = label.fingerprint
-    groups = [
-        digits[start : start + 10] for start in range(0, len(digits), 10)
-    ]  # two groups of four a line
+    groups = [digits[start : start + 10] for start in range(0, len(digits), 10)]  # two groups of four a line
     for number, text in enumerate([*name, *groups]):
         weight = ' font-weight="bold"' if number < len(name) else ""
         yield (
@@ -251,9 +242,7 @@ def _lines(label: Label) -> Iterator[str]:
 
 _KIND: Final = 0x51  # the low half is the version
 _MAX_TEXT: Final = 64
-_CARD_CODES_HINT: Final = (
-    "scan or paste what `rossec domain card --qr` shows, beginning with ROSSEC:"
-)
+_CARD_CODES_HINT: Final = "scan or paste what `rossec domain card --qr` shows, beginning with ROSSEC:"
 
 
 def card_code(data: bytes) -> str:

@@ -103,9 +103,7 @@ def sign_acknowledgement(signer: Signer, transcript_hash: bytes, contribution: b
     return _ACKNOWLEDGEMENT.sign(signer, [transcript_hash, contribution])
 
 
-def open_acknowledgement(
-    data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes
-) -> bytes:
+def open_acknowledgement(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes) -> bytes:
     """The contribution in a node's acknowledgement of the offer with this transcript hash."""
     match _open(_ACKNOWLEDGEMENT, data, key):
         case [bytes() as acknowledged, bytes() as contribution] if (
@@ -132,8 +130,7 @@ def _open(profile: Profile, data: bytes, key: ec.EllipticCurvePublicKey) -> obje
         return profile.open(data, key, limit=_MAX_STATEMENT)
     except (SignatureError, EncodingError) as error:
         raise AcknowledgementRefused(
-            f"the answer is not signed by the node: {error}",
-            "possible attacker in between: start again",
+            f"the answer is not signed by the node: {error}", "possible attacker in between: start again"
         ) from error
 
 
@@ -375,9 +372,7 @@ class NodeEnrollment:
         ):  # a wrong tag must not disturb an offer that waits for confirmation
             self._bad_tags += 1
         if self._bad_tags >= MAX_BAD_TAGS:
-            error = EnrollmentLocked(
-                f"{MAX_BAD_TAGS} offers without the code's secret", _RESTART_HINT
-            )
+            error = EnrollmentLocked(f"{MAX_BAD_TAGS} offers without the code's secret", _RESTART_HINT)
             self.stop(error)
             raise error
         raise OfferRefused("the sender of the offer has not read the code")
@@ -385,17 +380,17 @@ class NodeEnrollment:
 
 _ABORTS: Final[dict[Reason, tuple[type[EnrollmentRefused], str, str]]] = {
     Reason.REFUSED: (
-        EnrollmentOver, "the node refused the offer",
+        EnrollmentOver,
+        "the node refused the offer",
         "does it show a new code, or is its clock wrong? `rossec node enroll` says why",
     ),
-    Reason.OVER: (
-        EnrollmentOver, "the node has ended the enrollment", "show a new code on the node",
-    ),
+    Reason.OVER: (EnrollmentOver, "the node has ended the enrollment", "show a new code on the node"),
     Reason.CONFLICT: (
-        ConflictingOffer, "the node received two different offers: another party has its code",
+        ConflictingOffer,
+        "the node received two different offers: another party has its code",
         "the node accepted none; find the other party, then show a new code",
     ),
-}  # fmt: skip
+}
 
 
 class AuthorityState(Enum):
@@ -410,27 +405,16 @@ class AuthorityState(Enum):
     OVER = "ended"
 
 
-AUTHORITY_TABLE: Final[
-    dict[tuple[AuthorityState, type[Message]], tuple[str, tuple[AuthorityState, ...]]]
-] = {
-    (AuthorityState.FETCHING, Delivery): (
-        "_compare",
-        (AuthorityState.COMPARED, AuthorityState.OVER),
-    ),
+AUTHORITY_TABLE: Final[dict[tuple[AuthorityState, type[Message]], tuple[str, tuple[AuthorityState, ...]]]] = {
+    (AuthorityState.FETCHING, Delivery): ("_compare", (AuthorityState.COMPARED, AuthorityState.OVER)),
     (AuthorityState.FETCHING, Abort): ("_aborted", (AuthorityState.OVER,)),
     (AuthorityState.OFFERED, Acknowledgement): (
         "_acknowledged",
         (AuthorityState.ACKNOWLEDGED, AuthorityState.OVER),
     ),
     (AuthorityState.OFFERED, Abort): ("_aborted", (AuthorityState.OVER,)),
-    (AuthorityState.ACKNOWLEDGED, Acknowledgement): (
-        "_acknowledged_again",
-        (AuthorityState.ACKNOWLEDGED,),
-    ),
-    (AuthorityState.ACKNOWLEDGED, Done): (
-        "_done",
-        (AuthorityState.ENROLLED, AuthorityState.OVER),
-    ),
+    (AuthorityState.ACKNOWLEDGED, Acknowledgement): ("_acknowledged_again", (AuthorityState.ACKNOWLEDGED,)),
+    (AuthorityState.ACKNOWLEDGED, Done): ("_done", (AuthorityState.ENROLLED, AuthorityState.OVER)),
     (AuthorityState.ACKNOWLEDGED, Abort): ("_aborted", (AuthorityState.OVER,)),
     (AuthorityState.ENROLLED, Acknowledgement): ("_acknowledged_again", (AuthorityState.ENROLLED,)),
     (AuthorityState.ENROLLED, Done): ("_done", (AuthorityState.ENROLLED,)),
@@ -538,9 +522,7 @@ class AuthorityEnrollment:
             return
         if self._deadline and now > self._deadline:
             self.state = AuthorityState.OVER
-            raise EnrollmentExpired(
-                "the enrollment was not finished in time", "show a new code on the node"
-            )
+            raise EnrollmentExpired("the enrollment was not finished in time", "show a new code on the node")
 
     def _move(self, begin: AuthorityState, end: AuthorityState) -> None:
         if self.state is not begin:
@@ -561,9 +543,7 @@ class AuthorityEnrollment:
 
     def _acknowledged(self, message: Acknowledgement, now: int) -> None:
         self.state = AuthorityState.OVER
-        contribution = open_acknowledgement(
-            message.statement, self.request.public_key, self._transcript
-        )
+        contribution = open_acknowledgement(message.statement, self.request.public_key, self._transcript)
         self.digits = digits(self._transcript, contribution)
         self._statement = message.statement
         self._deadline = now + WINDOW

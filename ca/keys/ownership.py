@@ -122,8 +122,7 @@ def _check_writers(path: Path, status: os.stat_result) -> None:
         if status.st_mode & stat.S_ISVTX:
             raise PathRefused(f"{path} can be written by others", "use a directory of yours in it")
         raise PathRefused(
-            f"{path} can be written by others",
-            f"check its content; if it was not changed: chmod go-w {path}",
+            f"{path} can be written by others", f"check its content; if it was not changed: chmod go-w {path}"
         )
 
 

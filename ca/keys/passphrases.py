@@ -137,11 +137,7 @@ MAGIC: Final = b"rossec-backup/1\n"
 NONCE_SIZE: Final = 12
 MAX_BACKUP: Final = 256 * 1024 * 1024
 _HEAD: Final = len(MAGIC) + SALT_SIZE + NONCE_SIZE
-_BACKUP_N, _BACKUP_R, _BACKUP_P = (
-    2**15,
-    8,
-    3,
-)  # OWASP's equivalent of 2^17, 8, 1 in a quarter of its memory
+_BACKUP_N, _BACKUP_R, _BACKUP_P = (2**15, 8, 3)  # OWASP's equivalent of 2^17, 8, 1 in a quarter of its memory
 _DIRECTORIES: Final = ("node", "inbox")
 _JOURNALS: Final = ("-journal", "-wal", "-shm")  # of SQLite, which applies them on opening
 _SEGMENT: Final = r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,254}"
@@ -202,6 +198,4 @@ def _check_names(files: Mapping[str, bytes]) -> None:
 def _key(passphrase: str, salt: bytes) -> bytes:
     if not passphrase:
         raise PassphraseRefused("the passphrase is empty", "choose one")
-    return Scrypt(salt=salt, length=32, n=_BACKUP_N, r=_BACKUP_R, p=_BACKUP_P).derive(
-        passphrase.encode()
-    )
+    return Scrypt(salt=salt, length=32, n=_BACKUP_N, r=_BACKUP_R, p=_BACKUP_P).derive(passphrase.encode())

@@ -52,9 +52,7 @@ def generate() -> ec.EllipticCurvePrivateKey:
     return ec.generate_private_key(ec.SECP256R1())
 
 
-def write_private(
-    path: Path, key: ec.EllipticCurvePrivateKey, passphrase: str | None = None
-) -> None:
+def write_private(path: Path, key: ec.EllipticCurvePrivateKey, passphrase: str | None = None) -> None:
     """Write `key` to the new file `path`, readable by its owner only, durable on return."""
     pem = _to_pem(key, passphrase)
     try:
@@ -70,8 +68,7 @@ def write_private(
     except OSError as error:
         path.unlink(missing_ok=True)
         raise KeyRefused(
-            f"cannot write {path}: {error.strerror}",
-            "no key was created: make room, then try again",
+            f"cannot write {path}: {error.strerror}", "no key was created: make room, then try again"
         ) from error
 
 
@@ -87,9 +84,7 @@ def load_private(path: Path, passphrase: str | None = None) -> ec.EllipticCurveP
                 f"the passphrase does not open {path}",
                 "try again; if it is certainly right, the file is damaged: restore the backup",
             ) from error
-        raise KeyRefused(
-            f"{path} holds no private key", "restore the file from a backup"
-        ) from error
+        raise KeyRefused(f"{path} holds no private key", "restore the file from a backup") from error
     if not isinstance(key, ec.EllipticCurvePrivateKey) or not isinstance(key.curve, ec.SECP256R1):
         raise KeyRefused(f"{path} holds a key that is not P-256", "create a new key with rossec")
     return key
@@ -245,10 +240,7 @@ class TokenSigner:
                 f"the token {uri.token} has no usable key {uri.object}{_reason(error)}", _LIST_HINT
             ) from error
         if extractable:
-            raise KeyRefused(
-                f"the key {uri.object} is extractable from its token",
-                "create one that is not",
-            )
+            raise KeyRefused(f"the key {uri.object} is extractable from its token", "create one that is not")
         return cls(session, key, _public(uri, point))
 
     @classmethod
@@ -275,10 +267,7 @@ class TokenSigner:
             ).generate_keypair(
                 store=True,
                 label=uri.object,
-                private_template={
-                    pkcs11.Attribute.SENSITIVE: True,
-                    pkcs11.Attribute.EXTRACTABLE: False,
-                },
+                private_template={pkcs11.Attribute.SENSITIVE: True, pkcs11.Attribute.EXTRACTABLE: False},
             )
         except pkcs11.exceptions.PKCS11Error as error:
             raise TokenRefused(
@@ -327,13 +316,10 @@ def _session(uri: KeyUri, pin: str) -> Any:
         raise TokenRefused(f"there is no token {uri.token}", _LIST_HINT) from error
     except pkcs11.exceptions.PinIncorrect as error:
         raise TokenRefused(
-            f"the PIN does not open the token {uri.token}",
-            "caution: tokens lock after a few wrong PINs",
+            f"the PIN does not open the token {uri.token}", "caution: tokens lock after a few wrong PINs"
         ) from error
     except pkcs11.exceptions.PKCS11Error as error:
-        raise TokenRefused(
-            f"the token {uri.token} cannot be opened{_reason(error)}", _LIST_HINT
-        ) from error
+        raise TokenRefused(f"the token {uri.token} cannot be opened{_reason(error)}", _LIST_HINT) from error
 
 
 def _log_in(token: Any, pin: str) -> Any:
@@ -345,9 +331,7 @@ def _log_in(token: Any, pin: str) -> Any:
 
 def _public(uri: KeyUri, point: bytes) -> ec.EllipticCurvePublicKey:
     if not point.startswith(_OCTET_STRING):
-        raise KeyRefused(
-            f"the key {uri.object} is not a P-256 key", "make one with rossec ca init DOMAIN"
-        )
+        raise KeyRefused(f"the key {uri.object} is not a P-256 key", "make one with rossec ca init DOMAIN")
     try:
         return require_p256(ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), point[2:]))
     except ValueError as error:

@@ -28,10 +28,7 @@ from typing import Final, NoReturn, Protocol, TypeAlias
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.hazmat.primitives.asymmetric.utils import (
-    decode_dss_signature,
-    encode_dss_signature,
-)
+from cryptography.hazmat.primitives.asymmetric.utils import decode_dss_signature, encode_dss_signature
 from cryptography.hazmat.primitives.serialization import (
     Encoding,
     KeySerializationEncryption,
@@ -112,8 +109,7 @@ class Signer(Protocol):
     """A P-256 private key, in memory or in a token."""
 
     @property
-    def public_key(self) -> ec.EllipticCurvePublicKey:
-        ...
+    def public_key(self) -> ec.EllipticCurvePublicKey: ...
 
     def sign(self, message: bytes) -> bytes:
         """ES256 over `message`: 64 bytes, r || s (RFC 9053 section 2.1)."""
@@ -251,9 +247,7 @@ class Profile:
         """
         return decode(self.open_body(data, key, limit=limit), limit=limit)
 
-    def open_body(
-        self, data: bytes, key: ec.EllipticCurvePublicKey, *, limit: int = MAX_SIZE
-    ) -> bytes:
+    def open_body(self, data: bytes, key: ec.EllipticCurvePublicKey, *, limit: int = MAX_SIZE) -> bytes:
         """Verify `data` against `key` and return its payload as signed, *not* decoded.
 
         Raises:

@@ -105,9 +105,7 @@ def open_list(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationList:
         RevocationRefused: not signed by the authority, malformed, or not a valid list.
     """
     match _open(LIST_PROFILE, data, ca_key, MAX_LIST):
-        case {4: exp, 6: iat, -70001: epoch, -70002: seq, -70003: list() as items, **rest} if (
-            not rest
-        ):
+        case {4: exp, 6: iat, -70001: epoch, -70002: seq, -70003: list() as items, **rest} if not rest:
             revocations = RevocationList(
                 _number(epoch), _number(seq), _number(iat), _number(exp), _read_entries(items)
             )
@@ -126,12 +124,7 @@ def sign_timestamp(signer: Signer, timestamp: Timestamp) -> bytes:
     _check_timestamp(timestamp)
     return TIMESTAMP_PROFILE.sign(
         signer,
-        {
-            _IAT: timestamp.issued,
-            _SEQ: timestamp.seq,
-            _DIGEST: timestamp.digest,
-            _MAX_AGE: timestamp.max_age,
-        },
+        {_IAT: timestamp.issued, _SEQ: timestamp.seq, _DIGEST: timestamp.digest, _MAX_AGE: timestamp.max_age},
     )
 
 
@@ -142,9 +135,7 @@ def open_timestamp(data: bytes, key: ec.EllipticCurvePublicKey) -> Timestamp:
         RevocationRefused: not signed by `key`, malformed, or not a valid timestamp.
     """
     match _open(TIMESTAMP_PROFILE, data, key, MAX_TIMESTAMP):
-        case {6: iat, -70002: seq, -70004: bytes() as list_digest, -70005: max_age, **rest} if (
-            not rest
-        ):
+        case {6: iat, -70002: seq, -70004: bytes() as list_digest, -70005: max_age, **rest} if not rest:
             timestamp = Timestamp(_number(seq), list_digest, _number(iat), _number(max_age))
         case _:
             raise RevocationRefused("the timestamp has missing or unknown fields")
@@ -220,9 +211,7 @@ _SHORT: Final = 17, b"\x50"  # octets of an encoded grant id, and its head
 _LONG: Final = 34, b"\x58\x20"  # of a thumbprint
 _STEP: Final = 256  # entries; a millisecond
 _NO_ENTRIES: Final = "not the entries of a revocation tree"
-_NOT_THOSE: Final = (
-    "the entries are not those of the signed tree", "deliver it again: rossec ca publish",
-)  # fmt: skip
+_NOT_THOSE: Final = ("the entries are not those of the signed tree", "deliver it again: rossec ca publish")
 _T = TypeVar("_T")
 
 
@@ -244,9 +233,7 @@ class RevocationTree:
         if self.expires <= self.issued or not 0 < self.size <= MAX_LEAVES:
             raise RevocationRefused("a revocation tree that is empty, too large, or never valid")
         if len(self.root) != HASH_SIZE:
-            raise RevocationRefused(
-                f"the root of the revocation tree does not have {HASH_SIZE} bytes"
-            )
+            raise RevocationRefused(f"the root of the revocation tree does not have {HASH_SIZE} bytes")
 
     @property
     def number(self) -> tuple[int, int]:
@@ -289,8 +276,15 @@ def open_tree(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationTree:
             f"the revocation tree is refused: {error}", "take it from the authority or the master"
         ) from error
     match value:
-        case {4: int() as exp, 6: int() as iat, -70001: int() as epoch, -70002: int() as seq,
-              -70006: int() as size, -70007: bytes() as root, **rest} if not rest:  # fmt: skip
+        case {
+            4: int() as exp,
+            6: int() as iat,
+            -70001: int() as epoch,
+            -70002: int() as seq,
+            -70006: int() as size,
+            -70007: bytes() as root,
+            **rest,
+        } if not rest:
             return RevocationTree(epoch, seq, iat, exp, size, root)
         case _:
             raise RevocationRefused("the revocation tree has missing or unknown fields")
@@ -348,9 +342,7 @@ class TreeEntries:
         return finished(cls.reading(data))
 
     @classmethod
-    def reading(
-        cls, data: bytes, tree: RevocationTree | None = None
-    ) -> Generator[None, None, "TreeEntries"]:
+    def reading(cls, data: bytes, tree: RevocationTree | None = None) -> Generator[None, None, "TreeEntries"]:
         """As `read` and `check` with `tree`, in steps that each cost little: anybody may send it.
 
         The number of entries, and what room they take, is compared before any of them is read.
@@ -400,9 +392,7 @@ class TreeEntries:
         if position < len(self._entries) and self._entries[position] == entry:
             indexes = [position]
         else:
-            indexes = [
-                index for index in (position - 1, position) if 0 <= index < len(self._entries)
-            ]
+            indexes = [index for index in (position - 1, position) if 0 <= index < len(self._entries)]
         proof: list[Value] = [
             [index, self._entries[index], [*self._tree.inclusion(index)]] for index in indexes
         ]

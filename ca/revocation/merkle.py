@@ -146,9 +146,7 @@ def root_of(peaks: Sequence[bytes]) -> bytes:
     return root
 
 
-def verify_inclusion(
-    data: bytes, index: int, size: int, proof: Sequence[bytes], root: bytes
-) -> None:
+def verify_inclusion(data: bytes, index: int, size: int, proof: Sequence[bytes], root: bytes) -> None:
     """Return if `proof` shows a leaf with the content `data` at `index` (RFC 9162, 2.1.3.2)."""
     _check_form(proof)
     if not 0 <= index < size:

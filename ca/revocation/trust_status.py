@@ -58,10 +58,22 @@ from ca.revocation.lists import (
 )
 
 __all__ = [
-    "MAX_AGE", "MAX_ENTRIES", "MAX_LIST", "NO_FLOOR", "SKEW", "RevocationList", "Revocations",
-    "Timestamp", "check_entry", "digest", "open_list", "open_statement", "open_timestamp",
-    "sign_list", "sign_timestamp",
-]  # fmt: skip
+    "MAX_AGE",
+    "MAX_ENTRIES",
+    "MAX_LIST",
+    "NO_FLOOR",
+    "SKEW",
+    "RevocationList",
+    "Revocations",
+    "Timestamp",
+    "check_entry",
+    "digest",
+    "open_list",
+    "open_statement",
+    "open_timestamp",
+    "sign_list",
+    "sign_timestamp",
+]
 
 NO_FLOOR: Final = (0, 0)
 SKEW: Final = 5  # seconds two synchronised clocks may differ
@@ -227,17 +239,13 @@ class Revocations:
             RevocationRefused: `entry` is neither grant id nor thumbprint.
         """
         if check_entry(entry) in self.entries:
-            raise Revoked(
-                f"{entry.hex()} is revoked", "ask the authority's operator for the reason"
-            )
+            raise Revoked(f"{entry.hex()} is revoked", "ask the authority's operator for the reason")
         unproved = not self._complete and entry not in self._absent
         if unproved and len(self._unproved) < MAX_PROOFS:
             self._unproved[entry] = None
         self.check_fresh(now)
         if unproved:
-            raise RevocationsStale(
-                f"no proof received yet that {entry.hex()} is not revoked", _HINT_STALE
-            )
+            raise RevocationsStale(f"no proof received yet that {entry.hex()} is not revoked", _HINT_STALE)
 
     def check_fresh(self, now: int) -> None:
         """Return if the current list is confirmed and valid at `now`.
@@ -253,9 +261,7 @@ class Revocations:
                 "have the authority sign a new one: `rossec ca refresh`",
             )
         if self._confirmed is None:
-            raise RevocationsStale(
-                "the revocation list is not confirmed by the master", _HINT_STALE
-            )
+            raise RevocationsStale("the revocation list is not confirmed by the master", _HINT_STALE)
         if now > self.fresh_until:
             raise RevocationsStale(
                 f"the last confirmation expired {now - self.fresh_until} s ago", _HINT_STALE
@@ -289,9 +295,7 @@ class Revocations:
         return new.issued <= confirmed.issued <= now + SKEW
 
 
-def open_statement(
-    data: bytes, ca_key: ec.EllipticCurvePublicKey
-) -> RevocationList | RevocationTree:
+def open_statement(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationList | RevocationTree:
     """Verify and read a list or a tree.
 
     Raises:
@@ -516,9 +520,7 @@ def _master(listed: ListedDomain, chain: Sequence[bytes], now: int) -> Identity:
     # The identity of a master of a foreign domain; it need not be admitted as a peer.
     identity = listed.anchor.verify(chain, now)
     if not is_master_name(identity.name) or identity.wildcard:
-        raise NotAdmitted(
-            f"{listed.entry.label}:{identity.name} is no master, and confirms no revocations"
-        )
+        raise NotAdmitted(f"{listed.entry.label}:{identity.name} is no master, and confirms no revocations")
     return identity
 
 

@@ -63,9 +63,7 @@ def fault(path: Path, error: sqlite3.Error) -> StoreError:
     """The exception to raise for an SQLite `error` of the record at `path`."""
     code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF  # the primary code
     if code in _DAMAGED:
-        return RecordUnusable(
-            f"{path} is damaged: {error}", "restore it from a backup, with --list"
-        )
+        return RecordUnusable(f"{path} is damaged: {error}", "restore it from a backup, with --list")
     if code == sqlite3.SQLITE_CONSTRAINT:
         return StoreError(f"the record refuses the entry: {error}")
     if code in {sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN} and _is_full(path.parent):
@@ -87,14 +85,25 @@ _RESTORE_HINT: Final = "restore a backup of your own, and find out who made this
 APPEND_ONLY: Final = ("certificate", "grant_", "revocation", "list", "head", "log")  # of version 1
 ANSWERS: Final = "answer"  # of version 2, and append-only as well
 DECISIONS: Final = (  # of version 3, all append-only
-    "grant_request", "decision", "policy_grant", "invitation", "invitation_use", "invitation_end",
-)  # fmt: skip
+    "grant_request",
+    "decision",
+    "policy_grant",
+    "invitation",
+    "invitation_use",
+    "invitation_end",
+)
 APPROVALS: Final = (  # of version 4, all append-only
-    "passkey", "passkey_end", "approval", "approval_end",
-)  # fmt: skip
+    "passkey",
+    "passkey_end",
+    "approval",
+    "approval_end",
+)
 DOMAINS: Final = (  # of version 5, all append-only
-    "foreign_domain", "foreign_domain_end", "domain_list", "foreign_certificate",
-)  # fmt: skip
+    "foreign_domain",
+    "foreign_domain_end",
+    "domain_list",
+    "foreign_certificate",
+)
 THINGS: Final = ("thing",)  # of version 6, append-only
 _APPROVAL: Final = (
     "id, kind, subject, statement, payload, passkey, client_data, authenticator_data, signature, at"
@@ -271,9 +280,7 @@ def check_no_foreign_objects(db: sqlite3.Connection) -> None:
     expected_db.close()
     for name, created in found.items():
         if expected.get(name) != created:
-            raise StoreError(
-                f"the record holds a {created[0]} that is not rossec's: {name!a}", _RESTORE_HINT
-            )
+            raise StoreError(f"the record holds a {created[0]} that is not rossec's: {name!a}", _RESTORE_HINT)
     if missing := expected.keys() - found.keys():
         raise StoreError(f"the record lacks {min(missing)}", _RESTORE_HINT)
 
@@ -366,9 +373,7 @@ def _to_version_2(db: sqlite3.Connection) -> None:
     if _has_table(db, "request"):  # requests for grants: the name is not theirs any more
         db.execute("ALTER TABLE request RENAME TO grant_request")
     tables = ("log", "head", ANSWERS)
-    for statement in (
-        *VERSION_2, *append_only_triggers(tables), *request_triggers(),
-    ):  # fmt: skip
+    for statement in (*VERSION_2, *append_only_triggers(tables), *request_triggers()):
         db.execute(statement)
     rows = {what: _rows_of(db, what) for what in _OF_VERSION_1}
     for number, (at, what, subject, detail) in enumerate(old):
@@ -396,9 +401,7 @@ def _to_version_3(db: sqlite3.Connection) -> None:
         append_entry(db, row[5], "decision", subject, f"{row[3]} {row[2]}", digest_of(row))
 
 
-def _add_tables(
-    db: sqlite3.Connection, statements: tuple[str, ...], append_only: tuple[str, ...]
-) -> None:
+def _add_tables(db: sqlite3.Connection, statements: tuple[str, ...], append_only: tuple[str, ...]) -> None:
     for statement in (*statements, *append_only_triggers(append_only)):
         db.execute(statement)
 
@@ -583,8 +586,7 @@ def _check_file(path: Path) -> None:
         raise StoreError(f"there is no record at {path}", "restore it from a backup")
     if path.stat().st_mode & 0o077:
         raise StoreError(
-            f"{path} can be read or written by others",
-            f"it contains grants and identities: chmod 600 {path}",
+            f"{path} can be read or written by others", f"it contains grants and identities: chmod 600 {path}"
         )
     with suppress(FileNotFoundError):  # SQLite reports it
         ownership.check_trusted(path)
@@ -593,10 +595,7 @@ def _check_file(path: Path) -> None:
 def _connect(path: Path) -> sqlite3.Connection:
     try:
         return sqlite3.connect(
-            f"{path.absolute().as_uri()}?mode=rw",
-            timeout=BUSY_TIMEOUT,
-            isolation_level=None,
-            uri=True,
+            f"{path.absolute().as_uri()}?mode=rw", timeout=BUSY_TIMEOUT, isolation_level=None, uri=True
         )
     except sqlite3.Error as error:
         raise fault(path, error) from error

@@ -81,8 +81,10 @@ class IdentityTable:
         found = self._find(
             f"WHERE (name = ? OR {_BEGINS}) AND not_after >= ?"  # noqa: S608  (constants)
             " AND thumbprint NOT IN (SELECT entry FROM revocation) ORDER BY rowid",
-            MASTER, *_beginning(f"{MASTER}/"), now,
-        )  # fmt: skip
+            MASTER,
+            *_beginning(f"{MASTER}/"),
+            now,
+        )
         return self.with_valid_issuer([row for row in found if is_master_name(row.name)])
 
     def unrevoked(self, name: str, now: int) -> list[CertificateRow]:
@@ -90,8 +92,9 @@ class IdentityTable:
         return self._find(
             "WHERE name = ? AND not_after >= ?"
             " AND thumbprint NOT IN (SELECT entry FROM revocation) ORDER BY rowid",
-            name, now,
-        )  # fmt: skip
+            name,
+            now,
+        )
 
     def with_valid_issuer(self, rows: list[CertificateRow]) -> list[CertificateRow]:
         # Those of `rows` that were not signed by a revoked intermediate.
@@ -110,9 +113,7 @@ class IdentityTable:
         covering = (row.name for row in self._related(name, now) if row.covers(name))
         return max(covering, key=len, default=name)
 
-    def check_names(
-        self, name: str, thumbprint: bytes, now: int, covers: Callable[[str], bool]
-    ) -> None:
+    def check_names(self, name: str, thumbprint: bytes, now: int, covers: Callable[[str], bool]) -> None:
         # Return if no two keys would share a name, also not through a wildcard tail.
         # `covers(other)`: whether the new identity would cover `other`.
         for known in self._related(name, now):
@@ -132,17 +133,14 @@ class IdentityTable:
         return [
             row
             for row in self._beside(name)
-            if row.thumbprint != thumbprint
-            and (row.name == name or row.covers(name) or covers(row.name))
+            if row.thumbprint != thumbprint and (row.name == name or row.covers(name) or covers(row.name))
         ]
 
     def issued_for(self, request: bytes) -> CertificateRow | None:
         found = self._find("WHERE serial = (SELECT serial FROM answer WHERE request = ?)", request)
         return found[0] if found else None
 
-    def add(
-        self, db: sqlite3.Connection, row: CertificateRow, now: int, request: bytes | None
-    ) -> None:
+    def add(self, db: sqlite3.Connection, row: CertificateRow, now: int, request: bytes | None) -> None:
         values = (row.serial.to_bytes(20), *row[1:])
         db.execute("INSERT INTO certificate VALUES (?, ?, ?, ?, ?, ?, ?)", (*values, now))
         if request is not None:
@@ -177,9 +175,7 @@ class IdentityTable:
     def check_not_revoked(self, name: str, thumbprint: bytes) -> None:
         # Return if the key `thumbprint` of `name` is not revoked.
         if self._database.rows("SELECT 1 FROM revocation WHERE entry = ?", thumbprint):
-            raise StoreError(
-                f"the key of {name} is revoked", "make a new key and request on the node"
-            )
+            raise StoreError(f"the key of {name} is revoked", "make a new key and request on the node")
 
     def _related(self, name: str, now: int) -> list[CertificateRow]:
         alive = " AND not_after >= ? AND thumbprint NOT IN (SELECT entry FROM revocation)"
@@ -189,8 +185,10 @@ class IdentityTable:
         prefixes = json.dumps([name[:size] for size in range(1, len(name))])
         return self._find(
             f"WHERE (name IN (SELECT value FROM json_each(?)) OR {_BEGINS}){clause}",  # noqa: S608  (constants)
-            prefixes, *_beginning(name), *values,
-        )  # fmt: skip
+            prefixes,
+            *_beginning(name),
+            *values,
+        )
 
     def _find(self, clause: str, *values: object) -> list[CertificateRow]:
         rows = self._database.rows(f"SELECT {_COLUMNS} FROM certificate {clause}", *values)  # noqa: S608  (constants)
@@ -244,9 +242,16 @@ class RequestTable:
             if stored is not None:  # it expired, and is asked anew
                 _delete(db, stored, now)
             row = RequestRow(
-                request.digest, request.name, request.thumbprint, der, source, now,
-                RequestState.PENDING, "", now,
-            )  # fmt: skip
+                request.digest,
+                request.name,
+                request.thumbprint,
+                der,
+                source,
+                now,
+                RequestState.PENDING,
+                "",
+                now,
+            )
             db.execute("INSERT INTO csr VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", row)
             append_entry(db, now, RequestState.PENDING, row.name, source, row.digest)
         return row
@@ -269,9 +274,7 @@ class RequestTable:
         begins = "WHERE substr(lower(hex(digest)), 1, ?) = ?"
         found = self._rows(begins, len(beginning), beginning.lower())
         if len(found) != 1 or not beginning:
-            raise StoreError(
-                f"{len(found)} requests begin with {beginning!a}", "see: rossec ca requests"
-            )
+            raise StoreError(f"{len(found)} requests begin with {beginning!a}", "see: rossec ca requests")
         return found[0]
 
     def approve(
@@ -309,9 +312,7 @@ class RequestTable:
     def mark_issued(self, db: sqlite3.Connection, digest: bytes, now: int) -> None:
         stored = self.find(digest)
         if stored is None:
-            raise RequestClosed(
-                "the request is not recorded", "first: rossec ca approve REQUEST_ID"
-            )
+            raise RequestClosed("the request is not recorded", "first: rossec ca approve REQUEST_ID")
         _update(db, advance(stored, RequestState.ISSUED, now))
 
     def _collectable(self, now: int) -> list[RequestRow]:
@@ -319,9 +320,7 @@ class RequestTable:
         newest_first = f"WHERE {_EXPIRES} < ? ORDER BY changed DESC, rowid DESC LIMIT -1 OFFSET ?"
         return self._rows(newest_first, now - COLLECTED_AFTER, KEPT_EXPIRED)
 
-    def _check_name(
-        self, row: RequestRow, now: int, replace_key: str | None, *, wildcard: bool
-    ) -> None:
+    def _check_name(self, row: RequestRow, now: int, replace_key: str | None, *, wildcard: bool) -> None:
         for other in self.open(now):
             if other.name == row.name and other.thumbprint != row.thumbprint:
                 raise NameContested(
@@ -357,9 +356,7 @@ class RequestTable:
     def _rows(self, clause: str, *values: object) -> list[RequestRow]:
         rows = self._database.rows(f"SELECT {_REQUESTS_COLUMNS} FROM csr {clause}", *values)  # noqa: S608  (constants)
         return [
-            RequestRow(*row)._replace(
-                state=RequestState(row[6]), replaces=row[9] != 0, wildcard=row[10] != 0
-            )
+            RequestRow(*row)._replace(state=RequestState(row[6]), replaces=row[9] != 0, wildcard=row[10] != 0)
             for row in rows
         ]
 
@@ -371,15 +368,10 @@ def _delete(db: sqlite3.Connection, row: RequestRow, now: int) -> None:
 
 def _update(db: sqlite3.Connection, row: RequestRow) -> None:
     db.execute(
-        "UPDATE csr SET state = ?, reason = ?, changed = ?, replaces = ?, wildcard = ?"
-        " WHERE digest = ?",
+        "UPDATE csr SET state = ?, reason = ?, changed = ?, replaces = ?, wildcard = ? WHERE digest = ?",
         (row.state, row.reason, row.changed, row.replaces, row.wildcard, row.digest),
     )
-    details = [
-        row.reason,
-        *["replaces the key"] * row.replaces,
-        *["anonymous nodes"] * row.wildcard,
-    ]
+    details = [row.reason, *["replaces the key"] * row.replaces, *["anonymous nodes"] * row.wildcard]
     append_entry(db, row.changed, row.state, row.name, "; ".join(filter(None, details)), row.digest)
 
 
@@ -470,9 +462,7 @@ class InvitationTable:
         pattern = self.get(id).pattern
         with self._database.transaction() as db:
             row = (id, reason, now)
-            done = db.execute(
-                "INSERT INTO invitation_end VALUES (?, ?, ?) ON CONFLICT DO NOTHING", row
-            )
+            done = db.execute("INSERT INTO invitation_end VALUES (?, ?, ?) ON CONFLICT DO NOTHING", row)
             if done.rowcount:
                 append_entry(db, now, "invitation ended", pattern, reason, digest_of(row))
 

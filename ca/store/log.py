@@ -62,9 +62,7 @@ _HINT: Final = "somebody changed the record: restore a backup, and find out who"
 Row = tuple[Any, ...]
 
 
-def replay_approvals(
-    entries: Iterable[LogEntry], rows: Mapping[str, Iterable[Row]], tree: Tree
-) -> None:
+def replay_approvals(entries: Iterable[LogEntry], rows: Mapping[str, Iterable[Row]], tree: Tree) -> None:
     """Check every passkey and approval; `rows` are those of the tables, by kind of entry."""
     replay = _Replay(rows, tree)
     for entry in entries:
@@ -154,8 +152,9 @@ class AuthorityLog:
         rows = self._database.rows(
             f"SELECT number, at, what, subject, detail, digest FROM log {clause}"  # noqa: S608  (constants)
             " ORDER BY number DESC LIMIT ?",
-            *values, count,
-        )  # fmt: skip
+            *values,
+            count,
+        )
         return [LogEntry(*row) for row in rows]
 
     def head(self, now: int) -> Head:
@@ -247,9 +246,7 @@ def _replay(entries: list[LogEntry]) -> dict[bytes, RequestState]:
             del states[entry.digest]
         elif entry.what in _STATES:
             state = RequestState(entry.what)
-            if not (
-                state is RequestState.PENDING if current is None else state in TRANSITIONS[current]
-            ):
+            if not (state is RequestState.PENDING if current is None else state in TRANSITIONS[current]):
                 raise LogDamaged(
                     f"log entry {entry.number} is not an allowed transition of a request", _LOG_HINT
                 )
@@ -276,9 +273,7 @@ class PasskeyTable:
                     "choose another name, or remove that one: rossec console phones remove NAME",
                 )
             db.execute("INSERT INTO passkey VALUES (?, ?, ?, ?, ?, ?, ?, ?)", passkey)
-            append_entry(
-                db, passkey.at, "passkey", passkey.name, passkey.id.hex(), digest_of(passkey)
-            )
+            append_entry(db, passkey.at, "passkey", passkey.name, passkey.id.hex(), digest_of(passkey))
 
     def all(self) -> list[Passkey]:
         return self._rows("ORDER BY rowid")
@@ -291,8 +286,7 @@ class PasskeyTable:
             if passkey.id == id:
                 return passkey
         raise PasskeyUnknown(
-            "this passkey is not registered here, or was removed",
-            "register the phone: rossec console phone",
+            "this passkey is not registered here, or was removed", "register the phone: rossec console phone"
         )
 
     def ended(self) -> dict[bytes, str]:
@@ -403,9 +397,7 @@ class ApprovalTable:
             raise ValueError("waiting is not an end")
         with self._database.transaction() as db:
             if (found := self.state(id)) is not ApprovalState.WAITING:
-                raise ApprovalOver(
-                    f"this approval has ended: {found}", "see: rossec console approvals"
-                )
+                raise ApprovalOver(f"this approval has ended: {found}", "see: rossec console approvals")
             row = ApprovalEnd(id, str(state), result, now)
             db.execute("INSERT INTO approval_end VALUES (?, ?, ?, ?)", row)
             append_entry(db, now, "approval ended", id.hex(), f"{state}: {result}", digest_of(row))
@@ -419,8 +411,7 @@ class ApprovalTable:
 
     def counter(self, passkey: bytes) -> int:
         rows = self._database.rows(
-            "SELECT authenticator_data FROM approval WHERE passkey = ? ORDER BY rowid DESC LIMIT 1",
-            passkey,
+            "SELECT authenticator_data FROM approval WHERE passkey = ? ORDER BY rowid DESC LIMIT 1", passkey
         )
         return counter_of(rows[0][0]) if rows else 0
 

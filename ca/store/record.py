@@ -99,9 +99,7 @@ class Store:
         """
         with self.database.transaction() as db:
             self.identities.check_names(row.name, row.thumbprint, now, row.covers)
-            self.identities.check_key(
-                row.name, row.thumbprint, now, replace_key=replace_key, renews=renews
-            )
+            self.identities.check_key(row.name, row.thumbprint, now, replace_key=replace_key, renews=renews)
             if request is not None and self.identities.issued_for(request) is not None:
                 raise RequestClosed(
                     f"this request of {row.name} has its certificate already",
@@ -274,9 +272,7 @@ class Store:
         """
         with self.database.transaction() as db:
             db.execute("INSERT INTO list VALUES (?, ?, ?, ?)", (*number, data, now))
-            append_entry(
-                db, now, "list", f"{number[0]}.{number[1]}", "", digest_of((*number, data))
-            )
+            append_entry(db, now, "list", f"{number[0]}.{number[1]}", "", digest_of((*number, data)))
 
     def newest_list(self) -> bytes | None:
         found = self._newest("data")
@@ -294,8 +290,6 @@ class Store:
 
 
 def _revoke(db: sqlite3.Connection, entry: bytes, reason: str, now: int) -> None:
-    done = db.execute(
-        "INSERT INTO revocation VALUES (?, ?, ?) ON CONFLICT DO NOTHING", (entry, reason, now)
-    )
+    done = db.execute("INSERT INTO revocation VALUES (?, ?, ?) ON CONFLICT DO NOTHING", (entry, reason, now))
     if done.rowcount:
         append_entry(db, now, "revocation", entry.hex(), reason, digest_of((entry, reason)))

@@ -111,9 +111,7 @@ class DomainTable:
         return row
 
     def next_number(self) -> tuple[int, int]:
-        rows = self._database.rows(
-            "SELECT epoch, seq FROM domain_list ORDER BY epoch DESC, seq DESC LIMIT 1"
-        )
+        rows = self._database.rows("SELECT epoch, seq FROM domain_list ORDER BY epoch DESC, seq DESC LIMIT 1")
         return (rows[0][0], rows[0][1] + 1) if rows else (1, 1)
 
     def save_list(self, number: tuple[int, int], data: bytes, now: int) -> None:
@@ -123,9 +121,7 @@ class DomainTable:
             append_entry(db, now, "domain list", subject, "", digest_of((*number, data)))
 
     def newest_list(self) -> bytes:
-        rows = self._database.rows(
-            "SELECT data FROM domain_list ORDER BY epoch DESC, seq DESC LIMIT 1"
-        )
+        rows = self._database.rows("SELECT data FROM domain_list ORDER BY epoch DESC, seq DESC LIMIT 1")
         return bytes(rows[0][0]) if rows else b""
 
     def add_certificate(self, root: bytes, identity: Identity, now: int) -> None:
@@ -141,8 +137,7 @@ class DomainTable:
 
     def certificates(self, root: bytes) -> list[ForeignCertificateRow]:
         rows = self._database.rows(
-            "SELECT thumbprint, root, name, der, at FROM foreign_certificate"
-            " WHERE root = ? ORDER BY rowid",
+            "SELECT thumbprint, root, name, der, at FROM foreign_certificate WHERE root = ? ORDER BY rowid",
             root,
         )
         return [ForeignCertificateRow(*row) for row in rows]
@@ -174,9 +169,7 @@ def check_domains_apart(known: DomainRow, domain: str, label: str, root: bytes) 
     if known.domain == domain:
         raise StoreError(f"domain {domain} is called {known.label} here", f"--as {known.label}")
     if known.label == label:
-        raise StoreError(
-            f"the label {label} is that of domain {known.domain}", "choose another label: --as"
-        )
+        raise StoreError(f"the label {label} is that of domain {known.domain}", "choose another label: --as")
     raise StoreError(
         f"domain {known.domain} has the same root key",
         "one authority has one domain: ask them which one it is",
@@ -189,9 +182,7 @@ Row = tuple[Any, ...]
 
 
 def replay_domains(
-    entries: Iterable[LogEntry],
-    rows: Mapping[str, Iterable[Row]],
-    key: ec.EllipticCurvePublicKey,
+    entries: Iterable[LogEntry], rows: Mapping[str, Iterable[Row]], key: ec.EllipticCurvePublicKey
 ) -> None:
     """Check every domain and list; `rows` are those of the tables, by kind; `key` is the root's."""
     replay = _Replay(rows, key)
@@ -324,13 +315,11 @@ def check_things_apart(known: ThingStatement, new: ThingStatement) -> None:
     if known.name == new.name:
         what = "another border router" if same_thing else "another key"
         raise ThingChanged(
-            f"{new.name} has a statement in force with {what}",
-            f"if that one is to end: --replace {new.name}",
+            f"{new.name} has a statement in force with {what}", f"if that one is to end: --replace {new.name}"
         )
     if same_thing:
         raise ThingChanged(
-            f"this key is that of {known.name}",
-            f"if the thing was renamed: --replace {known.name}",
+            f"this key is that of {known.name}", f"if the thing was renamed: --replace {known.name}"
         )
     if (known.border, known.credential.kid) == (new.border, new.credential.kid):
         raise ThingChanged(
@@ -343,9 +332,7 @@ KIND: Final = "thing"
 _REVOCATION: Final = "revocation"
 
 
-def replay_things(
-    entries: Iterable[LogEntry], rows: Iterable[Row], key: ec.EllipticCurvePublicKey
-) -> None:
+def replay_things(entries: Iterable[LogEntry], rows: Iterable[Row], key: ec.EllipticCurvePublicKey) -> None:
     """Check every statement; `rows` are those of the table, `key` is the root's."""
     made, in_force = iter(rows), dict[str, ThingStatement]()
     for entry in entries:
@@ -359,10 +346,7 @@ def replay_things(
 
 
 def _take(
-    entry: LogEntry,
-    made: Iterator[Row],
-    in_force: dict[str, ThingStatement],
-    key: ec.EllipticCurvePublicKey,
+    entry: LogEntry, made: Iterator[Row], in_force: dict[str, ThingStatement], key: ec.EllipticCurvePublicKey
 ) -> None:
     row = ThingRow(*next(made))
     found = verify_statement(row.data, key, domain=peek_statement(row.data).domain)

@@ -227,13 +227,10 @@ def check_head(tree: merkle.Tree, head: Head) -> None:
     """Return if the log extends this head."""
     if head.size > len(tree):
         raise LogDamaged(
-            f"the log has {len(tree)} entries where {head.size} were signed: its end is missing",
-            _HINT,
+            f"the log has {len(tree)} entries where {head.size} were signed: its end is missing", _HINT
         )
     if tree.root(head.size) != head.root:
-        raise LogDamaged(
-            f"the first {head.size} entries of the log are not those that were signed", _HINT
-        )
+        raise LogDamaged(f"the first {head.size} entries of the log are not those that were signed", _HINT)
 
 
 def sign_head(signer: Signer, head: Head) -> bytes:
@@ -250,9 +247,7 @@ def open_head(data: bytes, key: ec.EllipticCurvePublicKey) -> Head:
     try:
         value = HEAD_PROFILE.open(data, key, limit=MAX_HEAD)
     except (SignatureError, EncodingError) as error:
-        raise LogDamaged(
-            f"this is not a signed head of the authority's log: {error}", _HINT
-        ) from error
+        raise LogDamaged(f"this is not a signed head of the authority's log: {error}", _HINT) from error
     return _read_head(value)
 
 
@@ -270,6 +265,4 @@ def _in_range(number: int) -> bool:
     return not isinstance(number, bool) and 0 <= number < _INT_LIMIT
 
 
-_HINT: Final = (
-    "the record was changed: compare it with a backup, and trust neither until you know why"
-)
+_HINT: Final = "the record was changed: compare it with a backup, and trust neither until you know why"

@@ -30,14 +30,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.encoding import Value, decode, encode
 from ca.errors import CAError, EncodingError, SignatureError, ThingOutdated, ThingRefused
-from ca.keys.signing import (
-    THUMBPRINT_SIZE,
-    Profile,
-    Signer,
-    from_coordinates,
-    thumbprint_of,
-    to_coordinates,
-)
+from ca.keys.signing import THUMBPRINT_SIZE, Profile, Signer, from_coordinates, thumbprint_of, to_coordinates
 from ca.names import check_domain, check_name, is_alias, is_reserved
 
 MAX_CCS: Final = 192  # octets; what lakers keeps of a credential
@@ -198,10 +191,9 @@ def read_description(data: bytes) -> ThingSecret:
 def read_key(confirmation: Value, subject: str) -> ThingKey:
     """The key in a claim `cnf`."""
     match confirmation:
-        case {
-            1: {1: 2, 2: bytes() as kid, -1: 1, -2: bytes() as x, -3: bytes() as y, **more},
-            **rest,
-        } if not rest and not more and len(x) == len(y) == _COORDINATE:
+        case {1: {1: 2, 2: bytes() as kid, -1: 1, -2: bytes() as x, -3: bytes() as y, **more}, **rest} if (
+            not rest and not more and len(x) == len(y) == _COORDINATE
+        ):
             key = ThingKey(kid, x + y, subject)
         case _:
             raise ThingRefused("not a P-256 key with kid, x and y of 32 octets each", _HINT)
@@ -258,16 +250,7 @@ SERIAL_SIZE: Final = 16
 ID_SIZE: Final = 16
 EDHOC, PSK = "edhoc", "psk"
 
-_STATEMENT_SUB, _AUD, _EXP, _NBF, _CTI, _STATEMENT_CNF, _BORDER, _SUBJECT = (
-    2,
-    3,
-    4,
-    5,
-    7,
-    8,
-    -70035,
-    -70040,
-)
+_STATEMENT_SUB, _AUD, _EXP, _NBF, _CTI, _STATEMENT_CNF, _BORDER, _SUBJECT = (2, 3, 4, 5, 7, 8, -70035, -70040)
 _INT_LIMIT: Final = 1 << 53
 _ID_PREFIX: Final = b"rossec-thing-id\0" + len(THING.protected).to_bytes(4) + THING.protected
 _STATEMENT_HINT: Final = "give a file that `rossec ca thing` wrote"
@@ -325,8 +308,7 @@ class ThingStatement:
             raise ThingOutdated(f"the statement about {self.name} expired {late} s ago", renew)
         if now < self.not_before:
             raise ThingOutdated(
-                f"the statement about {self.name} is not valid for another"
-                f" {self.not_before - now} s",
+                f"the statement about {self.name} is not valid for another {self.not_before - now} s",
                 "check the clocks of both computers",
             )
 
@@ -340,9 +322,7 @@ def check_thing_name(name: str) -> str:
     """
     check_name(name)
     if is_reserved(name) or is_alias(name):
-        raise ThingRefused(
-            f"{name} cannot be the name of a thing", "choose another, as /things/lamp"
-        )
+        raise ThingRefused(f"{name} cannot be the name of a thing", "choose another, as /things/lamp")
     return name
 
 
@@ -363,9 +343,7 @@ def open_statement(
     return statement
 
 
-def verify_statement(
-    data: bytes, ca_key: ec.EllipticCurvePublicKey, *, domain: str
-) -> ThingStatement:
+def verify_statement(data: bytes, ca_key: ec.EllipticCurvePublicKey, *, domain: str) -> ThingStatement:
     """As `open_statement`, without checking the time."""
     try:
         body = THING.open_body(data, ca_key, limit=MAX_STATEMENT)
@@ -408,10 +386,14 @@ def _id(body: bytes) -> bytes:
 
 def _claims(statement: ThingStatement) -> dict[int | str, Value]:
     claims: dict[int | str, Value] = {
-        _STATEMENT_SUB: statement.name, _AUD: statement.domain, _EXP: statement.expires,
-        _NBF: statement.not_before, _CTI: statement.serial,
-        _STATEMENT_CNF: write_confirmation(statement.credential), _BORDER: statement.border,
-    }  # fmt: skip
+        _STATEMENT_SUB: statement.name,
+        _AUD: statement.domain,
+        _EXP: statement.expires,
+        _NBF: statement.not_before,
+        _CTI: statement.serial,
+        _STATEMENT_CNF: write_confirmation(statement.credential),
+        _BORDER: statement.border,
+    }
     if isinstance(statement.credential, ThingKey) and statement.credential.subject:
         claims[_SUBJECT] = statement.credential.subject
     return claims
@@ -429,15 +411,19 @@ def _read(body: bytes) -> ThingStatement:
 def _statement(payload: Value) -> ThingStatement:
     match payload:
         case {
-            2: str() as name, 3: str() as domain, 4: int() as exp, 5: int() as nbf,
-            7: bytes() as serial, 8: confirmation, -70035: bytes() as border, **rest,
-        } if rest.keys() <= {_SUBJECT}:  # fmt: skip
+            2: str() as name,
+            3: str() as domain,
+            4: int() as exp,
+            5: int() as nbf,
+            7: bytes() as serial,
+            8: confirmation,
+            -70035: bytes() as border,
+            **rest,
+        } if rest.keys() <= {_SUBJECT}:
             subject = rest.get(_SUBJECT, "")
         case _:
             raise ThingRefused("a thing's statement has missing or unknown claims", _STATEMENT_HINT)
     if not isinstance(subject, str) or (_SUBJECT in rest and not subject):
-        raise ThingRefused(
-            "the subject of a thing's credential is empty, or not text", _STATEMENT_HINT
-        )
+        raise ThingRefused("the subject of a thing's credential is empty, or not text", _STATEMENT_HINT)
     credential = read_confirmation(confirmation, subject)
     return ThingStatement(domain, name, credential, border, nbf, exp, serial)

@@ -228,13 +228,9 @@ class _Compiler:
         match arguments:
             case (Literal(str() as text),) if name == "timestamp":
                 return "timestamp", self._source.bind(parse_timestamp(text))
-        raise ConditionRefused(
-            f"unknown function {name}()", 'expected timestamp("2026-11-20T18:00:00Z")'
-        )
+        raise ConditionRefused(f"unknown function {name}()", 'expected timestamp("2026-11-20T18:00:00Z")')
 
-    def _method(
-        self, target: Expression, name: str, arguments: tuple[Expression, ...]
-    ) -> tuple[str, str]:
+    def _method(self, target: Expression, name: str, arguments: tuple[Expression, ...]) -> tuple[str, str]:
         kind, code = self.compile(target)
         if kind == "timestamp" and name in FIELDS:
             return "int", f"{self._source.bind(clock_field(name, _zone(arguments)))}({code})"
@@ -244,8 +240,7 @@ class _Compiler:
                 return "bool", f"{self._source.bind(_METHODS[name])}({code},{argument})"
         known = list(FIELDS if kind == "timestamp" else _METHODS if kind == "string" else ())
         raise ConditionRefused(
-            f"a {kind} has no method {name}()",
-            f"expected one of {', '.join(known)}" if known else "",
+            f"a {kind} has no method {name}()", f"expected one of {', '.join(known)}" if known else ""
         )
 
 

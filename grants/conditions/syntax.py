@@ -114,9 +114,7 @@ def _tokens(text: str) -> list[Token]:
     while at < end:
         found = _TOKEN.match(text, at)
         if found is None or found.lastgroup is None:
-            raise ConditionRefused(
-                f"cannot read {text[at : at + 20].strip()!r} at character {at + 1}"
-            )
+            raise ConditionRefused(f"cannot read {text[at : at + 20].strip()!r} at character {at + 1}")
         token = Token(found.lastgroup, found[found.lastgroup], found.start(found.lastgroup) + 1)
         at = found.end()
         if token.kind in ("int", "float") and _NUMBER_END.match(text, at):
@@ -242,8 +240,7 @@ class _Parser:
         if self._take("("):
             return FunctionCall(None, token.text, self._items(")"))
         raise ConditionRefused(
-            f"unknown name {token.text!r} at character {token.at}",
-            "expected msg, now or timestamp()",
+            f"unknown name {token.text!r} at character {token.at}", "expected msg, now or timestamp()"
         )
 
     def _items(self, end: str) -> tuple[Expression, ...]:

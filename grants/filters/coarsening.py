@@ -112,8 +112,7 @@ class CommonState:
         if found is None:
             if len(self._states) >= _MAX_FIELDS:
                 raise MemoryExhausted(
-                    f"{_MAX_FIELDS} fields with hysteresis are stored already",
-                    "restart this node",
+                    f"{_MAX_FIELDS} fields with hysteresis are stored already", "restart this node"
                 )
             found = self._states[field] = HysteresisState()
         return found
@@ -168,8 +167,7 @@ def group_of(decision: Decision) -> Group:
     bodies = {each.body for each in decision.restrictions if each.body is not None}
     if len(bodies) > 1:
         raise RestrictionMismatch(
-            f"the grants for {decision.name} name {len(bodies)} bodies: "
-            + ", ".join(sorted(bodies)),
+            f"the grants for {decision.name} name {len(bodies)} bodies: " + ", ".join(sorted(bodies)),
             "what is one body has one name in the policy",
         )
     return (True, bodies.pop()) if bodies else (False, decision.name)
@@ -233,9 +231,7 @@ def round_floats(kind: Primitive, step: float) -> Rounding:
 def round_integers(kind: Primitive, step: float) -> Rounding:
     """For all integers; exact."""
     bits = 8 * kind.size
-    low, high = (
-        (0, (1 << bits) - 1) if kind.code.isupper() else (-(1 << bits - 1), (1 << bits - 1) - 1)
-    )
+    low, high = (0, (1 << bits) - 1) if kind.code.isupper() else (-(1 << bits - 1), (1 << bits - 1) - 1)
     if not float(step).is_integer() or step > high:
         raise FilterRefused(f"a step for {kind.name} must be whole and at most {high}")
     scalar = _exact(int(step), low, high)
@@ -442,27 +438,36 @@ MAX_SIDE: Final = 65535
 _IN_32_BITS: Final = ((1 << 32) - 1) // 255  # so many bytes can be summed
 
 # The fields of a sensor_msgs/Image that are read with its data.
-SIBLINGS: Final = (
-    ("height", "uint32"), ("width", "uint32"), ("encoding", "string"), ("step", "uint32"),
-)  # fmt: skip
+SIBLINGS: Final = (("height", "uint32"), ("width", "uint32"), ("encoding", "string"), ("step", "uint32"))
 
 # Bytes of a pixel: sensor_msgs/image_encodings.h.
 _NAMED: Final = {
-    "rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1,
-    "rgb16": 6, "bgr16": 6, "rgba16": 8, "bgra16": 8, "mono16": 2,
-}  # fmt: skip
+    "rgb8": 3,
+    "bgr8": 3,
+    "rgba8": 4,
+    "bgra8": 4,
+    "mono8": 1,
+    "rgb16": 6,
+    "bgr16": 6,
+    "rgba16": 8,
+    "bgra16": 8,
+    "mono16": 2,
+}
 _DEPTHS: Final = {"8U": 1, "8S": 1, "16U": 2, "16S": 2, "32S": 4, "32F": 4, "64F": 8}
 _GENERIC: Final = {
-    f"{depth}C{channels}": size * channels
-    for depth, size in _DEPTHS.items()
-    for channels in range(1, 5)
+    f"{depth}C{channels}": size * channels for depth, size in _DEPTHS.items() for channels in range(1, 5)
 }
 PIXEL_SIZES: Final = _NAMED | _GENERIC
 # Channels of a byte each: their number, and how many of them are colours. The rest is opacity.
 _CHANNELS: Final = {
-    "mono8": (1, 1), "8UC1": (1, 1), "rgb8": (3, 3), "bgr8": (3, 3), "8UC3": (3, 3),
-    "rgba8": (4, 3), "bgra8": (4, 3),
-}  # fmt: skip
+    "mono8": (1, 1),
+    "8UC1": (1, 1),
+    "rgb8": (3, 3),
+    "bgr8": (3, 3),
+    "8UC3": (3, 3),
+    "rgba8": (4, 3),
+    "bgra8": (4, 3),
+}
 
 
 def pixelation(
@@ -476,9 +481,7 @@ def pixelation(
     more than a byte a channel), or when the data is not `height` rows.
     """
 
-    def rewrite(
-        content: Buffer, height: int, width: int, encoding: str, step: int
-    ) -> tuple[Buffer, int]:
+    def rewrite(content: Buffer, height: int, width: int, encoding: str, step: int) -> tuple[Buffer, int]:
         size = PIXEL_SIZES.get(encoding) if levels is None else _CHANNELS.get(encoding, (None,))[0]
         if size is None or width * size > step or height * step != len(content):
             raise ValueError

@@ -19,15 +19,7 @@ from typing import Final, TypeAlias
 from grants.errors import FilterRefused
 from grants.filters.coarsening import CommonState, FieldKey, HysteresisState
 from grants.filters.hashing import Keys
-from grants.filters.layout import (
-    LAYOUT_ERRORS,
-    Array,
-    Buffer,
-    Layout,
-    Struct,
-    Type,
-    layout_mismatch,
-)
+from grants.filters.layout import LAYOUT_ERRORS, Array, Buffer, Layout, Struct, Type, layout_mismatch
 from grants.filters.message_rewriter import generate
 from grants.filters.operators import (
     AFTER_OTHERS,
@@ -159,20 +151,15 @@ def _check_siblings(kind: Struct, name: str, treatment: SiblingTreatment, path: 
         )
 
 
-def _bind_hysteresis(
-    node: Node, states: Callable[[FieldKey], HysteresisState], path: FieldKey
-) -> Node:
+def _bind_hysteresis(node: Node, states: Callable[[FieldKey], HysteresisState], path: FieldKey) -> Node:
     match node:
-        case FieldTreatment(
-            kind, Numbers(hysteresis=HysteresisBinding(parameters, bind)) as numbers
-        ):
+        case FieldTreatment(kind, Numbers(hysteresis=HysteresisBinding(parameters, bind)) as numbers):
             state = states((*path, kind.name, *parameters))
             return FieldTreatment(kind, replace(numbers, scalar=bind(state)))
         case StructTreatment(kind, parts):
             fields = zip(kind.fields, parts, strict=True)
             return StructTreatment(
-                kind,
-                tuple(_bind_hysteresis(part, states, (*path, name)) for (name, _), part in fields),
+                kind, tuple(_bind_hysteresis(part, states, (*path, name)) for (name, _), part in fields)
             )
         case _:
             return node
@@ -230,8 +217,7 @@ def _parts(kind: Struct, parts: list[Node]) -> Node:
 def _each(kind: Array, element: Node) -> Node:
     if has_hysteresis(element):
         raise FilterRefused(
-            f"hysteresis cannot be used on {kind.name}",
-            "array elements have no identity between messages",
+            f"hysteresis cannot be used on {kind.name}", "array elements have no identity between messages"
         )
     if isinstance(element, Keep) or kind.size == 0 or kind.element.size == 0:
         return Keep(kind)  # elements without bytes have nothing to treat
@@ -272,24 +258,22 @@ class Preset:
     def restriction(self, layout: Layout) -> Restriction:
         large = layout.type_name == _OUTDOORS and self.outdoors is not None
         return Restriction(
-            type=layout.type_name, filters=filter_rules(self._rules(layout)), rate=self.rate,
+            type=layout.type_name,
+            filters=filter_rules(self._rules(layout)),
+            rate=self.rate,
             slot=self.outdoors if large else self.slot,
-        )  # fmt: skip
+        )
 
 
 def _header(step: float) -> _Rules:
-    return {
-        "header.seq": _CLEAR,
-        "header.stamp": {"round": {"step": step}},
-    }
+    return {"header.seq": _CLEAR, "header.stamp": {"round": {"step": step}}}
 
 
 def _for(types: Mapping[str, _Rules]) -> Callable[[Layout], _Rules]:
     def rules(layout: Layout) -> _Rules:
         if layout.type_name not in types:
             raise FilterRefused(
-                f"the preset does not support {layout.type_name}",
-                f"it supports {', '.join(types)}",
+                f"the preset does not support {layout.type_name}", f"it supports {', '.join(types)}"
             )
         return types[layout.type_name]
 
@@ -303,14 +287,9 @@ def _everything(layout: Layout) -> _Rules:
 
 # A scan has no coarse form: walls to a metre are the position to a centimetre.
 _COARSE: Final[Mapping[str, _Rules]] = {
-    "geometry_msgs/PoseStamped": _header(60)
-    | {"pose.position": _POSITION, "pose.orientation": _CLEAR},
+    "geometry_msgs/PoseStamped": _header(60) | {"pose.position": _POSITION, "pose.orientation": _CLEAR},
     "geometry_msgs/PoseWithCovarianceStamped": _header(60)
-    | {
-        "pose.pose.position": _POSITION,
-        "pose.pose.orientation": _CLEAR,
-        "pose.covariance": _CLEAR,
-    },
+    | {"pose.pose.position": _POSITION, "pose.pose.orientation": _CLEAR, "pose.covariance": _CLEAR},
     "geometry_msgs/PointStamped": _header(60) | {"point": _POSITION},
     "nav_msgs/Odometry": _header(60)
     | {
@@ -321,9 +300,7 @@ _COARSE: Final[Mapping[str, _Rules]] = {
     },
     "sensor_msgs/NavSatFix": _header(60)
     | {"latitude": _DEGREES, "longitude": _DEGREES}
-    | dict.fromkeys(
-        ("status", "altitude", "position_covariance", "position_covariance_type"), _CLEAR
-    ),
+    | dict.fromkeys(("status", "altitude", "position_covariance", "position_covariance_type"), _CLEAR),
     "sensor_msgs/JointState": _header(60)
     # Of wheels, they are the way that was gone.
     | {"position": _DROP, "velocity": _DROP, "effort": _DROP},
@@ -340,8 +317,7 @@ _DIAGNOSTICS: Final[Mapping[str, _Rules]] = {
 }
 _CAMERA: Final[Mapping[str, _Rules]] = {
     # Squares of 32 pixels hide a face at 320 x 240, and show everybody's at 1920 x 1080.
-    "sensor_msgs/Image": _header(10)
-    | {"data": {"pixelate": {"across": 16, "block": 32, "levels": 8}}}
+    "sensor_msgs/Image": _header(10) | {"data": {"pixelate": {"across": 16, "block": 32, "levels": 8}}}
 }
 
 PRESETS: Final[dict[str, Preset]] = {

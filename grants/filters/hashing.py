@@ -33,9 +33,7 @@ def check_key_name(name: object) -> str:
         FilterRefused: not 1 to 32 lower case letters, digits, `-` and `_`, a letter first.
     """
     if not isinstance(name, str) or _KEY_NAME.fullmatch(name) is None:
-        raise FilterRefused(
-            f"not a key name: {str(name)[:40]!r}", "for example {hash: {key: ward}}"
-        )
+        raise FilterRefused(f"not a key name: {str(name)[:40]!r}", "for example {hash: {key: ward}}")
     return name
 
 

@@ -106,12 +106,23 @@ _Sized = TypeVar("_Sized", Array, Struct)
 PRIMITIVES: Final = {
     name: Primitive(name, code, size)
     for name, code, size in (
-        ("bool", "B", 1), ("char", "B", 1), ("byte", "b", 1),
-        ("int8", "b", 1), ("uint8", "B", 1), ("int16", "h", 2), ("uint16", "H", 2),
-        ("int32", "i", 4), ("uint32", "I", 4), ("int64", "q", 8), ("uint64", "Q", 8),
-        ("float32", "f", 4), ("float64", "d", 8), ("time", "II", 8), ("duration", "ii", 8),
+        ("bool", "B", 1),
+        ("char", "B", 1),
+        ("byte", "b", 1),
+        ("int8", "b", 1),
+        ("uint8", "B", 1),
+        ("int16", "h", 2),
+        ("uint16", "H", 2),
+        ("int32", "i", 4),
+        ("uint32", "I", 4),
+        ("int64", "q", 8),
+        ("uint64", "Q", 8),
+        ("float32", "f", 4),
+        ("float64", "d", 8),
+        ("time", "II", 8),
+        ("duration", "ii", 8),
     )
-}  # fmt: skip
+}
 _BUILT_IN: Final[dict[str, Type]] = {**PRIMITIVES, "string": Text()}
 _CONSTANT_TYPES: Final = _BUILT_IN.keys() - {"time", "duration"}
 
@@ -161,9 +172,7 @@ def dependencies(type_name: str, definition: str) -> frozenset[str]:
     """The message types that the fields of one definition (a .msg file) use."""
     _, declared = _statements(type_name, definition.split("\n"))
     bases = ((_base(type_name, text)[0], text) for text in declared.values())
-    return frozenset(
-        _full_name(type_name, base, text) for base, text in bases if base not in _BUILT_IN
-    )
+    return frozenset(_full_name(type_name, base, text) for base, text in bases if base not in _BUILT_IN)
 
 
 def service_md5(request: Layout, response: Layout) -> str:

@@ -74,11 +74,7 @@ def columns(node: Node, offset: int) -> list[Column]:
             return found
         case ArrayTreatment(kind, element):
             size = kind.element.size or 0
-            return [
-                column
-                for n in range(kind.length or 0)
-                for column in columns(element, offset + n * size)
-            ]
+            return [column for n in range(kind.length or 0) for column in columns(element, offset + n * size)]
         case FieldTreatment(_, Constant(data)):
             fill = np.frombuffer(data, np.uint8)
             return [Column(offset, "<u1", len(data), lambda _: fill)]
@@ -229,9 +225,7 @@ class ArrayCollector(Cursor):
         return f"{self.source.bind(_patcher(tables))}(({''.join(f'{name},' for name in names)}))"
 
 
-def _patcher(
-    tables: list[Table],
-) -> Callable[[tuple[list[int], ...]], Callable[[Buffer, int, int], Buffer]]:
+def _patcher(tables: list[Table]) -> Callable[[tuple[list[int], ...]], Callable[[Buffer, int, int], Buffer]]:
     return lambda positions: partial(_patch, tables, positions)
 
 
@@ -351,9 +345,7 @@ class _Writer(Cursor):
         self._pieces.extend(pieces)
         self._copied = self.position
 
-    def _content(
-        self, kind: Type, rewrite: Callable[..., tuple[Buffer, int]], siblings: list[str]
-    ) -> None:
+    def _content(self, kind: Type, rewrite: Callable[..., tuple[Buffer, int]], siblings: list[str]) -> None:
         start = self.position
         self._flush()
         self.skip(kind)
@@ -474,9 +466,7 @@ def _siblings(node: Node) -> tuple[str, ...]:
             return ()
 
 
-def _prefixed(
-    rewrite: Callable[..., tuple[Buffer, int]],
-) -> Callable[..., tuple[bytes, Buffer]]:
+def _prefixed(rewrite: Callable[..., tuple[Buffer, int]]) -> Callable[..., tuple[bytes, Buffer]]:
     def rewritten(*values: Any) -> tuple[bytes, Buffer]:
         body, length = rewrite(*values)
         return length.to_bytes(4, "little"), body

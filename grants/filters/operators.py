@@ -222,9 +222,7 @@ def rooms(parameters: Parameters) -> TreatmentForType:
         position = _as_one_value(kind)
         snap = bind(HysteresisState())
         found = Numbers(snap, snap_rows(snap, len(position.code)), kind=position)
-        return (
-            found if reach is None else replace(found, hysteresis=HysteresisBinding(identity, bind))
-        )
+        return found if reach is None else replace(found, hysteresis=HysteresisBinding(identity, bind))
 
     return treat
 

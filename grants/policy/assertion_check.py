@@ -124,9 +124,7 @@ def _hash(_: _Parameters, _kind: Kind, _path: str) -> Passing:
 
 
 def _pixelate(_: _Parameters, _kind: Kind, path: str) -> Passing:
-    raise FilterRefused(
-        f"what is seen of {path} depends on other fields of the picture", "ask for its level"
-    )
+    raise FilterRefused(f"what is seen of {path} depends on other fields of the picture", "ask for its level")
 
 
 def _rooms(parameters: _Parameters, _kind: Kind, path: str) -> Passing:
@@ -134,9 +132,7 @@ def _rooms(parameters: _Parameters, _kind: Kind, path: str) -> Passing:
     if name not in _ROOM_FIELDS:
         return Passing(Through.TOLD)  # zero in a room, NaN outside
     plan = read_plan({name: text for name, text in parameters.items() if name != "hysteresis"})
-    return Passing(
-        Through.STEPS, min(_inner(room, _ROOM_FIELDS.index(name)) for room in plan), True
-    )
+    return Passing(Through.STEPS, min(_inner(room, _ROOM_FIELDS.index(name)) for room in plan), True)
 
 
 def _inner(room: Room, axis: int) -> float:
@@ -209,21 +205,16 @@ class Sight:
             nothing is known.
     """
 
-    def __init__(
-        self, layout: Layout, verdict: Verdict, frames: Collection[str] = frozenset()
-    ) -> None:
+    def __init__(self, layout: Layout, verdict: Verdict, frames: Collection[str] = frozenset()) -> None:
         self._frames = frames
         self._layout = layout
         self._leaves = leaves(layout)
         self._conditions = [text for each in verdict.restrictions for text in each.conditions]
         restrictions = tuple(
-            replace(
-                each, conditions=(), rate=None, slot=None,
-                filters=tuple(map(_stateless, each.filters)),
-            )
+            replace(each, conditions=(), rate=None, slot=None, filters=tuple(map(_stateless, each.filters)))
             for each in verdict.restrictions
             if each.filters
-        )  # fmt: skip
+        )
         self._rules = [rule for each in restrictions for rule in each.filters]
         decision = Decision(verdict.right, verdict.name, (), _FOREVER, restrictions)
         keys = dict.fromkeys(needed_keys(restrictions), bytes(FILTER_KEY_SIZE))
@@ -392,9 +383,7 @@ class _Checker:
         for seen in test.seen:
             first, *others = self._variants(test)
             allowed = (
-                each
-                for each in others
-                if self._decider.decide(each.subject, Right.SUBSCRIBE, seen.topic)
+                each for each in others if self._decider.decide(each.subject, Right.SUBSCRIBE, seen.topic)
             )
             yield _first_failure(self._seen(each, seen) for each in (first, *allowed))
 
@@ -461,9 +450,10 @@ class _Checker:
         rules = self._decider.rules_of(subject)
         denied = [
             clause.pattern
-            for rule in rules if rule.effect is Effect.DENY
+            for rule in rules
+            if rule.effect is Effect.DENY
             for clause in _clauses(rule, subject, claim.right)
-        ]  # fmt: skip
+        ]
         for rule in rules:
             if rule.effect is Effect.DENY or (is_basics(rule) and is_pattern(name)):
                 continue
@@ -536,9 +526,7 @@ def _keys_of(named: Iterable[SubjectPattern], name: str, subject: Subject) -> li
     # The keys that rules pin for a node or for any, unless the test is about one key.
     if subject.key != _ANY_KEY:
         return []
-    return [
-        who.key for who in named if who.key and (not who.node or pattern_covers(who.node, name))
-    ]
+    return [who.key for who in named if who.key and (not who.node or pattern_covers(who.node, name))]
 
 
 _ANY_KEY = bytes(32)

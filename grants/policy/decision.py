@@ -94,16 +94,12 @@ class Index:
             branch.hits.setdefault(key, []).append((rule, clause))
 
 
-def hits(
-    rules: Iterable[PolicyRule], subject: Subject, right: Right, requested: str
-) -> Iterator[Hit]:
+def hits(rules: Iterable[PolicyRule], subject: Subject, right: Right, requested: str) -> Iterator[Hit]:
     """Every clause of `rules` that decides on `requested`, a name or a pattern, for `subject`."""
     return applied((rule for rule in rules if rule.applies_to(subject)), subject, right, requested)
 
 
-def applied(
-    rules: Iterable[PolicyRule], subject: Subject, right: Right, requested: str
-) -> Iterator[Hit]:
+def applied(rules: Iterable[PolicyRule], subject: Subject, right: Right, requested: str) -> Iterator[Hit]:
     """As `hits`, of rules that apply to `subject`.
 
     Of a pattern, and of a parameter with all below it, every clause counts that overlaps with it: a
@@ -244,9 +240,7 @@ class Decider:
     def rules_of(self, subject: Subject) -> list[PolicyRule]:
         return self._index.rules_of(subject)
 
-    def decide_by(
-        self, rules: Iterable[PolicyRule], subject: Subject, right: Right, name: str
-    ) -> Verdict:
+    def decide_by(self, rules: Iterable[PolicyRule], subject: Subject, right: Right, name: str) -> Verdict:
         """As `decide`, with all checked before; `rules` are those of the subject (`rules_of`)."""
         found = (
             list(applied(rules, subject, right, name))
@@ -367,9 +361,7 @@ def _near_miss(rule: PolicyRule, verdict: Verdict) -> str:
     if not rule.applies_to(verdict.subject):
         if not given:
             return ""
-        other_key = any(
-            who.matches(replace(verdict.subject, key=who.key or b"")) for who in rule.who
-        )
+        other_key = any(who.matches(replace(verdict.subject, key=who.key or b"")) for who in rule.who)
         prefix = "another key of " if other_key else ""
         return f"rule {rule.id} is for {prefix}{rule.subjects_text}, not {verdict.subject.name}"
     if given:

@@ -293,9 +293,8 @@ class _Chosen(NamedTuple):
 
 
 def _choose(
-    state: WantedState, subject: Subject, wanted: Wanted, ours: list[Grant], moment: Moment,
-    *, gets: bool,
-) -> _Chosen:  # fmt: skip
+    state: WantedState, subject: Subject, wanted: Wanted, ours: list[Grant], moment: Moment, *, gets: bool
+) -> _Chosen:
     exact = [grant for grant in ours if _is_exact(state, subject, grant, moment.skew)]
     gone = [grant for grant in ours if grant not in exact]
     held = [grant for grant in exact if moment.now < moment.end(grant)]
@@ -392,9 +391,7 @@ def _too_many(subject: Subject, number: int) -> str:
     )
 
 
-def _groups(
-    rights: Iterable[WantedRight], *, by_rules: bool = True
-) -> list[tuple[WantedRight, ...]]:
+def _groups(rights: Iterable[WantedRight], *, by_rules: bool = True) -> list[tuple[WantedRight, ...]]:
     # Tail patterns have grants of their own: a verifier that does not know them refuses the grant.
     groups: dict[tuple[str, int, int, bool], list[WantedRight]] = {}
     for each in rights:

@@ -362,11 +362,7 @@ def _is_learned(rule: PolicyRule, node: str) -> bool:
 
 
 def _rule(
-    name: str,
-    node: str,
-    observed: Sequence[Observation],
-    day: str,
-    kinds: Mapping[str, Collection[str]],
+    name: str, node: str, observed: Sequence[Observation], day: str, kinds: Mapping[str, Collection[str]]
 ) -> NewRule:
     rights: dict[str, list[str]] = {}
     for item in observed:

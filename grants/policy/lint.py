@@ -53,15 +53,7 @@ from grants.policy.lint_views import (
     too_small,
 )
 from grants.policy.model import Clause, Effect, Policy, PolicyRule, SubjectPattern
-from grants.policy.names import (
-    NODE,
-    any_node,
-    gives,
-    includes,
-    intersects,
-    is_own,
-    speaks_for_others,
-)
+from grants.policy.names import NODE, any_node, gives, includes, intersects, is_own, speaks_for_others
 from grants.policy.privacy import filters_of
 from grants.vocabulary.levels import NARROWEST, SMALLEST, Treatment, narrowest, smallest
 
@@ -85,9 +77,7 @@ def rates(scene: Scene) -> Iterator[Finding]:
     """A coarse value, or an empty message, at the full rate or a high one."""
     for views in scene.views.values():
         for view in views:
-            rounded = any(
-                view.filter_on(path).operator in _CELLS for path in view.coarse(Aspect.POSITION)
-            )
+            rounded = any(view.filter_on(path).operator in _CELLS for path in view.coarse(Aspect.POSITION))
             squares = bool(view.coarse(Aspect.IMAGE))
             if (rounded or squares or view.is_empty) and not view.has_slot:
                 yield from _rate(view, "coarse" if rounded or squares else "empty")
@@ -139,9 +129,7 @@ def _hysteresis(view: View, rule: FilterRule) -> Iterator[Finding]:
     share = dict(rule.parameters).get("hysteresis")
     better = _with_hysteresis(rule, _step(rule))
     if share is None and not _has_hysteresis(view, rule):
-        yield _finding(
-            view, rule, "no-hysteresis", f"{rule.path} is rounded without hysteresis", better
-        )
+        yield _finding(view, rule, "no-hysteresis", f"{rule.path} is rounded without hysteresis", better)
     elif share is not None and float(share) * _SMALLEST_SHARE < _step(rule):
         what = f"a hysteresis of {share} on {rule.path} of {view.topic} is within the noise"
         yield _finding(view, rule, "hysteresis-does-nothing", what, better)
@@ -332,9 +320,7 @@ def shadowed(scene: Scene) -> Iterator[Finding]:
                     verb = "denied" if other.effect is Effect.DENY else "allowed"
                     what = f"{clause.right.label} {clause.pattern} never applies"
                     message = f"{what}: it is always {verb} by rule {other.id}"
-                    yield _of(
-                        rule, "never-decides", message, "remove it, or narrow the other", ": "
-                    )
+                    yield _of(rule, "never-decides", message, "remove it, or narrow the other", ": ")
                     break
 
 
@@ -408,9 +394,13 @@ def _giving(scene: Scene) -> Iterator[PolicyRule]:
 
 
 def _of(
-    rule: PolicyRule, code: str, message: str, hint: str, joint: str = " ",
+    rule: PolicyRule,
+    code: str,
+    message: str,
+    hint: str,
+    joint: str = " ",
     suggestions: tuple[Suggestion, ...] = (),
-) -> Finding:  # fmt: skip
+) -> Finding:
     return Finding(rule.line, code, f"rule {rule.id}{joint}{message}", hint, suggestions)
 
 

@@ -35,9 +35,7 @@ class Advice:
 ADVICE: Final[dict[str, Advice]] = {
     # rules
     "no-reason": Advice("a rule without `why`", "say why: people are shown it"),
-    "no-lifetime": Advice(
-        "neither the rule nor `defaults` has a `lifetime`", "say how long a grant holds"
-    ),
+    "no-lifetime": Advice("neither the rule nor `defaults` has a `lifetime`", "say how long a grant holds"),
     "long-lifetime": Advice("rights for more than a year", "shorten it; renewal is automatic"),
     "wide-right": Advice(
         "a right to act on everything below a name, not the node's own",
@@ -45,7 +43,7 @@ ADVICE: Final[dict[str, Advice]] = {
     ),
     "speaks-for-others": Advice(
         "several nodes may publish, provide or set names of each other",
-        'write `"{node}/pose"`, the own names of each'
+        'write `"{node}/pose"`, the own names of each',
     ),
     "keep-when-stale": Advice(
         "connections that outlive withheld revocation data",
@@ -60,15 +58,13 @@ ADVICE: Final[dict[str, Advice]] = {
     "unused-type": Advice("the type of a topic that no rule names", "remove it, or correct it"),
     # conditions
     "condition-tells": Advice(
-        "a condition reads a field that the same receiver may not see: that a message comes"
-        " tells its value",
+        "a condition reads a field that the same receiver may not see: that a message comes tells its value",
         "remove the condition, or leave the field as it is",
     ),
     # fields of the same message
     "position-open": Advice("a coordinate is filtered, another is not", "filter it as well"),
     "movement-open": Advice(
-        "the position is filtered, the velocity is not: the path follows by integration",
-        "clear the velocity",
+        "the position is filtered, the velocity is not: the path follows by integration", "clear the velocity"
     ),
     "heading-open": Advice(
         "the position is filtered, the orientation is not: turns show the direction of movement",
@@ -83,26 +79,21 @@ ADVICE: Final[dict[str, Advice]] = {
         "round the stamp, clear `seq`",
     ),
     "name-open": Advice(
-        "one name of a thing is hidden, another is not: a name that occurs once links the rest",
-        "clear it",
+        "one name of a thing is hidden, another is not: a name that occurs once links the rest", "clear it"
     ),
     # parameters
     "no-hysteresis": Advice(
-        "rounded without hysteresis: changes at a border show the exact position",
-        "add half of the step",
+        "rounded without hysteresis: changes at a border show the exact position", "add half of the step"
     ),
     "no-rate": Advice(
-        "coarse, but every message is sent: they average to the exact value, and tell when it"
-        " changes",
+        "coarse, but every message is sent: they average to the exact value, and tell when it changes",
         "limit the rate",
     ),
     "rounded-array": Advice(
         "values of an array are rounded: together they give the exact ones", "clear the array"
     ),
     "step-does-nothing": Advice("a step smaller than what the sensor errs", "use a larger step"),
-    "hysteresis-does-nothing": Advice(
-        "a hysteresis below a tenth of the step", "use half of the step"
-    ),
+    "hysteresis-does-nothing": Advice("a hysteresis below a tenth of the step", "use half of the step"),
     "rate-does-nothing": Advice(
         "a rate as high as the topic's own: a robot is seen every half metre", "lower the rate"
     ),
@@ -114,26 +105,19 @@ ADVICE: Final[dict[str, Advice]] = {
         "say how many there are `across`, at most",
     ),
     "region-open": Advice(
-        "only a region of a picture is in squares: what is beside it is as it is",
-        "treat the whole picture",
+        "only a region of a picture is in squares: what is beside it is as it is", "treat the whole picture"
     ),
     "no-grey-levels": Advice(
-        "squares that show the colour of one pixel: ten moving pictures show a face",
-        "add 8 levels of grey",
+        "squares that show the colour of one pixel: ten moving pictures show a face", "add 8 levels of grey"
     ),
-    "rooms-too-small": Advice(
-        "rooms below 1 m² or 0.8 m: a fine grid", "give real rooms, or round to 4 m"
-    ),
-    "clamp-keeps-values": Advice(
-        "a clamped position is exact between the limits", "round it, or clear it"
-    ),
+    "rooms-too-small": Advice("rooms below 1 m² or 0.8 m: a fine grid", "give real rooms, or round to 4 m"),
+    "clamp-keeps-values": Advice("a clamped position is exact between the limits", "round it, or clear it"),
     # other topics and receivers
     "exact-relative": Advice(
         "the receiver sees another topic exactly that shows the same", "filter that as well"
     ),
     "presence-open": Advice(
-        "one topic is seen in slots, another of the same place as its messages come: they tell the"
-        " moment",
+        "one topic is seen in slots, another of the same place as its messages come: they tell the moment",
         "put it in slots as well",
     ),
     "service-tells": Advice(
@@ -141,13 +125,11 @@ ADVICE: Final[dict[str, Advice]] = {
         "take the right to call it out",
     ),
     "graph-tells": Advice(
-        "the right to the graph beside something hidden: it tells who publishes, when, and how many"
-        " messages",
+        "the right to the graph beside something hidden: it tells who publishes, when, and how many messages",
         "take it out, or limit it to other names",
     ),
     "wheels-open": Advice(
-        "the position is filtered, and joints are in steps: those of wheels give the path",
-        "clear the joints",
+        "the position is filtered, and joints are in steps: those of wheels give the path", "clear the joints"
     ),
     "unknown-type": Advice(
         "beside something filtered, the receiver sees a topic of which lint knows nothing",
@@ -162,16 +144,23 @@ ADVICE: Final[dict[str, Advice]] = {
         "add `per: receiver`",
     ),
     "second-receiver": Advice(
-        "another node of the same owner sees exactly what this one sees coarsely",
-        "filter it for both",
+        "another node of the same owner sees exactly what this one sees coarsely", "filter it for both"
     ),
-}  # fmt: skip
+}
 
 
-FORM: Final = frozenset({
-    "no-reason", "no-lifetime", "long-lifetime", "never-decides",
-    "unused-identity", "unused-group", "unused-filter", "unused-type",
-})  # fmt: skip
+FORM: Final = frozenset(
+    {
+        "no-reason",
+        "no-lifetime",
+        "long-lifetime",
+        "never-decides",
+        "unused-identity",
+        "unused-group",
+        "unused-filter",
+        "unused-type",
+    }
+)
 """Codes of what gives nothing away; every other code is a leak, or a right that is too wide."""
 
 
@@ -226,10 +215,20 @@ ROOM_REACH: Final = 0.5  # metres
 SHARE: Final = 2  # the hysteresis is this part of a step
 
 _TELLING: Final = (
-    Aspect.POSITION, Aspect.HEADING, Aspect.MOVEMENT, Aspect.COVARIANCE, Aspect.SURROUNDINGS,
-    Aspect.IMAGE, Aspect.JOINT, Aspect.JOINT_RATE, Aspect.STATE, Aspect.WARMTH, Aspect.HUMIDITY,
-    Aspect.LIGHT, Aspect.SOUND,
-)  # fmt: skip
+    Aspect.POSITION,
+    Aspect.HEADING,
+    Aspect.MOVEMENT,
+    Aspect.COVARIANCE,
+    Aspect.SURROUNDINGS,
+    Aspect.IMAGE,
+    Aspect.JOINT,
+    Aspect.JOINT_RATE,
+    Aspect.STATE,
+    Aspect.WARMTH,
+    Aspect.HUMIDITY,
+    Aspect.LIGHT,
+    Aspect.SOUND,
+)
 
 Closed = tuple[str, str, tuple[Suggestion, ...]]
 
@@ -281,9 +280,7 @@ def _closed(view: View, path: str) -> FilterRule:
             return FilterRule(path, "clear")
 
 
-def replacing(
-    view: View, old: FilterRule, better: FilterRule
-) -> tuple[str, tuple[Suggestion, ...]]:
+def replacing(view: View, old: FilterRule, better: FilterRule) -> tuple[str, tuple[Suggestion, ...]]:
     """The text of `better` in place of the filter `old`, else of a cleared field."""
     for candidate in (better, FilterRule(old.path, "clear")):
         if fits(view, (candidate,), old):

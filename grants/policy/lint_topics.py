@@ -88,8 +88,7 @@ class Related(NamedTuple):
 _MOVES: Final = (Aspect.MOVEMENT, Aspect.JOINT_RATE, Aspect.JOINT)
 RELATED: Final[tuple[Related, ...]] = (
     Related(
-        _MOVES,
-        (*_MOVES, Aspect.POSITION, Aspect.HEADING, Aspect.SURROUNDINGS, Aspect.IMAGE, Aspect.STATE),
+        _MOVES, (*_MOVES, Aspect.POSITION, Aspect.HEADING, Aspect.SURROUNDINGS, Aspect.IMAGE, Aspect.STATE)
     ),
     Related((Aspect.SOUND,), (Aspect.SOUND,)),
     Related((Aspect.WARMTH,), (Aspect.WARMTH, Aspect.HUMIDITY)),
@@ -99,16 +98,35 @@ RELATED: Final[tuple[Related, ...]] = (
     Related((Aspect.PLAN,), (Aspect.PLAN, Aspect.SURROUNDINGS)),
     Related((Aspect.NAME,), (Aspect.NAME, Aspect.MARK)),
 )
-_ASKED: Final = frozenset({
-    "make_plan", "get_plan", "get_map", "static_map", "dynamic_map", "get_pose", "get_robot_pose",
-    "current_pose", "get_odom", "get_model_state", "get_link_state", "get_costmap", "get_path",
-    "get_state", "lookup_transform", "tf2_frames",
-})  # fmt: skip
+_ASKED: Final = frozenset(
+    {
+        "make_plan",
+        "get_plan",
+        "get_map",
+        "static_map",
+        "dynamic_map",
+        "get_pose",
+        "get_robot_pose",
+        "current_pose",
+        "get_odom",
+        "get_model_state",
+        "get_link_state",
+        "get_costmap",
+        "get_path",
+        "get_state",
+        "lookup_transform",
+        "tf2_frames",
+    }
+)
 """Services by the last segment of their names: a policy says no types of services."""
 _EVERYWHERE: Final = (
-    "/move_base/make_plan", "/static_map", "/dynamic_map", "/map_server/get_map",
-    "/gazebo/get_model_state", "/tf2_frames",
-)  # fmt: skip
+    "/move_base/make_plan",
+    "/static_map",
+    "/dynamic_map",
+    "/map_server/get_map",
+    "/gazebo/get_model_state",
+    "/tf2_frames",
+)
 
 
 def related(scene: Scene) -> Iterator[Finding]:
@@ -186,9 +204,7 @@ def _is_beside(view: View, slotted: View) -> bool:
         return False
     mine, other = (each.topic.rpartition("/")[0] for each in (view, slotted))
     sent_for_it = view.topic.startswith(f"{view.receiver.subject.name}/")
-    return not sent_for_it and (
-        f"{mine}/".startswith(f"{other}/") or f"{other}/".startswith(f"{mine}/")
-    )
+    return not sent_for_it and (f"{mine}/".startswith(f"{other}/") or f"{other}/".startswith(f"{mine}/"))
 
 
 def services(scene: Scene) -> Iterator[Finding]:
@@ -267,7 +283,9 @@ def saved_poses(scene: Scene) -> Iterator[Finding]:
             continue
         verdict = scene.decider.decide(receiver.subject, Right.PARAM_GET, SAVED_POSE)
         if verdict:
-            message = f"{_lint_relatives_begin(coarse)}, but may read {SAVED_POSE}, where amcl saves the position"
+            message = (
+                f"{_lint_relatives_begin(coarse)}, but may read {SAVED_POSE}, where amcl saves the position"
+            )
             pattern = verdict.clauses[0].pattern
             hint = f"name the parameters it needs instead of {pattern}"
             yield Finding(verdict.rules[0].line, "exact-relative", message, hint)
@@ -487,7 +505,9 @@ def wheels(scene: Scene) -> Iterator[Finding]:
         for view in views if coarse is not None else ():
             found = view.coarse(Aspect.JOINT)
             if coarse is not None and found:
-                message = f"{_lint_relatives_begin(coarse)}, and joints of {view.topic} in steps: wheels tell it"
+                message = (
+                    f"{_lint_relatives_begin(coarse)}, and joints of {view.topic} in steps: wheels tell it"
+                )
                 old = view.filter_on(found[0])
                 hint, suggestions = replacing(view, old, FilterRule(old.path, "clear"))
                 line = coarse.rule.line

@@ -84,13 +84,11 @@ _OF: Final[Mapping[Content, Aspect]] = {
 }
 _NUMBERS_ONLY: Final = frozenset({Content.UNCERTAINTY, Content.DISTANCE, Content.MAP})
 """Beside the values these have sizes and states, which alone show little."""
-AMBIENT: Final = frozenset({
-    Content.AMBIENT_TEMPERATURE, Content.AMBIENT_HUMIDITY, Content.AMBIENT_BRIGHTNESS,
-})  # fmt: skip
+AMBIENT: Final = frozenset(
+    {Content.AMBIENT_TEMPERATURE, Content.AMBIENT_HUMIDITY, Content.AMBIENT_BRIGHTNESS}
+)
 """Of a sensor that may be carried about, so the room follows from it."""
-DEPTH: Final = frozenset({
-    "sensor_msgs/PointCloud", "sensor_msgs/PointCloud2", "stereo_msgs/DisparityImage",
-})  # fmt: skip
+DEPTH: Final = frozenset({"sensor_msgs/PointCloud", "sensor_msgs/PointCloud2", "stereo_msgs/DisparityImage"})
 """Types in whose points a person is recognised as in a picture; the names of their topics."""
 CLOUDS: Final = ("points", "pointcloud")
 _STEADY: Final = ("diagnostic_msgs/", "tf2_msgs/")  # their states hardly tell where something is
@@ -111,9 +109,7 @@ _CONVENTIONS: Final[Mapping[str, Aspect]] = {
     "joint_states": Aspect.JOINT,
     **dict.fromkeys(("scan", *CLOUDS), Aspect.SURROUNDINGS),
     **dict.fromkeys(("camera", "image", "image_raw", "image_color", "compressed"), Aspect.IMAGE),
-    **dict.fromkeys(
-        ("clock", "rosout", "rosout_agg", "map", "camera_info", "tf_static"), Aspect.NOTHING
-    ),
+    **dict.fromkeys(("clock", "rosout", "rosout_agg", "map", "camera_info", "tf_static"), Aspect.NOTHING),
 }
 EVERYWHERE: Final = ("/tf", "/odom", "/amcl_pose", "/scan", "/cmd_vel", "/camera/image_raw", "/fix")
 """Topics of most robots, which a pattern may cover though no line names them."""
@@ -172,8 +168,7 @@ def _is_value(kind: Type) -> bool:
 def _is_of_velocity(field: FieldContent, described: Description) -> bool:
     above = field.path.rpartition(".")[0]
     return any(
-        other.content is Content.VELOCITY and other.path.startswith(above)
-        for other in described.fields
+        other.content is Content.VELOCITY and other.path.startswith(above) for other in described.fields
     )
 
 
@@ -370,9 +365,7 @@ class Scene:
     policy: Policy
     layout_of: LayoutOf
     _layouts: dict[str, Layout] = field(default_factory=dict)
-    _contents: dict[str, tuple[Layout, Description] | tuple[None, None]] = field(
-        default_factory=dict
-    )
+    _contents: dict[str, tuple[Layout, Description] | tuple[None, None]] = field(default_factory=dict)
 
     @cached_property
     def decider(self) -> Decider:
@@ -413,9 +406,7 @@ def _topics(policy: Policy, rules: Iterable[PolicyRule], subject: Subject) -> li
     wide = [pattern for pattern in named if "*" in pattern]
     known = [*policy.types, *EVERYWHERE] if wide else []
     below = {
-        topic
-        for topic in known
-        if not is_own(topic) and any(includes(pattern, topic) for pattern in wide)
+        topic for topic in known if not is_own(topic) and any(includes(pattern, topic) for pattern in wide)
     }
     return sorted(named | below)
 

@@ -84,9 +84,7 @@ class Vocabulary:
     def _said(self, topic: str) -> dict[str, Content]:
         covering = [pattern for pattern in self.topics if topic and self._covers(pattern, topic)]
         here: dict[str, Content] = {}
-        for pattern in sorted(
-            covering, key=lambda one: self._narrower(one, covering), reverse=True
-        ):
+        for pattern in sorted(covering, key=lambda one: self._narrower(one, covering), reverse=True):
             here.update(self.topics[pattern])
         return here
 
@@ -115,9 +113,7 @@ def read_rooms(part: Part | None, mistakes: Mistakes) -> Treatment | None:
     mapping = source.mapping(part, "rooms", mistakes)
     if mapping is None:
         return None
-    plan = {
-        name: source.text(value, name, mistakes) for name, (_, value) in mapping.entries.items()
-    }
+    plan = {name: source.text(value, name, mistakes) for name, (_, value) in mapping.entries.items()}
     if None in plan.values():
         return None
     try:
@@ -158,9 +154,7 @@ def _is_below(leaf: str, path: str) -> bool:
     return f"{leaf}.".replace("[*]", "").startswith(f"{path}.")
 
 
-def _type_of_topic(
-    name: str, key: YamlScalar, types: Mapping[str, str], mistakes: Mistakes
-) -> str | None:
+def _type_of_topic(name: str, key: YamlScalar, types: Mapping[str, str], mistakes: Mistakes) -> str | None:
     if name not in types:
         hint = suggest(name, types) or f"add it to types: {{{name}: package/Type}}"
         mistakes.add(key, f"the message type of {name[:80]} is unknown", hint)
@@ -254,11 +248,7 @@ class SubjectPattern:
 
     def _name_fits(self, subject: Subject) -> bool:
         if is_alias(subject.name):
-            return (
-                self.node is not None
-                and is_alias(self.node)
-                and pattern_covers(self.node, subject.name)
-            )
+            return self.node is not None and is_alias(self.node) and pattern_covers(self.node, subject.name)
         return self.node is None or pattern_covers(self.node, subject.name)
 
 

@@ -66,11 +66,7 @@ def intersects_tree(pattern: str, name: str) -> bool:
 
 def overlaps(pattern: str, right: Right, requested: str) -> bool:
     """Whether a rule on `pattern` overlaps with `requested`: enough for a denial."""
-    return (
-        intersects_tree(pattern, requested)
-        if right & TREE_RIGHTS
-        else intersects(pattern, requested)
-    )
+    return intersects_tree(pattern, requested) if right & TREE_RIGHTS else intersects(pattern, requested)
 
 
 def gives(pattern: str, right: Right, requested: str) -> bool:
@@ -118,9 +114,7 @@ NODE: Final = "{node}"
 _SHORT: Final = "~"
 BEGINS_TOPIC: Final = ("/", _SHORT, "{")  # of a key that is a topic, and not a field or a word
 _HINT: Final = 'the asking node\'s own names are ~/pose, or in quotes "{node}/pose" and "{node}"'
-_HINT_FIRST: Final = (
-    '{node} is the whole name of the asking node, so it stands first: "{node}/pose"'
-)
+_HINT_FIRST: Final = '{node} is the whole name of the asking node, so it stands first: "{node}/pose"'
 _BRACES: Final = re.compile(r"\{[^{}]*\}|[{}]")
 
 

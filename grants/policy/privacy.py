@@ -115,11 +115,21 @@ def rows(
         fields = [WHOLE] if layout is None else leaf_paths(layout)
         tells, sees = _in_words(access, layout, vocabulary or Vocabulary())
         found += [
-            PrivacyRow(access.topic, kind or "type not known", access.receiver, path,
-                ", then ".join(map(_text, filters_of(filters, path))) or AS_IT_IS, _when(access),
-                access.why, access.until, access.by, tells.get(path, ""), sees)
+            PrivacyRow(
+                access.topic,
+                kind or "type not known",
+                access.receiver,
+                path,
+                ", then ".join(map(_text, filters_of(filters, path))) or AS_IT_IS,
+                _when(access),
+                access.why,
+                access.until,
+                access.by,
+                tells.get(path, ""),
+                sees,
+            )
             for path in fields
-        ]  # fmt: skip
+        ]
     return sorted(found)
 
 

@@ -46,15 +46,7 @@ from grants.policy.names import NODE
 from grants.policy.restrictions import FieldRule, read_fields
 from grants.policy.rules import EXTRAS, RIGHTS, RuleReader, Subjects, basics_rule, read_basics
 from grants.policy.rules import ID as BASICS_ID
-from grants.policy.source import (
-    Mistake,
-    Mistakes,
-    Part,
-    YamlMapping,
-    YamlScalar,
-    read_source,
-    suggest,
-)
+from grants.policy.source import Mistake, Mistakes, Part, YamlMapping, YamlScalar, read_source, suggest
 from grants.vocabulary.contents import LEVELS
 
 MAX_TITLE: Final = 60  # characters
@@ -132,9 +124,20 @@ def _names(
 
 VERSION: Final = 1
 _TOP: Final = (
-    "rossec", "robot", "basics", "defaults", "identities", "groups", "types", "vocabulary",
-    "rooms", "filters", "rules", "tests", "title",
-)  # fmt: skip
+    "rossec",
+    "robot",
+    "basics",
+    "defaults",
+    "identities",
+    "groups",
+    "types",
+    "vocabulary",
+    "rooms",
+    "filters",
+    "rules",
+    "tests",
+    "title",
+)
 _REQUIRED: Final = {
     "rossec": "rossec: 1",
     "robot": "robot: NAME, what the policy is for: a robot, a home; reports are headed with it",
@@ -146,11 +149,7 @@ Definition = Callable[[str], str]
 
 
 def load(
-    text: str,
-    definition: Definition,
-    *,
-    file: str = "policy.yaml",
-    known_types: Collection[str] = (),
+    text: str, definition: Definition, *, file: str = "policy.yaml", known_types: Collection[str] = ()
 ) -> Policy:
     """Read a policy.
 
@@ -178,9 +177,7 @@ def mistakes_in(error: Exception) -> tuple[Mistake, ...]:
 
 
 class _PolicyReader:
-    def __init__(
-        self, mistakes: Mistakes, definition: Definition, known_types: Collection[str]
-    ) -> None:
+    def __init__(self, mistakes: Mistakes, definition: Definition, known_types: Collection[str]) -> None:
         self._mistakes = mistakes
         self._definition = definition
         self._known_types = known_types
@@ -205,10 +202,19 @@ class _PolicyReader:
         filter_rules = {name: tuple(item.rule for item in rules) for name, rules in filters.items()}
         tests = read_tests(top.get("tests"), identities, subjects.groups, self._mistakes)
         return Policy(
-            robot or "", defaults, identities, types, rules, self._mistakes.file, filter_rules,
-            subjects.groups, subjects.unused, vocabulary, tests,
+            robot or "",
+            defaults,
+            identities,
+            types,
+            rules,
+            self._mistakes.file,
+            filter_rules,
+            subjects.groups,
+            subjects.unused,
+            vocabulary,
+            tests,
             read_titles(top.get("title"), subjects.groups, self._mistakes),
-        )  # fmt: skip
+        )
 
     def _basics(
         self, part: Part | None, defaults: Defaults, rules: tuple[PolicyRule, ...]
@@ -223,8 +229,9 @@ class _PolicyReader:
         return (basics_rule(extras, part.line, defaults, rules),)
 
     def _version(self, part: Part | None) -> None:
-        if part is not None and not (isinstance(part, YamlScalar) and part.value is not True
-                                     and part.value == VERSION):  # fmt: skip
+        if part is not None and not (
+            isinstance(part, YamlScalar) and part.value is not True and part.value == VERSION
+        ):
             hint = f"this rossec reads version {VERSION}"
             self._mistakes.add(part, "a policy of an unknown version", hint)
 
@@ -237,9 +244,7 @@ class _PolicyReader:
             mapping.get("decision"), "default decision", ("deny", "prompt"), self._mistakes
         )
         lifetime = source.duration(mapping.get("lifetime"), "lifetime", self._mistakes)
-        renew = source.duration(
-            mapping.get("renew_until"), "renew_until", self._mistakes, never=True
-        )
+        renew = source.duration(mapping.get("renew_until"), "renew_until", self._mistakes, never=True)
         timeout = source.duration(mapping.get("prompt_timeout"), "prompt_timeout", self._mistakes)
         return Defaults(
             Effect(decision) if decision is not None else Effect.DENY,
@@ -285,9 +290,8 @@ class _PolicyReader:
             if name is not None:
                 kinds[key] = name
         for topic, key, _ in source.by_name(
-            mapping, "types", lambda key: source.pattern(key, "topic", self._mistakes),
-            self._mistakes,
-        ):  # fmt: skip
+            mapping, "types", lambda key: source.pattern(key, "topic", self._mistakes), self._mistakes
+        ):
             if topic == NODE:
                 self._mistakes.add(key, f"{NODE} is no topic", "name one of its topics: ~/pose")
             if key in kinds:
@@ -410,10 +414,7 @@ def _by_topic(item: dict[str, Any]) -> dict[str, Any]:
 
 
 def _rule() -> dict[str, Any]:
-    rights = {
-        **_object({right: _one_or_many(_RULE_PATTERN) for right in RIGHTS}),
-        "minProperties": 1,
-    }
+    rights = {**_object({right: _one_or_many(_RULE_PATTERN) for right in RIGHTS}), "minProperties": 1}
     use = _object({"use": _TEXT}, "use")
     plain = {"anyOf": [use, {"$ref": "#/$defs/fields"}]}
     effects = ("allow", "deny", "prompt")
@@ -432,8 +433,9 @@ def _rule() -> dict[str, Any]:
             "lifetime": _DURATION,
             "renew_until": _RENEW,
         },
-        "id", "who",
-    )  # fmt: skip
+        "id",
+        "who",
+    )
     restricting = ("when", "filter", "see", "limit", "on_stale", "lifetime", "renew_until")
     unrestricted: dict[str, Any] = {"properties": dict.fromkeys(restricting, False)}
     return {
@@ -454,11 +456,7 @@ def _test() -> dict[str, Any]:
         {
             "who": _TEXT,
             **{says.value: rights for says in Says},
-            "sees": {
-                "type": "object",
-                "patternProperties": {_TOPIC: seen},
-                "additionalProperties": False,
-            },
+            "sees": {"type": "object", "patternProperties": {_TOPIC: seen}, "additionalProperties": False},
             "at": _one_or_many({"type": "string", "format": "date-time"}),
             "message": {"type": "object"},
         },
@@ -475,9 +473,7 @@ def schema() -> dict[str, Any]:
     """The schema, for the operators of this version."""
     rule = _rule()
     rights = rule.pop("$defs")["rights"]
-    identity = _object(
-        {"node": _PATTERN, "key": {"type": "string", "pattern": "^sha256:[0-9a-f]{64}$"}}
-    )
+    identity = _object({"node": _PATTERN, "key": {"type": "string", "pattern": "^sha256:[0-9a-f]{64}$"}})
     defaults = _object(
         {
             "decision": {"enum": ["deny", "prompt"]},
@@ -508,11 +504,7 @@ def schema() -> dict[str, Any]:
                 "additionalProperties": _one_or_many(_TEXT),
                 "propertyNames": {"pattern": "^(?!node$)[A-Za-z][A-Za-z0-9_-]{0,79}$"},
             },
-            "types": {
-                "type": "object",
-                "additionalProperties": types,
-                "propertyNames": _RULE_PATTERN,
-            },
+            "types": {"type": "object", "additionalProperties": types, "propertyNames": _RULE_PATTERN},
             "vocabulary": _vocabulary(),
             "rooms": {"type": "object", "additionalProperties": _TEXT, "minProperties": 1},
             "filters": {"type": "object", "additionalProperties": {"$ref": "#/$defs/fields"}},
@@ -520,17 +512,23 @@ def schema() -> dict[str, Any]:
             "tests": {"type": "array", "items": {"$ref": "#/$defs/test"}},
             "title": _titles(),
         },
-        "rossec", "robot", "rules",
-    )  # fmt: skip
+        "rossec",
+        "robot",
+        "rules",
+    )
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "rossec policy",
         "$defs": {
-            "operator": _operator(), "fields": _fields(), "see": _see(), "rights": rights,
-            "rule": rule, "test": _test(),
+            "operator": _operator(),
+            "fields": _fields(),
+            "see": _see(),
+            "rights": rights,
+            "rule": rule,
+            "test": _test(),
         },
         **top,
-    }  # fmt: skip
+    }
 
 
 def schema_text() -> str:

@@ -142,9 +142,7 @@ def check_fields(
     return fits and _fits(layout, rules, position, mistakes)
 
 
-def _fits(
-    layout: Layout, rules: tuple[FieldRule, ...], position: SourcePosition, mistakes: Mistakes
-) -> bool:
+def _fits(layout: Layout, rules: tuple[FieldRule, ...], position: SourcePosition, mistakes: Mistakes) -> bool:
     try:
         compile_filter(layout, (item.rule for item in rules))
     except GrantError as error:
@@ -284,9 +282,10 @@ def _body(part: Part | None, mistakes: Mistakes) -> str | None:
         return found
     if part is not None:
         mistakes.add(
-            part, f"not a name of a body: {found[:40]!r}",
+            part,
+            f"not a name of a body: {found[:40]!r}",
             "a letter, then at most 63 letters, digits, - and _",
-        )  # fmt: skip
+        )
     return None
 
 

@@ -219,9 +219,7 @@ class RuleReader:
         if effect is None or rights is None:
             return None
         lifetime = source.duration(mapping.get("lifetime"), "lifetime", self._mistakes)
-        renew = source.duration(
-            mapping.get("renew_until"), "renew_until", self._mistakes, never=True
-        )
+        renew = source.duration(mapping.get("renew_until"), "renew_until", self._mistakes, never=True)
         stale = source.choice(mapping.get("on_stale"), "on_stale", _ON_STALE, self._mistakes)
         return PolicyRule(
             id=name,
@@ -240,9 +238,7 @@ class RuleReader:
     def _effect(self, mapping: YamlMapping, name: str) -> tuple[Effect | None, YamlMapping | None]:
         effects = [effect for effect in Effect if effect.value in mapping.entries]
         if len(effects) != 1:
-            hint = (
-                "write it as two rules" if effects else "for example allow: {subscribe: [/topic]}"
-            )
+            hint = "write it as two rules" if effects else "for example allow: {subscribe: [/topic]}"
             self._mistakes.add(mapping, f"rule {name} needs one of allow, deny and prompt", hint)
             return None, None
         [effect] = effects
@@ -291,9 +287,7 @@ class RuleReader:
                     "name the fields and their treatment, or add a subscribe right",
                 )
 
-    def _named_rights(
-        self, rights: YamlMapping, name: str
-    ) -> list[tuple[Right, str, SourcePosition]]:
+    def _named_rights(self, rights: YamlMapping, name: str) -> list[tuple[Right, str, SourcePosition]]:
         if not rights.entries:
             self._mistakes.add(rights, f"rule {name} has no rights", suggest("", RIGHTS))
         found: list[tuple[Right, str, SourcePosition]] = []
@@ -328,9 +322,7 @@ class RuleReader:
             or topic_filter.see
             or any(when.reads_message for when in conditions)
         )
-        if reads_message and not self._fits(
-            right, pattern, position, kind, conditions, topic_filter
-        ):
+        if reads_message and not self._fits(right, pattern, position, kind, conditions, topic_filter):
             return []
         levels = self._levels(topic_filter, pattern, kind)
         if levels is None:
@@ -348,9 +340,13 @@ class RuleReader:
                 )
             texts = tuple(dict.fromkeys(when.text for when in conditions))
             restriction = Restriction(
-                kind if reads_message else None, texts, given.rules, slot=given.slot,
-                body=limit.body, pad=limit.pad,
-            )  # fmt: skip
+                kind if reads_message else None,
+                texts,
+                given.rules,
+                slot=given.slot,
+                body=limit.body,
+                pad=limit.pad,
+            )
             entry = Permission(any_node(pattern), right, replace(restriction, rate=given.rate))
             if reason := why_unsignable((entry,)):
                 raise GrantMalformed(reason, "write fewer or shorter conditions and filters")
@@ -359,9 +355,7 @@ class RuleReader:
             return []
         return [Clause(right, pattern, restriction, given.rate, kind)]
 
-    def _levels(
-        self, topic_filter: _TopicFilter, pattern: str, kind: str | None
-    ) -> Resolved | None:
+    def _levels(self, topic_filter: _TopicFilter, pattern: str, kind: str | None) -> Resolved | None:
         # What `see` of the rule adds for one topic; None if it does not fit.
         if topic_filter.see is None or kind is None:
             return Resolved()
@@ -370,9 +364,7 @@ class RuleReader:
         see = topic_filter.see
         return resolve_levels(layout, self._vocabulary, pattern, see, others, self._mistakes)
 
-    def _treatment(
-        self, topic_filter: _TopicFilter, kind: str | None, *given: Resolved
-    ) -> Resolved:
+    def _treatment(self, topic_filter: _TopicFilter, kind: str | None, *given: Resolved) -> Resolved:
         found = [Resolved(tuple(item.rule for item in topic_filter.fields)), *given]
         if topic_filter.preset is not None and kind is not None:
             named = preset(topic_filter.preset).restriction(self._layouts[kind])
@@ -380,9 +372,14 @@ class RuleReader:
         return together(found)
 
     def _fits(
-        self, right: Right, pattern: str, position: SourcePosition, kind: str | None,
-        conditions: list[ConditionRule], topic_filter: _TopicFilter,
-    ) -> bool:  # fmt: skip
+        self,
+        right: Right,
+        pattern: str,
+        position: SourcePosition,
+        kind: str | None,
+        conditions: list[ConditionRule],
+        topic_filter: _TopicFilter,
+    ) -> bool:
         if not right & (Right.SUBSCRIBE | Right.PUBLISH):
             message = f"{right.label} {pattern}: conditions on messages are for topics"
             self._mistakes.add(position, message, "put this right into a separate rule")
@@ -397,13 +394,9 @@ class RuleReader:
         layout = self._layouts[kind]
         checked = [check_condition(layout, when, self._mistakes) for when in conditions]
         if topic_filter.preset is not None:
-            checked.append(
-                check_preset(layout, topic_filter.preset, topic_filter.position, self._mistakes)
-            )
+            checked.append(check_preset(layout, topic_filter.preset, topic_filter.position, self._mistakes))
         if topic_filter.fields:
-            checked.append(
-                check_fields(layout, topic_filter.fields, topic_filter.position, self._mistakes)
-            )
+            checked.append(check_fields(layout, topic_filter.fields, topic_filter.position, self._mistakes))
         return all(checked)
 
     def _filters_of(
@@ -487,7 +480,5 @@ def basics_rule(
 
 def is_basics(rule: PolicyRule) -> bool:
     """Whether the rule is that of `basics`, and gives nothing that is not of the table."""
-    table = {
-        (right, name) for right, names in (*BASICS.items(), *EXTRAS.values()) for name in names
-    }
+    table = {(right, name) for right, names in (*BASICS.items(), *EXTRAS.values()) for name in names}
     return rule.id == ID and {(each.right, each.pattern) for each in rule.clauses} <= table

@@ -58,27 +58,18 @@ _QUOTED: Final = ("'", '"', "|", ">")
 _CORE_TAG: Final = "tag:yaml.org,2002:"
 _INT: Final = re.compile(r"[-+]?[0-9]{1,20}|0x[0-9a-fA-F]{1,16}|0o[0-7]{1,22}", re.ASCII)
 _FLOAT: Final = re.compile(
-    r"[-+]?(?:[0-9]{1,400}\.[0-9]{0,400}|\.[0-9]{1,400}|[0-9]{1,400})(?:[eE][-+]?[0-9]{1,3})?",
-    re.ASCII,
+    r"[-+]?(?:[0-9]{1,400}\.[0-9]{0,400}|\.[0-9]{1,400}|[0-9]{1,400})(?:[eE][-+]?[0-9]{1,3})?", re.ASCII
 )
 _KEYWORDS: Final[dict[str, object]] = {
     **dict.fromkeys(("", "~", "null", "Null", "NULL")),
     **dict.fromkeys(("true", "True", "TRUE"), True),
     **dict.fromkeys(("false", "False", "FALSE"), False),
     **dict.fromkeys((".nan", ".NaN", ".NAN"), math.nan),
-    **{sign + value: float(f"{sign}inf")
-       for sign in ("", "+", "-") for value in (".inf", ".Inf", ".INF")},
-}  # fmt: skip
+    **{sign + value: float(f"{sign}inf") for sign in ("", "+", "-") for value in (".inf", ".Inf", ".INF")},
+}
 _SURROGATES: Final = re.compile("[\ud800-\udfff]")  # an escape of YAML may say them
 _TIME: Final = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}[T ][0-9]{2}:[0-9]{2}:[0-9]{2}", re.ASCII)
-_KINDS: Final = {
-    "binary": bytes,
-    "str": str,
-    "int": int,
-    "float": float,
-    "bool": bool,
-    "null": type(None),
-}
+_KINDS: Final = {"binary": bytes, "str": str, "int": int, "float": float, "bool": bool, "null": type(None)}
 
 
 @dataclass(frozen=True)
@@ -100,9 +91,7 @@ def events(text: str, bounds: Bounds, *, tags: bool = False) -> Iterator[Any]:
             documents += isinstance(event, DocumentStartEvent)
             depth += isinstance(event, _BEGINS)
             depth -= isinstance(event, _ENDS)
-            problem = _unsupported(event, tags=tags) or _over_limit(
-                depth, documents, number, bounds
-            )
+            problem = _unsupported(event, tags=tags) or _over_limit(depth, documents, number, bounds)
             if problem:
                 raise YamlRefused(
                     problem,
@@ -112,9 +101,10 @@ def events(text: str, bounds: Bounds, *, tags: bool = False) -> Iterator[Any]:
             yield event
     except MarkedYAMLError as error:
         raise YamlRefused(
-            f"not YAML: {error.problem or error.context}", _remedy(error.problem or ""),
+            f"not YAML: {error.problem or error.context}",
+            _remedy(error.problem or ""),
             *position(error.problem_mark or error.context_mark),
-        ) from error  # fmt: skip
+        ) from error
     except (YAMLError, RecursionError, ValueError) as error:
         raise YamlRefused(f"not YAML: {str(error).splitlines()[0]}") from error
 
@@ -246,12 +236,10 @@ class SourcePosition(Protocol):
     """A position in the file, line and column counted from 1."""
 
     @property
-    def line(self) -> int:
-        ...
+    def line(self) -> int: ...
 
     @property
-    def column(self) -> int:
-        ...
+    def column(self) -> int: ...
 
 
 @dataclass(frozen=True, order=True)
@@ -455,11 +443,7 @@ def mapping(part: Part | None, what: str, mistakes: Mistakes) -> YamlMapping | N
 
 
 def check_keys(
-    part: YamlMapping,
-    what: str,
-    known: Collection[str],
-    required: Collection[str],
-    mistakes: Mistakes,
+    part: YamlMapping, what: str, known: Collection[str], required: Collection[str], mistakes: Mistakes
 ) -> None:
     """Record every unknown key, and every required one that is missing.
 
@@ -475,10 +459,7 @@ def check_keys(
 
 
 def by_name(
-    part: YamlMapping | None,
-    what: str,
-    read: Callable[[YamlScalar], str | None],
-    mistakes: Mistakes,
+    part: YamlMapping | None, what: str, read: Callable[[YamlScalar], str | None], mistakes: Mistakes
 ) -> Iterator[tuple[str, YamlScalar, Part]]:
     """The entries of a mapping by what `read` makes of their keys: None if a key is a mistake.
 
@@ -507,11 +488,7 @@ def text(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
     """A non-empty text."""
     if part is None:
         return None
-    if (
-        isinstance(part, YamlScalar)
-        and isinstance(part.value, str)
-        and 0 < len(part.value) <= _MAX_TEXT
-    ):
+    if isinstance(part, YamlScalar) and isinstance(part.value, str) and 0 < len(part.value) <= _MAX_TEXT:
         return part.value
     mistakes.add(part, f"{what} must be text of 1 to {_MAX_TEXT} characters", "put it in quotes")
     return None
@@ -524,9 +501,7 @@ def items(part: Part | None) -> tuple[Part, ...]:
     return part.items if isinstance(part, YamlSequence) else (part,)
 
 
-def duration(
-    part: Part | None, what: str, mistakes: Mistakes, *, never: bool = False
-) -> int | None:
+def duration(part: Part | None, what: str, mistakes: Mistakes, *, never: bool = False) -> int | None:
     """Seconds of `30s`, `15m`, `8h`, `7d`, `4w`; 0 for `never` if allowed."""
     if part is None:
         return None

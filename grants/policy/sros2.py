@@ -56,9 +56,16 @@ _BELOW: Final[dict[str, frozenset[str]]] = {
 # An action of ROS 1 is five topics: what the client publishes, and what the server does.
 _GOALS: Final = ("goal", "cancel")
 _RESULTS: Final = ("status", "feedback", "result")
-_ROS2_ONLY: Final = ("parameter_events", "describe_parameters", "get_parameter_types",
-                     "get_parameters", "list_parameters", "set_parameters",
-                     "set_parameters_atomically", "get_type_description")  # fmt: skip
+_ROS2_ONLY: Final = (
+    "parameter_events",
+    "describe_parameters",
+    "get_parameter_types",
+    "get_parameters",
+    "list_parameters",
+    "set_parameters",
+    "set_parameters_atomically",
+    "get_type_description",
+)
 
 
 def import_sros2(xml: str) -> tuple[str, list[str]]:
@@ -120,11 +127,7 @@ def _check_structure(root: Any, xml: str, found: _Found) -> None:
         strange = [name for name in item.attrib if name not in known]
         found.lost += [f"<{tag}> has an attribute {name[:60]!a}" for name in strange]
         for child in item:
-            if (
-                isinstance(child.tag, str)
-                and child.tag in _ATTRIBUTES
-                and child.tag not in _BELOW[tag]
-            ):
+            if isinstance(child.tag, str) and child.tag in _ATTRIBUTES and child.tag not in _BELOW[tag]:
                 found.lost.append(f"<{child.tag}> is not expected in <{tag}>")
 
 

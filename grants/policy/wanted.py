@@ -44,8 +44,7 @@ class Plan:
 def plan(decider: Decider, subject: Subject, rights: Iterable[RequestedRight]) -> Plan:
     """Decide on every requested right separately."""
     verdicts = [
-        decider.decide(subject, requested.right, requested.pattern)
-        for requested in sorted(set(rights))
+        decider.decide(subject, requested.right, requested.pattern) for requested in sorted(set(rights))
     ]
     by = {effect: tuple(v for v in verdicts if v.effect is effect) for effect in Effect}
     return Plan(by[Effect.ALLOW], by[Effect.PROMPT], by[Effect.DENY])
@@ -93,12 +92,7 @@ def limit(verdict: Verdict, seconds: int) -> Verdict:
 
 
 def drafts(
-    verdicts: Iterable[Verdict],
-    *,
-    domain: str,
-    now: int,
-    serial: Callable[[], bytes],
-    skew: int = 0,
+    verdicts: Iterable[Verdict], *, domain: str, now: int, serial: Callable[[], bytes], skew: int = 0
 ) -> list[Draft]:
     """The drafts to sign for allowed verdicts: for each subject and validity, as few as fit.
 
@@ -118,13 +112,18 @@ def drafts(
         groups.setdefault(key, []).append(verdict)
     return [
         Draft(
-            domain=domain, subject=subject.name, holder=subject.key, not_before=now - skew,
-            expires=now + lifetime, cap=now + max(lifetime, renew), serial=serial(),
+            domain=domain,
+            subject=subject.name,
+            holder=subject.key,
+            not_before=now - skew,
+            expires=now + lifetime,
+            cap=now + max(lifetime, renew),
+            serial=serial(),
             permissions=tuple(item for verdict in part for item in permissions(verdict)),
         )
         for (subject, lifetime, renew, _), group in groups.items()
         for part in divide(group, permissions)
-    ]  # fmt: skip
+    ]
 
 
 def permissions(verdict: Verdict) -> list[Permission]:
@@ -173,10 +172,13 @@ class WantedRight:
     def of(cls, verdict: Verdict) -> "WantedRight":
         """What a verdict of ALLOW gives."""
         return cls(
-            verdict.right, verdict.name, tuple(permissions(verdict)),
-            tuple(dict.fromkeys(verdict.rules)), verdict.lifetime,
+            verdict.right,
+            verdict.name,
+            tuple(permissions(verdict)),
+            tuple(dict.fromkeys(verdict.rules)),
+            verdict.lifetime,
             0 if is_alias(verdict.subject.name) else verdict.renew_until,
-        )  # fmt: skip
+        )
 
     @property
     def atom(self) -> Atom:
@@ -302,10 +304,7 @@ def in_force(
         and grant.holder not in revoked
         and not any(entry in revoked for entry in grant.revocable)
         and all(
-            any(
-                right in each.rights and overlaps(each.pattern, right, name)
-                for each in link.permissions
-            )
+            any(right in each.rights and overlaps(each.pattern, right, name) for each in link.permissions)
             for link in grant.links
         )
     ]
@@ -328,10 +327,7 @@ def gives_whole(found: Iterable[Grant], right: Right, name: str) -> bool:
     """Whether one of these grants gives all of `name`, a name or a pattern."""
     return any(
         all(
-            any(
-                right in each.rights and gives(each.pattern, right, name)
-                for each in link.permissions
-            )
+            any(right in each.rights and gives(each.pattern, right, name) for each in link.permissions)
             for link in grant.links
         )
         for grant in found

@@ -107,9 +107,7 @@ def assess(
     rules = [rule for each in given for rule in each.filters]
     rates = [each for each in (rate, *(each.rate for each in given)) if each is not None]
     slots = [each.slot for each in given if each.slot is not None]
-    limits = _Limits(
-        min(rates, default=math.inf), max(slots, default=0), outdoors=description.is_outdoors
-    )
+    limits = _Limits(min(rates, default=math.inf), max(slots, default=0), outdoors=description.is_outdoors)
     treated = [(field, _of(rules, field.path)) for field in description.fields]
     asked = description.words if words is None else words
     texts = list(dict.fromkeys(text for each in given for text in each.conditions))
@@ -127,9 +125,7 @@ class _Limits(NamedTuple):
         interval = max(1 / self.rate, self.slot)
         if word is DataWord.PRESENCE:
             return self.slot >= slot
-        return interval * _ALMOST >= slot and (
-            level.rate is None or interval * _ALMOST * level.rate >= 1
-        )
+        return interval * _ALMOST >= slot and (level.rate is None or interval * _ALMOST * level.rate >= 1)
 
     @property
     def are_often(self) -> bool:

@@ -195,13 +195,35 @@ _SCAN: Final = fields_by(
     distance="ranges intensities",
 )
 _NUMBERS: Final = (
-    "Bool", "Byte", "Char", "Duration", "Float32", "Float64", "Int16", "Int32", "Int64", "Int8",
-    "String", "UInt16", "UInt32", "UInt64", "UInt8",
-)  # fmt: skip
-_ARRAYS: Final = (
-    "Byte", "Float32", "Float64", "Int16", "Int32", "Int64", "Int8", "UInt16", "UInt32", "UInt64",
+    "Bool",
+    "Byte",
+    "Char",
+    "Duration",
+    "Float32",
+    "Float64",
+    "Int16",
+    "Int32",
+    "Int64",
+    "Int8",
+    "String",
+    "UInt16",
+    "UInt32",
+    "UInt64",
     "UInt8",
-)  # fmt: skip
+)
+_ARRAYS: Final = (
+    "Byte",
+    "Float32",
+    "Float64",
+    "Int16",
+    "Int32",
+    "Int64",
+    "Int8",
+    "UInt16",
+    "UInt32",
+    "UInt64",
+    "UInt8",
+)
 
 _STD: Final[dict[str, Fields]] = {
     **{f"std_msgs/{name}": _BARE for name in _NUMBERS},
@@ -254,21 +276,17 @@ _SENSOR: Final[dict[str, Fields]] = {
         name="location serial_number",
     ),
     "sensor_msgs/CameraInfo": fields_by(
-        mark="distortion_model D K R P", format="height width binning_x binning_y",
-        picture_part="roi",
+        mark="distortion_model D K R P", format="height width binning_x binning_y", picture_part="roi"
     ),
     "sensor_msgs/ChannelFloat32": fields_by(format="name", distance="values"),
     "sensor_msgs/CompressedImage": fields_by(format="format", compressed_picture="data"),
     "sensor_msgs/FluidPressure": fields_by(pressure="fluid_pressure", state="variance"),
     "sensor_msgs/Illuminance": fields_by(ambient_brightness="illuminance", state="variance"),
-    "sensor_msgs/Image": fields_by(
-        format="height width encoding is_bigendian step", picture="data"
-    ),
+    "sensor_msgs/Image": fields_by(format="height width encoding is_bigendian step", picture="data"),
     # The compass is in `orientation`; gyroscope and accelerometer give the path.
     "sensor_msgs/Imu": fields_by(
         velocity="angular_velocity linear_acceleration",
-        uncertainty="orientation_covariance angular_velocity_covariance"
-        " linear_acceleration_covariance",
+        uncertainty="orientation_covariance angular_velocity_covariance linear_acceleration_covariance",
     ),
     "sensor_msgs/JointState": fields_by(name="name", joint="position velocity effort"),
     "sensor_msgs/Joy": fields_by(control="axes buttons"),
@@ -277,13 +295,12 @@ _SENSOR: Final[dict[str, Fields]] = {
     "sensor_msgs/LaserEcho": fields_by(distance="echoes"),
     "sensor_msgs/LaserScan": _SCAN,
     "sensor_msgs/MultiEchoLaserScan": _SCAN,
-    "sensor_msgs/MagneticField": fields_by(
-        heading="magnetic_field", uncertainty="magnetic_field_covariance"
-    ),
+    "sensor_msgs/MagneticField": fields_by(heading="magnetic_field", uncertainty="magnetic_field_covariance"),
     "sensor_msgs/MultiDOFJointState": fields_by(name="joint_names"),
     # Whether there is a fix, and how good it is, tells indoors from outdoors.
     "sensor_msgs/NavSatFix": fields_by(
-        degrees="latitude longitude", height="altitude",
+        degrees="latitude longitude",
+        height="altitude",
         uncertainty="status position_covariance position_covariance_type",
     ),
     "sensor_msgs/NavSatStatus": fields_by(uncertainty="status service"),
@@ -296,15 +313,11 @@ _SENSOR: Final[dict[str, Fields]] = {
     "sensor_msgs/Range": fields_by(
         format="radiation_type field_of_view min_range max_range", distance="range"
     ),
-    "sensor_msgs/RegionOfInterest": fields_by(
-        picture_part="x_offset y_offset height width do_rectify"
-    ),
-    "sensor_msgs/RelativeHumidity": fields_by(
-        ambient_humidity="relative_humidity", state="variance"
-    ),
+    "sensor_msgs/RegionOfInterest": fields_by(picture_part="x_offset y_offset height width do_rectify"),
+    "sensor_msgs/RelativeHumidity": fields_by(ambient_humidity="relative_humidity", state="variance"),
     "sensor_msgs/Temperature": fields_by(ambient_temperature="temperature", state="variance"),
     "sensor_msgs/TimeReference": fields_by(time="time_ref", name="source"),
-}  # fmt: skip
+}
 _NAV: Final[dict[str, Fields]] = {
     "nav_msgs/GetMapAction": {},
     "nav_msgs/GetMapActionFeedback": {},
@@ -324,7 +337,9 @@ _FURTHER: Final[dict[str, Fields]] = {
     "tf2_msgs/TF2Error": fields_by(state="error", text="error_string"),
     "tf/tfMessage": {},
     "stereo_msgs/DisparityImage": fields_by(
-        distance="image.data min_disparity max_disparity", mark="f T", format="delta_d",
+        distance="image.data min_disparity max_disparity",
+        mark="f T",
+        format="delta_d",
         picture_part="valid_window",
     ),
     "diagnostic_msgs/DiagnosticArray": {},
@@ -346,8 +361,10 @@ _FURTHER: Final[dict[str, Fields]] = {
     "shape_msgs/Plane": fields_by(map="coef"),
     "shape_msgs/SolidPrimitive": fields_by(mark="type dimensions"),
     "visualization_msgs/Marker": fields_by(
-        name="ns id", format="frame_locked mesh_use_embedded_materials",
-        coordinate="points scale", state="type action lifetime color colors",
+        name="ns id",
+        format="frame_locked mesh_use_embedded_materials",
+        coordinate="points scale",
+        state="type action lifetime color colors",
         text="text mesh_resource",
     ),
     "visualization_msgs/MarkerArray": {},
@@ -356,7 +373,7 @@ _FURTHER: Final[dict[str, Fields]] = {
     "audio_common_msgs/AudioInfo": fields_by(
         format="channels sample_rate sample_format bitrate coding_format"
     ),
-}  # fmt: skip
+}
 
 TYPES: Final[Mapping[str, Fields]] = {**_STD, **_GEOMETRY, **_SENSOR, **_NAV, **_FURTHER}
 
@@ -431,9 +448,7 @@ class Description:
     def hints(self, word: DataWord) -> tuple[FieldContent, ...]:
         """Fields in which it may be recognised: a person in a picture; not names of frames."""
         return tuple(
-            field
-            for field in self.fields
-            if word in field.meaning.hints and field.content not in FRAMES
+            field for field in self.fields if word in field.meaning.hints and field.content not in FRAMES
         )
 
     def tells(self, word: DataWord) -> bool:

@@ -103,34 +103,31 @@ def position_in(metres: float, degrees: float) -> dict[Content, Treatment | None
 _PSEUDONYM: Final = Treatment("hash", (("key", PSEUDONYM_KEY), ("per", "receiver")))
 
 LEVEL_TABLE: Final[_Table] = {
-    (DataWord.POSITION, "room"): Level(
-        None, position_in(4.0, 0.02) | _CLIMATE | _CHARGE, 30, 900
-    ),
+    (DataWord.POSITION, "room"): Level(None, position_in(4.0, 0.02) | _CLIMATE | _CHARGE, 30, 900),
     (DataWord.POSITION, "area"): Level(None, position_in(20.0, 0.1) | _CHARGE, 300, 3600),
     (DataWord.POSITION, NO): Level(slot=300, outdoors=3600),
     (DataWord.MOVEMENT, "rough"): Level(
         None,
         {
-            Content.COORDINATE: in_steps(4.0), Content.DEGREES: in_steps(0.02),
-            Content.VELOCITY: in_steps(0.5), **_CLIMATE, **_CHARGE,
+            Content.COORDINATE: in_steps(4.0),
+            Content.DEGREES: in_steps(0.02),
+            Content.VELOCITY: in_steps(0.5),
+            **_CLIMATE,
+            **_CHARGE,
         },
         30,
         900,
     ),
     (DataWord.MOVEMENT, NO): Level(slot=30, outdoors=900),
     (DataWord.IMAGE, "blurred"): Level(
-        1.0,
-        {Content.PICTURE: Treatment("pixelate", (("across", 16), ("block", 32), ("levels", 8)))},
+        1.0, {Content.PICTURE: Treatment("pixelate", (("across", 16), ("block", 32), ("levels", 8)))}
     ),
     (DataWord.IMAGE, NO): Level(1.0),
     (DataWord.SOUND, NO): Level(1 / 60),
     (DataWord.PRESENCE, "minute"): Level(slot=60),
     (DataWord.PRESENCE, "hour"): Level(slot=3600),
     (DataWord.IDENTITY, "pseudonym"): Level(
-        None,
-        dict.fromkeys(
-            (Content.NAME, Content.REQUEST, Content.FRAME, Content.CHILD_FRAME), _PSEUDONYM
-        ),
+        None, dict.fromkeys((Content.NAME, Content.REQUEST, Content.FRAME, Content.CHILD_FRAME), _PSEUDONYM)
     ),
     (DataWord.IDENTITY, NO): Level(),
     (DataWord.HOME, "rough"): Level(
@@ -145,7 +142,7 @@ LEVEL_TABLE: Final[_Table] = {
         },
     ),
     (DataWord.HOME, NO): Level(1 / 60),
-}  # fmt: skip
+}
 
 
 def level_of(word: DataWord, level: str) -> Level:
@@ -214,9 +211,7 @@ def in_rooms(layout: Layout, rule: FilterRule, rooms: Treatment) -> FilterRule:
     if given not in (_ROOM, _AREA) or not _is_position(layout.root, rule.path, rooms):
         return rule
     if given == _AREA:
-        raise FilterRefused(
-            f"{rule.path}: where the policy has rooms, a position has no area", "room, or no"
-        )
+        raise FilterRefused(f"{rule.path}: where the policy has rooms, a position has no area", "room, or no")
     return FilterRule(rule.path, *rooms)
 
 
@@ -275,15 +270,10 @@ def resolve(
     """
     coarse = {word: level for word, level in levels.items() if level != EXACT}
     _check_known(description, coarse)
-    concerned = {
-        word: level for word, level in coarse.items() if _is_concerned(description, word, levels)
-    }
+    concerned = {word: level for word, level in coarse.items() if _is_concerned(description, word, levels)}
     if not concerned:
         return Resolved()
-    treated = {
-        field.path: _treatment(field, concerned, levels, description)
-        for field in description.fields
-    }
+    treated = {field.path: _treatment(field, concerned, levels, description) for field in description.fields}
     _empty_arrays(description, treated, concerned)
     _check_exact(description, treated, levels)
     rules = [rule for name, kind in layout.root.fields for rule in _fold(kind, name, treated)[1]]
@@ -305,14 +295,12 @@ def _check_known(description: Description, coarse: Levels) -> None:
     bare = [field for field in description.fields if field.content is Content.BARE]
     if coarse and unknown:
         raise FilterRefused(
-            f"what {unknown[0].path} of {description.type_name} tells is not known, so no level"
-            " can be held",
+            f"what {unknown[0].path} of {description.type_name} tells is not known, so no level can be held",
             f"say it: vocabulary: {{{description.type_name}: {{{unknown[0].path}: position}}}}",
         )
     if coarse.keys() - {DataWord.PRESENCE} and bare:
         raise FilterRefused(
-            f"{bare[0].path} of {description.type_name} is a bare value: only its topic knows what"
-            " it tells",
+            f"{bare[0].path} of {description.type_name} is a bare value: only its topic knows what it tells",
             f"say it: vocabulary: {{/the/topic: {{{bare[0].path}: home}}}}",
         )
 
@@ -370,9 +358,7 @@ def _fits(field: FieldContent, wanted: Treatment) -> bool:
     return True
 
 
-def _empty_arrays(
-    description: Description, treated: dict[str, Treatment | None], concerned: Levels
-) -> None:
+def _empty_arrays(description: Description, treated: dict[str, Treatment | None], concerned: Levels) -> None:
     # An array of messages is emptied if what is hidden in it would show by its number.
     in_place = _IN_PLACE if concerned.keys() - _OF_NAMES else _IN_PLACE | NAMES
     emptied = {
@@ -385,9 +371,7 @@ def _empty_arrays(
             treated[field.path] = CLEAR
 
 
-def _check_exact(
-    description: Description, treated: Mapping[str, Treatment | None], levels: Levels
-) -> None:
+def _check_exact(description: Description, treated: Mapping[str, Treatment | None], levels: Levels) -> None:
     for word, level in levels.items():
         hidden = [
             field.path
@@ -403,9 +387,7 @@ def _check_exact(
             )
 
 
-def _sorted_arrays(
-    description: Description, treated: Mapping[str, Treatment | None]
-) -> Iterator[FilterRule]:
+def _sorted_arrays(description: Description, treated: Mapping[str, Treatment | None]) -> Iterator[FilterRule]:
     # Arrays whose elements lose their names: the order would tell which is which.
     kept = {field.array for field in description.fields if treated[field.path] != CLEAR}
     nameless = {
@@ -420,9 +402,7 @@ def _sorted_arrays(
 _Common = Treatment | None
 
 
-def _fold(
-    kind: Type, path: str, treated: Mapping[str, Treatment | None]
-) -> tuple[_Common, list[FilterRule]]:
+def _fold(kind: Type, path: str, treated: Mapping[str, Treatment | None]) -> tuple[_Common, list[FilterRule]]:
     # The first value is that one treatment; None if there is none.
     inner = kind.element if isinstance(kind, Array) else kind
     if not isinstance(inner, Struct):

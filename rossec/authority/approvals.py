@@ -238,10 +238,9 @@ class ApprovalQueue:
             (draft, rules)
             for rules, group in groups.items()
             for draft in drafts(
-                group, domain=domain, now=self._now, skew=SKEW,
-                serial=lambda: secrets.token_bytes(16),
+                group, domain=domain, now=self._now, skew=SKEW, serial=lambda: secrets.token_bytes(16)
             )
-        ]  # fmt: skip
+        ]
 
     def _verdict(self, stored: StoredRequest) -> Verdict:
         row = self._store.valid_certificate(stored.request.node, self._now)
@@ -273,9 +272,7 @@ def _parts(approvals: list[PendingApproval]) -> list[list[PendingApproval]]:
     return [*by_request.values()] if len(by_request) > 1 else [[item] for item in approvals]
 
 
-def verdict_change(
-    file: PolicyFile, coarse: str | None, now: int, *, only_today: bool
-) -> VerdictChange:
+def verdict_change(file: PolicyFile, coarse: str | None, now: int, *, only_today: bool) -> VerdictChange:
     """How a person restricts a verdict: through the filter `coarse`, until midnight.
 
     Raises:

@@ -34,14 +34,7 @@ from ca.revocation.lists import is_tree, open_list, open_tree
 from ca.store.log import RESTORED
 from ca.store.values import LogEntry, RequestState
 from rossec import files, home, saved_statements
-from rossec.authority import (
-    grant_operations,
-    policyfile,
-    renewals,
-    requests,
-    restored_lists,
-    signing,
-)
+from rossec.authority import grant_operations, policyfile, renewals, requests, restored_lists, signing
 from rossec.authority import home as authority_home
 from rossec.authority import home as authority_token_modules
 from rossec.authority.console import messages as console
@@ -54,14 +47,21 @@ from rossec.errors import ConfigurationError
 from rossec.files import Owned, read_own
 
 _NODE: Final = (
-    *home.OWNED, *saved_statements.OWNED,
+    *home.OWNED,
+    *saved_statements.OWNED,
     *(each.below(home.FILTERS) for each in home.FILTER_KEYS),
-)  # fmt: skip
+)
 OWNED: Final[tuple[Owned, ...]] = (
-    *authority_home.OWNED, *renewals.OWNED, *signing.OWNED, *policyfile.OWNED,
-    *requests.OWNED, *grant_operations.OWNED, *client.OWNED, *console.OWNED,
+    *authority_home.OWNED,
+    *renewals.OWNED,
+    *signing.OWNED,
+    *policyfile.OWNED,
+    *requests.OWNED,
+    *grant_operations.OWNED,
+    *client.OWNED,
+    *console.OWNED,
     *(each.below(authority_home.NODE) for each in _NODE),
-)  # fmt: skip
+)
 # Older versions put every file there is into a backup, of these places.
 _OLDER: Final = re.compile(r"(?:node/|inbox/)?[^/]+")
 _TEMPORARY: Final = re.compile(r"(?:.+/)?\.[^/]+")  # of `files.replace`, when it was interrupted
@@ -150,10 +150,7 @@ def back_up(home: AuthorityHome, passphrase: str) -> bytes:
     content = kept(home.path)
     with contextlib.closing(home.store()) as store:
         content[RECORD] = store.database.snapshot()
-    salt, nonce = (
-        secrets.token_bytes(passphrases.SALT_SIZE),
-        secrets.token_bytes(passphrases.NONCE_SIZE),
-    )
+    salt, nonce = (secrets.token_bytes(passphrases.SALT_SIZE), secrets.token_bytes(passphrases.NONCE_SIZE))
     return passphrases.seal(content, passphrase, salt=salt, nonce=nonce)
 
 
@@ -258,9 +255,7 @@ def _open_verified(staging: AuthorityHome, secret: str, uri: KeyUri | None) -> S
         raise
     except (HintedError, ValueError) as error:
         reason = error if isinstance(error, HintedError) else "not exactly one certificate"
-        raise BackupRefused(
-            f"the backup does not contain a valid authority: {reason}", _HINT
-        ) from error
+        raise BackupRefused(f"the backup does not contain a valid authority: {reason}", _HINT) from error
     return authority
 
 

@@ -87,8 +87,7 @@ def unrevoked_keys(store: Store, root: bytes, alias: str) -> frozenset[bytes]:
         )
     raise ConfigurationError(
         f"no certificate of {label}:{name} is recorded here",
-        "give its node.pem: --certificate; or end all of it:"
-        f" rossec domain limit {label} --admit PATTERN",
+        f"give its node.pem: --certificate; or end all of it: rossec domain limit {label} --admit PATTERN",
     )
 
 
@@ -127,16 +126,13 @@ class DomainOperations(ABC):
 
     @property
     @abstractmethod
-    def home(self) -> AuthorityHome:
-        ...
+    def home(self) -> AuthorityHome: ...
 
     @abstractmethod
-    def unlock(self) -> SigningAuthority:
-        ...
+    def unlock(self) -> SigningAuthority: ...
 
     @abstractmethod
-    def deliver(self, call: MasterCall) -> object:
-        ...
+    def deliver(self, call: MasterCall) -> object: ...
 
     def domain_card(
         self, names: tuple[str, ...], masters: tuple[str, ...] = (), lifetime: int = CARD_LIFETIME
@@ -204,9 +200,7 @@ class DomainOperations(ABC):
                 f"the list of domains expired {format_time(listed.expires)}",
                 "sign it anew with: rossec ca refresh",
             )
-        self.deliver(
-            MasterCall(home.node(), UPDATE_DOMAINS, (data,), "the list of domains", _PUBLISH)
-        )
+        self.deliver(MasterCall(home.node(), UPDATE_DOMAINS, (data,), "the list of domains", _PUBLISH))
         return True
 
 

@@ -94,16 +94,13 @@ class GrantDelivery(ABC):
 
     @property
     @abstractmethod
-    def home(self) -> AuthorityHome:
-        ...
+    def home(self) -> AuthorityHome: ...
 
     @abstractmethod
-    def deliver(self, call: MasterCall) -> object:
-        ...
+    def deliver(self, call: MasterCall) -> object: ...
 
     @abstractmethod
-    def publish(self) -> None:
-        ...
+    def publish(self) -> None: ...
 
     @property
     def outgoing(self) -> Path:
@@ -170,9 +167,13 @@ class GrantDelivery(ABC):
 
     def master_has_list(self) -> bool:
         call = MasterCall(
-            self.home.node(), "rossec.revocationStanding", (), "the question for its list",
-            "rossec ca publish", within=DEPOSIT_SECONDS,
-        )  # fmt: skip
+            self.home.node(),
+            "rossec.revocationStanding",
+            (),
+            "the question for its list",
+            "rossec ca publish",
+            within=DEPOSIT_SECONDS,
+        )
         answer = self.deliver(call)
         newest = open_statement(self.home.revocation_list(), self.home.anchor().public_key)
         if self._now() >= newest.expires:
@@ -273,33 +274,26 @@ class PolicyOperations(ABC):
 
     @property
     @abstractmethod
-    def home(self) -> AuthorityHome:
-        ...
+    def home(self) -> AuthorityHome: ...
 
     @abstractmethod
-    def unlock(self) -> SigningAuthority:
-        ...
+    def unlock(self) -> SigningAuthority: ...
 
     @abstractmethod
-    def publish(self) -> None:
-        ...
+    def publish(self) -> None: ...
 
     @abstractmethod
-    def deposit(self, grants: Iterable[bytes]) -> list[RefusedDeposit]:
-        ...
+    def deposit(self, grants: Iterable[bytes]) -> list[RefusedDeposit]: ...
 
     @abstractmethod
-    def try_to_store(self, data: bytes) -> "RefusedDeposit | None":
-        ...
+    def try_to_store(self, data: bytes) -> "RefusedDeposit | None": ...
 
     @abstractmethod
     def deposit_missing(self) -> "tuple[int, list[RefusedDeposit]]":
         # Deliver the grants in force that the master does not have.
         ...
 
-    def collect_grant_requests(
-        self, policy: "PolicyFile", given: Iterable[bytes] = ()
-    ) -> list[str]:
+    def collect_grant_requests(self, policy: "PolicyFile", given: Iterable[bytes] = ()) -> list[str]:
         with self._queue(policy) as queue:
             for data in given:
                 queue.add_request(data)
@@ -375,15 +369,12 @@ class PolicyOperations(ABC):
         with contextlib.closing(self.home.store()) as store:
             at = self._now()
             until = self.home.renewed_until(at)
-            moment = Moment(
-                at, SKEW, renews=at < until, renew_due=renew_due, renewed_until=until or None
-            )
+            moment = Moment(at, SKEW, renews=at < until, renew_due=renew_due, renewed_until=until or None)
             return make_plan(store, policy, PlanOptions(names, prune), moment)
 
     def grant_outright(self, *names: str, place: Path | None = None) -> list[SignedGrant]:
         # `place`: of its file; None: the usual one. What it no longer allows waits for `apply_policy`.
-        from rossec.authority import policyfile
-        from rossec.authority import policyfile as policy_apply  # noqa: PLC0415 - see above
+        from rossec.authority import policyfile  # noqa: PLC0415 - see above
 
         if self.home.is_intermediate or not policyfile.place(self.rossec_home, place).exists():
             return []
@@ -391,26 +382,23 @@ class PolicyOperations(ABC):
         policy.require_tests()
         at = self._now()
         until = self.home.renewed_until(at)
-        return policy_apply.grant_outright(
-            self.unlock(), policy, names, at, renewed_until=until or None
-        )
+        return policyfile.grant_outright(self.unlock(), policy, names, at, renewed_until=until or None)
 
     def apply_policy(
         self, plan: "PolicyPlan", report: Callable[[str], None] = lambda _: None
     ) -> list[SignedGrant]:
         # `report` is called with each step that was done. Returns the new grants.
-        from rossec.authority import policyfile as policy_apply  # noqa: PLC0415 - see above
 
         authority, failed = self.unlock(), list[HintedError | OSError]()
-        listed, left = policy_apply.take_away(authority, plan, self._now())
+        listed, left = policyfile.take_away(authority, plan, self._now())
         if listed is not None:
             report(f"revoked: {len(plan.taken)} (list {listed.seq})")
             self._publish_new(report, failed)
-        signed, left = policy_apply.sign_each(authority, left, self._now())
+        signed, left = policyfile.sign_each(authority, left, self._now())
         if signed:
             report(f"signed: {len(signed)}")
         refused = self._deliver_new(signed, left, failed)
-        listed = policy_apply.revoke_planned(authority, left, self._now())
+        listed = policyfile.revoke_planned(authority, left, self._now())
         if listed is not None:
             report(f"revoked: {len(left.revoke)} (list {listed.seq})")
             self._publish_new(report, failed)
@@ -426,9 +414,7 @@ class PolicyOperations(ABC):
         require_complete(left)
         return signed
 
-    def _publish_new(
-        self, report: Callable[[str], None], failed: list[HintedError | OSError]
-    ) -> None:
+    def _publish_new(self, report: Callable[[str], None], failed: list[HintedError | OSError]) -> None:
         # Deliver the list; a failure is kept, since what comes after it does not need it.
         try:
             self.publish()

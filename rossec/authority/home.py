@@ -50,9 +50,7 @@ def trusted(home: Path) -> frozenset[str]:
     try:
         lines = data.decode().splitlines()
     except UnicodeDecodeError:
-        raise ConfigurationError(
-            f"{home / FILE} is not UTF-8", "write one absolute path a line"
-        ) from None
+        raise ConfigurationError(f"{home / FILE} is not UTF-8", "write one absolute path a line") from None
     return frozenset(line.strip() for line in lines if line.startswith("/"))
 
 
@@ -139,9 +137,7 @@ class AuthorityHome:
         """
         path = home / "ca"
         if not (path / "ca.pem").exists():
-            raise ConfigurationError(
-                f"there is no authority in {home}", environment.missing_authority(home)
-            )
+            raise ConfigurationError(f"there is no authority in {home}", environment.missing_authority(home))
         return cls(path)
 
     @staticmethod
@@ -159,9 +155,7 @@ class AuthorityHome:
         return path
 
     @classmethod
-    def create(
-        cls, home: Path, domain: str, passphrase: str, now: int, uri: KeyUri | None = None
-    ) -> Self:
+    def create(cls, home: Path, domain: str, passphrase: str, now: int, uri: KeyUri | None = None) -> Self:
         """Create a new authority with its own node `/ca` and an empty revocation list.
 
         Its key is in a file encrypted with `passphrase`; with `uri` it is generated in that token,

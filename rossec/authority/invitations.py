@@ -120,9 +120,7 @@ def _proved(store: Store, request: JoinClaim | JoinRequest) -> InvitationRow | N
     return found
 
 
-def _asked(
-    authority: SigningAuthority, invitation: InvitationRow, request: JoinRequest
-) -> IdentityRequest:
+def _asked(authority: SigningAuthority, invitation: InvitationRow, request: JoinRequest) -> IdentityRequest:
     found = check_request(request.csr, authority.domain, wildcard=invitation.wildcard)
     if found.name != request.name or found.wildcard != invitation.wildcard:
         raise RequestRefused("the request is not the one that was proved")
@@ -132,11 +130,7 @@ def _asked(
 
 
 def _decide(
-    authority: SigningAuthority,
-    invitation: InvitationRow,
-    asked: IdentityRequest,
-    csr: bytes,
-    now: int,
+    authority: SigningAuthority, invitation: InvitationRow, asked: IdentityRequest, csr: bytes, now: int
 ) -> JoinAnswer:
     store, origin = authority.store, source(invitation)
     row = store.requests.find(asked.digest)
@@ -254,14 +248,7 @@ def check_invitation(pattern: str, *, wildcard: bool) -> None:
 
 
 def make_invitation(
-    home: AuthorityHome,
-    pattern: str,
-    uses: int,
-    expires: int,
-    address: str,
-    now: int,
-    *,
-    wildcard: bool,
+    home: AuthorityHome, pattern: str, uses: int, expires: int, address: str, now: int, *, wildcard: bool
 ) -> tuple[InvitationCode, InvitationRow]:
     """A new code, and the row that has to be recorded before it is shown.
 

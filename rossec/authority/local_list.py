@@ -66,6 +66,4 @@ class LocalList:
     def _stamp(self) -> _Stamp:
         files = (self._home / "ca" / name for name in _RECORD)
         found = (file.stat() for file in files if file.exists())
-        return tuple(
-            (stat.st_ino, stat.st_size, stat.st_mtime_ns) for stat in found if stat.st_size
-        )
+        return tuple((stat.st_ino, stat.st_size, stat.st_mtime_ns) for stat in found if stat.st_size)

@@ -15,11 +15,7 @@ from rossec.ros import names
 
 @asynccontextmanager
 async def master_connection(
-    own: Credentials,
-    anchor: TrustAnchor,
-    uri: str,
-    suites: tuple[int, ...],
-    deadline: float = CALL_DEADLINE,
+    own: Credentials, anchor: TrustAnchor, uri: str, suites: tuple[int, ...], deadline: float = CALL_DEADLINE
 ) -> AsyncIterator[RpcClient]:
     """A connection to the master at `uri`, with the identity `own`, under the root `anchor`.
 

@@ -41,14 +41,7 @@ from grants import document
 from grants.errors import PolicyRefused
 from grants.model import ID_SIZE, KEY_SIZE, Draft, Grant, Permission, Right
 from grants.policy.decision import Decider
-from grants.policy.difference import (
-    Contradiction,
-    Moment,
-    NodeDifference,
-    RecordedGrant,
-    atoms,
-    difference,
-)
+from grants.policy.difference import Contradiction, Moment, NodeDifference, RecordedGrant, atoms, difference
 from grants.policy.learn import NewRule, add_rules, free_id
 from grants.policy.model import Policy, Subject
 from grants.policy.names import intersects
@@ -90,8 +83,9 @@ class PolicyFile:
         try:
             text = (
                 files.read_own(path, MAX_SIZE, missing, link=True)
-                if own else files.read(path, MAX_SIZE, missing)
-            ).decode()  # fmt: skip
+                if own
+                else files.read(path, MAX_SIZE, missing)
+            ).decode()
         except UnicodeDecodeError:
             raise ConfigurationError(f"{path} is not UTF-8", "is it the right file?") from None
         return cls(path, text, parse_policy(text, str(path)))
@@ -201,9 +195,7 @@ class PolicyPlan:
     @property
     def signs(self) -> int:
         """The number of grants to sign."""
-        return sum(len(node.sign) for node in self.nodes) + sum(
-            1 for _, left in self.pruned if left
-        )
+        return sum(len(node.sign) for node in self.nodes) + sum(1 for _, left in self.pruned if left)
 
     @property
     def revoke(self) -> tuple[Grant, ...]:
@@ -249,15 +241,11 @@ class PolicyPlan:
         with serials of zeros by a key with a thumbprint of zeros, and of the ids that it revokes.
         """
         drafts = self.drafts(domain, CLOCK_SKEW, lambda: bytes(ID_SIZE))
-        signs: list[Value] = [
-            [document.from_draft(draft, bytes(KEY_SIZE)), rules] for draft, rules in drafts
-        ]
+        signs: list[Value] = [[document.from_draft(draft, bytes(KEY_SIZE)), rules] for draft, rules in drafts]
         revokes: list[Value] = [*sorted(grant.id for grant in self.revoke)]
         return sha256(encode([signs, revokes])).digest()
 
-    def drafts(
-        self, domain: str, now: int, serial: Callable[[], bytes]
-    ) -> Iterator[tuple[Draft, str]]:
+    def drafts(self, domain: str, now: int, serial: Callable[[], bytes]) -> Iterator[tuple[Draft, str]]:
         """The grants to sign at `now`, each with the rules it comes from."""
         for node in self.nodes:
             for group in node.sign:
@@ -265,9 +253,15 @@ class PolicyPlan:
         for grant, left in self.pruned:
             if left and now < grant.expires:
                 draft = Draft(
-                    domain, grant.subject, grant.holder, grant.not_before, grant.expires,
-                    grant.cap, serial(), left,
-                )  # fmt: skip
+                    domain,
+                    grant.subject,
+                    grant.holder,
+                    grant.not_before,
+                    grant.expires,
+                    grant.cap,
+                    serial(),
+                    left,
+                )
                 yield draft, ""
 
 
@@ -283,11 +277,10 @@ def make_plan(store: Store, policy: PolicyFile, options: PlanOptions, moment: Mo
         getting = _subjects(store, options.names, moment.now)
         nodes = tuple(
             difference(
-                state, getting.get(each, Subject(*each)), recorded.get(each, ()), moment,
-                gets=each in getting,
+                state, getting.get(each, Subject(*each)), recorded.get(each, ()), moment, gets=each in getting
             )
             for each in sorted(getting.keys() | recorded.keys())
-        )  # fmt: skip
+        )
         pruned = tuple(_pruned(nodes)) if options.prune else ()
         plan = PolicyPlan(policy, options, moment, nodes, pruned, store.log.head(0).size)
         return _measured(store, plan)
@@ -301,18 +294,14 @@ def _subjects(store: Store, names: Collection[str] | None, now: int) -> dict[_Ho
     )
     newest = {row.name: row for row in found if row.name.startswith("/")}
     own = [
-        Subject(name, row.thumbprint, row.wildcard)
-        for name, row in newest.items()
-        if not is_reserved(name)
+        Subject(name, row.thumbprint, row.wildcard) for name, row in newest.items() if not is_reserved(name)
     ]
     foreign = domain_operations.subjects(store, now)
     admitted = [each for each in foreign if names is None or each.name in names]
     return {(each.name, each.key): each for each in (*own, *admitted)}
 
 
-def _recorded(
-    store: Store, names: Collection[str] | None, now: int
-) -> dict[_Holder, list[RecordedGrant]]:
+def _recorded(store: Store, names: Collection[str] | None, now: int) -> dict[_Holder, list[RecordedGrant]]:
     revoked, rules = store.revoked_entries(), store.policy_grants(names)
     found: dict[_Holder, list[RecordedGrant]] = {}
     for row in store.unrevoked_grants(names):
@@ -323,17 +312,13 @@ def _recorded(
     return found
 
 
-def _pruned(
-    nodes: tuple[NodeDifference, ...],
-) -> Iterator[tuple[Grant, tuple[Permission, ...]]]:
+def _pruned(nodes: tuple[NodeDifference, ...]) -> Iterator[tuple[Grant, tuple[Permission, ...]]]:
     for node in nodes:
         denied: dict[bytes, set[tuple[int, str]]] = {}
         for each in node.contradictions:
             denied.setdefault(each.grant.id, set()).add((each.right, each.pattern))
         for grant in {each.grant.id: each.grant for each in node.contradictions}.values():
-            kept = [
-                entries for atom, entries in atoms(grant).items() if atom not in denied[grant.id]
-            ]
+            kept = [entries for atom, entries in atoms(grant).items() if atom not in denied[grant.id]]
             yield grant, tuple(item for entries in kept for item in entries)
 
 
@@ -367,16 +352,19 @@ def _draft(
     lifetime = min(each.lifetime for each in group)
     renewal = min(max(each.lifetime, each.renew_until) for each in group)
     draft = Draft(
-        domain=domain, subject=subject.name, holder=subject.key,
-        not_before=now - CLOCK_SKEW, expires=now + lifetime, cap=now + renewal, serial=serial,
+        domain=domain,
+        subject=subject.name,
+        holder=subject.key,
+        not_before=now - CLOCK_SKEW,
+        expires=now + lifetime,
+        cap=now + renewal,
+        serial=serial,
         permissions=tuple(item for each in group for item in each.permissions),
-    )  # fmt: skip
+    )
     return draft, rule_ids(rule for each in group for rule in each.rules)
 
 
-def sign_planned(
-    authority: SigningAuthority, plan: PolicyPlan, now: int
-) -> list[tuple[Draft, bytes]]:
+def sign_planned(authority: SigningAuthority, plan: PolicyPlan, now: int) -> list[tuple[Draft, bytes]]:
     """Sign and record the grants of a plan, all or none."""
     drafts = list(plan.drafts(authority.domain, now, lambda: secrets.token_bytes(ID_SIZE)))
     if not drafts:
@@ -437,9 +425,7 @@ def sign_each(
             raise
         except HintedError as error:
             at = next(at for at, node in enumerate(nodes) if grant in _contradicting(node))
-            nodes[at] = replace(
-                nodes[at], refused=(*nodes[at].refused, f"{grant.subject}: {error}")
-            )
+            nodes[at] = replace(nodes[at], refused=(*nodes[at].refused, f"{grant.subject}: {error}"))
             left = ()  # noqa: PLW2901 - it goes all the same
         pruned.append((grant, left))
     return signed, replace(plan, nodes=tuple(nodes), pruned=tuple(pruned))
@@ -449,9 +435,7 @@ def _contradicting(node: NodeDifference) -> list[Grant]:
     return [each.grant for each in node.contradictions]
 
 
-def _sign_alone(
-    authority: SigningAuthority, plan: PolicyPlan, now: int
-) -> list[tuple[Draft, bytes]]:
+def _sign_alone(authority: SigningAuthority, plan: PolicyPlan, now: int) -> list[tuple[Draft, bytes]]:
     drafts = list(plan.drafts(authority.domain, now, lambda: secrets.token_bytes(ID_SIZE)))
     signed = authority.issue_grants(drafts, now, plan.policy.check_unchanged) if drafts else []
     return [(draft, data) for (draft, _), data in zip(drafts, signed, strict=True)]
@@ -493,9 +477,7 @@ def check_record(authority: SigningAuthority, plan: PolicyPlan) -> None:
         )
 
 
-def revoke_planned(
-    authority: SigningAuthority, plan: PolicyPlan, now: int
-) -> RevocationList | None:
+def revoke_planned(authority: SigningAuthority, plan: PolicyPlan, now: int) -> RevocationList | None:
     """Revoke what goes, and sign the list; None if nothing goes."""
     gone = frozenset(grant.id for grant in plan.revoke)
     if not gone:
@@ -529,9 +511,12 @@ def add_denial(policy: PolicyFile, name: str, now: int, *, is_node: bool) -> Opt
     day = time.strftime("%Y-%m-%d", time.gmtime(now))
     prefix = "opt-out" + name.replace("/", "-").replace("*", "any")[:60]
     rule = NewRule(
-        free_id([item.id for item in policy.policy.rules], prefix), f"opted out {day}",
-        name if is_node else "*", "deny", {"subscribe": ["/**" if is_node else name]},
-    )  # fmt: skip
+        free_id([item.id for item in policy.policy.rules], prefix),
+        f"opted out {day}",
+        name if is_node else "*",
+        "deny",
+        {"subscribe": ["/**" if is_node else name]},
+    )
     return OptOut(policy.replace(add_rules(policy.text, [rule])), rule.id, name, is_node)
 
 
@@ -549,9 +534,8 @@ def revoke_shown(
         return [
             (grant, _revoke(authority, grant, opted_out, now, rules.get(grant.id, "")))
             for grant in grants
-            if revoked.isdisjoint((grant.id, grant.holder)) and now < grant.cap
-            and opted_out.affects(grant)
-        ]  # fmt: skip
+            if revoked.isdisjoint((grant.id, grant.holder)) and now < grant.cap and opted_out.affects(grant)
+        ]
 
 
 def _revoke(
@@ -566,7 +550,13 @@ def _revoke(
     if not permissions or grant.expires <= now:
         return None
     draft = Draft(
-        grant.domain, grant.subject, grant.holder, grant.not_before, grant.expires, grant.cap,
-        secrets.token_bytes(16), tuple(permissions),
-    )  # fmt: skip
+        grant.domain,
+        grant.subject,
+        grant.holder,
+        grant.not_before,
+        grant.expires,
+        grant.cap,
+        secrets.token_bytes(16),
+        tuple(permissions),
+    )
     return authority.issue_grant(draft, now, rules)

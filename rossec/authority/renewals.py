@@ -89,11 +89,7 @@ def _check_recorded(store: Store, identity: Identity) -> None:
 
 
 def _renew(
-    authority: SigningAuthority,
-    data: bytes,
-    now: int,
-    check: Callable[[bytes, int], None],
-    lifetime: int,
+    authority: SigningAuthority, data: bytes, now: int, check: Callable[[bytes, int], None], lifetime: int
 ) -> bytes:
     renewal = open_renewal(data, authority.authority.anchor, now, check)
     answered = authority.store.identities.issued_for(renewal.request.digest)
@@ -113,9 +109,7 @@ def _renew(
     return authority.bundle(der)
 
 
-def _already_renewed(
-    authority: SigningAuthority, renewal: Renewal, now: int
-) -> CertificateRow | None:
+def _already_renewed(authority: SigningAuthority, renewal: Renewal, now: int) -> CertificateRow | None:
     # A newer identity for the same key that is not due itself: the answer to other requests.
     # Otherwise a node could have any number signed and recorded, as long as its old one is valid.
     identities, wanted = authority.store.identities, renewal.request.thumbprint
@@ -129,12 +123,7 @@ def _already_renewed(
 
 
 def renew_by_name(
-    authority: SigningAuthority,
-    name: str,
-    now: int,
-    lifetime: int = LIFETIME,
-    *,
-    expired: bool = False,
+    authority: SigningAuthority, name: str, now: int, lifetime: int = LIFETIME, *, expired: bool = False
 ) -> bytes:
     """Certify the current key of `name` again; returns the node's new bundle (PEM).
 
@@ -185,9 +174,7 @@ def sign_intermediate(
     """Sign and record an intermediate; returns its name for revocation, and its bundle (PEM)."""
     authority.refresh_list(now)
     root = authority.authority
-    der = root.issue_intermediate(
-        csr, now=now, serial=_serial(), may_enroll=may_enroll, lifetime=lifetime
-    )
+    der = root.issue_intermediate(csr, now=now, serial=_serial(), may_enroll=may_enroll, lifetime=lifetime)
     made = root.anchor.read_intermediate(der)
     name = f"{INTERMEDIATE}{made.thumbprint.hex()[:16]}"
     row = CertificateRow(made.serial, name, made.thumbprint, der, made.not_before, made.not_after)
@@ -205,8 +192,7 @@ def import_identity(
     identity = authority.authority.anchor.verify(from_pem(bundle)[:-1], now)
     if identity.name == OWN_NODE or not authority.authority.is_root:
         raise ConfigurationError(
-            f"{identity.name} cannot be imported here",
-            "only a root imports, and never its own node",
+            f"{identity.name} cannot be imported here", "only a root imports, and never its own node"
         )
     store, row = authority.store, certificate_row(identity)
     with store.transaction():

@@ -89,18 +89,16 @@ class GrantRequestStore:
     def answers(self) -> list[StoredAnswer]:
         """Every answer, oldest first."""
         rows = self._database.rows("SELECT data, at FROM grant_request")
-        requests = {found.id: (found, at) for found, at in
-                    ((peek_request(data), at) for data, at in rows)}  # fmt: skip
+        requests = {found.id: (found, at) for found, at in ((peek_request(data), at) for data, at in rows)}
         return [
             StoredAnswer(
-                StoredRequest(*requests[number], RequestedRight(Right(right), pattern)),
-                answer, reason, at,
+                StoredRequest(*requests[number], RequestedRight(Right(right), pattern)), answer, reason, at
             )
             for number, right, pattern, answer, reason, at in self._database.rows(
                 "SELECT request, right, pattern, answer, reason, at FROM decision ORDER BY rowid"
             )
             if number in requests
-        ]  # fmt: skip
+        ]
 
     def find(self, number: bytes) -> list[StoredRequest]:
         """Every right of the request with this id, answered or not; none: there is no such one."""

@@ -136,9 +136,7 @@ def read_revoked(
     return listing.entries, tree.epoch
 
 
-def read_domains(
-    data: bytes | None, authority: SigningAuthority
-) -> tuple[tuple[ForeignDomain, ...], int]:
+def read_domains(data: bytes | None, authority: SigningAuthority) -> tuple[tuple[ForeignDomain, ...], int]:
     """The domains that a signed list names, and its epoch; none without one."""
     if data is None:
         return (), 0

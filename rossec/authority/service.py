@@ -99,12 +99,10 @@ class ThingOperations(ABC):
 
     @property
     @abstractmethod
-    def home(self) -> AuthorityHome:
-        ...
+    def home(self) -> AuthorityHome: ...
 
     @abstractmethod
-    def unlock(self) -> SigningAuthority:
-        ...
+    def unlock(self) -> SigningAuthority: ...
 
     def sign_thing(self, order: ThingOrder) -> SignedThing:
         authority, at = self.unlock(), self._now()
@@ -120,9 +118,14 @@ class ThingOperations(ABC):
             router = store.valid_certificate(order.border, at)
             store.identities.check_not_revoked(order.name, order.credential.thumbprint)
             statement = ThingStatement(
-                authority.domain, order.name, order.credential, router.thumbprint,
-                at - SKEW, at + order.lifetime, secrets.token_bytes(SERIAL),
-            )  # fmt: skip
+                authority.domain,
+                order.name,
+                order.credential,
+                router.thumbprint,
+                at - SKEW,
+                at + order.lifetime,
+                secrets.token_bytes(SERIAL),
+            )
             ended = signing.replaced_by(store, order.name, router.thumbprint, order.replaced, at)
             bundle = _certify(authority, order, at)
             ended -= _key_of(authority, order)
@@ -131,9 +134,8 @@ class ThingOperations(ABC):
             authority.refresh_list(at)
             data = sign_statement(authority.signer, statement)
             row = ThingRow(
-                statement.id, order.name, order.border, data, statement.not_before,
-                statement.expires,
-            )  # fmt: skip
+                statement.id, order.name, order.border, data, statement.not_before, statement.expires
+            )
             store.things.add(row, statement, at)
         return SignedThing(statement, data, bundle, len(ended))
 
@@ -282,9 +284,8 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
             if store.identities.issued_for(request.digest) is None:
                 return store.requests.add(request, csr, source, at)
         return RequestRow(
-            request.digest, request.name, request.thumbprint, csr, source, at,
-            RequestState.ISSUED, "", at,
-        )  # fmt: skip
+            request.digest, request.name, request.thumbprint, csr, source, at, RequestState.ISSUED, "", at
+        )
 
     def request(self, beginning: str) -> RequestRow:
         """The one request for an identity whose id begins so, every digit of it.
@@ -294,9 +295,7 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
             StoreError: there is none, or more than one.
         """
         if not set(beginning) <= set(hexdigits):
-            raise ConfigurationError(
-                f"{beginning!a} is not a request id", "see: rossec ca requests"
-            )
+            raise ConfigurationError(f"{beginning!a} is not a request id", "see: rossec ca requests")
         with contextlib.closing(self.home.store()) as store:
             return store.requests.begun(beginning)
 
@@ -319,19 +318,14 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
         """Certify the current key of another node again; returns its new bundle (PEM)."""
         if name.startswith(INTERMEDIATE):
             raise ConfigurationError(
-                f"{name} is an intermediate",
-                "sign its request again: `rossec ca intermediate sign`",
+                f"{name} is an intermediate", "sign its request again: `rossec ca intermediate sign`"
             )
         return renewals.renew_by_name(self.unlock(), name, self._now(), lifetime, expired=expired)
 
-    def import_identity(
-        self, bundle: bytes, replaced: Collection[str] = ()
-    ) -> tuple[Identity, bool]:
+    def import_identity(self, bundle: bytes, replaced: Collection[str] = ()) -> tuple[Identity, bool]:
         return renewals.import_identity(self.unlock(), bundle, self._now(), replaced)
 
-    def sign_intermediate(
-        self, csr: bytes, *, may_enroll: bool, lifetime: int
-    ) -> tuple[str, bytes]:
+    def sign_intermediate(self, csr: bytes, *, may_enroll: bool, lifetime: int) -> tuple[str, bytes]:
         """Sign an intermediate; returns its name for revocation, and its bundle (PEM)."""
         return renewals.sign_intermediate(
             self.unlock(), csr, self._now(), may_enroll=may_enroll, lifetime=lifetime
@@ -416,10 +410,16 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
                 holder = store.valid_certificate(node, self._now()).thumbprint
         authority, at = self.unlock(), self._now()
         draft = Draft(
-            domain=authority.domain, subject=node, holder=holder, not_before=at - SKEW,
-            expires=at + lifetime, cap=at + max(lifetime, renewal),
-            serial=secrets.token_bytes(16), permissions=permissions, may_narrow=may_narrow,
-        )  # fmt: skip
+            domain=authority.domain,
+            subject=node,
+            holder=holder,
+            not_before=at - SKEW,
+            expires=at + lifetime,
+            cap=at + max(lifetime, renewal),
+            serial=secrets.token_bytes(16),
+            permissions=permissions,
+            may_narrow=may_narrow,
+        )
         if foreign is not None:
             authority.store.domains.add_certificate(root, foreign, at)
         return draft, authority.issue_grant(draft, at)
@@ -469,8 +469,7 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
         expires = open_statement(data, home.anchor().public_key).expires
         if at >= expires:
             raise ConfigurationError(
-                f"the revocation list expired {format_time(expires)}",
-                "sign it anew with: rossec ca refresh",
+                f"the revocation list expired {format_time(expires)}", "sign it anew with: rossec ca refresh"
             )
         note = f"the revocation list expires {format_time(expires)}; {_RENEW}"
         method = "rossec.updateRevocationTree" if entries else "rossec.updateRevocations"

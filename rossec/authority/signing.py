@@ -47,14 +47,7 @@ from ca.errors import (
 )
 from ca.keys.signing import Signer, to_coordinates
 from ca.names import check_name, is_alias, shown
-from ca.revocation.lists import (
-    MAX_ENTRIES,
-    RevocationList,
-    RevocationTree,
-    TreeEntries,
-    sign_list,
-    sign_tree,
-)
+from ca.revocation.lists import MAX_ENTRIES, RevocationList, RevocationTree, TreeEntries, sign_list, sign_tree
 from ca.revocation.trust_status import open_statement
 from ca.store.record import CertificateRow as record_CertificateRow
 from ca.store.record import GrantRow, Store
@@ -74,9 +67,14 @@ from rossec.errors import (
 )
 
 OF_ALL: Final = (
-    AuthorityLocked, KeyServiceFailed, KeyServiceRefused, PassphraseRefused, RecordUnusable,
-    SigningRefused, TokenRefused,
-)  # fmt: skip
+    AuthorityLocked,
+    KeyServiceFailed,
+    KeyServiceRefused,
+    PassphraseRefused,
+    RecordUnusable,
+    SigningRefused,
+    TokenRefused,
+)
 """Refusals that are about the key or the record, and so of every grant."""
 
 
@@ -113,9 +111,7 @@ def required_entries(store: Store, now: int) -> frozenset[bytes]:
     9770 removes entries in the same way). Keys stay: they are few, and a certificate renewed by the
     master may be valid longer than those recorded here.
     """
-    ended = (
-        row.id for row in store.revoked_grants() if document.peek(row.data).cap + CLOCK_SKEW < now
-    )
+    ended = (row.id for row in store.revoked_grants() if document.peek(row.data).cap + CLOCK_SKEW < now)
     expired = (row.id for row in store.things.revoked() if row.expires + CLOCK_SKEW < now)
     return store.revoked_entries() - frozenset(ended) - frozenset(expired)
 
@@ -138,9 +134,7 @@ def tree_entries(store: Store, tree: RevocationTree) -> TreeEntries:
     return listing
 
 
-def _listed_entries(
-    store: Store, statement: RevocationList | RevocationTree | None
-) -> frozenset[bytes]:
+def _listed_entries(store: Store, statement: RevocationList | RevocationTree | None) -> frozenset[bytes]:
     match statement:
         case RevocationList(entries=entries):
             return entries
@@ -177,10 +171,7 @@ def is_domain_list_due(store: Store, anchor: TrustAnchor, now: int) -> bool:
             return bool(domains) or len({m.name for m in store.identities.valid_masters(now)}) > 1
         held = open_domains(data, anchor)
         said = held.domains, held.masters
-        return now - held.issued > DOMAIN_LIST_REFRESH or said != (
-            domains,
-            required_masters(store, now),
-        )
+        return now - held.issued > DOMAIN_LIST_REFRESH or said != (domains, required_masters(store, now))
 
 
 def sign_domain_list(
@@ -192,9 +183,13 @@ def sign_domain_list(
         if new_epoch:
             epoch, seq = max(epoch + 1, above + 1, now), 1
         listed = DomainList(
-            epoch, seq, now, now + DOMAIN_LIST_LIFETIME,
-            required_domains(store, now), required_masters(store, now),
-        )  # fmt: skip
+            epoch,
+            seq,
+            now,
+            now + DOMAIN_LIST_LIFETIME,
+            required_domains(store, now),
+            required_masters(store, now),
+        )
         data = sign_domains(authority.signer, listed, authority.anchor.domain)
         store.domains.save_list(listed.number, data, now)
     return listed
@@ -230,9 +225,8 @@ def _newest_key(store: Store, name: str, now: int) -> bytes:
 
 
 def _state(
-    row: ThingRow, now: int, newest: dict[str, bytes], revoked: frozenset[bytes],
-    keys: dict[str, bytes],
-) -> str:  # fmt: skip
+    row: ThingRow, now: int, newest: dict[str, bytes], revoked: frozenset[bytes], keys: dict[str, bytes]
+) -> str:
     if row.id in revoked:
         return REVOKED
     if now >= row.expires:
@@ -349,13 +343,9 @@ class SigningAuthority:
             return self.issued_bundle(answered, now, wildcard=wildcard)
         row = self.store.requests.add(asked, request, source, now)
         if row.state is RequestState.PENDING:
-            row = self.store.requests.approve(
-                row.digest, now, replace_key=replace_key, wildcard=wildcard
-            )
+            row = self.store.requests.approve(row.digest, now, replace_key=replace_key, wildcard=wildcard)
         serial = secrets.randbits(127) + 1
-        der = self.authority.issue(
-            row.der, now=now, serial=serial, lifetime=lifetime, wildcard=row.wildcard
-        )
+        der = self.authority.issue(row.der, now=now, serial=serial, lifetime=lifetime, wildcard=row.wildcard)
         identity = self.verify(der, now)
         with self.store.transaction():
             self.store.add_certificate(
@@ -383,9 +373,7 @@ class SigningAuthority:
         """The bundle issued for a request before, as the first answer may be lost."""
         is_valid = row in self.store.identities.valid(row.name, now)
         if not is_valid and row.wildcard is wildcard and now > row.not_after:
-            self.store.valid_certificate(
-                row.name, now
-            )  # says how an identity that is over comes back
+            self.store.valid_certificate(row.name, now)  # says how an identity that is over comes back
         if not is_valid or row.wildcard is not wildcard:
             raise RequestClosed(
                 f"this request of {row.name} was answered, but that identity is invalid or differs",
@@ -404,10 +392,7 @@ class SigningAuthority:
         return data
 
     def issue_grants(
-        self,
-        drafts: Sequence[tuple[Draft, str]],
-        now: int,
-        check: Callable[[], None] = lambda: None,
+        self, drafts: Sequence[tuple[Draft, str]], now: int, check: Callable[[], None] = lambda: None
     ) -> list[bytes]:
         """Sign grants, each with its rules, and record all of them or none.
 
@@ -445,9 +430,8 @@ class SigningAuthority:
         self.refresh_list(now)
         begin = now - SKEW
         draft = Delegation(
-            self.domain, holder, begin, begin + lifetime, max_ttl,
-            serial or secrets.token_bytes(16),
-        )  # fmt: skip
+            self.domain, holder, begin, begin + lifetime, max_ttl, serial or secrets.token_bytes(16)
+        )
         data = sign_delegation(self.signer, draft)
         files.make_private_directory(self.path / DELEGATIONS)
         name = open_delegation(data, self.signer.public_key).id.hex()
@@ -541,9 +525,7 @@ class SigningAuthority:
         """
         self._check_root("say which domains are trusted")
         with self.store.transaction():
-            listed = sign_domain_list(
-                self.authority, self.store, now, new_epoch=new_epoch, above=above
-            )
+            listed = sign_domain_list(self.authority, self.store, now, new_epoch=new_epoch, above=above)
             self.sign_head(now)
         return listed
 
@@ -590,6 +572,10 @@ def delegations(authority: Path, key: ec.EllipticCurvePublicKey) -> list[OpenDel
 def certificate_row(identity: Identity) -> record_CertificateRow:
     """The row that records an identity."""
     return record_CertificateRow(
-        identity.serial, identity.name, identity.thumbprint, identity.certificate,
-        identity.not_before, identity.not_after,
-    )  # fmt: skip
+        identity.serial,
+        identity.name,
+        identity.thumbprint,
+        identity.certificate,
+        identity.not_before,
+        identity.not_after,
+    )

@@ -91,9 +91,7 @@ class Server:
         # How many datagrams were not looked at: too many of one port, host or thing, or in all.
         return self._intake.lost
 
-    def request(
-        self, name: str, request: Request, on_answer: OnAnswer
-    ) -> Callable[[], None] | None:
+    def request(self, name: str, request: Request, on_answer: OnAnswer) -> Callable[[], None] | None:
         # Ask the thing `name`; returns what cancels it. None: it is not there.
         conversation = self.endpoint.conversations.of(name)
         if conversation is None:
@@ -194,9 +192,12 @@ class BorderNode(Node):
     """The border router's own node; it tells what it learns."""
 
     def __init__(
-        self, name: str, environ: Mapping[str, str], on_news: Callable[[], None],
+        self,
+        name: str,
+        environ: Mapping[str, str],
+        on_news: Callable[[], None],
         on_session: Callable[[], None],
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__(name, environ=environ)
         self._on_news, self._on_session = on_news, on_session
 
@@ -260,9 +261,13 @@ class BorderRouter:
         self.roster.reload()
         await node.__aenter__()
         self._shared = SharedIdentity(
-            node.access.standing, node.settings, node.push_arrived,
-            lambda: node.revocations.data, node.home.save_revocations, master=node.master_name,
-        )  # fmt: skip
+            node.access.standing,
+            node.settings,
+            node.push_arrived,
+            lambda: node.revocations.data,
+            node.home.save_revocations,
+            master=node.master_name,
+        )
         self.server = Server(self._key, self.roster, self, self._host, self._port)
 
     async def close(self) -> None:
@@ -346,9 +351,7 @@ class BorderRouter:
         return self.server.request(name, request, on_answer)
 
     async def _links(self, name: str) -> bytes:
-        future: asyncio.Future[Answer | ThingUnreachable] = (
-            asyncio.get_running_loop().create_future()
-        )
+        future: asyncio.Future[Answer | ThingUnreachable] = asyncio.get_running_loop().create_future()
         request = Request(codes.GET, WELL_KNOWN)
         if self.server.request(name, request, future.set_result) is None:
             raise ThingUnreachable(f"{name} is not there any more")
@@ -438,12 +441,15 @@ def describe_status(router: BorderRouter, now: int) -> dict[str, Any]:
         "at": now,
         "address": [host, port],
         "counts": {
-            "datagrams": counts.datagrams, "refused": counts.refused,
-            "over_budget": counts.over_budget, "handshakes": counts.handshakes,
-            "derivations": counts.derivations, "lost": router.server.lost,
+            "datagrams": counts.datagrams,
+            "refused": counts.refused,
+            "over_budget": counts.over_budget,
+            "handshakes": counts.handshakes,
+            "derivations": counts.derivations,
+            "lost": router.server.lost,
         },
         "things": {name: _thing(router, name) for name in router.roster.names},
-    }  # fmt: skip
+    }
 
 
 def _thing(router: BorderRouter, name: str) -> dict[str, Any]:
@@ -459,7 +465,7 @@ def _thing(router: BorderRouter, name: str) -> dict[str, Any]:
         "received": bridge.received,
         "refused": bridge.refused,
         "over_rate": 0 if conversation is None else conversation.quota.dropped,
-    }  # fmt: skip
+    }
 
 
 def write_status(directory: Path, status: dict[str, Any]) -> None:

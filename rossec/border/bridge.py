@@ -58,9 +58,7 @@ class Roster:
         clock: seconds since the epoch.
     """
 
-    def __init__(
-        self, files: ThingFiles, revocations: Revocations, clock: Callable[[], int]
-    ) -> None:
+    def __init__(self, files: ThingFiles, revocations: Revocations, clock: Callable[[], int]) -> None:
         self._files = files
         self._revocations: Final = revocations
         self._clock = clock
@@ -133,11 +131,7 @@ class Roster:
 
     def entries(self) -> list[bytes]:
         things = self._things.values()
-        return [
-            entry
-            for statement, _ in things
-            for entry in (statement.id, statement.credential.thumbprint)
-        ]
+        return [entry for statement, _ in things for entry in (statement.id, statement.credential.thumbprint)]
 
     def _usable(self, kids: dict[bytes, list[str]], kid: bytes) -> ServedThing | None:
         for name in reversed(kids.get(kid, [])):
@@ -196,9 +190,18 @@ class ThingBridge:
     """
 
     __slots__ = (
-        "_ask", "_lock", "_offered", "_running", "_seen", "_tasks", "credential", "node",
-        "received", "refused", "resources",
-    )  # fmt: skip
+        "_ask",
+        "_lock",
+        "_offered",
+        "_running",
+        "_seen",
+        "_tasks",
+        "credential",
+        "node",
+        "received",
+        "refused",
+        "resources",
+    )
 
     def __init__(self, node: ThingNode, credential: bytes, ask: Ask, tasks: TaskSet) -> None:
         self.node: Final = node
@@ -299,9 +302,7 @@ class ThingBridge:
 
     # --- messages
 
-    def _notified(
-        self, resource: Resource, publisher: Publisher, answer: Answer | ThingUnreachable
-    ) -> None:
+    def _notified(self, resource: Resource, publisher: Publisher, answer: Answer | ThingUnreachable) -> None:
         if isinstance(answer, ThingUnreachable):
             self._running.pop(resource, None)
             _log.info("%s: %s", resource.name, answer)

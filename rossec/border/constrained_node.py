@@ -106,9 +106,18 @@ class MasterVisits:
     """
 
     __slots__ = (
-        "_access", "_client", "_dial", "_directory", "_holder", "_idle", "_lock", "_name",
-        "_renewals", "_shared", "_used",
-    )  # fmt: skip
+        "_access",
+        "_client",
+        "_dial",
+        "_directory",
+        "_holder",
+        "_idle",
+        "_lock",
+        "_name",
+        "_renewals",
+        "_shared",
+        "_used",
+    )
 
     def __init__(
         self,
@@ -200,9 +209,7 @@ class MasterVisits:
         return client
 
     async def _confirm(self, client: RpcClient, master: Identity) -> None:
-        answer = await client.ask(
-            "rossec.revocationsSince", self._name, digest(self._shared.held_list())
-        )
+        answer = await client.ask("rossec.revocationsSince", self._name, digest(self._shared.held_list()))
         match answer:
             case [bytes() as revocations, bytes() as timestamp]:
                 self._access.update_revocations(
@@ -254,10 +261,26 @@ class ThingNode:
     """
 
     __slots__ = (
-        "_connections", "_context", "_credentials", "_directory", "_failed", "_grace", "_grants_at",
-        "_home", "_host", "_listener", "_not_after", "_renew_at", "_retry_at", "_shared", "_topics",
-        "_visits", "closed", "name", "services",
-    )  # fmt: skip
+        "_connections",
+        "_context",
+        "_credentials",
+        "_directory",
+        "_failed",
+        "_grace",
+        "_grants_at",
+        "_home",
+        "_host",
+        "_listener",
+        "_not_after",
+        "_renew_at",
+        "_retry_at",
+        "_shared",
+        "_topics",
+        "_visits",
+        "closed",
+        "name",
+        "services",
+    )
 
     def __init__(self, home: NodeHome, shared: SharedIdentity, host: str) -> None:
         self.name: Final = home.name
@@ -266,9 +289,11 @@ class ThingNode:
         identity = self._load(clock.now())
         access = Access(shared.standing, master=shared.master)
         secure: SecureContext[Identity] = SecureContext(
-            self._credentials, shared.standing.anchors.verify,
-            suites=shared.suites, half_open=shared.half_open,
-        )  # fmt: skip
+            self._credentials,
+            shared.standing.anchors.verify,
+            suites=shared.suites,
+            half_open=shared.half_open,
+        )
         own_addresses = OwnAddresses()
         dialer = Dialer(self.name, secure, access.check_peer, own_addresses)
         self._connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(
@@ -281,15 +306,27 @@ class ThingNode:
         )
         self._grace = PublisherGrace(clock.counter())
         self._context = NodeContext(
-            self.name, access, self._connections, self._visits.call, dialer, home.filter_key,
+            self.name,
+            access,
+            self._connections,
+            self._visits.call,
+            dialer,
+            home.filter_key,
             memory_scope(self.name),
-        )  # fmt: skip
+        )
         self._topics = Topics(self._context, self._grace)
         self.services = Services(self._context)
         self._listener = Listener(
-            self.name, secure, access, self._topics.publishers, self.services,
-            SlaveApi(self, shared.master), self._connections, own_addresses, self.name,
-        )  # fmt: skip
+            self.name,
+            secure,
+            access,
+            self._topics.publishers,
+            self.services,
+            SlaveApi(self, shared.master),
+            self._connections,
+            own_addresses,
+            self.name,
+        )
 
     def _load(self, now: int) -> Identity:
         own = self._shared.standing.anchors.own
@@ -401,8 +438,7 @@ class ThingNode:
     def publishers_changed(self, topic: str, uris: list[str]) -> None:
         self._topics.publishers_changed(topic, uris)
 
-    def parameter_changed(self, key: str, value: object) -> None:
-        ...
+    def parameter_changed(self, key: str, value: object) -> None: ...
 
     def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
         # A timestamp alone is of no use: that node has one by its own session.

@@ -23,13 +23,7 @@ from aiocoap.optiontypes import BlockOption
 
 from ca.things.constrained_nodes import ThingKey
 from rossec.border import messages
-from rossec.border.conversations import (
-    MAX_BLOCK,
-    MAX_BODY,
-    Conversation,
-    Conversations,
-    Unauthenticated,
-)
+from rossec.border.conversations import MAX_BLOCK, MAX_BODY, Conversation, Conversations, Unauthenticated
 from rossec.border.handshakes import ID_SIZE, MAX_MESSAGE_3, Authenticated, Handshakes, StaticKey
 from rossec.border.messages import (
     Address,
@@ -79,9 +73,20 @@ class PendingRequest:
     """One request until its last answer; an observation until it is cancelled."""
 
     __slots__ = (
-        "conversation", "deadline", "identifier", "mid", "newest", "on_answer", "received",
-        "request", "retry", "sent", "tag", "token", "tries",
-    )  # fmt: skip
+        "conversation",
+        "deadline",
+        "identifier",
+        "mid",
+        "newest",
+        "on_answer",
+        "received",
+        "request",
+        "retry",
+        "sent",
+        "tag",
+        "token",
+        "tries",
+    )
 
     def __init__(self, conversation: Conversation, request: Request, on_answer: OnAnswer) -> None:
         self.conversation = conversation
@@ -107,9 +112,7 @@ class Requests:
         random: returns so many random octets.
     """
 
-    def __init__(
-        self, transmissions: Transmissions, timers: Timers, random: Callable[[int], bytes]
-    ) -> None:
+    def __init__(self, transmissions: Transmissions, timers: Timers, random: Callable[[int], bytes]) -> None:
         self._transmissions = transmissions
         self._timers = timers
         self._random = random
@@ -241,9 +244,12 @@ class Requests:
             now + DEADLINE, lambda _: self._fail(exchange, "it did not answer in time")
         )
         self._transmissions.send(
-            messages.write(sealed), exchange.mid, conversation.address, now,
+            messages.write(sealed),
+            exchange.mid,
+            conversation.address,
+            now,
             lambda: self._fail(exchange, "it is out of reach"),
-        )  # fmt: skip
+        )
 
     def _new_token(self) -> bytes:
         while (token := self._random(messages.TOKEN_SIZE)) in self._exchanges:
@@ -288,8 +294,7 @@ _ALONE: Final = 0x18  # from here on a connection identifier of one octet is no 
 class Served(Protocol):
     """Which things are served."""
 
-    def by_key(self, kid: bytes) -> tuple[str, ThingKey] | None:
-        ...
+    def by_key(self, kid: bytes) -> tuple[str, ThingKey] | None: ...
 
     def by_secret(self, kid: bytes) -> tuple[str, bytes] | None:
         # The thing with a secret that has this kid: its name, and the secret.
@@ -299,14 +304,11 @@ class Served(Protocol):
 class Events(Protocol):
     """What happens."""
 
-    def registered(self, conversation: Conversation) -> None:
-        ...
+    def registered(self, conversation: Conversation) -> None: ...
 
-    def left(self, name: str) -> None:
-        ...
+    def left(self, name: str) -> None: ...
 
-    def ended(self, conversation: Conversation) -> None:
-        ...
+    def ended(self, conversation: Conversation) -> None: ...
 
 
 @dataclass
@@ -425,9 +427,7 @@ class Endpoint:
             self._count(message_1=len(payload) - 1, message_2=len(message_2))
         self._answer(message, Message(code=codes.CHANGED, payload=message_2), address)
 
-    def _finish(
-        self, own_id: bytes, message_3: bytes, address: Address, now: float
-    ) -> Authenticated:
+    def _finish(self, own_id: bytes, message_3: bytes, address: Address, now: float) -> Authenticated:
         found = self._handshakes.finish(own_id, message_3, now)
         served = self._served.by_key(found.key.kid)
         if served is None:
@@ -494,9 +494,15 @@ class Endpoint:
         self._serve(conversation, message, opened, identifier, address, now)
 
     def _challenge(
-        self, message: Message, value: bytes, secret: bytes, kid: bytes, identifier: RequestId,
-        address: Address, now: float,
-    ) -> None:  # fmt: skip
+        self,
+        message: Message,
+        value: bytes,
+        secret: bytes,
+        kid: bytes,
+        identifier: RequestId,
+        address: Address,
+        now: float,
+    ) -> None:
         value_2 = self._challenges.make(kid, now, self._random(2))
         context = border_context(secret, kid, value_2 + value)
         sealed, _ = context.seal(Message(code=codes.UNAUTHORIZED), identifier)
@@ -541,9 +547,7 @@ class Endpoint:
     def _number(self) -> int:
         return int.from_bytes(self._random(2))
 
-    def _answer(
-        self, request: Message, response: Message, address: Address, mid: int | None = None
-    ) -> bytes:
+    def _answer(self, request: Message, response: Message, address: Address, mid: int | None = None) -> bytes:
         mid = self._number() if mid is None else mid  # a stranger learns nothing of others
         data = messages.write(messages.answer(request, response, mid))
         self._send(data, address)

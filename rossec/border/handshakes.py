@@ -33,9 +33,7 @@ _TRIES: Final = 16
 _KIDS: Final = 24  # a kid of one octet below this takes the least room in messages
 _POINT: Final = 32  # octets of x
 _SUITE: Final = rb"(?:[\x00-\x17]|\x18[\x18-\xff])"
-_BEFORE_POINT: Final = re.compile(
-    rb"\x03(?:%s|[\x82-\x97]%s{2,23})\x58\x20" % (_SUITE, _SUITE), re.DOTALL
-)
+_BEFORE_POINT: Final = re.compile(rb"\x03(?:%s|[\x82-\x97]%s{2,23})\x58\x20" % (_SUITE, _SUITE), re.DOTALL)
 _LEAVES: Final = (KeyboardInterrupt, SystemExit, GeneratorExit)
 
 ResultT = TypeVar("ResultT")
@@ -81,11 +79,7 @@ class Handshakes:
     """
 
     def __init__(
-        self,
-        own: StaticKey,
-        find: FindKey,
-        is_taken: Callable[[bytes], bool],
-        random: Callable[[int], bytes],
+        self, own: StaticKey, find: FindKey, is_taken: Callable[[bytes], bool], random: Callable[[int], bytes]
     ) -> None:
         self._own = own
         self._find = find
@@ -111,9 +105,7 @@ class Handshakes:
         _check_extensions(extensions)
         own_id = self._new_id(bytes(peer_id))
         message_2 = bytes(
-            _guarded(
-                responder.prepare_message_2, lakers.CredentialTransfer.ByReference, own_id, None
-            )
+            _guarded(responder.prepare_message_2, lakers.CredentialTransfer.ByReference, own_id, None)
         )
         self.expire(now)
         if len(self._pending) >= MAX_PENDING:

@@ -45,9 +45,23 @@ TOKEN_SIZE: Final = 4
 CON, NON, ACK, RST = Type.CON, Type.NON, Type.ACK, Type.RST
 OBSERVE, DEREGISTER = 0, 1  # RFC 7641 section 2
 __all__ = [
-    "ACK", "CON", "DEREGISTER", "MAX_DATAGRAM", "NON", "OBSERVE", "RST", "TOKEN_SIZE", "Message",
-    "answer", "empty", "is_empty", "number_of", "read", "refusal", "write",
-]  # fmt: skip
+    "ACK",
+    "CON",
+    "DEREGISTER",
+    "MAX_DATAGRAM",
+    "NON",
+    "OBSERVE",
+    "RST",
+    "TOKEN_SIZE",
+    "Message",
+    "answer",
+    "empty",
+    "is_empty",
+    "number_of",
+    "read",
+    "refusal",
+    "write",
+]
 
 
 def read(data: bytes) -> Message:
@@ -171,9 +185,7 @@ class Transmissions:
     def __len__(self) -> int:
         return len(self._open)
 
-    def send(
-        self, data: bytes, mid: int, address: Address, now: float, failed: Callable[[], None]
-    ) -> None:
+    def send(self, data: bytes, mid: int, address: Address, now: float, failed: Callable[[], None]) -> None:
         pause = ACK_TIMEOUT * (1 + self._rand() / 2)
         key = (address, mid)
         self.acknowledge(address, mid)
@@ -209,8 +221,7 @@ _H: Final = 0x10  # flag: there is a kid context
 RequestId = Any
 
 
-def _nothing() -> None:
-    ...
+def _nothing() -> None: ...
 
 
 class OscoreContext(oscore.CanProtect, oscore.CanUnprotect, oscore.SecurityContextUtils):  # type: ignore[misc]
@@ -232,12 +243,7 @@ class OscoreContext(oscore.CanProtect, oscore.CanUnprotect, oscore.SecurityConte
     window is always initialized, so nothing is compared with it."""
 
     def __init__(
-        self,
-        secret: bytes,
-        salt: bytes,
-        sender: bytes,
-        recipient: bytes,
-        id_context: bytes | None = None,
+        self, secret: bytes, salt: bytes, sender: bytes, recipient: bytes, id_context: bytes | None = None
     ) -> None:
         if sender == recipient:
             raise DatagramRefused("both sides of a context have the same ID")

@@ -95,9 +95,12 @@ def _resource(target: str, parameters: str, thing: str) -> Resource | None:
     if _TYPE.fullmatch(type_name) is None:
         raise ThingLinksRefused(f"{type_name!a} is not a ROS type", "package/Type")
     return Resource(
-        kind, _path(target), type_name, _name(values.get("title", ""), thing),
+        kind,
+        _path(target),
+        type_name,
+        _name(values.get("title", ""), thing),
         _format(values.get("ct", str(ROS_BODY))),
-    )  # fmt: skip
+    )
 
 
 def _path(target: str) -> tuple[str, ...]:

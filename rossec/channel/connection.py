@@ -15,14 +15,7 @@ from collections.abc import Collection, Iterator, Sequence
 from typing import Final, Generic, Protocol, Self
 
 from ca.errors import HintedError
-from rossec.channel.edhoc.credentials import (
-    KnownCertificates,
-    OwnCredential,
-    OwnDials,
-    PeerT,
-    Renews,
-    Verify,
-)
+from rossec.channel.edhoc.credentials import KnownCertificates, OwnCredential, OwnDials, PeerT, Renews, Verify
 from rossec.channel.edhoc.handshake import EdhocConfig, Responder
 from rossec.channel.edhoc.messages import (
     MAX_MESSAGE_1,
@@ -86,8 +79,7 @@ HINT_SILENT: Final = "it may be a plain ROS node, which has no identity, or over
 class OpenStreams(Protocol):
     """Keeps the open connections of an identity, to present its renewed certificate on them."""
 
-    def add(self, stream: "PresentsIdentity") -> None:
-        ...
+    def add(self, stream: "PresentsIdentity") -> None: ...
 
 
 class PresentsIdentity(Protocol):
@@ -168,13 +160,7 @@ class Outbound(Generic[PeerT]):
     def seal_small(self, unit: Bytes) -> Bytes | None:
         # None: it does not apply, use `seal_unit`.
         small = 0 < len(unit) <= min(_ONE_RECORD, self._limits.unit)
-        if (
-            self._out
-            or self._sealing
-            or not small
-            or self.state not in SENDING
-            or self._session is None
-        ):
+        if self._out or self._sealing or not small or self.state not in SENDING or self._session is None:
             return None
         return self._session.seal_small(unit)
 
@@ -286,10 +272,7 @@ class Outbound(Generic[PeerT]):
 
     def _handle_timeout(self, now: int, *, reading: bool) -> None:
         if self.state is not ConnectionState.OPEN or self._session is None or self._peer is None:
-            raise HandshakeTimeout(
-                "the peer did not finish the handshake in time",
-                HINT_SILENT,
-            )
+            raise HandshakeTimeout("the peer did not finish the handshake in time", HINT_SILENT)
         if now >= self._peer.not_after:
             raise IdentityExpired("the peer's certificate has expired", "renew it")
         self._session.check_progress(now, reading=reading)
@@ -344,9 +327,16 @@ class Connection(Outbound[PeerT]):
         taken on the open connection.
         """
         config = EdhocConfig(
-            credentials, verify, random, suites, known=known, request_x5t=request_x5t,
-            own_dials=own_dials, renews=renews, ead=b"" if renews is None else RENEWALS_EAD,
-        )  # fmt: skip
+            credentials,
+            verify,
+            random,
+            suites,
+            known=known,
+            request_x5t=request_x5t,
+            own_dials=own_dials,
+            renews=renews,
+            ead=b"" if renews is None else RENEWALS_EAD,
+        )
         negotiation, message_1 = Negotiation.begin(config)
         preamble = Preamble(opening, None)
         connection = cls(preamble, negotiation, now, limits)
@@ -374,9 +364,15 @@ class Connection(Outbound[PeerT]):
         the initiator.
         """
         config = EdhocConfig(
-            credentials, verify, random, suites, known=known, own_dials=own_dials,
-            renews=renews, ead=b"" if renews is None else RENEWALS_EAD,
-        )  # fmt: skip
+            credentials,
+            verify,
+            random,
+            suites,
+            known=known,
+            own_dials=own_dials,
+            renews=renews,
+            ead=b"" if renews is None else RENEWALS_EAD,
+        )
         preamble = Preamble(WireProtocol.TCPROS, accept)
         return cls(preamble, Negotiation(Responder(config)), now, limits, FIRST)
 
@@ -437,10 +433,7 @@ class Connection(Outbound[PeerT]):
                 "the connection ended without the peer's close",
                 "data may be missing: the peer crashed, or something reset the connection",
             )
-        raise HandshakeFailed(
-            "the peer ended the connection during the handshake",
-            HINT_SILENT,
-        )
+        raise HandshakeFailed("the peer ended the connection during the handshake", HINT_SILENT)
 
     def _process_frames(self) -> None:
         if self.state in PREAMBLE:

@@ -96,9 +96,7 @@ TABLE: Final[dict[tuple[ConnectionState, Frame], Row]] = {
 """Errors are unauthenticated, so they are not accepted once the handshake is done."""
 
 PREAMBLE: Final = frozenset({ConnectionState.OPENING, ConnectionState.DRAINING})
-UNAUTHENTICATED: Final = frozenset(
-    {ConnectionState.WAIT_1, ConnectionState.WAIT_2, ConnectionState.WAIT_3}
-)
+UNAUTHENTICATED: Final = frozenset({ConnectionState.WAIT_1, ConnectionState.WAIT_2, ConnectionState.WAIT_3})
 HANDSHAKING: Final = UNAUTHENTICATED | {ConnectionState.WAIT_4}
 FRAMED: Final = HANDSHAKING | {ConnectionState.OPEN}
 SENDING: Final = frozenset({ConnectionState.WAIT_4, ConnectionState.OPEN})
@@ -301,9 +299,7 @@ class Negotiation(Generic[PeerT]):
     def on_message_1(self, body: bytes, _: int) -> NegotiationStep[PeerT]:
         edhoc = cast("Responder[PeerT]", self._edhoc)
         try:
-            return NegotiationStep(
-                ConnectionState.WAIT_3, frame(Frame.HANDSHAKE, edhoc.message_1(body))
-            )
+            return NegotiationStep(ConnectionState.WAIT_3, frame(Frame.HANDSHAKE, edhoc.message_1(body)))
         except WrongSuite as error:
             if self._retried:
                 raise
@@ -314,9 +310,7 @@ class Negotiation(Generic[PeerT]):
     def on_message_2(self, body: bytes, now: int) -> NegotiationStep[PeerT]:
         edhoc = cast("Initiator[PeerT]", self._edhoc)
         message_3, peer = edhoc.message_2(body, now)
-        if (
-            edhoc.send_x5t
-        ):  # the responder may not know the certificate: send nothing before message_4
+        if edhoc.send_x5t:  # the responder may not know the certificate: send nothing before message_4
             self._unconfirmed_peer, peer_now = peer, None
         else:
             peer_now = peer

@@ -29,12 +29,8 @@ MAX_DRAIN: Final = 1024 * 1024
 _VERSION: Final = b"rossec=1"
 _FIELD: Final = len(_VERSION).to_bytes(4, "little") + _VERSION
 _TCPROS: Final = len(_FIELD).to_bytes(4, "little") + _FIELD
-_REQUEST: Final = (
-    b"GET /rossec HTTP/1.1\r\nHost: rossec\r\nConnection: Upgrade\r\nUpgrade: rossec/1\r\n\r\n"
-)
-_SWITCH: Final = (
-    b"HTTP/1.1 101 Switching Protocols\r\nConnection: Upgrade\r\nUpgrade: rossec/1\r\n\r\n"
-)
+_REQUEST: Final = b"GET /rossec HTTP/1.1\r\nHost: rossec\r\nConnection: Upgrade\r\nUpgrade: rossec/1\r\n\r\n"
+_SWITCH: Final = b"HTTP/1.1 101 Switching Protocols\r\nConnection: Upgrade\r\nUpgrade: rossec/1\r\n\r\n"
 _METHODS: Final = (b"GET ", b"POST", b"HEAD", b"PUT ", b"OPTI")
 
 REFUSAL: Final = (

@@ -121,9 +121,7 @@ class Direction:
         self.octets += length
         return (self._iv ^ counter).to_bytes(12)
 
-    def seal(
-        self, kind: Frame, plaintext: Bytes, scratch: bytearray | memoryview | None = None
-    ) -> Bytes:
+    def seal(self, kind: Frame, plaintext: Bytes, scratch: bytearray | memoryview | None = None) -> Bytes:
         length = len(plaintext)
         head = (kind << 28 | (self.epoch & 15) << 24 | (length + TAG)).to_bytes(4)
         nonce = self._nonce(length)
@@ -179,10 +177,7 @@ class Epochs:
     def _derive(self, epoch: int) -> tuple[Direction, Direction]:
         own, peer = self._labels
         exporter, self._exporter = self._exporter, self._exporter.bare()
-        return (
-            Direction(self._suite, exporter, own, epoch),
-            Direction(self._suite, exporter, peer, epoch),
-        )
+        return (Direction(self._suite, exporter, own, epoch), Direction(self._suite, exporter, peer, epoch))
 
     def _advance(self) -> tuple[Direction, Direction]:
         epoch = max(self.sender.epoch, self.receiver.epoch) + 1

@@ -218,9 +218,7 @@ class Session:
     def __init__(self, epochs: Epochs, limits: ChannelLimits, now: int) -> None:
         self._epochs = epochs
         self._limits = limits
-        self._unit = UnitAssembly(
-            limits.unit if limits.preauth_limit is None else limits.preauth_limit
-        )
+        self._unit = UnitAssembly(limits.unit if limits.preauth_limit is None else limits.preauth_limit)
         self._progress = Progress()
         self._scratch: bytearray | None = None
         self.renew_at = now + limits.seconds
@@ -255,8 +253,7 @@ class Session:
         size = _size(pieces)
         if size > self._limits.unit:
             raise LimitExceeded(
-                f"a message of {size} bytes where at most {self._limits.unit} are allowed",
-                "send it in parts",
+                f"a message of {size} bytes where at most {self._limits.unit} are allowed", "send it in parts"
             )
 
     def seal_small(self, unit: Bytes) -> Bytes | None:
@@ -396,7 +393,4 @@ def _size(pieces: Sequence[Bytes]) -> int:
 
 
 def _beyond(direction: Direction, limits: ChannelLimits) -> bool:
-    return (
-        direction.records >= 2 * limits.records
-        or direction.octets >= 2 * limits.octets + MAX_PLAINTEXT
-    )
+    return direction.records >= 2 * limits.records or direction.octets >= 2 * limits.octets + MAX_PLAINTEXT

@@ -16,8 +16,8 @@ import click
 from click.core import ParameterSource
 
 from ca.enrollment import qr
-from rossec.cli.shared import context
 from rossec.cli.console.serve import check_libraries
+from rossec.cli.shared import context
 from rossec.console.listening import listen
 from rossec.console.options import PORT, Options, read_options
 from rossec.demo import steps
@@ -29,9 +29,7 @@ from rossec.terminal import say, say_block, say_picture
 
 
 @click.command()
-@click.option(
-    "--keep", type=click.Path(path_type=Path), help="new directory to leave everything in"
-)
+@click.option("--keep", type=click.Path(path_type=Path), help="new directory to leave everything in")
 @click.pass_context
 def demo(called: click.Context, keep: Path | None) -> None:
     """Show the main job: enroll, grant, filter, refuse, revoke. Needs no ROS, ends by itself."""
@@ -139,9 +137,7 @@ def show_border_demo(called: click.Context) -> None:
         DemoFailed: a step did not do what it says.
     """
     if any(find_spec(name) is None for name in _LIBRARIES):
-        raise ConfigurationError(
-            "CoAP for things is not installed", "pip install 'rossec[constrained]'"
-        )
+        raise ConfigurationError("CoAP for things is not installed", "pip install 'rossec[constrained]'")
     others = (name for name in called.params if name != "is_demo")
     if any(called.get_parameter_source(name) != ParameterSource.DEFAULT for name in others):
         raise ConfigurationError("--demo has a home of its own", "leave the other options out")

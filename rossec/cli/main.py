@@ -13,14 +13,8 @@ from rossec.cli.shared.context import Environment, LazyGroup
 from rossec.terminal import printable
 
 _TABLE: Final = {
-    "audit": (
-        "master.audit:audit",
-        "Show the master's audit: what was denied, and what was administered.",
-    ),
-    "border": (
-        "servers:border",
-        "Run the border router of constrained things, as the node /border.",
-    ),
+    "audit": ("master.audit:audit", "Show the master's audit: what was denied, and what was administered."),
+    "border": ("servers:border", "Run the border router of constrained things, as the node /border."),
     "ca": ("nouns:ca", "Run the authority, which signs the identities."),
     "completion": (
         "completion.shells:completion",
@@ -31,10 +25,7 @@ _TABLE: Final = {
         "Show who sees what, and decide: pages for a browser, and the phones that approve.",
     ),
     "demo": ("demo:demo", "Show the main job: enroll, grant, filter, refuse, revoke."),
-    "discover": (
-        "ros.graph:discover",
-        "Look for the masters of this trust domain, the best link first.",
-    ),
+    "discover": ("ros.graph:discover", "Look for the masters of this trust domain, the best link first."),
     "doctor": (
         "node.doctor:doctor",
         "Check the set-up of NODE on this machine: identity, grants, master, what is plain.",
@@ -48,10 +39,7 @@ _TABLE: Final = {
         "nouns:federation",
         "Follow other masters: of the own domain, and of domains that are trusted.",
     ),
-    "gateway": (
-        "servers:gateway",
-        "Run the gateway of this site, as the node /gateway.",
-    ),
+    "gateway": ("servers:gateway", "Run the gateway of this site, as the node /gateway."),
     "grant": ("nouns:grant", "Sign, show and revoke grants."),
     "graph": ("ros.graph:graph", "Show the graph, as far as NODE may see it."),
     "master": ("servers:master", "Run a master, as the node /master."),
@@ -66,18 +54,9 @@ _TABLE: Final = {
         "nouns:privacy",
         "Show every field of every topic: which node sees it, how, why and until when.",
     ),
-    "relay": (
-        "servers:relay",
-        "Run the relay of this site, as the node /relay.",
-    ),
-    "router": (
-        "servers:router",
-        "Run a router, through which relays of several sites reach each other.",
-    ),
-    "run": (
-        "node.sidecar:run",
-        "Run COMMAND, a ROS program in any language, behind a sidecar of its own.",
-    ),
+    "relay": ("servers:relay", "Run the relay of this site, as the node /relay."),
+    "router": ("servers:router", "Run a router, through which relays of several sites reach each other."),
+    "run": ("node.sidecar:run", "Run COMMAND, a ROS program in any language, behind a sidecar of its own."),
     "service": ("nouns:service", "List, ask and call services."),
     "sidecar": (
         "node.sidecar:sidecar",

@@ -46,10 +46,7 @@ _CA: Final = {
         "nouns:intermediate",
         "Let a host sign nodes for a limited time, while the root stays offline.",
     ),
-    "invitations": (
-        "nouns:invitations",
-        "Show the invitations that can be used, and who joined by them.",
-    ),
+    "invitations": ("nouns:invitations", "Show the invitations that can be used, and who joined by them."),
     "invite": (
         "ca.invite:command",
         "Let nodes whose names PATTERN covers join by a code, without a person for each of them.",
@@ -66,10 +63,7 @@ _CA: Final = {
         "ca.identities:renew",
         "Renew the identity of NAME for the key it has; /ca is the authority's own node.",
     ),
-    "requests": (
-        "ca.enroll:requests",
-        "Show the requests for an identity that have no answer yet.",
-    ),
+    "requests": ("ca.enroll:requests", "Show the requests for an identity that have no answer yet."),
     "restore": ("ca.backup:restore", "Prove the backup FILE and put its authority back."),
     "revoke": (
         "ca.identities:revoke",
@@ -81,18 +75,12 @@ _CA: Final = {
     ),
     "show": ("ca.identities:show", "Show the authority, or everything about the node NAME."),
     "sign": ("ca.sign:sign", "Sign the identity requests in REQUESTS, after showing them."),
-    "status": (
-        "ca.serve:status",
-        "Show whether the authority's service runs, and whether it holds the key.",
-    ),
+    "status": ("ca.serve:status", "Show whether the authority's service runs, and whether it holds the key."),
     "thing": (
         "ca.sign:thing",
         "State that the thing NAME has this key or secret, and which border router serves it.",
     ),
-    "things": (
-        "ca.sign:things",
-        "List the things that are stated now, with their border routers.",
-    ),
+    "things": ("ca.sign:things", "List the things that are stated now, with their border routers."),
     "unlock": (
         "ca.serve:unlock",
         "Give the running service the passphrase: it holds the key from now on, for a time.",
@@ -105,17 +93,14 @@ _INTERMEDIATE: Final = {
         "ca.sign:request_intermediate",
         "On the host: make its key and a request, to carry to the root of DOMAIN.",
     ),
-    "sign": (
-        "ca.sign:sign_intermediate",
-        "At the root: sign REQUEST of a host, and set what it may do.",
-    ),
+    "sign": ("ca.sign:sign_intermediate", "At the root: sign REQUEST of a host, and set what it may do."),
 }
 
 _INVITATIONS: Final = {
     "revoke": (
         "ca.identities:revoke_invitations",
         "End the invitation INVITATION_ID (or its beginning); who joined by it stays enrolled.",
-    ),
+    )
 }
 
 _LOG: Final = {
@@ -165,25 +150,16 @@ def invitations(context: click.Context, everything: bool, in_json: bool) -> None
 
 
 _NODE: Final = {
-    "code": (
-        "node.identity:code",
-        "Show the QR code of NAME's request, for the authority to scan.",
-    ),
+    "code": ("node.identity:code", "Show the QR code of NAME's request, for the authority to scan."),
     "confirm": (
         "node.enroll:confirm",
-        (
-            "Confirm that the authority shows DIGITS for NAME,"
-            " whose enrollment waits in another process."
-        ),
+        ("Confirm that the authority shows DIGITS for NAME, whose enrollment waits in another process."),
     ),
     "enroll": (
         "node.enroll:enroll",
         "Enroll the node NAME: show its code, wait for the authority, and for your confirmation.",
     ),
-    "info": (
-        "ros.graph:node_info",
-        "Show what the running node NAME publishes, subscribes to and provides.",
-    ),
+    "info": ("ros.graph:node_info", "Show what the running node NAME publishes, subscribes to and provides."),
     "install": (
         "node.identity:install",
         "Install the signed identity in BUNDLE, and trust the authority that signed it.",
@@ -197,10 +173,7 @@ _NODE: Final = {
         "Write a sheet of labels for the nodes NAMES, 24 to a page; makes keys that are missing.",
     ),
     "list": ("ros.graph:list_nodes", "List the running nodes that NODE may see."),
-    "request": (
-        "node.identity:request",
-        "Make the key of the node NAME and a request for its identity.",
-    ),
+    "request": ("node.identity:request", "Make the key of the node NAME and a request for its identity."),
     "show": ("node.identity:show", "Show the identity of NAME and how many grants it holds."),
 }
 
@@ -219,10 +192,7 @@ _GRANT: Final = {
         "grant.request:decide",
         "Let the policy decide the requests in REQUEST_FILES and in the inbox.",
     ),
-    "deliver": (
-        "grant.delivery:deliver",
-        "Deposit every grant in force that the master does not have.",
-    ),
+    "deliver": ("grant.delivery:deliver", "Deposit every grant in force that the master does not have."),
     "deny": ("grant.request:deny", "Deny the request REQUEST_ID (or the beginning of it)."),
     "install": (
         "grant.delivery:install",
@@ -243,10 +213,7 @@ _GRANT: Final = {
         "grant.delivery:revoke",
         "Revoke the grant GRANT_ID (or the beginning of it) and notify the master at once.",
     ),
-    "show": (
-        "grant.delivery:show",
-        "Show what the grant in FILE allows; its signature is not checked.",
-    ),
+    "show": ("grant.delivery:show", "Show what the grant in FILE allows; its signature is not checked."),
     "sign": (
         "grant.sign:sign",
         "Let NODE publish, subscribe, call and so on, under conditions and through filters.",
@@ -268,10 +235,7 @@ _POLICY: Final = {
         "policy.check:check",
         "Check the policy in FILE: its form, its words, conditions and filters, and its tests.",
     ),
-    "import-sros2": (
-        "policy.check:import_",
-        "Turn the SROS2 policy in XML into one of rossec.",
-    ),
+    "import-sros2": ("policy.check:import_", "Turn the SROS2 policy in XML into one of rossec."),
     "learn": (
         "policy.apply:learn",
         "Add rules for what runs and no rule decides: exact names, marked for review.",
@@ -280,25 +244,16 @@ _POLICY: Final = {
         "policy.check:lint",
         "Warn of what the policy in FILE allows unwisely, such as a hidden value that still leaks.",
     ),
-    "init": (
-        "policy.check:init",
-        "Write the commented beginning of a policy to FILE, which must not exist.",
-    ),
-    "review": (
-        "policy.apply:review",
-        "Go through a denial log, and answer for each line no rule decides.",
-    ),
-    "test": (
-        "policy.check:test",
-        "Run the tests in the policy FILE: what must stay true of it.",
-    ),
+    "init": ("policy.check:init", "Write the commented beginning of a policy to FILE, which must not exist."),
+    "review": ("policy.apply:review", "Go through a denial log, and answer for each line no rule decides."),
+    "test": ("policy.check:test", "Run the tests in the policy FILE: what must stay true of it."),
 }
 
 _PRIVACY: Final = {
     "opt-out": (
         "policy.apply:opt_out",
         "Show the topic NAME to no node; or, when NAME is a node, show that node no topic.",
-    ),
+    )
 }
 
 
@@ -336,10 +291,7 @@ def privacy(
 _DOMAIN: Final = {
     "accept": ("domain.trust:accept", "Trust the domain of CARD, as far as these options say."),
     "card": ("domain.trust:card", "Write this domain's card, for the authority of another one."),
-    "limit": (
-        "domain.trust:limit",
-        "Change how far, and until when, the domain LABEL is trusted.",
-    ),
+    "limit": ("domain.trust:limit", "Change how far, and until when, the domain LABEL is trusted."),
     "list": ("domain.listing:list_", "List the foreign domains that are trusted."),
     "remove": ("domain.trust:remove", "Trust the domain LABEL no more, and cut its connections."),
     "show": ("domain.listing:show", "Show how far the domain LABEL is trusted."),
@@ -356,14 +308,8 @@ _FEDERATION: Final = {
         "relay.sites:add_site",
         "Follow the master at URI, or behind the relay's peer PEER, and call it LABEL.",
     ),
-    "list": (
-        "relay.sites:list_sites",
-        "List the masters to follow, as `rossec federation add` has them.",
-    ),
-    "param": (
-        "relay.sites:param",
-        "Mirror the parameters of LABEL that match PATTERN, read-only.",
-    ),
+    "list": ("relay.sites:list_sites", "List the masters to follow, as `rossec federation add` has them."),
+    "param": ("relay.sites:param", "Mirror the parameters of LABEL that match PATTERN, read-only."),
     "remove": ("relay.sites:remove_site", "Follow LABEL no longer: its names go at once."),
     "status": (
         "status:federation_status",
@@ -395,10 +341,7 @@ _NAMESPACE: Final = {
     ),
     "name": ("namespace.names:show_name", "Show the name that rules give for the metadata in META."),
     "rules": ("namespace.show_rules:command", "Print the rules that are shipped, to be changed."),
-    "serve": (
-        "namespace.serve:serve",
-        "Answer nodes that ask which name a topic or service of theirs gets.",
-    ),
+    "serve": ("namespace.serve:serve", "Answer nodes that ask which name a topic or service of theirs gets."),
 }
 
 
@@ -413,10 +356,7 @@ def namespace() -> None:
 _PARAM: Final = {
     "delete": ("ros.calls:delete_param", "Unset the parameter NAME and everything below it."),
     "get": ("ros.calls:get_param", "Print the parameter NAME, or a namespace with all in it."),
-    "list": (
-        "ros.calls:list_params",
-        "List the parameters that NODE may read, of all or of one NAMESPACE.",
-    ),
+    "list": ("ros.calls:list_params", "List the parameters that NODE may read, of all or of one NAMESPACE."),
     "set": ("ros.calls:set_param", "Set the parameter NAME to VALUE (YAML, as in rosparam)."),
 }
 
@@ -425,33 +365,21 @@ _SERVICE: Final = {
         "ros.calls:call",
         "Call the service NAME with CONTENT (YAML, as in rosservice) and print the answer.",
     ),
-    "info": (
-        "ros.calls:service_info",
-        "Show which node provides the service NAME, where, and its type.",
-    ),
+    "info": ("ros.calls:service_info", "Show which node provides the service NAME, where, and its type."),
     "list": ("ros.calls:list_services", "List the services that NODE may see."),
     "type": ("ros.calls:type_of_service", "Print the type of the service NAME."),
 }
 
 _TOPIC: Final = {
-    "bw": (
-        "ros.topic:bw",
-        "Show how many bytes of the topic NAME arrive, as NODE may see them.",
-    ),
+    "bw": ("ros.topic:bw", "Show how many bytes of the topic NAME arrive, as NODE may see them."),
     "echo": ("ros.topic:echo", "Print the messages of the topic NAME, as NODE may see them."),
     "find": ("ros.graph:find_topics", "List the topics whose messages are of TYPE."),
-    "hz": (
-        "ros.topic:hz",
-        "Show how often messages of the topic NAME arrive, as NODE may see them.",
-    ),
+    "hz": ("ros.topic:hz", "Show how often messages of the topic NAME arrive, as NODE may see them."),
     "info": (
         "ros.graph:topic_info",
         "Show the type of the topic NAME and the nodes that publish and subscribe to it.",
     ),
-    "list": (
-        "ros.graph:list_topics",
-        "List the topics that NODE may see, all or those below NAMESPACE.",
-    ),
+    "list": ("ros.graph:list_topics", "List the topics that NODE may see, all or those below NAMESPACE."),
     "pub": ("ros.topic:pub", "Publish CONTENT (YAML, as in rostopic) on the topic NAME."),
     "type": ("ros.graph:type_of_topic", "Print the type of the topic NAME."),
 }

@@ -39,10 +39,7 @@ _MASTER: Final = {
 
 @click.group(cls=LazyGroup, table=_MASTER, invoke_without_command=True)
 @click.option(
-    "--port",
-    "-p",
-    type=click.IntRange(0, 65535),
-    help="instead of the one in ROS_MASTER_URI; 0 for any",
+    "--port", "-p", type=click.IntRange(0, 65535), help="instead of the one in ROS_MASTER_URI; 0 for any"
 )
 @click.option("--json", "as_json", is_flag=True, help="say the address as a line of JSON")
 @click.option(
@@ -65,20 +62,16 @@ _MASTER: Final = {
 @click.option("--log", type=click.Choice(["text", "json"]), help="form of the log on stderr")
 @click.option("--admin", is_flag=True, help="open the local port of an administrator")
 @click.option(
-    "--name", "name", metavar="NAME",
+    "--name",
+    "name",
+    metavar="NAME",
     help="which of the domain's masters: /master, or /master/kitchen; instead of ROSSEC_MASTER",
-)  # fmt: skip
-@click.option(
-    "--follow-announced", is_flag=True, help="follow every announced master of the own domain"
 )
+@click.option("--follow-announced", is_flag=True, help="follow every announced master of the own domain")
 @click.option("--announce", is_flag=True, help="announce the master on the local links")
+@click.option("--metrics", type=click.IntRange(0, 65535), help="serve Prometheus on this port of loopback")
 @click.option(
-    "--metrics", type=click.IntRange(0, 65535), help="serve Prometheus on this port of loopback"
-)
-@click.option(
-    "--post-quantum",
-    metavar="POLICY",
-    help="off, prefer or require; instead of ROSSEC_POST_QUANTUM",
+    "--post-quantum", metavar="POLICY", help="off, prefer or require; instead of ROSSEC_POST_QUANTUM"
 )
 @pass_environment
 @click.pass_context
@@ -137,21 +130,16 @@ _CONSOLE: Final = {
 }
 _FILE: Final = click.Path(path_type=Path)
 
-_PHONES: Final = {
-    "remove": ("console.phones:remove", "Let the phone NAME approve nothing any more."),
-}
+_PHONES: Final = {"remove": ("console.phones:remove", "Let the phone NAME approve nothing any more.")}
 
 
 @click.group(cls=LazyGroup, table=_CONSOLE, invoke_without_command=True)
-@click.option(
-    "--lan", is_flag=True, help="for phones on the network: https, an authority of its own"
-)
+@click.option("--lan", is_flag=True, help="for phones on the network: https, an authority of its own")
 @click.option("--name", metavar="NAME", help="what browsers call it; --lan: HOSTNAME.local")
 @click.option("--rename", is_flag=True, help="another name or port: every phone is set up anew")
 @click.option(
-    "--hand-out", is_flag=True,
-    help=f"hand its certificate out at port {HAND_OUT_PORT}, for ten minutes",
-)  # fmt: skip
+    "--hand-out", is_flag=True, help=f"hand its certificate out at port {HAND_OUT_PORT}, for ten minutes"
+)
 @click.option("--tls-cert", "tls_certificate", type=_FILE, help="certificate chain of a real NAME")
 @click.option("--tls-key", type=_FILE, help="its private key; both are read again when renewed")
 @click.option("--unix", "unix_path", type=_FILE, metavar="PATH", help="for a proxy on this host")
@@ -165,14 +153,7 @@ _PHONES: Final = {
 @click.option("--json", "as_json", is_flag=True, help="say that it is ready as a line of JSON")
 @click.pass_context
 def console(
-    context: click.Context,
-    /,
-    *,
-    log: str,
-    as_json: bool,
-    rename: bool,
-    is_demo: bool,
-    **options: object,
+    context: click.Context, /, *, log: str, as_json: bool, rename: bool, is_demo: bool, **options: object
 ) -> None:
     """Show who sees what, and decide: pages for a browser, and the phones that approve.
 
@@ -207,9 +188,7 @@ def phones(context: click.Context, everything: bool, as_json: bool) -> None:
     show(context.ensure_object(Environment), everything=everything, as_json=as_json)
 
 
-_GATEWAY: Final = {
-    "status": ("status:gateway_status", "Show what the running gateway serves, and what not."),
-}
+_GATEWAY: Final = {"status": ("status:gateway_status", "Show what the running gateway serves, and what not.")}
 _RULES: Final = "rossec.gateway.rules"
 _EXAMPLE: Final = "rossec gateway --from hospital /robot/pose"
 
@@ -236,31 +215,38 @@ def _misplaced(_: click.Context, option: click.Parameter, value: Any) -> None:
 
 @click.group(cls=GatewayGroup, table=_GATEWAY, invoke_without_command=True)
 @click.option(
-    "--from", metavar="LABEL PATTERN...", expose_value=False, callback=_misplaced,
+    "--from",
+    metavar="LABEL PATTERN...",
+    expose_value=False,
+    callback=_misplaced,
     help="serve these topics of the domain LABEL, by the names there; may be repeated",
-)  # fmt: skip
+)
 @click.option(
-    "--rate", metavar="N", expose_value=False, callback=_misplaced,
+    "--rate",
+    metavar="N",
+    expose_value=False,
+    callback=_misplaced,
     help="at most N messages a second of each of them",
-)  # fmt: skip
+)
 @click.option(
-    "--newest", is_flag=True, expose_value=False, callback=_misplaced,
+    "--newest",
+    is_flag=True,
+    expose_value=False,
+    callback=_misplaced,
     help="of messages that wait for a slow line, send only the newest",
-)  # fmt: skip
+)
 @click.option(
-    "--compress", is_flag=True, expose_value=False, callback=_misplaced,
-    help="send them compressed",
-)  # fmt: skip
+    "--compress", is_flag=True, expose_value=False, callback=_misplaced, help="send them compressed"
+)
 @click.option(
-    "--name", metavar="NAME",
+    "--name",
+    metavar="NAME",
     help="which of the domain's gateways: /gateway, or /gateway/attic; instead of ROSSEC_GATEWAY",
-)  # fmt: skip
+)
 @click.option("--json", "as_json", is_flag=True, help="say that it runs as a line of JSON")
 @pass_environment
 @click.pass_context
-def gateway(
-    context: click.Context, environment: Environment, name: str | None, *, as_json: bool
-) -> None:
+def gateway(context: click.Context, environment: Environment, name: str | None, *, as_json: bool) -> None:
     """Run the gateway of this site, as the node /gateway. Ends with Ctrl-C.
 
     It brings topics of another domain here, once however many listen, and only while somebody
@@ -299,18 +285,23 @@ _RELAY: Final = {
 
 @click.group(cls=LazyGroup, table=_RELAY, invoke_without_command=True)
 @click.option(
-    "--doors", metavar="ADDRESS", default="",
+    "--doors",
+    metavar="ADDRESS",
+    default="",
     help="listen here for nodes of other hosts of this site; default: loopback, for this user",
-)  # fmt: skip
+)
 @click.option(
-    "--seat", "seat_file", metavar="FILE",
+    "--seat",
+    "seat_file",
+    metavar="FILE",
     type=click.Path(path_type=Path, dir_okay=False),
     help="the routers and the seat there, instead of what `rossec relay seat` keeps",
-)  # fmt: skip
+)
 @click.option(
-    "--name", metavar="NAME",
+    "--name",
+    metavar="NAME",
     help="which of the domain's relays: /relay, or /relay/attic; instead of ROSSEC_RELAY",
-)  # fmt: skip
+)
 @click.option("--json", "as_json", is_flag=True, help="say that it runs as a line of JSON")
 @pass_environment
 @click.pass_context
@@ -348,39 +339,41 @@ _ROUTER: Final = {
 }
 
 _SEATS: Final = {
-    "add": (
-        "relay.sites:add_account",
-        "Make the seat NAME, and print its file for the relay of that site.",
-    ),
+    "add": ("relay.sites:add_account", "Make the seat NAME, and print its file for the relay of that site."),
     "list": ("relay.sites:list_accounts", "List the seats."),
     "remove": (
         "relay.sites:remove_account",
         "Take the seat NAME away; a router that runs cuts its relay off within a second.",
     ),
-    "show": (
-        "relay.sites:show_account",
-        "Print the file of the seat NAME again, with the routers of now.",
-    ),
+    "show": ("relay.sites:show_account", "Print the file of the seat NAME again, with the routers of now."),
 }
 
 
 @click.group(cls=LazyGroup, table=_ROUTER, invoke_without_command=True)
 @click.option(
-    "--home", "directory", type=click.Path(path_type=Path, file_okay=False),
+    "--home",
+    "directory",
+    type=click.Path(path_type=Path, file_okay=False),
     help="the router's directory, by default `router` in ROSSEC_HOME",
-)  # fmt: skip
+)
 @click.option(
-    "--listen", metavar="LOCATOR", multiple=True,
+    "--listen",
+    metavar="LOCATOR",
+    multiple=True,
     help="where it listens, tls/[::]:7447 by default; also quic/ and tcp/; may be repeated",
-)  # fmt: skip
+)
 @click.option(
-    "--join", metavar="LOCATOR", multiple=True,
+    "--join",
+    metavar="LOCATOR",
+    multiple=True,
     help="another router of this operator, tls/other.example.org:7447; may be repeated",
-)  # fmt: skip
+)
 @click.option(
-    "--host", metavar="NAME", multiple=True,
+    "--host",
+    metavar="NAME",
+    multiple=True,
     help="name or address by which relays reach it, for its certificate; may be repeated",
-)  # fmt: skip
+)
 @click.option("--open", "is_open", is_flag=True, help="let in everybody, without seats")
 @click.option("--print-config", is_flag=True, help="print it for a stock zenohd, and end")
 @click.option("--json", "as_json", is_flag=True, help="say where it listens as a line of JSON")
@@ -459,9 +452,7 @@ _PORT: Final = 5683
 
 
 @click.group(cls=LazyGroup, table=_BORDER, invoke_without_command=True)
-@click.option(
-    "--as", "router", metavar="NAME", default="/border", show_default=True, help="its name"
-)
+@click.option("--as", "router", metavar="NAME", default="/border", show_default=True, help="its name")
 @click.option("--listen", "host", metavar="ADDRESS", default="::", help="where; :: is everywhere")
 @click.option("--port", default=_PORT, show_default=True, help="UDP port; 0 for any")
 @click.option("--json", "as_json", is_flag=True, help="say where it listens as a line of JSON")
@@ -469,9 +460,15 @@ _PORT: Final = 5683
 @pass_environment
 @click.pass_context
 def border(
-    context: click.Context, environment: Environment, router: str, host: str, port: int, *,
-    as_json: bool, is_demo: bool,
-) -> None:  # fmt: skip
+    context: click.Context,
+    environment: Environment,
+    router: str,
+    host: str,
+    port: int,
+    *,
+    as_json: bool,
+    is_demo: bool,
+) -> None:
     """Run the border router of constrained things, as the node /border. Ends with Ctrl-C.
 
     Things reach it by CoAP (UDP). It serves those whose statement was installed by `install`; one

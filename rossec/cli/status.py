@@ -28,9 +28,7 @@ from rossec.terminal import note, printable, record, say, say_json
 PERIOD: Final = 1.0  # seconds between two questions
 
 as_json = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
-watch = click.option(
-    "--watch", is_flag=True, help="show it again whenever it changes, until Ctrl-C"
-)
+watch = click.option("--watch", is_flag=True, help="show it again whenever it changes, until Ctrl-C")
 
 Answer = dict[str, Any]
 
@@ -124,9 +122,7 @@ def federation_status(environment: Environment, *, as_json: bool, watch: bool) -
 
 def _lines(answer: dict[str, Any]) -> list[str]:
     sites = [
-        line
-        for site in answer["sites"]
-        for line in (_line(site), *_hint(site), *_way(site), *_topics(site))
+        line for site in answer["sites"] for line in (_line(site), *_hint(site), *_way(site), *_topics(site))
     ]
     return [*sites, *(printable(f"{where}: {what}") for where, what in answer["problems"].items())]
 
@@ -134,8 +130,7 @@ def _lines(answer: dict[str, Any]) -> list[str]:
 def _without_figures(answer: dict[str, Any]) -> list[str]:
     still = {"rtt_ms": 0, "retransmissions": 0, "streams": 0}
     sites = [
-        {**site, "way": {**site["way"], **still}} if site.get("way") else site
-        for site in answer["sites"]
+        {**site, "way": {**site["way"], **still}} if site.get("way") else site for site in answer["sites"]
     ]
     return _lines({**answer, "sites": sites})
 
@@ -193,8 +188,11 @@ def gateway_status(environment: Environment, *, as_json: bool, watch: bool) -> N
     home = NodeHome.of(environment.home, own_gateway(environment.variables))
     show_status(
         lambda: send_command(home.path / ADMIN_SOCKET, "status", "gateway"),
-        _gateway_lines, _missing, as_json=as_json, watch=watch,
-    )  # fmt: skip
+        _gateway_lines,
+        _missing,
+        as_json=as_json,
+        watch=watch,
+    )
 
 
 def _missing(answer: dict[str, Any]) -> str:
@@ -246,8 +244,11 @@ def relay_status(environment: Environment, *, as_json: bool, watch: bool) -> Non
     socket = relay_files(environment).home.path / RELAY_SOCKET
     show_status(
         lambda: send_command(socket, "status", "relay"),
-        _relay_lines, _status_missing, as_json=as_json, watch=watch,
-    )  # fmt: skip
+        _relay_lines,
+        _status_missing,
+        as_json=as_json,
+        watch=watch,
+    )
 
 
 def _status_missing(answer: dict[str, Any]) -> str:

@@ -41,29 +41,29 @@ from rossec.console.words import NONE, Names
 from rossec.errors import HttpRefused, KeyServiceFailed, PeerUserRefused
 from rossec.peer_limits import printable
 
-_POLICY: Final = "; ".join((
-    "default-src 'none'",
-    "script-src 'self'",
-    "style-src 'self'",
-    "img-src 'self' data: blob:",
-    "connect-src 'self'",
-    "media-src 'self' blob:",
-    "manifest-src 'self'",
-    "form-action 'self'",
-    "base-uri 'none'",
-    "frame-ancestors 'none'",
-    "require-trusted-types-for 'script'",
-    "trusted-types 'none'",
-))  # fmt: skip
+_POLICY: Final = "; ".join(
+    (
+        "default-src 'none'",
+        "script-src 'self'",
+        "style-src 'self'",
+        "img-src 'self' data: blob:",
+        "connect-src 'self'",
+        "media-src 'self' blob:",
+        "manifest-src 'self'",
+        "form-action 'self'",
+        "base-uri 'none'",
+        "frame-ancestors 'none'",
+        "require-trusted-types-for 'script'",
+        "trusted-types 'none'",
+    )
+)
 HEADERS: Final[Mapping[str, str]] = {
     "Content-Security-Policy": _POLICY,
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "same-origin",
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
-    "Permissions-Policy": (
-        "camera=(self), publickey-credentials-get=(self), microphone=(), geolocation=()"
-    ),
+    "Permissions-Policy": ("camera=(self), publickey-credentials-get=(self), microphone=(), geolocation=()"),
     "Cache-Control": "no-store",
 }
 IMMUTABLE: Final = "public, max-age=31536000, immutable"
@@ -152,7 +152,7 @@ RULES: Final = (
     GuardRule("origin", _is_own_origin, 403, "another site sent this", "load the page again"),
     GuardRule("session", _may_see, SEE_OTHER, "you are not logged in", "log in"),
     GuardRule("size", _is_bounded, 413, "this is too large", "send less"),
-)  # fmt: skip
+)
 _NOT_LOGGED_IN: Final = next(rule for rule in RULES if rule.name == "session")
 
 
@@ -163,9 +163,7 @@ def broken_rule(facts: Facts, allowed: Allowed, match: Match | None) -> GuardRul
 
 def wants_json(headers: Mapping[str, str]) -> bool:
     """Whether a script asks, which cannot show a page."""
-    return headers.get("accept", "").split(",")[0].strip() in {
-        "application/json", "text/event-stream",
-    }  # fmt: skip
+    return headers.get("accept", "").split(",")[0].strip() in {"application/json", "text/event-stream"}
 
 
 class Guard:

@@ -104,37 +104,30 @@ class Act(NamedTuple):
 class RunningEnrollments(Protocol):
     """`Enrollments`, as far as approving needs it."""
 
-    def get(self, number: str) -> Enrollment:
-        ...
+    def get(self, number: str) -> Enrollment: ...
 
-    def approved(self, number: str, outcome: Outcome) -> None:
-        ...
+    def approved(self, number: str, outcome: Outcome) -> None: ...
 
 
 class RequestSource(Protocol):
     """The service, as far as approving needs it."""
 
-    async def identity_requests(self) -> tuple[IdentityRequestView, ...]:
-        ...
+    async def identity_requests(self) -> tuple[IdentityRequestView, ...]: ...
 
-    async def questions(self) -> tuple[GrantQuestion, ...]:
-        ...
+    async def questions(self) -> tuple[GrantQuestion, ...]: ...
 
 
 class Sources(Protocol):
     """What a form's answers are looked up in; the console's context is one."""
 
     @property
-    def enrollments(self) -> RunningEnrollments:
-        ...
+    def enrollments(self) -> RunningEnrollments: ...
 
     @property
-    def made_codes(self) -> MadeCodes:
-        ...
+    def made_codes(self) -> MadeCodes: ...
 
     @property
-    def service(self) -> RequestSource:
-        ...
+    def service(self) -> RequestSource: ...
 
 
 Reader = Callable[[Sources, Form], Awaitable[Act]]
@@ -165,9 +158,7 @@ async def _enrollment(sources: Sources, form: Form) -> Act:
     found.check_can_approve()
     request = found.core.request
     replaces = _replaces(form, request.name, is_other_key=found.is_other_key)
-    arguments: list[Value] = [
-        found.core.csr, found.source, request.wildcard, IDENTITY_LIFETIME, replaces,
-    ]  # fmt: skip
+    arguments: list[Value] = [found.core.csr, found.source, request.wildcard, IDENTITY_LIFETIME, replaces]
     return Act("enroll", arguments, f"/add/{number}", subject=number)
 
 
@@ -176,9 +167,7 @@ async def _request(sources: Sources, form: Form) -> Act:
     for each in await sources.service.identity_requests():
         if each.id == wanted:
             replaces = _replaces(form, each.name, is_other_key=each.is_other_key)
-            arguments: list[Value] = [
-                each.csr, each.source, each.anonymous, IDENTITY_LIFETIME, replaces,
-            ]  # fmt: skip
+            arguments: list[Value] = [each.csr, each.source, each.anonymous, IDENTITY_LIFETIME, replaces]
             return Act("enroll", arguments, "/approved/{id}")
     raise FormRefused("this request was answered already, or has expired", "see what still waits")
 
@@ -241,8 +230,10 @@ async def _revoke_master(_: Sources, form: Form) -> Act:
 READERS: Final[Mapping[str, tuple[tuple[frozenset[str], ...], Reader]]] = {
     "enroll": (
         (
-            frozenset({"enrollment"}), frozenset({"enrollment", "name"}),
-            frozenset({"request"}), frozenset({"request", "name"}),
+            frozenset({"enrollment"}),
+            frozenset({"enrollment", "name"}),
+            frozenset({"request"}),
+            frozenset({"request", "name"}),
         ),
         _enroll,
     ),
@@ -252,14 +243,11 @@ READERS: Final[Mapping[str, tuple[tuple[frozenset[str], ...], Reader]]] = {
     "intermediate": ((frozenset({"csr", "may", "days"}),), _intermediate),
     "passkey": ((frozenset({"proposal"}),), _passkey),
     "invitation": (
-        (
-            frozenset({"pattern", "uses", "lasts"}),
-            frozenset({"pattern", "uses", "lasts", "anonymous"}),
-        ),
+        (frozenset({"pattern", "uses", "lasts"}), frozenset({"pattern", "uses", "lasts", "anonymous"})),
         _invitation,
     ),
     "revoke-master": ((frozenset({"reason", "name", "master"}),), _revoke_master),
-}  # fmt: skip
+}
 
 
 def certificate_request(text: str) -> bytes:
@@ -310,9 +298,7 @@ def _grant_seconds(duration: str, most: int) -> int:
         return min(clock.seconds_left_today(clock.now()), most)
     seconds = _SECONDS[duration]
     if seconds > most:
-        raise FormRefused(
-            f"the policy allows {words.duration(most)} at most", "choose a shorter time"
-        )
+        raise FormRefused(f"the policy allows {words.duration(most)} at most", "choose a shorter time")
     return seconds
 
 
@@ -371,9 +357,13 @@ MAX_PICTURES: Final = 2  # topics
 _MOST: Final = 4  # rights in the sentence
 ACTS: Final = Right.PUBLISH | Right.CALL | Right.PROVIDE | Right.PARAM_SET | Right.ADMIN
 DRIVING: Final = frozenset(
-    {"geometry_msgs/Twist", "geometry_msgs/TwistStamped", "ackermann_msgs/AckermannDrive",
-     "ackermann_msgs/AckermannDriveStamped"}
-)  # fmt: skip
+    {
+        "geometry_msgs/Twist",
+        "geometry_msgs/TwistStamped",
+        "ackermann_msgs/AckermannDrive",
+        "ackermann_msgs/AckermannDriveStamped",
+    }
+)
 LABELS: Final[Mapping[str, str]] = {
     "": "All of it, as it asks",
     "coarse": "Coarser",
@@ -437,10 +427,7 @@ def ways(given: Sequence[tuple[str, Sequence[AskedRight]]], most: int = 6) -> li
     Of more than `most` those that show least, and what it asks for.
     """
     narrow = sorted(given, key=lambda each: strictness(each[1]), reverse=True)
-    shown = [
-        *[each for each in narrow if each[0]][: most - 1],
-        *(each for each in given if not each[0]),
-    ]
+    shown = [*[each for each in narrow if each[0]][: most - 1], *(each for each in given if not each[0])]
     return [
         Way(
             coarse,
@@ -493,9 +480,7 @@ def why_no_coarser(question: GrantQuestion) -> str:
 
 
 def looks(
-    node: str,
-    ways: Sequence[tuple[str, Sequence[AskedRight]]],
-    preview: Preview | None = None,
+    node: str, ways: Sequence[tuple[str, Sequence[AskedRight]]], preview: Preview | None = None
 ) -> list[Looks]:
     """What the node would see, of topics whose messages can be drawn.
 
@@ -569,10 +554,7 @@ def _restrictions(right: AskedRight) -> tuple[Restriction, ...]:
 
 
 def _looks(
-    node: str,
-    right: AskedRight,
-    ways: Sequence[tuple[str, Sequence[AskedRight]]],
-    preview: Preview | None,
+    node: str, right: AskedRight, ways: Sequence[tuple[str, Sequence[AskedRight]]], preview: Preview | None
 ) -> Looks | None:
     recorded = None if preview is None else preview.recorded(right.pattern)
     applied = [each for _, rights in ways for one in rights for each in _restrictions(one)]

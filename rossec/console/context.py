@@ -131,8 +131,7 @@ class NewsFeed:
 class Scanner(Protocol):
     """Reads codes out of pictures, in a process of its own."""
 
-    async def read(self, frame: bytes) -> str | None:
-        ...
+    async def read(self, frame: bytes) -> str | None: ...
 
 
 @dataclass
@@ -173,6 +172,4 @@ class ConsoleContext:
         self.made_codes = MadeCodes()
         self.turns = Turns()
         self.endings = Endings()
-        self.enrollments = Enrollments(
-            self.service, self.settings.domain, self.clock, self.news.changed
-        )
+        self.enrollments = Enrollments(self.service, self.settings.domain, self.clock, self.news.changed)

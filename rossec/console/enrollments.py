@@ -54,9 +54,7 @@ class Stage(Enum):
     FAILED = "failed"
 
 
-OVER: Final = frozenset(
-    {Stage.ENROLLED, Stage.REJECTED, Stage.DIFFERED, Stage.SWAPPED, Stage.FAILED}
-)
+OVER: Final = frozenset({Stage.ENROLLED, Stage.REJECTED, Stage.DIFFERED, Stage.SWAPPED, Stage.FAILED})
 
 
 class Known(Enum):
@@ -78,20 +76,15 @@ class Destination(NamedTuple):
 class EnrollmentService(Protocol):
     """The operations of the service that an enrollment needs."""
 
-    async def nodes(self) -> tuple[NodeView, ...]:
-        ...
+    async def nodes(self) -> tuple[NodeView, ...]: ...
 
-    async def identity_requests(self) -> tuple[IdentityRequestView, ...]:
-        ...
+    async def identity_requests(self) -> tuple[IdentityRequestView, ...]: ...
 
-    async def deny_request(self, request: bytes, reason: str) -> None:
-        ...
+    async def deny_request(self, request: bytes, reason: str) -> None: ...
 
-    async def revoke_node(self, name: str, reason: str) -> tuple[int, int]:
-        ...
+    async def revoke_node(self, name: str, reason: str) -> tuple[int, int]: ...
 
-    async def outcome(self, statement: bytes, /) -> Outcome:
-        ...
+    async def outcome(self, statement: bytes, /) -> Outcome: ...
 
 
 class Enrollment:

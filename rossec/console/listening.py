@@ -138,8 +138,7 @@ def listen_for_proxy(path: Path, *, shared: bool) -> socket.socket:
         sock = listen_at(path, BACKLOG)
     except OSError as error:
         raise ConfigurationError(
-            f"cannot listen at {path}: {os.strerror(error.errno or 0).lower()}",
-            "choose another --unix PATH",
+            f"cannot listen at {path}: {os.strerror(error.errno or 0).lower()}", "choose another --unix PATH"
         ) from error
     if shared:
         path.chmod(0o666)

@@ -168,10 +168,7 @@ class Matrix(NamedTuple):
         """The same, with the rows and receivers first in which most is seen."""
         order = sorted(
             range(len(self.receivers)),
-            key=lambda at: (
-                -sum(row.cells[at].access is not Access.NOTHING for row in self.rows),
-                at,
-            ),
+            key=lambda at: (-sum(row.cells[at].access is not Access.NOTHING for row in self.rows), at),
         )
         rows = [row._replace(cells=tuple(row.cells[at] for at in order)) for row in self.rows]
         rows.sort(key=lambda row: (row.is_pattern, -len(row.seen_by()), row.topic))
@@ -191,14 +188,11 @@ def held_grants(
     return tuple(sorted(found, key=lambda held: (-held.view.at, held.view.id)))
 
 
-def _held(
-    view: GrantView, grant: Grant, keys: dict[bytes, NodeView], now: int, heard: Heard
-) -> HeldGrant:
+def _held(view: GrantView, grant: Grant, keys: dict[bytes, NodeView], now: int, heard: Heard) -> HeldGrant:
     holder = keys.get(grant.holder)
     until = max(grant.expires, view.cap)
     keeps = any(
-        each.restriction is not None and each.restriction.keep_when_stale
-        for each in grant.permissions
+        each.restriction is not None and each.restriction.keep_when_stale for each in grant.permissions
     )
     for ended in (view, holder):
         if ended is not None and ended.revoked_at:
@@ -238,15 +232,14 @@ def build(
     return Matrix(tuple(receivers), tuple(rows))
 
 
-def publishers_of(
-    topic: str, held: Iterable[HeldGrant], facts: Iterable[FactView]
-) -> tuple[str, ...]:
+def publishers_of(topic: str, held: Iterable[HeldGrant], facts: Iterable[FactView]) -> tuple[str, ...]:
     """The nodes that send a topic: by the graph, and by grants in force."""
     running = {fact.node for fact in facts if (fact.kind, fact.name) == ("publisher", topic)}
     granted = {
-        each.grant.subject for each in held
+        each.grant.subject
+        for each in held
         if not each.is_over and permissions_on(each.grant, Right.PUBLISH, topic)
-    }  # fmt: skip
+    }
     return tuple(sorted(running | granted))
 
 
@@ -254,9 +247,7 @@ def permissions_on(grant: Grant, right: Right, topic: str) -> list[Permission]:
     """The permissions that give `right` on a topic, or on all that the pattern `topic` covers."""
     named = topic.replace("**", _ANY).replace("*", _ANY).replace(TAIL, f"_{_ANY}")
     return [
-        each
-        for each in grant.permissions
-        if right in each.rights and pattern_covers(each.pattern, named)
+        each for each in grant.permissions if right in each.rights and pattern_covers(each.pattern, named)
     ]
 
 
@@ -284,20 +275,15 @@ def _granted_type(cells: Iterable[Cell]) -> str:
     return next((kind for kind in kinds if kind), "")
 
 
-def _cell(
-    receiver: str, topic: str, held: list[HeldGrant], publishers: tuple[str, ...], now: int
-) -> Cell:
+def _cell(receiver: str, topic: str, held: list[HeldGrant], publishers: tuple[str, ...], now: int) -> Cell:
     covering = [(each, permissions_on(each.grant, Right.SUBSCRIBE, topic)) for each in held]
     ways = [(each, found) for each, found in covering if found]
     cell = Cell(receiver, topic, Access.NOTHING, sends=receiver in publishers)
     if not ways:
         return cell
-    possible = [(each, merge(one.restriction for one in found)) for each, found in ways
-                if not each.is_over]  # fmt: skip
+    possible = [(each, merge(one.restriction for one in found)) for each, found in ways if not each.is_over]
     living = [way for way in possible if not way[0].ended_at]
-    ending = sorted(
-        (way for way in possible if way[0].is_ending), key=lambda way: _strictness(way[1])
-    )
+    ending = sorted((way for way in possible if way[0].is_ending), key=lambda way: _strictness(way[1]))
     # What is ending is said unless what stays shows as much.
     if ending and all(_strictness(ending[0][1]) < _strictness(given) for _, given in living):
         return _ending_cell(cell, *ending[0], now)
@@ -322,9 +308,7 @@ def _cell(
     )
 
 
-def _ending_cell(
-    cell: Cell, held: HeldGrant, restrictions: tuple[Restriction, ...], now: int
-) -> Cell:
+def _ending_cell(cell: Cell, held: HeldGrant, restrictions: tuple[Restriction, ...], now: int) -> Cell:
     return cell._replace(
         access=Access.ENDING,
         words=printable(held.reason, 200),
@@ -407,10 +391,12 @@ def topics(
             groups.setdefault((_when(access), fields, said), []).append(receiver)
     return [
         ReportTopic(
-            topic, kind, tuple(ReportGroup(tuple(who), *key) for key, who in groups.items())  # type: ignore[arg-type]
+            topic,
+            kind,
+            tuple(ReportGroup(tuple(who), *key) for key, who in groups.items()),  # type: ignore[arg-type]
         )
         for (topic, kind), groups in by_topic.items()
-    ]  # fmt: skip
+    ]
 
 
 def _typed(accesses: Iterable[ReceiverAccess]) -> list[ReceiverAccess]:
@@ -428,9 +414,7 @@ def _typed(accesses: Iterable[ReceiverAccess]) -> list[ReceiverAccess]:
 
 
 def held_accesses(
-    held: Iterable[HeldGrant],
-    types: Mapping[str, str],
-    type_of: Callable[[str], str] = lambda _: "",
+    held: Iterable[HeldGrant], types: Mapping[str, str], type_of: Callable[[str], str] = lambda _: ""
 ) -> list[ReceiverAccess]:
     """What is granted now, of every grant in force or ending.
 
@@ -444,11 +428,15 @@ def held_accesses(
             restriction, topic = permission.restriction, permission.pattern
             kind = types.get(topic) or (restriction.type if restriction is not None else None)
             access = ReceiverAccess(
-                topic, kind or type_of(topic) or None, each.grant.subject, _why(each),
-                _until(each), f"grant {each.grant.short_id}",
+                topic,
+                kind or type_of(topic) or None,
+                each.grant.subject,
+                _why(each),
+                _until(each),
+                f"grant {each.grant.short_id}",
                 () if restriction is None else (restriction,),
                 None if restriction is None else restriction.rate,
-            )  # fmt: skip
+            )
             found.append(access)
     return found
 
@@ -475,9 +463,7 @@ def _fields(
         if wanted(access.receiver, path):
             said = _treatment(filters_of(rules, path), access.type)
             by_treatment.setdefault(said, []).append(rest if path == WHOLE else path)
-    found = [
-        ReportFields(said, said == AS_IT_IS, tuple(paths)) for said, paths in by_treatment.items()
-    ]
+    found = [ReportFields(said, said == AS_IT_IS, tuple(paths)) for said, paths in by_treatment.items()]
     return tuple(sorted(found, key=lambda each: not each.is_open))
 
 
@@ -491,9 +477,7 @@ def _report_sees(
         return ""
 
 
-def _paths(
-    kind: str | None, layout_of: Callable[[str], Layout], rules: list[FilterRule]
-) -> list[str]:
+def _paths(kind: str | None, layout_of: Callable[[str], Layout], rules: list[FilterRule]) -> list[str]:
     # The fields of the type; of one that is not known here those with a rule, and the rest.
     try:
         if kind is not None:
@@ -505,8 +489,7 @@ def _paths(
 
 def _treatment(rules: list[FilterRule], kind: str | None) -> str:
     said = [
-        REMOVED if rule.operator in ("clear", "drop") else words.filter_rule(rule, kind)
-        for rule in rules
+        REMOVED if rule.operator in ("clear", "drop") else words.filter_rule(rule, kind) for rule in rules
     ]
     return ", then ".join(dict.fromkeys(said)) or AS_IT_IS
 

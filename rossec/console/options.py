@@ -226,18 +226,12 @@ def _behind_proxy(options: Options, path: Path) -> Endpoint:
         )
     host = _with_port(name, scheme, port or _DEFAULT_PORTS[scheme])
     return Endpoint(
-        f"{scheme}://{host}",
-        name,
-        unix_path=path,
-        proxy_user=options.proxy_user,
-        read_only=options.read_only,
+        f"{scheme}://{host}", name, unix_path=path, proxy_user=options.proxy_user, read_only=options.read_only
     )
 
 
 def _origin_refused(origin: str) -> ConfigurationError:
-    return ConfigurationError(
-        f"{origin!a} is not an origin", "write it as --origin https://ca.example.org"
-    )
+    return ConfigurationError(f"{origin!a} is not an origin", "write it as --origin https://ca.example.org")
 
 
 def _with_port(name: str, scheme: str, port: int) -> str:

@@ -122,9 +122,13 @@ async def read_form(request: Request) -> dict[str, str]:
     _require_type(request, _FORM)
     try:
         pairs = parse_qsl(
-            body.decode("ascii"), keep_blank_values=True, strict_parsing=True,
-            encoding="utf-8", errors="strict", max_num_fields=MAX_FIELDS,
-        )  # fmt: skip
+            body.decode("ascii"),
+            keep_blank_values=True,
+            strict_parsing=True,
+            encoding="utf-8",
+            errors="strict",
+            max_num_fields=MAX_FIELDS,
+        )
     except ValueError as error:  # UnicodeDecodeError is one
         raise HttpRefused("a form that is malformed", _HINT) from error
     return _once(pairs)
@@ -280,16 +284,20 @@ def render(
     """
     session = getattr(request.state, "session", None)
     _NAMES.set(names_of(request))
-    text = environment().get_template(template).render(
-        domain=context.settings.domain,
-        session=session,
-        places=_places(context) if session is not None else (),
-        here=request.url.path,
-        read_only=context.settings.read_only,
-        number=getattr(request.state, "number", ""),
-        now=context.clock(),
-        **values,
-    )  # fmt: skip
+    text = (
+        environment()
+        .get_template(template)
+        .render(
+            domain=context.settings.domain,
+            session=session,
+            places=_places(context) if session is not None else (),
+            here=request.url.path,
+            read_only=context.settings.read_only,
+            number=getattr(request.state, "number", ""),
+            now=context.clock(),
+            **values,
+        )
+    )
     return HTMLResponse(text, status)
 
 
@@ -315,9 +323,12 @@ def render_text(template: str, names: Names = NONE, **values: Any) -> str:
 def environment() -> Environment:
     """The templates, with what they can use; made once."""
     made = Environment(
-        loader=FileSystemLoader(TEMPLATE_FOLDER), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
+        loader=FileSystemLoader(TEMPLATE_FOLDER),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
     made.globals["asset"] = asset_path
     made.filters["printable"] = printable
     made.filters["hex"] = bytes.hex

@@ -95,18 +95,11 @@ def see(recorded: Recorded, receiver: str, restrictions: Iterable[Restriction]) 
         if pieces is not None:
             samples.append(Sample(at, as_mapping(kind.deserialize(b"".join(pieces)))))
     return SeenTopic(
-        receiver,
-        recorded.topic,
-        recorded.type,
-        len(recorded.messages),
-        tuple(samples),
-        recorded.is_made_up,
+        receiver, recorded.topic, recorded.type, len(recorded.messages), tuple(samples), recorded.is_made_up
     )
 
 
-def try_see(
-    recorded: Recorded, receiver: str, restrictions: Iterable[Restriction]
-) -> SeenTopic | None:
+def try_see(recorded: Recorded, receiver: str, restrictions: Iterable[Restriction]) -> SeenTopic | None:
     """As `see`; None where a real guard would refuse the connection."""
     try:
         return see(recorded, receiver, restrictions)
@@ -139,9 +132,7 @@ _WIDTH, _HEIGHT = 160, 120
 _PER_SECOND: Final = 4
 
 
-def recorded(
-    topic: str, type_name: str, restrictions: Iterable[Restriction] = ()
-) -> Recorded | None:
+def recorded(topic: str, type_name: str, restrictions: Iterable[Restriction] = ()) -> Recorded | None:
     """A minute of the topic, ten where one is in slots; None for a type that is not known here."""
     in_slots = any(each.slot is not None for each in restrictions)
     is_long = in_slots and type_name not in _RARE  # of these only the last is drawn
@@ -223,8 +214,7 @@ def _image(message: Any, at: float) -> None:
     picture[rows > 82] = (150, 118, 86)
     picture[(rows > 16) & (rows < 58) & (columns > 14) & (columns < 62)] = (140, 184, 224)
     picture[
-        ((columns == 38) & (rows > 16) & (rows < 58))
-        | ((rows == 37) & (columns > 14) & (columns < 62))
+        ((columns == 38) & (rows > 16) & (rows < 58)) | ((rows == 37) & (columns > 14) & (columns < 62))
     ] = (250, 250, 250)
     at_x = 104 + int(6 * math.sin(at))
     picture[(rows - 40) ** 2 + (columns - at_x) ** 2 < 90] = (196, 150, 120)
@@ -335,6 +325,8 @@ class PreviewMemory:
 
 MAX_DATA: Final = 1024 * 1024  # of one message; a larger one is not drawn
 MAX_FRAME: Final = MAX_DATA + 4096
+
+
 def write_preview(message: PreviewMessage) -> bytes:
     """The frame of a message."""
     return frame([message.topic, message.type, int(message.at * 1000), message.data])

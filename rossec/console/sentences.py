@@ -84,9 +84,7 @@ _Told: TypeAlias = tuple[str, str, tuple[Part, ...]] | None
 _Tell: TypeAlias = Callable[[EventView, Known], _Told]
 
 
-def story(
-    events: Sequence[EventView], denials: Iterable[DenialView], known: Known
-) -> list[Sentence]:
+def story(events: Sequence[EventView], denials: Iterable[DenialView], known: Known) -> list[Sentence]:
     """Everything that has a sentence, newest first; equal denials are one with a number."""
     certified = {each.subject: each.number for each in sorted(events) if each.what == "certificate"}
     told = [_event(each, known) for each in events if not _repeats(each, certified)]
@@ -216,9 +214,7 @@ def _grant_request(event: EventView, known: Known) -> _Told:
     found = known.questions.get(event.detail)
     if found is None:
         return "asked", "Asked", (_name(event.subject), Part("asked for a right; it is answered"))
-    rights = [
-        Permission(each.pattern, Right(each.right)) for asked in found for each in asked.rights
-    ]
+    rights = [Permission(each.pattern, Right(each.right)) for asked in found for each in asked.rights]
     return "asked", "Asked", (_name(event.subject), Part("asked to"), *permissions(rights))
 
 

@@ -79,15 +79,8 @@ class Sessions:
         # Begin a session with `secret`, 32 random bytes; returns the value of its cookie.
         digest = sha256(secret).digest()
         owner = messages.of_phone(phone) if phone else messages.LOOKER
-        if (
-            self._sessions.add(
-                digest, Session(digest, phone, now, now), owner, messages.rank(owner)
-            )
-            is None
-        ):
-            raise HttpRefused(
-                "too many are logged in", "log out elsewhere, or use a phone", status=429
-            )
+        if self._sessions.add(digest, Session(digest, phone, now, now), owner, messages.rank(owner)) is None:
+            raise HttpRefused("too many are logged in", "log out elsewhere, or use a phone", status=429)
         return base64.urlsafe_b64encode(secret).rstrip(b"=").decode()
 
     def find(self, cookie: str, now: float) -> Session | None:

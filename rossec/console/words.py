@@ -175,8 +175,13 @@ _COMPARISON: Final = re.compile(
     r"""msg\.([A-Za-z][\w.]*) (==|!=|<=|>=|<|>) ("[^"\\]*"|'[^'\\]*'|-?\d+(?:\.\d+)?)""", re.ASCII
 )
 _COMPARED: Final[Mapping[str, str]] = {
-    "==": "", "!=": "not ", "<": "below ", ">": "above ", "<=": "at most ", ">=": "at least ",
-}  # fmt: skip
+    "==": "",
+    "!=": "not ",
+    "<": "below ",
+    ">": "above ",
+    "<=": "at most ",
+    ">=": "at least ",
+}
 
 
 def field_name(path: str, type_name: str | None = None) -> str:
@@ -232,9 +237,7 @@ def filters(rules: Iterable[FilterRule], type_name: str | None = None) -> list[s
 
 def rate(number: float) -> str:
     """`at most 5 a second`, `at most one every 5 s`."""
-    return (
-        f"at most {number:g} a second" if number >= 1 else f"at most one every {1 / number:.3g} s"
-    )
+    return f"at most {number:g} a second" if number >= 1 else f"at most one every {1 / number:.3g} s"
 
 
 def slot(seconds: int) -> str:

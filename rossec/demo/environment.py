@@ -58,9 +58,7 @@ class DemoEnvironment:
         run: runs one command line in an environment, returns its exit code (`rossec.cli.main.run`).
     """
 
-    def __init__(
-        self, root: Path, printer: StepPrinter, variables: dict[str, str], run: Run
-    ) -> None:
+    def __init__(self, root: Path, printer: StepPrinter, variables: dict[str, str], run: Run) -> None:
         self.root = root
         self.printer = printer
         self.run = run
@@ -96,10 +94,16 @@ class DemoEnvironment:
         log.parent.mkdir(mode=0o700, exist_ok=True)
         with log.open("ab") as errors:
             process = await asyncio.create_subprocess_exec(
-                sys.executable, "-I", "-m", module, *arguments,
-                env=self._environment, stdin=asyncio.subprocess.DEVNULL,
-                stdout=asyncio.subprocess.PIPE, stderr=errors,
-            )  # fmt: skip
+                sys.executable,
+                "-I",
+                "-m",
+                module,
+                *arguments,
+                env=self._environment,
+                stdin=asyncio.subprocess.DEVNULL,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=errors,
+            )
         started = DemoProcess(name, process, log)
         self._processes.append(started)
         return started
@@ -140,12 +144,7 @@ class DemoProcess:
         self._reader = asyncio.get_running_loop().create_task(self._read())
 
     async def expect(
-        self,
-        what: str,
-        wanted: Callable[[Report], bool],
-        *,
-        after: int = 0,
-        within: float = DEADLINE,
+        self, what: str, wanted: Callable[[Report], bool], *, after: int = 0, within: float = DEADLINE
     ) -> Report:
         try:
             async with asyncio.timeout(within), self._changed:

@@ -68,9 +68,7 @@ async def found_authority(demo: DemoEnvironment) -> None:
     await demo.command("ca", "init", "home", *passphrase(demo))
 
 
-async def enroll(
-    demo: DemoEnvironment, names: Sequence[str] = NODES, shown: str = "/robot"
-) -> None:
+async def enroll(demo: DemoEnvironment, names: Sequence[str] = NODES, shown: str = "/robot") -> None:
     """Each key stays in its node's directory; the code authenticates the request."""
     codes = []
     for name in names:
@@ -80,13 +78,9 @@ async def enroll(
     demo.printer.print(f"this is what {shown} shows to the camera of the phone:")
     await demo.command("node", "code", shown)
     scanned = [item for code in codes for item in ("--code", code)]
-    await demo.command(
-        "ca", "sign", *map(_request_of(demo), names), *scanned, "--yes", *passphrase(demo)
-    )
+    await demo.command("ca", "sign", *map(_request_of(demo), names), *scanned, "--yes", *passphrase(demo))
     for name in names:
-        await demo.command(
-            "node", "install", str(directory(demo, name) / "node.pem"), "--yes", quiet=True
-        )
+        await demo.command("node", "install", str(directory(demo, name) / "node.pem"), "--yes", quiet=True)
 
 
 async def sign_grants(demo: DemoEnvironment) -> str:
@@ -98,10 +92,20 @@ async def sign_grants(demo: DemoEnvironment) -> str:
     await demo.command(*sign, "/doctor", "--subscribe", POSE[0], "--subscribe", SCAN[0], *always)
     output = await demo.command(*sign, "/doctor", "--subscribe", CAMERA[0], *always)
     await demo.command(
-        *sign, "/heating", "--subscribe", POSE[0], "--type", POSE[1],
-        "--round", f"pose.position={COARSE:g}",
-        "--clear", "pose.orientation", "--clear", "header.frame_id", *always,
-    )  # fmt: skip
+        *sign,
+        "/heating",
+        "--subscribe",
+        POSE[0],
+        "--type",
+        POSE[1],
+        "--round",
+        f"pose.position={COARSE:g}",
+        "--clear",
+        "pose.orientation",
+        "--clear",
+        "header.frame_id",
+        *always,
+    )
     return output.split()[1]
 
 
@@ -146,12 +150,8 @@ async def connect_intruder(demo: DemoEnvironment, port: int) -> None:
     quiet = {"quiet": True}
     await other.command("ca", "init", "home", *passphrase(other), **quiet)
     await other.command("node", "request", "/doctor", "--domain", "home", **quiet)
-    await other.command(
-        "ca", "sign", _request_of(other)("/doctor"), "--yes", *passphrase(other), **quiet
-    )
-    await other.command(
-        "node", "install", str(directory(other, "/doctor") / "node.pem"), "--yes", **quiet
-    )
+    await other.command("ca", "sign", _request_of(other)("/doctor"), "--yes", *passphrase(other), **quiet)
+    await other.command("node", "install", str(directory(other, "/doctor") / "node.pem"), "--yes", **quiet)
     try:
         intruder = await other.start("rossec.demo.intruder", "/doctor", str(port), name="intruder")
         answer = await intruder.expect("an answer", bool)
@@ -159,9 +159,7 @@ async def connect_intruder(demo: DemoEnvironment, port: int) -> None:
         await other.stop_all()
     if "refused" not in answer:
         raise DemoFailed(f"the intruder was not refused: {answer}")
-    demo.printer.print(
-        f"the robot closes the connection; the peer learns only: {answer['refused']}"
-    )
+    demo.printer.print(f"the robot closes the connection; the peer learns only: {answer['refused']}")
 
 
 async def revoke(demo: DemoEnvironment, doctor: DemoProcess, grant: str) -> None:
@@ -265,10 +263,20 @@ async def add_lamp(demo: DemoEnvironment) -> Path:
     ccs = str(things / "lamp.ccs")
     await demo.command("border", "add", LAMP, "--key", ccs)
     await demo.command(
-        "ca", "thing", LAMP, "--border", "/border", "--key", ccs, "--yes",
-        "--request", str(directory(demo, LAMP) / "node.csr"),
-        "--out", str(things / "lamp.thing"), *passphrase(demo),
-    )  # fmt: skip
+        "ca",
+        "thing",
+        LAMP,
+        "--border",
+        "/border",
+        "--key",
+        ccs,
+        "--yes",
+        "--request",
+        str(directory(demo, LAMP) / "node.csr"),
+        "--out",
+        str(things / "lamp.thing"),
+        *passphrase(demo),
+    )
     return things
 
 
@@ -280,30 +288,31 @@ async def sign_border_grants(demo: DemoEnvironment) -> None:
     await demo.command(*sign, LAMP, *lamp, *always)
     await demo.command(*sign, "/doctor", *doctor, *always)
     await demo.command(
-        *sign, "/heating", "--subscribe", TEMPERATURE[0], "--type", TEMPERATURE[1],
-        "--round", f"temperature={STEP:g}", *always,
-    )  # fmt: skip
+        *sign,
+        "/heating",
+        "--subscribe",
+        TEMPERATURE[0],
+        "--type",
+        TEMPERATURE[1],
+        "--round",
+        f"temperature={STEP:g}",
+        *always,
+    )
 
 
-async def start_border(
-    demo: DemoEnvironment, things: Path
-) -> tuple[DemoProcess, DemoProcess, DemoProcess]:
+async def start_border(demo: DemoEnvironment, things: Path) -> tuple[DemoProcess, DemoProcess, DemoProcess]:
     """Start all processes; returns lamp, doctor and heating."""
     master = await demo.start("rossec", "master", "--port", "0", "--json", name="master")
     ready = await master.expect("starting", lambda report: "ready" in report)
     demo.set("ROS_MASTER_URI", ready["ready"])
-    border = await demo.start(
-        "rossec", "border", "--listen", "::1", "--port", "0", "--json", name="border"
-    )
+    border = await demo.start("rossec", "border", "--listen", "::1", "--port", "0", "--json", name="border")
     listening = await border.expect("starting", lambda report: "ready" in report)
     topic = "=".join(TEMPERATURE)
     subscriber = "rossec.demo.subscriber"
     doctor = await demo.start(subscriber, "/doctor", topic, name="doctor")
     heating = await demo.start(subscriber, "/heating", topic, name="heating")
     host = f"[::1]:{listening['ready'][1]}"
-    lamp = await demo.start(
-        _THING, str(things), "lamp", host, "border.ccs", str(_EVERY), name="lamp"
-    )
+    lamp = await demo.start(_THING, str(things), "lamp", host, "border.ccs", str(_EVERY), name="lamp")
     await lamp.expect("registering", _said("registered"))
     demo.printer.print(f"master at {ready['ready']}, border router at coap://{host}")
     for receiver in (doctor, heating):
@@ -314,14 +323,10 @@ async def start_border(
 async def compare_lamp(demo: DemoEnvironment, doctor: DemoProcess, heating: DemoProcess) -> None:
     """The same measurement, side by side, as each of the two received it."""
     for _ in range(2):
-        coarse = await heating.expect(
-            "a temperature", on_topic(TEMPERATURE[0]), after=len(heating.reports)
-        )
+        coarse = await heating.expect("a temperature", on_topic(TEMPERATURE[0]), after=len(heating.reports))
         exact = await doctor.expect("the same temperature", partial(same_message, coarse))
         check_coarse_lamp(exact, coarse)
-        demo.printer.print(
-            f"doctor {exact['temperature']:.4f} degrees, heating {coarse['temperature']:.1f}"
-        )
+        demo.printer.print(f"doctor {exact['temperature']:.4f} degrees, heating {coarse['temperature']:.1f}")
 
 
 def check_coarse_lamp(exact: Report, coarse: Report) -> None:
@@ -333,9 +338,7 @@ def check_coarse_lamp(exact: Report, coarse: Report) -> None:
 
 async def switch(demo: DemoEnvironment, lamp: DemoProcess) -> None:
     """One message of the doctor; the lamp says what it does."""
-    await demo.command(
-        "topic", "pub", *LIGHT, "{data: true}", "--as", "/doctor", "--count", "3", quiet=True
-    )
+    await demo.command("topic", "pub", *LIGHT, "{data: true}", "--as", "/doctor", "--count", "3", quiet=True)
     await lamp.expect("light", _said("the light is on"))
     demo.printer.print("the lamp says: the light is on")
 
@@ -397,9 +400,7 @@ async def ask(demo: DemoEnvironment) -> None:
     request, answer = (str(directory(demo, TRIED_LAMP) / f"node.{end}") for end in ("csr", "pem"))
     await demo.command("ca", "sign", request, "--yes", *passphrase(demo), quiet=True)
     await demo.command("node", "install", answer, "--yes", quiet=True)
-    await demo.command(
-        "grant", "request", TRIED_LAMP, "--subscribe", POSE[0], "--why", WHY, quiet=True
-    )
+    await demo.command("grant", "request", TRIED_LAMP, "--subscribe", POSE[0], "--why", WHY, quiet=True)
 
 
 async def show_code(demo: DemoEnvironment) -> WaitingNode:
@@ -451,10 +452,18 @@ async def begin_story(demo: DemoEnvironment, port: int) -> str:
 
 async def _start_console(demo: DemoEnvironment, port: int) -> str:
     service = await demo.start(
-        "rossec", "ca", "serve", "--json", "--unlock-for", "0",
-        "--join-address", f"127.0.0.1:{_free_port()}",
-        "--passphrase-file", str(demo.root / "passphrase"), name="authority",
-    )  # fmt: skip
+        "rossec",
+        "ca",
+        "serve",
+        "--json",
+        "--unlock-for",
+        "0",
+        "--join-address",
+        f"127.0.0.1:{_free_port()}",
+        "--passphrase-file",
+        str(demo.root / "passphrase"),
+        name="authority",
+    )
     await service.expect("starting", lambda report: "ready" in report, within=START)
     console = await demo.start("rossec", "console", "--json", "--port", str(port), name="console")
     ready = await console.expect("starting", lambda report: "ready" in report, within=START)

@@ -80,9 +80,7 @@ def sign(signer: Signer, chain: tuple[bytes, ...], announcement: Announcement) -
     """The datagram, signed with the master's key."""
     _check(announcement)
     certificates: list[Value] = [*chain]
-    version: dict[int | str, Value] = (
-        {} if announcement.version is None else {_VERSION: announcement.version}
-    )
+    version: dict[int | str, Value] = {} if announcement.version is None else {_VERSION: announcement.version}
     data = PROFILE.sign(
         signer,
         {
@@ -149,10 +147,15 @@ def _foreign(error: CAError) -> AnnouncementRefused:
 def _read(payload: Value) -> tuple[Announcement, list[bytes]]:
     match payload:
         case {
-            6: int() as issued, -70005: int() as max_age, -70011: str() as host,
-            -70012: int() as port, -70013: bytes() as instance, -70014: int() as seq,
-            33: list() as items, **rest,
-        } if rest.keys() <= {_VERSION}:  # fmt: skip
+            6: int() as issued,
+            -70005: int() as max_age,
+            -70011: str() as host,
+            -70012: int() as port,
+            -70013: bytes() as instance,
+            -70014: int() as seq,
+            33: list() as items,
+            **rest,
+        } if rest.keys() <= {_VERSION}:
             version = rest.get(_VERSION)
             if version is not None and not isinstance(version, int):
                 raise AnnouncementRefused("the announcement's version is no number")
@@ -168,13 +171,7 @@ def _read(payload: Value) -> tuple[Announcement, list[bytes]]:
 
 def _check(announcement: Announcement) -> None:
     version = 0 if announcement.version is None else announcement.version
-    numbers = (
-        version,
-        announcement.port,
-        announcement.seq,
-        announcement.issued,
-        announcement.max_age,
-    )
+    numbers = (version, announcement.port, announcement.seq, announcement.issued, announcement.max_age)
     if any(isinstance(number, bool) or number < 0 for number in numbers):
         raise AnnouncementRefused("a number in the announcement is out of range")
     if not 0 < announcement.port < 1 << 16 or not 1 <= announcement.max_age <= MAX_AGE:
@@ -204,9 +201,11 @@ class Budget:
         self._totals = {known: TokenBucket(total, total) for known in (True, False)}
 
     def spend(self, source: Hashable, cost: int, clock: float, *, known_chain: bool) -> None:
-        buckets = [self._verified[source]] if source in self._verified else [
-            self._of(source), self._totals[known_chain]
-        ]  # fmt: skip
+        buckets = (
+            [self._verified[source]]
+            if source in self._verified
+            else [self._of(source), self._totals[known_chain]]
+        )
         if not all(bucket.refill(clock) >= cost for bucket in buckets):
             raise AnnouncementRefused("more announcements than can be checked")
         for bucket in buckets:
@@ -306,9 +305,7 @@ class Candidates:
         self._budget: Budget = Budget()
         self.refused: Counter[str] = Counter()
 
-    def heard(
-        self, data: bytes, source: DatagramSource, now: int, clock: float
-    ) -> Candidate | None:
+    def heard(self, data: bytes, source: DatagramSource, now: int, clock: float) -> Candidate | None:
         """Process a datagram; returns the master it is from, None for a duplicate.
 
         Args:
@@ -337,9 +334,7 @@ class Candidates:
     def best(self, now: int, clock: float) -> Candidate | None:
         return next((one for one in self.ranked(now, clock) if one.rtt is not None), None)
 
-    def _heard(
-        self, data: bytes, source: DatagramSource, now: int, clock: float
-    ) -> Candidate | None:
+    def _heard(self, data: bytes, source: DatagramSource, now: int, clock: float) -> Candidate | None:
         claim = read_claim(data, now)
         if self._is_repeated(claim.announcement, source):
             return None
@@ -363,12 +358,7 @@ class Candidates:
         return identity
 
     def _take(
-        self,
-        identity: Identity,
-        source: DatagramSource,
-        announcement: Announcement,
-        now: int,
-        clock: float,
+        self, identity: Identity, source: DatagramSource, announcement: Announcement, now: int, clock: float
     ) -> Candidate:
         self._forget(now)
         key = identity.thumbprint
@@ -376,9 +366,7 @@ class Candidates:
         if found is None and len(self._candidates) >= MAX_CANDIDATES:
             raise AnnouncementRefused("more masters announce themselves than the limit allows")
         if found is None or found.announcement.instance != announcement.instance:
-            found = self._candidates[key, source] = Candidate(
-                key, identity.name, source, announcement
-            )
+            found = self._candidates[key, source] = Candidate(key, identity.name, source, announcement)
         found.announcement = announcement
         found.heard.append((announcement.seq, clock))
         return found

@@ -114,9 +114,7 @@ class MulticastSocket:
         self._socket.setsockopt(level, socket.IPV6_RECVHOPLIMIT, 1)
         if listen:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            self._socket.bind(
-                ("::", self._port)
-            )  # a group of this scope cannot be bound for all links
+            self._socket.bind(("::", self._port))  # a group of this scope cannot be bound for all links
 
 
 def _is_local(address: str, ancillary: list[tuple[int, int, bytes]]) -> bool:
@@ -220,9 +218,7 @@ async def listening(candidates: Candidates) -> AsyncIterator[None]:
     probes = TaskSet()
 
     def arrived() -> None:
-        for data, source in islice(
-            group.receive(), _AT_ONCE
-        ):  # the rest in the next turn of the loop
+        for data, source in islice(group.receive(), _AT_ONCE):  # the rest in the next turn of the loop
             with contextlib.suppress(AnnouncementRefused):
                 heard = candidates.heard(data, source, clock.now(), time.monotonic())
                 if heard is not None:
@@ -309,10 +305,7 @@ async def discover_master(
 
 
 async def masters(
-    home: Path,
-    identity: str | NodeHome | None,
-    patience: float = PATIENCE,
-    settle: float = SETTLE,
+    home: Path, identity: str | NodeHome | None, patience: float = PATIENCE, settle: float = SETTLE
 ) -> list[Candidate]:
     """The masters that a node of this home would trust, the best link first.
 

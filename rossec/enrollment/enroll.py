@@ -35,13 +35,7 @@ from pathlib import Path
 from typing import BinaryIO, Final, Self, TypeAlias
 
 from ca.enrollment.messages import MAX_MESSAGE, Abort, Delivery, Reason, read, write
-from ca.enrollment.sides import (
-    AuthorityEnrollment,
-    AuthorityState,
-    NodeEnrollment,
-    NodeState,
-    Pending,
-)
+from ca.enrollment.sides import AuthorityEnrollment, AuthorityState, NodeEnrollment, NodeState, Pending
 from ca.errors import (
     ConflictingOffer,
     EnrollmentExpired,
@@ -149,17 +143,13 @@ class WaitingNode:
     async def __aexit__(self, *_: object) -> None:
         await self.close()
 
-    async def _serve(
-        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str
-    ) -> None:
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str) -> None:
         try:
             while True:
                 async with asyncio.timeout(self._wait_for(writer)):
                     data = await sessions.receive(reader)
                 self._answer(writer, data)
-                async with asyncio.timeout(
-                    self._patience
-                ):  # a caller that does not read is not written to
+                async with asyncio.timeout(self._patience):  # a caller that does not read is not written to
                     await writer.drain()
         except EnrollmentRefused as error:
             self._on_refusal(printable(f"{address}: {error}"))
@@ -245,9 +235,7 @@ def ask(directory: Path, request: Answer) -> Answer:
     """Ask the waiting process."""
     sock = _connect(directory)
     if sock is None:
-        raise ConfigurationError(
-            "no enrollment of this node is waiting", "first: rossec node enroll NAME"
-        )
+        raise ConfigurationError("no enrollment of this node is waiting", "first: rossec node enroll NAME")
     with sock:
         line = _exchange(sock, json.dumps(request).encode() + b"\n")
     if not line:
@@ -319,10 +307,7 @@ async def fetch(core: AuthorityEnrollment, host: str, port: int, clock: Callable
         PeerUnreachable: no answer, or not in this protocol.
     """
     try:
-        async with (
-            _connection(host, port) as (reader, writer),
-            asyncio.timeout(_AUTHORITY_PATIENCE),
-        ):
+        async with _connection(host, port) as (reader, writer), asyncio.timeout(_AUTHORITY_PATIENCE):
             sessions.send(writer, core.fetch())
             core.receive(await sessions.receive(reader), clock())
     except (OSError, EOFError, TimeoutError) as error:
@@ -418,9 +403,7 @@ def code_in(data: bytes) -> str:
         case []:
             raise ConfigurationError("there is no rossec code in the picture", CLOSER)
         case found:
-            raise ConfigurationError(
-                f"there are {len(found)} codes in the picture", "show one of them alone"
-            )
+            raise ConfigurationError(f"there are {len(found)} codes in the picture", "show one of them alone")
 
 
 def _texts(data: bytes) -> list[str]:

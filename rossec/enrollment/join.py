@@ -101,9 +101,7 @@ class JoinServer:
     async def close(self) -> None:
         await self._server.close()
 
-    async def _serve(
-        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str
-    ) -> None:
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str) -> None:
         core = AuthorityJoin(self._identity(), secrets.token_bytes(NONCE_SIZE))
         try:
             await self._receive(core, reader, writer)
@@ -186,10 +184,7 @@ async def ask_name(code: InvitationCode, metadata: bytes, clock: Callable[[], in
 
 
 async def join(
-    code: InvitationCode,
-    request: Callable[[str], bytes],
-    clock: Callable[[], int],
-    metadata: bytes = b"",
+    code: InvitationCode, request: Callable[[str], bytes], clock: Callable[[], int], metadata: bytes = b""
 ) -> JoinedIdentity:
     """Join by `code`, and return the verified identity, which is not on the disk yet.
 

@@ -76,11 +76,7 @@ class SessionServer:
         self._tasks.spawn(session, name=f"session with {address}")
 
     async def _run(
-        self,
-        reader: asyncio.StreamReader,
-        writer: asyncio.StreamWriter,
-        address: str,
-        slot: HalfOpenSlot,
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str, slot: HalfOpenSlot
     ) -> None:
         slot.close = writer.transport.abort
         try:

@@ -196,9 +196,7 @@ class ForeignLists:
     def _listed(self) -> ListedDomain:
         listed = self._own.state.trust.domains.anchors.listed(self._label)
         if listed is None:
-            raise SiteRefused(
-                f"{self._label} is not a domain that is trusted here", "rossec domain list"
-            )
+            raise SiteRefused(f"{self._label} is not a domain that is trusted here", "rossec domain list")
         return listed
 
 
@@ -237,9 +235,7 @@ async def present_own(client: RpcClient, own: OwnMaster) -> None:
         await client.ask(PRESENT_GRANTS, own.name, tokens)
 
 
-async def settle(
-    client: RpcClient, own: OwnMaster, peer: Identity, answer: SiteChange | None = None
-) -> None:
+async def settle(client: RpcClient, own: OwnMaster, peer: Identity, answer: SiteChange | None = None) -> None:
     """Settle both lists; after an answer, those whose digests in it are others than here."""
     if answer is None or answer.revocations != held_revocations(own):
         await settle_revocations(client, own, peer)
@@ -359,8 +355,9 @@ class Mirroring:
         if len(names) > MAX_NAMES:
             raise AnswerRefused(
                 f"{self._settings.label} has {len(names)} parameters of these patterns, not"
-                f" {MAX_NAMES} at most", "mirror fewer: `rossec federation param`"
-            )  # fmt: skip
+                f" {MAX_NAMES} at most",
+                "mirror fewer: `rossec federation param`",
+            )
         return sorted(names)
 
     def _is_wanted(self, name: str) -> bool:

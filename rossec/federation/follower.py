@@ -92,8 +92,7 @@ class SiteDoors:
         if self._doors.way(self._settings.via) is None:
             raise RelayRefused(
                 f"no relay of this site knows a peer {self._settings.via}",
-                f"is `rossec relay` running, and was this done: rossec relay add"
-                f" {self._settings.via} FILE",
+                f"is `rossec relay` running, and was this done: rossec relay add {self._settings.via} FILE",
             )
         raise RelayRefused(
             f"the relay opens no door for {self._settings.master} of {self._settings.via}",
@@ -131,8 +130,10 @@ class SiteDoors:
         if missing and not self._missing:
             _log.warning(
                 "site %s: %d nodes and services have no address here: a site has half of %d doors",
-                self._settings.label, missing, MAX_DOORS,
-            )  # fmt: skip
+                self._settings.label,
+                missing,
+                MAX_DOORS,
+            )
         self._missing = missing
 
     async def _wait(self, targets: Collection[Target], longest: float) -> None:
@@ -225,12 +226,7 @@ class FollowedSite:
         connections: with the site.
     """
 
-    def __init__(
-        self,
-        settings: SiteSettings,
-        own: OwnMaster,
-        rand: Callable[[], float] = _RANDOM,
-    ) -> None:
+    def __init__(self, settings: SiteSettings, own: OwnMaster, rand: Callable[[], float] = _RANDOM) -> None:
         self.settings: Final = settings
         self.state: Final = SiteState()
         self.error = self.hint = ""
@@ -331,9 +327,7 @@ class FollowedSite:
         await asyncio.sleep(self._asked_at + PACE - time.monotonic())
         self._asked_at = time.monotonic()
 
-    async def _is_answered(
-        self, asking: asyncio.Future[SiteChange], peer: Identity, demand: int
-    ) -> bool:
+    async def _is_answered(self, asking: asyncio.Future[SiteChange], peer: Identity, demand: int) -> bool:
         imports, changes = self._own.state.imports, self._own.state.demand_changes
         while not asking.done():
             if self.state.phase is Phase.FOLLOWING and imports.demand.version != demand:

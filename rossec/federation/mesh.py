@@ -120,10 +120,7 @@ class Mesh:
     """
 
     def __init__(
-        self,
-        own: OwnMaster,
-        sources: Mapping[str, ReadSites],
-        announced: AnnouncedMasters | None = None,
+        self, own: OwnMaster, sources: Mapping[str, ReadSites], announced: AnnouncedMasters | None = None
     ) -> None:
         self._own = own
         self._announced = announced
@@ -139,9 +136,7 @@ class Mesh:
     async def run(self) -> None:
         """Follow until cancelled."""
         self._own.effects.on_new_lists.append(self._send_lists)
-        listening = (
-            contextlib.nullcontext() if self._announced is None else self._announced.listening()
-        )
+        listening = contextlib.nullcontext() if self._announced is None else self._announced.listening()
         try:
             async with listening:
                 while True:
@@ -232,15 +227,11 @@ class Mesh:
     def _direct_masters(self) -> dict[str, str]:
         found = [follower.settings for follower, _ in self._followers.values()]
         return {
-            each.master: each.uri
-            for each in found
-            if not each.domain and is_connectable(each.uri, "http")
+            each.master: each.uri for each in found if not each.domain and is_connectable(each.uri, "http")
         }
 
     def _source_of(self, label: str) -> str:
-        return next(
-            (name for name, sites in self._last.items() if any(s.label == label for s in sites)), ""
-        )
+        return next((name for name, sites in self._last.items() if any(s.label == label for s in sites)), "")
 
     def _send_lists(self) -> None:
         for follower, _ in self._followers.values():
@@ -262,11 +253,11 @@ def mesh_of(server: MasterServer, home: NodeHome, config: FederationConfig) -> M
     chains = Chains()
     context = replace(server.context, verify=chains.recording(server.context.verify))
     own = OwnMaster(
-        server.state, server.effects, context, server.mirror, server.drop_mirror, chains,
-        home.grants,
-    )  # fmt: skip
+        server.state, server.effects, context, server.mirror, server.drop_mirror, chains, home.grants
+    )
     sources: Mapping[str, ReadSites] = {
-        "configuration": lambda: config.sites, "file": SiteFile(home.path).sites,
-    }  # fmt: skip
+        "configuration": lambda: config.sites,
+        "file": SiteFile(home.path).sites,
+    }
     announced = AnnouncedMasters(home) if config.follow_announced else None
     return Mesh(own, sources, announced)

@@ -76,9 +76,7 @@ class SiteSettings:
         if len(self.parameters) > MAX_PARAMETERS:
             raise ConfigurationError(f"at most {MAX_PARAMETERS} patterns of parameters for a site")
         if bool(self.via) == bool(self.uri):
-            raise ConfigurationError(
-                f"site {self.label} has a URI or a relay's peer, one of them", _WAYS
-            )
+            raise ConfigurationError(f"site {self.label} has a URI or a relay's peer, one of them", _WAYS)
         if self.uri:
             parse_uri(self.uri, "the master's URI")
 
@@ -104,14 +102,11 @@ def checked_sites(sites: Iterable[SiteSettings]) -> dict[str, SiteSettings]:
     found: dict[str, SiteSettings] = {}
     for each in sites:
         if each.label in found:
-            raise ConfigurationError(
-                f"two sites are called {each.label}", "give each its own label"
-            )
+            raise ConfigurationError(f"two sites are called {each.label}", "give each its own label")
         for other in found.values():
             if (other.domain, other.master) == (each.domain, each.master):
                 raise ConfigurationError(
-                    f"{other.label} and {each.label} are one master, {each.master}",
-                    "follow it once",
+                    f"{other.label} and {each.label} are one master, {each.master}", "follow it once"
                 )
         found[each.label] = each
     domains = {each.domain for each in found.values() if each.domain}
@@ -153,9 +148,13 @@ def _row(site: SiteSettings) -> dict[str, object]:
 def _site(row: object, name: str) -> SiteSettings:
     match row:
         case {
-            "label": str() as label, "uri": str() as uri, "master": str() as master,
-            "domain": str() as domain, "parameters": list() as patterns, **rest,
-        } if rest.keys() <= {"via"} and isinstance(via := rest.get("via", ""), str):  # fmt: skip
+            "label": str() as label,
+            "uri": str() as uri,
+            "master": str() as master,
+            "domain": str() as domain,
+            "parameters": list() as patterns,
+            **rest,
+        } if rest.keys() <= {"via"} and isinstance(via := rest.get("via", ""), str):
             texts = tuple(each for each in patterns if isinstance(each, str))
             if len(texts) == len(patterns):
                 return SiteSettings(label, uri, master, domain, texts, via)
@@ -193,8 +192,7 @@ def read_config(part: Any, name: str) -> FederationConfig:
     for key, where, value in _entries(part, name, "federation", _KEYS):
         if key == "sites":
             sites = tuple(
-                _config_site(label, entry, line, name)
-                for label, line, entry in _entries(value, name, key)
+                _config_site(label, entry, line, name) for label, line, entry in _entries(value, name, key)
             )
         else:
             announced = getattr(value, "value", None) is True
@@ -233,9 +231,7 @@ def _text(key: str, part: Any, where: str) -> str:
     return value
 
 
-def _entries(
-    part: Any, name: str, what: str, keys: tuple[str, ...] = ()
-) -> Iterator[tuple[str, str, Any]]:
+def _entries(part: Any, name: str, what: str, keys: tuple[str, ...] = ()) -> Iterator[tuple[str, str, Any]]:
     if part is None:
         return
     entries = getattr(part, "entries", None)

@@ -137,9 +137,7 @@ class SiteState:
 NAMED: Final = 8 * 1024  # characters of all topics that are named; an answer is one line of a MiB
 
 
-def site_status(
-    settings: SiteSettings, state: SiteState, imports: Imports, clock: float
-) -> dict[str, Any]:
+def site_status(settings: SiteSettings, state: SiteState, imports: Imports, clock: float) -> dict[str, Any]:
     """The site, its state and its facts; `clock` is monotonic.
 
     `topics` are those with publishers or subscribers there, by their names here.
@@ -224,10 +222,15 @@ class SiteCursor:
             return self._complete([*self._parts, SiteChange(_NONE, _NONE, False, *self._lists)])
         match answer:
             case {
-                "instance": str() as instance, "version": int() as version,
-                "cursor": int() as cursor, "whole": bool() as whole, "more": bool() as more,
-                "added": list() as added, "removed": list() as removed, **lists,
-            }:  # fmt: skip
+                "instance": str() as instance,
+                "version": int() as version,
+                "cursor": int() as cursor,
+                "whole": bool() as whole,
+                "more": bool() as more,
+                "added": list() as added,
+                "removed": list() as removed,
+                **lists,
+            }:
                 revocations = _digest(lists.get("revocations", b""))
                 domains = _digest(lists.get("domains", b""))
             case _:
@@ -245,9 +248,10 @@ class SiteCursor:
             in_parts = self._taken > MAX_PARTS
             self._begin_again()
             raise AnswerMalformed(
-                f"a site's answer in more than {MAX_PARTS} parts" if in_parts
+                f"a site's answer in more than {MAX_PARTS} parts"
+                if in_parts
                 else f"a site's answer with more than {MAX_GATHERED} facts"
-            )  # fmt: skip
+            )
         if more:
             return None
         return self._complete(self._parts)

@@ -59,8 +59,7 @@ _log = logging.getLogger("rossec.gateway")
 class Subscription(Protocol):
     """What ends a subscription."""
 
-    async def close(self) -> None:
-        ...
+    async def close(self) -> None: ...
 
 
 class RawTopics(Protocol):
@@ -68,16 +67,11 @@ class RawTopics(Protocol):
 
     async def publish_raw(
         self, topic: str, type_name: str, on_demand: Any, *, queue_size: int
-    ) -> RawPublisher:
-        ...
+    ) -> RawPublisher: ...
 
-    async def unpublish(self, publisher: Publisher) -> None:
-        ...
+    async def unpublish(self, publisher: Publisher) -> None: ...
 
-    async def subscribe_raw(
-        self, topic: str, receiver: RawReceiver, *, wishes: Wishes
-    ) -> Subscription:
-        ...
+    async def subscribe_raw(self, topic: str, receiver: RawReceiver, *, wishes: Wishes) -> Subscription: ...
 
 
 class ServedTopic:
@@ -413,10 +407,12 @@ class Gateway:
     async def _restore_lost(self, now: float) -> None:
         served = [each.topic for each in self._running.values()]
         lost = [
-            each for each in served
-            if each.registered_at is not None and each.registered_at + PAUSE < self._answered_at
+            each
+            for each in served
+            if each.registered_at is not None
+            and each.registered_at + PAUSE < self._answered_at
             and self._node.name not in self._observed.servers.get(each.candidate.served, ())
-        ]  # fmt: skip
+        ]
         if not lost or now < self._restored_at + PAUSE:
             return
         self._restored_at = now
@@ -494,24 +490,37 @@ def status(gateway: Gateway, name: str) -> dict[str, Any]:
     """What `rossec gateway status` shows; `name`: of the gateway."""
     rows = [
         {
-            "topic": shown(alias), "served": served_name(alias), "type": each.candidate.type,
+            "topic": shown(alias),
+            "served": served_name(alias),
+            "type": each.candidate.type,
             "state": "registering" if each.registered_at is None else each.phase.value,
             "subscribers": each.subscribers,
-            "publishers": each.sources, "messages": each.messages, "octets": each.octets,
+            "publishers": each.sources,
+            "messages": each.messages,
+            "octets": each.octets,
             "problem": each.problem,
         }
         for alias, each in sorted(gateway.topics.items())
-    ]  # fmt: skip
+    ]
     skipped = [
         {"topic": shown(alias), "why": each.why, "hint": each.hint}
         for alias, each in sorted(gateway.skipped.items())
     ]
     rules = [
-        {"from": each.label, "pattern": each.pattern, "rate": each.wishes.rate,
-         "newest": each.wishes.newest, "compress": each.wishes.deflate}
+        {
+            "from": each.label,
+            "pattern": each.pattern,
+            "rate": each.wishes.rate,
+            "newest": each.wishes.newest,
+            "compress": each.wishes.deflate,
+        }
         for each in gateway.rules
-    ]  # fmt: skip
+    ]
     return {
-        "gateway": name, "problem": gateway.problem, "rules": rules,
-        "topics": rows, "skipped": skipped[:MAX_SKIPPED], "skipped_count": len(skipped),
-    }  # fmt: skip
+        "gateway": name,
+        "problem": gateway.problem,
+        "rules": rules,
+        "topics": rows,
+        "skipped": skipped[:MAX_SKIPPED],
+        "skipped_count": len(skipped),
+    }

@@ -143,10 +143,7 @@ _PORT: Final = re.compile(r"[0-9]{1,5}", re.ASCII)
 _EXAMPLE: Final = f"write it as 192.168.1.7:{DEFAULT_PORT}, [fd00::7]:{DEFAULT_PORT} or robot.local"
 # Documentation addresses (RFC 5737, RFC 3849): connecting a UDP socket sends nothing, it only
 # asks the routing table which local address would be used.
-_ELSEWHERE: Final = (
-    (socket.AF_INET, "192.0.2.1", "127.0.0.1"),
-    (socket.AF_INET6, "2001:db8::1", "::1"),
-)
+_ELSEWHERE: Final = ((socket.AF_INET, "192.0.2.1", "127.0.0.1"), (socket.AF_INET6, "2001:db8::1", "::1"))
 
 
 def join(host: str, port: int) -> str:

@@ -85,9 +85,7 @@ def check_beginning(first: Entry, key: bytes | None = None, after: str | None = 
             )
         unknown = "" if key is not None else f"; the key {signed_by.hex()} is not known here"
         complete = before in {FIRST, after}
-        return (
-            f"{'' if complete else f'it continues from {before}, not among these files'}{unknown}"
-        )
+        return f"{'' if complete else f'it continues from {before}, not among these files'}{unknown}"
     if before == after:
         return ""
     if before == FIRST:
@@ -97,9 +95,7 @@ def check_beginning(first: Entry, key: bytes | None = None, after: str | None = 
 
 def _key_of(entry: Entry) -> bytes:
     try:
-        key = ec.EllipticCurvePublicKey.from_encoded_point(
-            ec.SECP256R1(), bytes.fromhex(entry[_KEY])
-        )
+        key = ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), bytes.fromhex(entry[_KEY]))
         raw = bytes.fromhex(entry[_SIGNATURE])
         r, s = (int.from_bytes(half) for half in (raw[:_COORDINATE], raw[_COORDINATE:]))
         key.verify(encode_dss_signature(r, s), _signed(entry), ec.ECDSA(hashes.SHA256()))
@@ -126,9 +122,7 @@ _log = logging.getLogger("rossec.master.audit")
 def with_hash(entry: Entry, before: str) -> Entry:
     """The entry with its hash."""
     text = json.dumps(entry, sort_keys=True, separators=(",", ":"))
-    data = f"{before}\n{text}".encode(
-        errors="surrogatepass"
-    )  # a foreign line may contain surrogates
+    data = f"{before}\n{text}".encode(errors="surrogatepass")  # a foreign line may contain surrogates
     return {**entry, "hash": hashlib.sha256(data).hexdigest()}
 
 
@@ -137,9 +131,7 @@ def encode(entry: Entry) -> str:
     return json.dumps(entry, sort_keys=True, separators=(",", ":"))
 
 
-def read_entries(
-    lines: Iterable[str], max_damaged: int | None = None
-) -> tuple[list[Entry], list[int]]:
+def read_entries(lines: Iterable[str], max_damaged: int | None = None) -> tuple[list[Entry], list[int]]:
     """The valid entries, and the numbers of the damaged lines.
 
     Reading ends after `max_damaged` damaged lines.
@@ -207,9 +199,10 @@ class AuditFile(logging.Handler):
         """Write one line."""
         now = self._clock()
         entry: Entry = {
-            "at": round(now, 3), "level": record.levelname.lower(),
+            "at": round(now, 3),
+            "level": record.levelname.lower(),
             "text": printable(record.getMessage(), LINE_LIMIT // 8),
-        }  # fmt: skip
+        }
         if left_out := getattr(record, LEFT_OUT, 0):
             entry[LEFT_OUT] = left_out
         if self._torn:

@@ -18,9 +18,15 @@ from rossec.host import sandbox
 
 THREADS: Final = 4  # for names of hosts; made before new ones are forbidden
 _SYSTEM: Final = (
-    "/usr", "/lib", "/lib64", "/etc", "/proc/self", "/proc/sys", "/dev/urandom",
+    "/usr",
+    "/lib",
+    "/lib64",
+    "/etc",
+    "/proc/self",
+    "/proc/sys",
+    "/dev/urandom",
     "/run/systemd/resolve",
-)  # fmt: skip
+)
 _log = logging.getLogger("rossec.host")
 
 

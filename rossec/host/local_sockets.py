@@ -125,9 +125,7 @@ def listeners_in(tables: Iterable[str], endpoint: Endpoint) -> list[Holder]:
     if ":" not in address:
         wanted.add(_hex(("0.0.0.0", port), 0))  # noqa: S104 - looked for
     return [
-        holder
-        for row, holder in _rows(tables)
-        if row.endswith(_LISTEN) and row.partition(" ")[0] in wanted
+        holder for row, holder in _rows(tables) if row.endswith(_LISTEN) and row.partition(" ")[0] in wanted
     ]
 
 

@@ -91,17 +91,40 @@ FORK: Final = "clone"  # in this form only: no threads, no namespaces
 # By architecture: its number for audit (linux/audit.h), and those of its calls (asm/unistd.h).
 _AUDIT: Final = {"x86_64": 0xC000003E, "aarch64": 0xC00000B7}
 _NUMBERS: Final[Mapping[str, tuple[int, int]]] = {
-    "brk": (12, 214), "clock_gettime": (228, 113), "clone": (56, 220), "close": (3, 57),
-    "exit": (60, 93), "exit_group": (231, 94), "fstat": (5, 80), "futex": (202, 98),
-    "getpid": (39, 172), "getppid": (110, 173), "getrandom": (318, 278), "gettid": (186, 178),
-    "kill": (62, 129), "lseek": (8, 62), "madvise": (28, 233), "mmap": (9, 222),
-    "mprotect": (10, 226), "mremap": (25, 216), "munmap": (11, 215), "pipe2": (293, 59),
-    "prctl": (157, 167), "prlimit64": (302, 261), "read": (0, 63), "readv": (19, 65),
+    "brk": (12, 214),
+    "clock_gettime": (228, 113),
+    "clone": (56, 220),
+    "close": (3, 57),
+    "exit": (60, 93),
+    "exit_group": (231, 94),
+    "fstat": (5, 80),
+    "futex": (202, 98),
+    "getpid": (39, 172),
+    "getppid": (110, 173),
+    "getrandom": (318, 278),
+    "gettid": (186, 178),
+    "kill": (62, 129),
+    "lseek": (8, 62),
+    "madvise": (28, 233),
+    "mmap": (9, 222),
+    "mprotect": (10, 226),
+    "mremap": (25, 216),
+    "munmap": (11, 215),
+    "pipe2": (293, 59),
+    "prctl": (157, 167),
+    "prlimit64": (302, 261),
+    "read": (0, 63),
+    "readv": (19, 65),
     "restart_syscall": (219, 128),
-    "rseq": (334, 293), "rt_sigaction": (13, 134), "rt_sigprocmask": (14, 135),
-    "rt_sigreturn": (15, 139), "sched_yield": (24, 124), "set_robust_list": (273, 99),
-    "wait4": (61, 260), "write": (1, 64),
-}  # fmt: skip
+    "rseq": (334, 293),
+    "rt_sigaction": (13, 134),
+    "rt_sigprocmask": (14, 135),
+    "rt_sigreturn": (15, 139),
+    "sched_yield": (24, 124),
+    "set_robust_list": (273, 99),
+    "wait4": (61, 260),
+    "write": (1, 64),
+}
 
 
 class _Program(ctypes.Structure):
@@ -127,14 +150,11 @@ def program(names: Iterable[str], machine: str) -> bytes:
     numbers = sorted(_NUMBERS[name][column] for name in set(names) - {FORK})
     fork = [_NUMBERS[FORK][column]] if FORK in set(names) else []
     return b"".join(
-        struct.pack("<HBBI", *instruction)
-        for instruction in _instructions(_AUDIT[machine], numbers, fork)
+        struct.pack("<HBBI", *instruction) for instruction in _instructions(_AUDIT[machine], numbers, fork)
     )
 
 
-def _instructions(
-    architecture: int, numbers: list[int], fork: list[int]
-) -> list[tuple[int, int, int, int]]:
+def _instructions(architecture: int, numbers: list[int], fork: list[int]) -> list[tuple[int, int, int, int]]:
     refuse, allow = (_RETURN, 0, 0, _ERRNO | _EPERM), (_RETURN, 0, 0, _ALLOW)
     found = [
         (_LOAD, 0, 0, _ARCHITECTURE),
@@ -147,10 +167,12 @@ def _instructions(
     for number in fork:
         found += [
             (_JUMP_IF_EQUAL, 0, 5, number),
-            (_LOAD, 0, 0, _FIRST_LOW), (_JUMP_IF_EQUAL, 0, 3, _FORK),
-            (_LOAD, 0, 0, _FIRST_HIGH), (_JUMP_IF_EQUAL, 0, 1, 0),
+            (_LOAD, 0, 0, _FIRST_LOW),
+            (_JUMP_IF_EQUAL, 0, 3, _FORK),
+            (_LOAD, 0, 0, _FIRST_HIGH),
+            (_JUMP_IF_EQUAL, 0, 1, 0),
             allow,
-        ]  # fmt: skip
+        ]
     return [*found, refuse]
 
 

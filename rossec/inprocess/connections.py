@@ -225,9 +225,7 @@ class Connections:
             raise self._init_error(protocol, error, sock) from error
         self._process.reporter.forget(_description(protocol))
 
-    def _admit_server(
-        self, protocol: Any, fields: dict[str, bytes], sock: RosSocket
-    ) -> RosConnection:
+    def _admit_server(self, protocol: Any, fields: dict[str, bytes], sock: RosSocket) -> RosConnection:
         access, peer = self._local_identity.access, sock.peer
         name = _granted_name(protocol, peer, protocol.resolved_name)
         if isinstance(protocol, TCPROSServiceClient):
@@ -256,9 +254,7 @@ class Connections:
 
     def _guard_for(self, kind: Definition, decision: Decision) -> Guard | None:
         local_identity = self._local_identity
-        return guard_for(
-            kind, decision, local_identity.home.filter_key, memory_scope(local_identity.name)
-        )
+        return guard_for(kind, decision, local_identity.home.filter_key, memory_scope(local_identity.name))
 
     def _init_error(self, protocol: Any, error: HintedError, sock: RosSocket) -> TransportInitError:
         if not sock.closed_locally:
@@ -306,9 +302,7 @@ class Connections:
             raise ConnectionHeaderRefused(f"no such {kind}, or of another type")
         return True
 
-    def _admit_caller(
-        self, server: Any, sock: RosSocket, where: Any, fields: dict[str, bytes]
-    ) -> None:
+    def _admit_caller(self, server: Any, sock: RosSocket, where: Any, fields: dict[str, bytes]) -> None:
         access = self._local_identity.access
         if "service" in fields:
             decision = admit_caller(fields, sock.peer, access, now())
@@ -331,9 +325,7 @@ class Connections:
         self._process.add_connection(sock, connection)
         refusal = handler(sock, where, for_rospy(fields_here(fields, sock.peer)))
         if refusal:
-            raise ConnectionHeaderRefused(
-                str(refusal), "both sides need the same version of the package"
-            )
+            raise ConnectionHeaderRefused(str(refusal), "both sides need the same version of the package")
 
     def _filter_calls(self, service: str, sock: RosSocket, connection: RosConnection) -> None:
         provided = rospy.impl.registration.get_service_manager().get_service(service)
@@ -349,9 +341,7 @@ class Connections:
         request_class = provided.service_class._request_class  # noqa: SLF001 - rospy's
         sock.raise_unit_limit(max_unit_size(request_class))
         check = partial(self._process.connections.check, connection)
-        sock.service_filter = ServerFilter(
-            check, guard, refused, clock.time, max_message_size(request_class)
-        )
+        sock.service_filter = ServerFilter(check, guard, refused, clock.time, max_message_size(request_class))
         connection.rebuild = partial(self._refilter, sock, provided.service_class)
 
     def _refilter(self, sock: RosSocket, kind: Any, decision: Decision) -> None:
@@ -371,9 +361,7 @@ class Connections:
         if both.md5sum != kind._md5sum:  # noqa: SLF001 - rospy's
             raise DefinitionRefused(f"the definition of {kind._type} is not that of its messages")  # noqa: SLF001 - rospy's
         local_identity = self._local_identity
-        return ServiceGuard(
-            both, decision, local_identity.home.filter_key, memory_scope(local_identity.name)
-        )
+        return ServiceGuard(both, decision, local_identity.home.filter_key, memory_scope(local_identity.name))
 
     def _published(self, topic: str) -> Any:
         published = get_topic_manager().get_publisher_impl(topic)
@@ -415,9 +403,7 @@ class ServiceProbe(RosSocket):
             local_identity.access.check_peer(self.peer, now())
             proof = caller_proof(service, local_identity.access, now())
             named = fields_on_wire(fields)
-            self.send_unit(
-                tcpros.encode({**named, "callerid": local_identity.name_for(self.peer), **proof})
-            )
+            self.send_unit(tcpros.encode({**named, "callerid": local_identity.name_for(self.peer), **proof}))
             answer = receive(self)
             admit_provider(answer, self.peer, service, local_identity.access, now())
             self._answer = tcpros.encode(for_rospy(fields_here(answer, self.peer)))
@@ -458,9 +444,7 @@ class SubscriptionLoop:
         if not conn.done:
             conn.close()
 
-    def _receive_from(
-        self, conn: Any, host: str, port: int, uri: str, callback: Callable[..., None]
-    ) -> None:
+    def _receive_from(self, conn: Any, host: str, port: int, uri: str, callback: Callable[..., None]) -> None:
         try:
             self._process.own_addresses.check_redirect(parse_uri(uri), (host, port))
             conn.connect(host, port, uri, timeout=60.0)
@@ -505,9 +489,7 @@ class SubscriptionLoop:
             try:
                 content = guard(message, clock.time())
             except GrantError as error:
-                self._process.reporter.warn(
-                    f"withheld a message on {shown(connection.decision.name)}", error
-                )
+                self._process.reporter.warn(f"withheld a message on {shown(connection.decision.name)}", error)
             else:
                 filtered += [] if content is None else [b"".join(content)]
         return filtered

@@ -105,10 +105,12 @@ def hooks(process: SecuredProcess, start_node: StartNode) -> list[Hook]:
         *_wait_hooks(process),
         *_node_hooks(process),
         Hook(
-            rospy.impl.init, "start_node", start_node,
+            rospy.impl.init,
+            "start_node",
+            start_node,
             ("environ", "resolved_name", "master_uri", "port", "tcpros_port"),
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _connection_hooks(process: SecuredProcess) -> list[Hook]:
@@ -141,16 +143,15 @@ def _topic_hooks(process: SecuredProcess) -> list[Hook]:
     pubsub, queued = rospy.impl.tcpros_pubsub, ("self", "connection", "queue_size")
     return [
         Hook(
-            pubsub, "robust_connect_subscriber", SubscriptionLoop(process).run,
+            pubsub,
+            "robust_connect_subscriber",
+            SubscriptionLoop(process).run,
             ("conn", "dest_addr", "dest_port", "pub_uri", "receive_cb", "resolved_topic_name"),
         ),
-        Hook(
-            rospy.topics._PublisherImpl, "publish", publish,  # noqa: SLF001 - rospy's
-            ("self", "message", "connection_override"),
-        ),
+        Hook(rospy.topics._PublisherImpl, "publish", publish, ("self", "message", "connection_override")),
         Hook(rospy.topics, "QueuedConnection", queue_for, queued),
         Hook(pubsub, "QueuedConnection", queue_for, queued),
-    ]  # fmt: skip
+    ]
 
 
 def _xmlrpc_client_hooks(process: SecuredProcess) -> list[Hook]:
@@ -163,10 +164,9 @@ def _xmlrpc_client_hooks(process: SecuredProcess) -> list[Hook]:
         Hook(rosgraph.masterapi, "ServerProxy", proxy),
         Hook(rosgraph.impl.graph, "ServerProxy", proxy),
         Hook(
-            xmlrpc.client.ServerProxy, REQUEST, _as_function(client.request),
-            ("self", "methodname", "params"),
+            xmlrpc.client.ServerProxy, REQUEST, _as_function(client.request), ("self", "methodname", "params")
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _wait_hooks(process: SecuredProcess) -> list[Hook]:

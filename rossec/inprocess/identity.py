@@ -45,9 +45,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def _locked(
-    method: Callable[Concatenate[Access, P], R],
-) -> Callable[Concatenate["LockedAccess", P], R]:
+def _locked(method: Callable[Concatenate[Access, P], R]) -> Callable[Concatenate["LockedAccess", P], R]:
     @wraps(method)
     def call(locked: "LockedAccess", /, *args: P.args, **kwargs: P.kwargs) -> R:
         with locked.lock:
@@ -105,11 +103,7 @@ class LocalIdentity(LoadedIdentity):
     """
 
     def __init__(
-        self,
-        home: NodeHome,
-        name: str,
-        suites: tuple[int, ...] = PRODUCTION,
-        master: str = MASTER,
+        self, home: NodeHome, name: str, suites: tuple[int, ...] = PRODUCTION, master: str = MASTER
     ) -> None:
         super().__init__(home, name, master)
         self.live_context = SecureContext(
@@ -167,8 +161,7 @@ class PlainStream:
     def receive_unit(self) -> bytes:
         return self._socket.recv(_READ)
 
-    def pump(self) -> None:
-        ...
+    def pump(self) -> None: ...
 
     def sendall(self, *pieces: bytes | bytearray | memoryview) -> None:
         for piece in pieces:
@@ -244,9 +237,7 @@ Stream = SecureSocket[Identity]
 class Connector:
     """Makes the secure connections of one process, both ways."""
 
-    def __init__(
-        self, local_identity: LocalIdentity, own_addresses: OwnAddresses | None = None
-    ) -> None:
+    def __init__(self, local_identity: LocalIdentity, own_addresses: OwnAddresses | None = None) -> None:
         self._local_identity = local_identity
         self._own_addresses = OwnAddresses() if own_addresses is None else own_addresses
         self._slots: WeakKeyDictionary[socket.socket, HalfOpenSlot] = WeakKeyDictionary()

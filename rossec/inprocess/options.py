@@ -64,9 +64,7 @@ def read(
     table = _table(text) if text is not None else {}
     name = _first(node, environ.get("ROSSEC_NODE"), table.get("node"))
     plain = _first(allow_plain, _split(environ.get("ROSSEC_ALLOW_PLAIN")), table.get("allow_plain"))
-    return Options(
-        rossec_home(environ), _checked_name(name), () if plain is None else _checked_list(plain)
-    )
+    return Options(rossec_home(environ), _checked_name(name), () if plain is None else _checked_list(plain))
 
 
 def _table(text: str) -> Mapping[str, object]:
@@ -101,9 +99,7 @@ def _checked_name(name: object) -> str | None:
     try:
         check_name(text if "/" in text else f"/{text}")
     except NameRefused as error:
-        raise ConfigurationError(
-            f"{name!r} is not the name of a node: {error}", error.hint
-        ) from error
+        raise ConfigurationError(f"{name!r} is not the name of a node: {error}", error.hint) from error
     return text
 
 

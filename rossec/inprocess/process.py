@@ -56,8 +56,10 @@ from rossec.ros.names import parse_uri
 from rossec.ros.xmlrpc import FAULT_CODE, Fault
 
 REGISTRATIONS: Final[Mapping[str, object]] = {
-    "registerPublisher": [], "registerSubscriber": [], "registerService": 1,
-}  # fmt: skip
+    "registerPublisher": [],
+    "registerSubscriber": [],
+    "registerService": 1,
+}
 """Registrations, each with the value a master without other nodes answers."""
 REFUSED: Final = "rossec: "
 _NODES: Final = 1024  # that were looked up
@@ -213,10 +215,7 @@ class BackgroundLoop:
     """The background loop of one process, and the hooks of its membership."""
 
     def __init__(
-        self,
-        local_identity: LocalIdentity,
-        registrations: Registrations,
-        master: tuple[str, int],
+        self, local_identity: LocalIdentity, registrations: Registrations, master: tuple[str, int]
     ) -> None:
         self._local_identity = local_identity
         self._registrations = registrations

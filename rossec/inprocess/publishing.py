@@ -50,14 +50,7 @@ from rossec.inprocess.sockets import RosSocket
 from rossec.net.context import forget_in_children
 from rossec.net.limits import UNSENT
 from rossec.participant import delivery
-from rossec.participant.delivery import (
-    Deflatable,
-    Latch,
-    Sample,
-    SharedDeflation,
-    WishedRate,
-    Wishes,
-)
+from rossec.participant.delivery import Deflatable, Latch, Sample, SharedDeflation, WishedRate, Wishes
 
 _UNUSED: Final = 2  # references: the buffer's, and the argument of `getrefcount`
 
@@ -176,9 +169,7 @@ class SendQueue:
             write(self._connection, batch)
 
     def _wait(self) -> None:
-        self._idle = (
-            True  # set before the queue is checked, for a message that is queued just after
-        )
+        self._idle = True  # set before the queue is checked, for a message that is queued just after
         while not self._queue and not self._connection.done:
             self._filled.wait()
             self._idle = True
@@ -455,14 +446,9 @@ def _serialized(topic: Any, message: Any) -> bytes:
 
 
 def _publishing_send(
-    topic: Any,
-    sample: Sample[bytes],
-    transports: Iterable[Any],
-    new_subscriber: Latch[bytes] | None = None,
+    topic: Any, sample: Sample[bytes], transports: Iterable[Any], new_subscriber: Latch[bytes] | None = None
 ) -> list[Any]:
-    samples: Samples = (
-        (lambda _: (sample,)) if new_subscriber is None else new_subscriber.candidates
-    )
+    samples: Samples = (lambda _: (sample,)) if new_subscriber is None else new_subscriber.candidates
     filtered: dict[Hashable, Pieces | None] = {}
     moment = clock.time()
     dead = []

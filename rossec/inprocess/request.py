@@ -70,10 +70,13 @@ def _check_own(right: Right, name: str, own: str) -> None:
 
 def _send(local_identity: LocalIdentity, right: Right, name: str, why: str) -> None:
     request = GrantRequest(
-        local_identity.identity.domain, local_identity.identity.name, now(),
+        local_identity.identity.domain,
+        local_identity.identity.name,
+        now(),
         secrets.token_bytes(16),
-        (RequestedRight(right, name),), why,
-    )  # fmt: skip
+        (RequestedRight(right, name),),
+        why,
+    )
     data = sign_request(local_identity.credentials.signer, request)
     authority = _authority_of(local_identity)
     if (authority / "ca.pem").exists():

@@ -80,9 +80,7 @@ class _Secured:
         self.hooks.watch_forks(self.process)
         background_loop, core = self.process.background_loop, self._rospy.core
         background_loop.on_publishers = self._publishers_changed
-        background_loop.on_crash = lambda: self._rospy.signal_shutdown(
-            "rossec: the background loop failed"
-        )
+        background_loop.on_crash = lambda: self._rospy.signal_shutdown("rossec: the background loop failed")
         core.add_shutdown_hook(lambda _: background_loop.stop())
         return self._stock_start(environ, resolved_name, master_uri, port, tcpros_port)
 
@@ -218,8 +216,7 @@ def _hooks_module() -> Any:
         return importlib.import_module("rossec.inprocess.hooks")
     except ModuleNotFoundError as error:
         raise ConfigurationError(
-            f"rospy is not installed: {error}",
-            "install ROS, or use rossec.node, which does not need it",
+            f"rospy is not installed: {error}", "install ROS, or use rossec.node, which does not need it"
         ) from error
 
 

@@ -35,14 +35,7 @@ from rossec import clock
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import Bytes
 from rossec.errors import ChannelClosed, ChannelError, ConfigurationError, PlainPeer
-from rossec.inprocess.identity import (
-    CONNECT_TIMEOUT,
-    Connector,
-    PlainStream,
-    Renewing,
-    Stream,
-    peek,
-)
+from rossec.inprocess.identity import CONNECT_TIMEOUT, Connector, PlainStream, Renewing, Stream, peek
 from rossec.inprocess.options import PlainConnection, PlainPeers
 from rossec.net.threads.secure_socket import SecureSocket
 from rossec.participant.authorized import AuthorizedConnection
@@ -69,9 +62,7 @@ def parse_rosrpc(uri: str) -> tuple[str, int]:
     authority = uri.removeprefix(ROSRPC).partition("/")[0]
     host, _, port = authority.rpartition(":")
     if not uri.startswith(ROSRPC) or not host or not port.isdecimal():
-        raise ConfigurationError(
-            f"{uri!r} is not the URI of a service", "it has the form rosrpc://host:port"
-        )
+        raise ConfigurationError(f"{uri!r} is not the URI of a service", "it has the form rosrpc://host:port")
     return host.removeprefix("[").removesuffix("]"), int(port)
 
 
@@ -122,14 +113,11 @@ class ServiceFilter(Protocol):
 
     framing: Framing
 
-    def incoming(self, data: bytes) -> tuple[bytes, Pieces]:
-        ...
+    def incoming(self, data: bytes) -> tuple[bytes, Pieces]: ...
 
-    def replace_guard(self, guard: ServiceGuard | None) -> None:
-        ...
+    def replace_guard(self, guard: ServiceGuard | None) -> None: ...
 
-    def outgoing(self, data: bytes) -> Pieces:
-        ...
+    def outgoing(self, data: bytes) -> Pieces: ...
 
 
 class ServerFilter:
@@ -234,18 +222,14 @@ class SocketOwner(Protocol):
     """The process that a socket belongs to."""
 
     @property
-    def connector(self) -> Connector:
-        ...
+    def connector(self) -> Connector: ...
 
-    def connection_closed(self, sock: "RosSocket") -> None:
-        ...
+    def connection_closed(self, sock: "RosSocket") -> None: ...
 
-    def listens(self, port: int) -> None:
-        ...
+    def listens(self, port: int) -> None: ...
 
     @property
-    def plain(self) -> PlainPeers:
-        ...
+    def plain(self) -> PlainPeers: ...
 
     def connect_error(self, address: tuple[str, int], error: ChannelError) -> Exception:
         # The exception to raise if a connection cannot be secured.
@@ -263,9 +247,7 @@ class RosSocket(Renewing):
         wishes: what a subscriber is promised of how it is sent messages.
     """
 
-    def __init__(
-        self, owner: SocketOwner, sock: socket.socket, stream: Stream | None = None
-    ) -> None:
+    def __init__(self, owner: SocketOwner, sock: socket.socket, stream: Stream | None = None) -> None:
         self._owner = owner
         self._socket = sock
         self._stream: Stream | PlainStream | None = stream
@@ -326,9 +308,7 @@ class RosSocket(Renewing):
         self._socket.settimeout(CONNECT_TIMEOUT)
         self._socket.connect(for_family(self._socket.family, address))
         try:
-            self._stream = self._owner.connector.initiate(
-                self._socket, WireProtocol.TCPROS, address
-            )
+            self._stream = self._owner.connector.initiate(self._socket, WireProtocol.TCPROS, address)
         except PlainPeer as error:
             if not self._owner.plain:
                 raise self._owner.connect_error(address, error) from error
@@ -383,9 +363,7 @@ class RosSocket(Renewing):
         part, self._ready = self._ready[:size], self._ready[size:]
         return bytes(part)
 
-    def receive_before_deadline(
-        self, framing: Framing, receive: Callable[[], Received]
-    ) -> Received:
+    def receive_before_deadline(self, framing: Framing, receive: Callable[[], Received]) -> Received:
         # What `receive` returns; a message that has begun must make progress meanwhile.
         while framing.incomplete and self.gettimeout() is None:
             self.settimeout(PATIENCE)

@@ -59,13 +59,7 @@ from rossec.participant.registrations import (
     shows_nothing,
     unheard_refusal,
 )
-from rossec.participant.slave_api import (
-    SLAVE_CALLS,
-    check_slave_call,
-    ports_answer,
-    refusal,
-    topic_offer,
-)
+from rossec.participant.slave_api import SLAVE_CALLS, check_slave_call, ports_answer, refusal, topic_offer
 from rossec.ros import names
 from rossec.ros.calls import CallClient, CallServer, value_in, value_steps
 from rossec.ros.http import Oversized
@@ -136,8 +130,8 @@ class XmlRpcServer:
         with suppress(HintedError, OSError):
             call = calls.load(_next_request(calls, stream, time.monotonic() + REQUEST_DEADLINE))
             match call.method, call.params:
-                case "requestTopic", (_, str() as topic, list() as protocols) if (
-                    self._process.allows_plain(topic, address)
+                case "requestTopic", (_, str() as topic, list() as protocols) if self._process.allows_plain(
+                    topic, address
                 ):
                     start_tcpros_server()
                     answer = topic_offer(protocols, *get_tcpros_server_address())
@@ -200,9 +194,7 @@ class XmlRpcServer:
         if presented.grants is None or method not in SLAVE_CALLS or self._is_master(peer):
             return False
         local_identity = self._process.local_identity
-        check_slave_call(
-            method, peer, local_identity.name, presented.grants, local_identity.access, now()
-        )
+        check_slave_call(method, peer, local_identity.name, presented.grants, local_identity.access, now())
         return True
 
     def _run(self, server: Any, method: str, params: Params, peer: Identity) -> object:
@@ -244,9 +236,7 @@ def in_steps(steps: Generator[None, None, ResultT], turn: Lock) -> ResultT:
             time.sleep(_PAUSE)
 
 
-def _next_request(
-    calls: CallServer, stream: Stream | PlainStream, end: float | None
-) -> bytes | Oversized:
+def _next_request(calls: CallServer, stream: Stream | PlainStream, end: float | None) -> bytes | Oversized:
     request = calls.take()
     while request is None:
         waiting = end
@@ -315,13 +305,9 @@ class XmlRpcClient:
         try:
             return _stock_types(self._call_node(uri, method, params))
         except PlainPeer as error:  # rospy tries again after this one
-            raise ConnectionRefusedError(
-                errno.ECONNREFUSED, self._report_refusal(uri, error)
-            ) from error
+            raise ConnectionRefusedError(errno.ECONNREFUSED, self._report_refusal(uri, error)) from error
         except HintedError as error:
-            raise ConnectionAbortedError(
-                errno.ECONNABORTED, self._report_refusal(uri, error)
-            ) from error
+            raise ConnectionAbortedError(errno.ECONNABORTED, self._report_refusal(uri, error)) from error
 
     def _report_refusal(self, uri: str, error: HintedError) -> str:
         self._process.reporter.warn(f"cannot call {uri}", error)
@@ -406,9 +392,7 @@ class XmlRpcClient:
         elif is_dispensable(missing.right, missing.own):
             _log.info("rospy's own %s is refused: %s", method, status)
         else:
-            self._process.reporter.warn(
-                request_refusal(missing.node, [(missing.right, missing.in_rule)])
-            )
+            self._process.reporter.warn(request_refusal(missing.node, [(missing.right, missing.in_rule)]))
 
     # -- other nodes
 
@@ -483,9 +467,7 @@ def _host(address: tuple[str, int]) -> str:
     return f"[{host}]" if ":" in host else host
 
 
-def _exchange(
-    stream: Stream | PlainStream, calls: CallClient, method: str, params: Params
-) -> object:
+def _exchange(stream: Stream | PlainStream, calls: CallClient, method: str, params: Params) -> object:
     # A hostile server answers with megabytes: parsing them shares the interpreter with the threads that
     # publish. All such answers together have one share.
     request = calls.request(method, params)

@@ -174,12 +174,7 @@ class _Reader:
         self._starts.append(tag)
 
     def _plain(
-        self,
-        local: str,
-        line: int,
-        tag: Tag,
-        attributes: dict[str, str],
-        parent: LaunchNode | None,
+        self, local: str, line: int, tag: Tag, attributes: dict[str, str], parent: LaunchNode | None
     ) -> LaunchNode | None:
         if local == "node":
             node = LaunchNode(attributes.get("name", ""), line, tag)
@@ -224,9 +219,10 @@ def _check(node: LaunchNode) -> None:
         refuse(node.line, f"the node {node.name!a} has metadata and ns=", "leave one of them out")
     if not node.name or _SUBSTITUTION in node.name:
         refuse(
-            node.line, "a node with metadata whose name is not written out",
+            node.line,
+            "a node with metadata whose name is not written out",
             "roslaunch replaces $(...) later than this: write the name",
-        )  # fmt: skip
+        )
     for element in node.elements:
         if element.name == "name":
             refuse(element.line, "the name of a node is that of <node name=...>", "leave it out")
@@ -239,9 +235,10 @@ def _check_element(element: Element) -> None:
         refuse(element.line, f"<{element.name}> of the metadata has an attribute it may not have")
     if _SUBSTITUTION in element.text:
         refuse(
-            element.line, f"<{element.name}> has $(...)",
+            element.line,
+            f"<{element.name}> has $(...)",
             "roslaunch replaces it later than this: write the value",
-        )  # fmt: skip
+        )
     if element.children and element.text.strip():
         refuse(element.line, f"<{element.name}> of the metadata has text beside elements")
     for child in element.children:
@@ -254,9 +251,10 @@ def _entry(element: Element, node: LaunchNode) -> tuple[Element, Kind, str, str]
         refuse(element.line, f"a {element.name} of {node.name!a} without <name>")
     if _FROM.fullmatch(source) is None:
         refuse(
-            element.line, f"a {element.name} of {node.name!a} without the name that it replaces",
+            element.line,
+            f"a {element.name} of {node.name!a} without the name that it replaces",
             f'write which name the program uses: <{element.name} type="~output">',
-        )  # fmt: skip
+        )
     if source in node.remaps:
         refuse(element.line, f"{source} of {node.name!a} is remapped already", "leave one out")
     return element, Kind(element.name), name, source
@@ -305,9 +303,10 @@ def named(launch: Launch, name_of: NameOf) -> list[NamedNode]:
     for node in found:
         if node.name in lines:
             refuse(
-                node.line, f"the rules name two nodes {node.name}: this one and line "
-                f"{lines[node.name]}", "give them different names or owners",
-            )  # fmt: skip
+                node.line,
+                f"the rules name two nodes {node.name}: this one and line {lines[node.name]}",
+                "give them different names or owners",
+            )
         lines[node.name] = node.line
     return found
 
@@ -317,9 +316,7 @@ def edits(data: bytes, launch: Launch, nodes: Sequence[NamedNode]) -> list[Edit]
     made: list[Edit] = []
     for node, given in zip(launch.nodes, nodes, strict=True):
         made += _of_tag(node, given.name)
-        remaps = {
-            id(entry[0]): new for entry, new in zip(node.entries(), given.entries, strict=True)
-        }
+        remaps = {id(entry[0]): new for entry, new in zip(node.entries(), given.entries, strict=True)}
         gone: list[Span] = []
         for element in node.elements:
             new = remaps.get(id(element))
@@ -357,8 +354,7 @@ def _named(node: LaunchNode, name_of: NameOf) -> NamedNode:
         node.line,
         own,
         tuple(
-            NamedEntry(kind, source, name)
-            for (_, kind, _, source), name in zip(entries, others, strict=True)
+            NamedEntry(kind, source, name) for (_, kind, _, source), name in zip(entries, others, strict=True)
         ),
     )
 

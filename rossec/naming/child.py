@@ -30,16 +30,43 @@ FILES: Final = 16  # descriptors
 _PR_SET_PDEATHSIG: Final = 1
 _NICE: Final = 5  # rules are no reason to slow a robot down
 _COMPUTE: Final = (
-    "brk", "clock_gettime", "close", "exit", "exit_group", "fstat", "futex", "getpid", "getrandom",
-    "gettid", "lseek", "madvise", "mmap", "mprotect", "mremap", "munmap", "read",
-    "restart_syscall", "rseq", "rt_sigaction", "rt_sigprocmask", "rt_sigreturn", "sched_yield",
+    "brk",
+    "clock_gettime",
+    "close",
+    "exit",
+    "exit_group",
+    "fstat",
+    "futex",
+    "getpid",
+    "getrandom",
+    "gettid",
+    "lseek",
+    "madvise",
+    "mmap",
+    "mprotect",
+    "mremap",
+    "munmap",
+    "read",
+    "restart_syscall",
+    "rseq",
+    "rt_sigaction",
+    "rt_sigprocmask",
+    "rt_sigreturn",
+    "sched_yield",
     "write",
-)  # fmt: skip
+)
 _FORKS: Final = (
-    *_COMPUTE, sandbox.FORK, "getppid", "kill", "pipe2", "prctl", "prlimit64", "readv",
+    *_COMPUTE,
+    sandbox.FORK,
+    "getppid",
+    "kill",
+    "pipe2",
+    "prctl",
+    "prlimit64",
+    "readv",
     "set_robust_list",
     "wait4",
-)  # fmt: skip
+)
 _ENDED: Final = "the rules took more time or memory than allowed, and were ended"
 _ENDED_HINT: Final = f"{CPU} s and {MEMORY // 1024 // 1024} MB are allowed for one request"
 _WARM_UP: Final = NameRequest(
@@ -73,9 +100,11 @@ def confine() -> None:
     """Give up everything but memory, two descriptors and fork()."""
     os.nice(_NICE)
     for what, most in (
-        (resource.RLIMIT_AS, MEMORY), (resource.RLIMIT_CORE, 0), (resource.RLIMIT_FSIZE, 0),
+        (resource.RLIMIT_AS, MEMORY),
+        (resource.RLIMIT_CORE, 0),
+        (resource.RLIMIT_FSIZE, 0),
         (resource.RLIMIT_NOFILE, FILES),
-    ):  # fmt: skip
+    ):
         limit(what, most)
     with suppress(OSError):  # no Landlock: the filter forbids to open anything in any case
         sandbox.read_only(())

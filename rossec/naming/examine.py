@@ -17,13 +17,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 from xml.etree import ElementTree
 
-from rossec.errors import (
-    MetadataRefused,
-    NameUndefined,
-    ProposedNameRefused,
-    RossecError,
-    RulesNotConfined,
-)
+from rossec.errors import MetadataRefused, NameUndefined, ProposedNameRefused, RossecError, RulesNotConfined
 from rossec.naming import requests
 from rossec.naming.requests import Kind, Metadata, Result, parse
 from rossec.naming.rule_runner import RuleRunner
@@ -82,11 +76,7 @@ def _arranged(elements: "list[Element]", at: int) -> "list[Element]":
 Covered = Callable[[str, Kind, str], bool]
 """Whether the node with the first name may use what has the second one in any way."""
 
-_LABELS: Final = {
-    ProposedNameRefused: "illegal",
-    NameUndefined: "undefined",
-    MetadataRefused: "metadata",
-}
+_LABELS: Final = {ProposedNameRefused: "illegal", NameUndefined: "undefined", MetadataRefused: "metadata"}
 
 
 @dataclass(frozen=True, order=True)
@@ -186,15 +176,15 @@ async def _order_dependent(
     found: dict[Place, Finding] = {}
     queries = [(place.kind, place.which) for place in places]
     for other in orders(document):
-        for place, first, second in zip(
-            places, results, await rules.names(other, queries), strict=True
-        ):
+        for place, first, second in zip(places, results, await rules.names(other, queries), strict=True):
             if _text(first) != _text(second) and place not in found:
                 found[place] = Finding(
-                    place.file, place.line, "order",
+                    place.file,
+                    place.line,
+                    "order",
                     f"{place.label}: {_text(first)}, but in another order of the same metadata"
                     f" {_text(second)}",
-                )  # fmt: skip
+                )
     return list(found.values())
 
 

@@ -91,9 +91,7 @@ def _check(data: bytes, what: str, refusal: type[RossecError]) -> bytes:
     found = _DECLARATION.search(data)
     if found is not None:
         line = data.count(b"\n", 0, found.start()) + 1
-        raise refusal(
-            f"line {line}: {what} with a document type or entities", "leave <!DOCTYPE ...> out"
-        )
+        raise refusal(f"line {line}: {what} with a document type or entities", "leave <!DOCTYPE ...> out")
     encoding = _encoding(data)
     if encoding not in _ENCODINGS or b"\0" in data:
         raise refusal(f"{what} in the encoding {encoding[:40]!a}", "use UTF-8 or ISO-8859-1")
@@ -227,9 +225,8 @@ def _entry(element: "Element", line: int) -> Entry:
     if mobile not in _MOBILE:
         raise MetadataRefused(f"line {line}: <mobile> is true or false, not {mobile!a:.60}")
     return Entry(
-        Kind(element.tag), name, _text(element, "function"), _text(element, "location"),
-        _MOBILE[mobile], line,
-    )  # fmt: skip
+        Kind(element.tag), name, _text(element, "function"), _text(element, "location"), _MOBILE[mobile], line
+    )
 
 
 def _text(element: "Element", tag: str) -> str | None:
@@ -353,10 +350,24 @@ def _error(item: Value) -> RossecError:
             return RulesExceeded(_ODD)
 
 
-RESERVED: Final = frozenset({
-    "remote", "master", "ca", "relay", "gateway", "router", "console", "border", "namespace",
-    "sidecar", "rossec", "rosout", "rosout_agg", "clock",
-})  # fmt: skip
+RESERVED: Final = frozenset(
+    {
+        "remote",
+        "master",
+        "ca",
+        "relay",
+        "gateway",
+        "router",
+        "console",
+        "border",
+        "namespace",
+        "sidecar",
+        "rossec",
+        "rosout",
+        "rosout_agg",
+        "clock",
+    }
+)
 THESIS_DEFAULTS: Final = ("unknown-group", "unknown-node", "unknown-location")
 
 
@@ -376,6 +387,5 @@ def check_proposed(text: str, *, thesis_defaults: bool = False) -> str:
 
 def _legal(text: str) -> str:
     return "/".join(
-        segment.replace("-", "_") if segment in THESIS_DEFAULTS else segment
-        for segment in text.split("/")
+        segment.replace("-", "_") if segment in THESIS_DEFAULTS else segment for segment in text.split("/")
     )

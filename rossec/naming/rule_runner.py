@@ -24,13 +24,7 @@ from importlib.resources import files
 from types import TracebackType
 from typing import Final, Self
 
-from rossec.errors import (
-    NamesExtraMissing,
-    ProposedNameRefused,
-    RossecError,
-    RulesExceeded,
-    RulesNotConfined,
-)
+from rossec.errors import NamesExtraMissing, ProposedNameRefused, RossecError, RulesExceeded, RulesNotConfined
 from rossec.naming import requests
 from rossec.naming.requests import Kind, NameRequest, Result, check_proposed, check_query
 
@@ -66,9 +60,13 @@ class RuleProcess:
             try:
                 process = subprocess.Popen(  # noqa: S603 - the own interpreter and module
                     command,
-                    stdin=other.fileno(), stdout=other.fileno(), stderr=subprocess.DEVNULL,
-                    env={}, cwd="/", start_new_session=True,  # Ctrl-C is for this process
-                )  # fmt: skip
+                    stdin=other.fileno(),
+                    stdout=other.fileno(),
+                    stderr=subprocess.DEVNULL,
+                    env={},
+                    cwd="/",
+                    start_new_session=True,  # Ctrl-C is for this process
+                )
             except OSError as error:
                 own.close()
                 raise RulesNotConfined(f"the process for rules does not start: {error}") from error
@@ -200,10 +198,7 @@ class RuleRunner:
         return self
 
     async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
 

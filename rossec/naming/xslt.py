@@ -82,17 +82,51 @@ def _child(parent: Any, name: str, attributes: dict[str, str] | None = None) -> 
     return made
 
 
-ALLOWED: Final = frozenset({
-    "last", "position", "count", "id", "local-name", "namespace-uri", "name", "string", "concat",
-    "starts-with", "contains", "substring-before", "substring-after", "substring", "string-length",
-    "normalize-space", "translate", "boolean", "not", "true", "false", "lang", "number", "sum",
-    "floor", "ceiling", "round", "current", "key", "format-number",
-    "node", "text", "comment", "processing-instruction",  # tests of nodes, which look the same
-    "and", "or", "div", "mod",  # operators before a parenthesis
-})  # fmt: skip
-STRING_FUNCTIONS: Final = frozenset({
-    "align", "concat", "decode-uri", "encode-uri", "padding", "replace", "split", "tokenize",
-})  # fmt: skip
+ALLOWED: Final = frozenset(
+    {
+        "last",
+        "position",
+        "count",
+        "id",
+        "local-name",
+        "namespace-uri",
+        "name",
+        "string",
+        "concat",
+        "starts-with",
+        "contains",
+        "substring-before",
+        "substring-after",
+        "substring",
+        "string-length",
+        "normalize-space",
+        "translate",
+        "boolean",
+        "not",
+        "true",
+        "false",
+        "lang",
+        "number",
+        "sum",
+        "floor",
+        "ceiling",
+        "round",
+        "current",
+        "key",
+        "format-number",
+        "node",
+        "text",
+        "comment",
+        "processing-instruction",  # tests of nodes, which look the same
+        "and",
+        "or",
+        "div",
+        "mod",  # operators before a parenthesis
+    }
+)
+STRING_FUNCTIONS: Final = frozenset(
+    {"align", "concat", "decode-uri", "encode-uri", "padding", "replace", "split", "tokenize"}
+)
 EXPRESSIONS: Final = frozenset({"select", "test", "match", "use", "count", "from", "value"})
 _LITERAL: Final = re.compile(r""""[^"]*"|'[^']*'""")
 _CALL: Final = re.compile(r"(?:([\w.-]+)\s*:\s*)?(?<![\w.-])([^\W\d][\w.-]*)\s*\(")
@@ -120,13 +154,40 @@ def _calls(text: str) -> Iterator[tuple[str | None, str]]:
 STRINGS: Final = "http://exslt.org/strings"
 XML: Final = "http://www.w3.org/XML/1998/namespace"
 _NAMESPACES: Final = frozenset({XSLT, STRINGS, XML})
-_ELEMENTS: Final = frozenset({
-    "stylesheet", "transform", "template", "apply-templates", "call-template", "with-param",
-    "param", "variable", "if", "choose", "when", "otherwise", "for-each", "sort", "value-of",
-    "copy", "copy-of", "text", "element", "attribute", "comment", "processing-instruction",
-    "number", "key", "decimal-format", "output", "strip-space", "preserve-space", "message",
-    "attribute-set",
-})  # fmt: skip
+_ELEMENTS: Final = frozenset(
+    {
+        "stylesheet",
+        "transform",
+        "template",
+        "apply-templates",
+        "call-template",
+        "with-param",
+        "param",
+        "variable",
+        "if",
+        "choose",
+        "when",
+        "otherwise",
+        "for-each",
+        "sort",
+        "value-of",
+        "copy",
+        "copy-of",
+        "text",
+        "element",
+        "attribute",
+        "comment",
+        "processing-instruction",
+        "number",
+        "key",
+        "decimal-format",
+        "output",
+        "strip-space",
+        "preserve-space",
+        "message",
+        "attribute-set",
+    }
+)
 _ATTRIBUTES: Final = frozenset({"extension-element-prefixes", "use-when"})
 _SCAN_HINT: Final = "rules are XSLT 1.0 without imports, documents and extensions; see namespace.md"
 
@@ -219,23 +280,23 @@ def compile_rules(rules: bytes, *, thesis_defaults: bool = False) -> Any:
         return etree.XSLT(tree, access_control=etree.XSLTAccessControl.DENY_ALL, regexp=False)
     except etree.XSLTParseError as error:
         message = _one_line(str(error))
-        raise RulesRefused(
-            f"{_where(error)}rules that are no XSLT 1.0: {message}", _XSLT_HINT
-        ) from None
+        raise RulesRefused(f"{_where(error)}rules that are no XSLT 1.0: {message}", _XSLT_HINT) from None
 
 
 def _parse(data: bytes, refusal: type[RossecError], what: str) -> Any:
     parser = etree.XMLParser(
-        resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False,
-        remove_pis=False, strip_cdata=True,
-    )  # fmt: skip
+        resolve_entities=False,
+        no_network=True,
+        load_dtd=False,
+        huge_tree=False,
+        remove_pis=False,
+        strip_cdata=True,
+    )
     try:
         return etree.ElementTree(etree.fromstring(data, parser))
     except etree.XMLSyntaxError as error:
         message = _one_line(error.msg or "malformed")
-        raise refusal(
-            f"line {error.lineno}: {what} that are no XML: {message}", "correct it there"
-        ) from None
+        raise refusal(f"line {error.lineno}: {what} that are no XML: {message}", "correct it there") from None
 
 
 def _result(sheet: Any, document: Any, kind: Kind, which: str) -> Result:
@@ -246,19 +307,14 @@ def _result(sheet: Any, document: Any, kind: Kind, which: str) -> Result:
 
 
 def _name(sheet: Any, document: Any, kind: Kind, which: str) -> str:
-    made = _apply(
-        sheet, document,
-        type=etree.XSLT.strparam(kind.value), name=etree.XSLT.strparam(which),
-    )  # fmt: skip
+    made = _apply(sheet, document, type=etree.XSLT.strparam(kind.value), name=etree.XSLT.strparam(which))
     root = made.getroot()
     asked = f"the {kind}" if kind is Kind.NODE else f"the {kind} {which!a}"
     if root is None:
         raise NameUndefined(f"the rules give no name for {asked}", "is it in the metadata?")
     if root.tag != NAME or len(root):
         raise RulesRefused(f"the rules give <{str(root.tag)[:60]}> for {asked}, not one <name>")
-    if any(True for _ in root.itersiblings()) or any(
-        True for _ in root.itersiblings(preceding=True)
-    ):
+    if any(True for _ in root.itersiblings()) or any(True for _ in root.itersiblings(preceding=True)):
         raise NameUndefined(f"the rules give more than one name for {asked}")
     text = (root.text or "").strip()
     if len(text) > requests.MAX_TEXT:

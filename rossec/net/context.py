@@ -103,20 +103,38 @@ class SecureContext(Generic[PeerT]):
 
         `to_itself`: the peer must be this identity in this process; else it must be another one.
         """
-        return self._kept(Connection.initiator(
-            self.credentials, self.verify, random=secrets.token_bytes, now=clock.now(),
-            opening=protocol, suites=self.suites, limits=self.dial_limits[protocol],
-            known=self.known, request_x5t=request_x5t,
-            own_dials=self.own_dials if to_itself else None, renews=self.renews,
-        ))  # fmt: skip
+        return self._kept(
+            Connection.initiator(
+                self.credentials,
+                self.verify,
+                random=secrets.token_bytes,
+                now=clock.now(),
+                opening=protocol,
+                suites=self.suites,
+                limits=self.dial_limits[protocol],
+                known=self.known,
+                request_x5t=request_x5t,
+                own_dials=self.own_dials if to_itself else None,
+                renews=self.renews,
+            )
+        )
 
     def responder(self, protocol: WireProtocol) -> Connection[PeerT]:
         """The core of an accepted connection, which must open in `protocol`."""
-        return self._kept(Connection.responder(
-            self.credentials, self.verify, random=secrets.token_bytes, now=clock.now(),
-            accept=(protocol,), suites=self.suites, limits=self.accept_limits[protocol],
-            known=self.known, own_dials=self.own_dials, renews=self.renews,
-        ))  # fmt: skip
+        return self._kept(
+            Connection.responder(
+                self.credentials,
+                self.verify,
+                random=secrets.token_bytes,
+                now=clock.now(),
+                accept=(protocol,),
+                suites=self.suites,
+                limits=self.accept_limits[protocol],
+                known=self.known,
+                own_dials=self.own_dials,
+                renews=self.renews,
+            )
+        )
 
     def _kept(self, connection: Connection[PeerT]) -> Connection[PeerT]:
         if self.renews is not None:
@@ -127,8 +145,7 @@ class SecureContext(Generic[PeerT]):
 class Inherited(Protocol):
     """What a forked process must not use."""
 
-    def abandon(self) -> None:
-        ...
+    def abandon(self) -> None: ...
 
 
 _watched: Final[WeakSet[Inherited]] = WeakSet()

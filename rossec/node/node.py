@@ -166,9 +166,7 @@ class Listener:
         if "service" not in fields:
             return await self._admit_subscriber(fields, stream)
         if "topic" in fields:
-            raise ConnectionHeaderRefused(
-                "the connection header asks for a topic and for a service"
-            )
+            raise ConnectionHeaderRefused("the connection header asks for a topic and for a service")
         return self._services.admit(fields, stream)
 
     async def _admit_subscriber(
@@ -178,17 +176,13 @@ class Listener:
         decision = admit_subscriber(fields, stream.peer, self._access, now)
         publisher = self._publishers.get(requested_topic(fields))
         if publisher is None:
-            raise ConnectionHeaderRefused(
-                f"{self._name} does not publish {requested_topic(fields)}"
-            )
+            raise ConnectionHeaderRefused(f"{self._name} does not publish {requested_topic(fields)}")
         wishes = carried_out(requested_wishes(fields), decision)
         await publisher.ready()
         check_type(fields, publisher.endpoint.expected)
         guard = publisher.guard(decision)
         name = caller_for(stream.peer, self._name, self._certified)
-        answer = publisher_header(
-            name, publisher.endpoint, self._access, now, latching=publisher.latch
-        )
+        answer = publisher_header(name, publisher.endpoint, self._access, now, latching=publisher.latch)
         head = tcpros.encode(answer | wishes.fields)
         return partial(publisher.serve, stream, decision, guard, head, wishes)
 
@@ -220,31 +214,26 @@ class Node:
     """
 
     def __init__(
-        self,
-        name: str,
-        *,
-        argv: Sequence[str] = (),
-        environ: Mapping[str, str] = os.environ,
+        self, name: str, *, argv: Sequence[str] = (), environ: Mapping[str, str] = os.environ
     ) -> None:
         install()
         self._environ = environ
         self.settings = names.read(argv, environ, default_name=name)
         self.name = self.settings.name
-        loaded = LoadedIdentity(
-            NodeHome.find(own_home(environ), self.name), self.name, own_master(environ)
-        )
+        loaded = LoadedIdentity(NodeHome.find(own_home(environ), self.name), self.name, own_master(environ))
         self.master_name = loaded.master
         self.home, self.anchor, self.identity = loaded.home, loaded.anchor, loaded.identity
         self.credentials, self.revocations = loaded.live_credentials, loaded.revocations
         self.access = Access(loaded.standing, master=loaded.master)
         secure = SecureContext(
-            self.credentials, loaded.anchors.verify,
-            suites=post_quantum(environ), known=KnownCertificates(), renews=Identity.renews,
-        )  # fmt: skip
-        own_addresses = OwnAddresses()
-        self._dialer = Dialer(
-            self.name, secure, self.access.check_peer, own_addresses, self.identity.name
+            self.credentials,
+            loaded.anchors.verify,
+            suites=post_quantum(environ),
+            known=KnownCertificates(),
+            renews=Identity.renews,
         )
+        own_addresses = OwnAddresses()
+        self._dialer = Dialer(self.name, secure, self.access.check_peer, own_addresses, self.identity.name)
         connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(
             loaded.standing, master=loaded.master
         )
@@ -264,9 +253,16 @@ class Node:
         self.services = Services(context)
         self.params = NodeParameters(context, self.settings.resolve)
         self._listener = Listener(
-            self.name, secure, self.access, self._topics.publishers, self.services,
-            SlaveApi(self, loaded.master), connections, own_addresses, self.identity.name,
-        )  # fmt: skip
+            self.name,
+            secure,
+            self.access,
+            self._topics.publishers,
+            self.services,
+            SlaveApi(self, loaded.master),
+            connections,
+            own_addresses,
+            self.identity.name,
+        )
         self._host = ""
         self._ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
@@ -279,10 +275,7 @@ class Node:
         return self
 
     async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         await self.close()
 
@@ -364,12 +357,7 @@ class Node:
         )
 
     def client(
-        self,
-        name: str,
-        type_name: str,
-        *,
-        persistent: bool = False,
-        deadline: float = CALL_DEADLINE,
+        self, name: str, type_name: str, *, persistent: bool = False, deadline: float = CALL_DEADLINE
     ) -> ServiceClient:
         """Call the service `name`: `response = await client(data=True)`; see `ServiceClient`.
 
@@ -377,10 +365,7 @@ class Node:
             MessageError: unknown type.
         """
         return self.services.client(
-            self.settings.resolve(name),
-            service_type(type_name),
-            persistent=persistent,
-            deadline=deadline,
+            self.settings.resolve(name), service_type(type_name), persistent=persistent, deadline=deadline
         )
 
     async def wait_for_service(

@@ -179,9 +179,7 @@ class ParameterSubscription:
         value: its newest value; do not change it in place.
     """
 
-    def __init__(
-        self, name: str, on_close: Callable[["ParameterSubscription"], Awaitable[None]]
-    ) -> None:
+    def __init__(self, name: str, on_close: Callable[["ParameterSubscription"], Awaitable[None]]) -> None:
         self.name = name
         self.value: Value = {}
         self.updates = 0

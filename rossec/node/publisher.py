@@ -120,11 +120,7 @@ class WishQueue(SubscriberQueue):
     """
 
     def __init__(
-        self,
-        stream: SecureStream[Identity],
-        queue_size: int,
-        wishes: Wishes,
-        deflation: SharedDeflation,
+        self, stream: SecureStream[Identity], queue_size: int, wishes: Wishes, deflation: SharedDeflation
     ) -> None:
         super().__init__(stream, 1 if wishes.newest else queue_size)
         self.thinned = 0
@@ -334,9 +330,7 @@ class Publisher:
         try:
             pieces = connection.guard.apply(sample.data, now, sample.mark)
         except GrantError as error:
-            delivery.warn(
-                _log, delivery.SENT, self.topic, shown(connection.stream.peer.name), error
-            )
+            delivery.warn(_log, delivery.SENT, self.topic, shown(connection.stream.peer.name), error)
             return None
         if latch is not None and pieces is not None:
             latch.record(connection.guard, sample)

@@ -108,8 +108,7 @@ class Service:
     ) -> None:
         if concurrency < 1 or deadline <= 0:
             raise ConfigurationError(
-                f"{name}: concurrency {concurrency}, deadline {deadline:g} s",
-                "both must be above zero",
+                f"{name}: concurrency {concurrency}, deadline {deadline:g} s", "both must be above zero"
             )
         self.name = name
         self.kind = kind
@@ -135,9 +134,7 @@ class Service:
         await self._on_close(self)
 
     def guard(self, decision: Decision) -> ServiceGuard:
-        return ServiceGuard(
-            self.kind, decision, self._context.filter_key, self._context.memory_scope
-        )
+        return ServiceGuard(self.kind, decision, self._context.filter_key, self._context.memory_scope)
 
     async def serve(
         self,
@@ -155,9 +152,7 @@ class Service:
         try:
             with self._context.connections.track(connection):
                 await stream.send(answer)
-                await self._answer(
-                    connection, share, await receive_request(stream, wait=persistent)
-                )
+                await self._answer(connection, share, await receive_request(stream, wait=persistent))
                 while persistent:
                     await self._answer(connection, share, await receive_request(stream, wait=True))
         except RossecError as error:
@@ -171,9 +166,7 @@ class Service:
             share = self._shares[caller.thumbprint] = asyncio.Semaphore(self._share)
         return share
 
-    async def _answer(
-        self, connection: CallerConnection, share: asyncio.Semaphore, request: bytes
-    ) -> None:
+    async def _answer(self, connection: CallerConnection, share: asyncio.Semaphore, request: bytes) -> None:
         self._context.connections.check(connection)
         await connection.stream.send(*await self._respond(connection, share, request))
 
@@ -188,15 +181,11 @@ class Service:
         except ServiceFailed as error:
             return wire.failure(str(error))
         except (ServiceRefused, GrantError) as error:
-            delivery.warn(
-                _log, delivery.REFUSED, self.name, shown(connection.stream.peer.name), error
-            )
+            delivery.warn(_log, delivery.REFUSED, self.name, shown(connection.stream.peer.name), error)
             return wire.failure(f"rossec: {error}")
         except TimeoutError:
             took = f"a call took more than {self._deadline:g} s"
-            delivery.warn(
-                _log, delivery.REFUSED, self.name, shown(connection.stream.peer.name), took
-            )
+            delivery.warn(_log, delivery.REFUSED, self.name, shown(connection.stream.peer.name), took)
             return wire.failure("the service took too long")
 
     def _parse(self, request: bytes) -> Message:
@@ -263,9 +252,8 @@ class Services:
         if name in self._provided:
             raise ConfigurationError(f"{name} is provided by this node already")
         service = Service(
-            name, kind, handler, self._context, self._unregister,
-            concurrency=concurrency, deadline=deadline,
-        )  # fmt: skip
+            name, kind, handler, self._context, self._unregister, concurrency=concurrency, deadline=deadline
+        )
         self._provided[name] = service
         try:
             await self._register(service)
@@ -275,18 +263,18 @@ class Services:
         return service
 
     def client(
-        self,
-        name: str,
-        kind: ServiceType,
-        *,
-        persistent: bool = False,
-        deadline: float = CALL_DEADLINE,
+        self, name: str, kind: ServiceType, *, persistent: bool = False, deadline: float = CALL_DEADLINE
     ) -> ServiceClient:
         """A client of the service `name`; nothing is connected yet."""
         client = ServiceClient(
-            name, kind, self._context, self.dial, self._clients.discard,
-            persistent=persistent, deadline=deadline,
-        )  # fmt: skip
+            name,
+            kind,
+            self._context,
+            self.dial,
+            self._clients.discard,
+            persistent=persistent,
+            deadline=deadline,
+        )
         self._clients.add(client)
         return client
 
@@ -363,9 +351,7 @@ class Services:
             raise ConnectionHeaderRefused(f"{context.name} does not provide {name}")
         check_md5(fields, name, service.kind.md5sum)
         answer = tcpros.encode(
-            server_header(
-                context.name_for(stream.peer), name, service.expected, context.access, now
-            )
+            server_header(context.name_for(stream.peer), name, service.expected, context.access, now)
         )
         if is_set(fields, "probe"):
             return partial(stream.send, answer)

@@ -74,9 +74,7 @@ async def exchange_headers(
     Raises:
         HintedError: it refuses, or lacks the right.
     """
-    fields = client_header(
-        caller, service, kind, access, clock.now(), persistent=persistent, probe=probe
-    )
+    fields = client_header(caller, service, kind, access, clock.now(), persistent=persistent, probe=probe)
     await stream.send(tcpros.encode(fields))
     frames = tcpros.FrameReader(tcpros.HEADER_LIMIT)
     while (arrived := frames.feed_one(await stream.receive())) is None:
@@ -85,9 +83,7 @@ async def exchange_headers(
     return answer, admit_provider(answer, stream.peer, service, access, clock.now())
 
 
-async def probe(
-    dial: Dial, caller_for: CallerFor, service: str, access: Access
-) -> tuple[Fields, Identity]:
+async def probe(dial: Dial, caller_for: CallerFor, service: str, access: Access) -> tuple[Fields, Identity]:
     """Request the header of the provider of `service`; returns it and the provider's identity.
 
     Raises:
@@ -169,10 +165,7 @@ class ServiceClient:
         return self
 
     async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         await self.close()
 

@@ -45,13 +45,7 @@ from rossec.node.context import NodeConnection, NodeContext
 from rossec.participant import delivery
 from rossec.participant.access import FIELD, granted_name
 from rossec.participant.authorized import AuthorizedConnection
-from rossec.participant.definitions import (
-    Definition,
-    from_header,
-    guard_for,
-    receiver_definition,
-    size_of,
-)
+from rossec.participant.definitions import Definition, from_header, guard_for, receiver_definition, size_of
 from rossec.participant.delivery import (
     LARGE,
     NO_WISHES,
@@ -100,9 +94,7 @@ class WishedMessages:
         return self._rate is None or self._rate.admits(monotonic())
 
 
-def wished_messages(
-    asked: Wishes, answer: Mapping[str, bytes], limit: int
-) -> WishedMessages | None:
+def wished_messages(asked: Wishes, answer: Mapping[str, bytes], limit: int) -> WishedMessages | None:
     """For a publisher with this answer; None: its messages come as they do without wishes."""
     taken = taken_wishes(answer, asked)
     if taken.deflate or taken.rate != asked.rate:
@@ -176,9 +168,7 @@ class Subscriber:
             try:
                 message = self.endpoint.type.deserialize(data)
             except MessageError as error:
-                delivery.warn(
-                    _log, "%(where)s: dropped a message: %(cause)s", shown(self.topic), "", error
-                )
+                delivery.warn(_log, "%(where)s: dropped a message: %(cause)s", shown(self.topic), "", error)
             else:
                 yield message
 
@@ -254,9 +244,7 @@ class Subscriber:
         while not units:
             units = frames.feed(await stream.receive())
         answer = tcpros.decode(units[0])
-        decision = admit_publisher(
-            answer, stream.peer, endpoint.expected, context.access, clock.now()
-        )
+        decision = admit_publisher(answer, stream.peer, endpoint.expected, context.access, clock.now())
         stream.raise_unit_limit(unit_limit(self._size, MESSAGE_LIMIT))
         del answer[FIELD]  # what is kept of it needs no grants
         rebuild = partial(self._guard, answer)
@@ -273,11 +261,9 @@ class Subscriber:
     def _read_as(self, _answer: Fields, _decision: Decision) -> Definition:
         return self.endpoint.type
 
-    def _opened(self, connection: PublisherConnection, answer: Fields) -> None:
-        ...
+    def _opened(self, connection: PublisherConnection, answer: Fields) -> None: ...
 
-    def _ended(self, connection: PublisherConnection) -> None:
-        ...
+    def _ended(self, connection: PublisherConnection) -> None: ...
 
     def _keep(self, _connection: PublisherConnection, messages: list[bytes]) -> None:
         self._queue.extend(messages)

@@ -93,10 +93,7 @@ class Topics:
             RossecError: the master refuses.
         """
         subscriber = Subscriber(
-            endpoint,
-            *self._for_subscriber(endpoint.topic),
-            queue_size=queue_size,
-            wishes=wishes,
+            endpoint, *self._for_subscriber(endpoint.topic), queue_size=queue_size, wishes=wishes
         )
         await self._listen(subscriber)
         return subscriber
@@ -165,16 +162,12 @@ class Topics:
 
     async def _register_publisher(self, publisher: Publisher) -> None:
         endpoint = publisher.endpoint
-        await self._context.call(
-            "registerPublisher", endpoint.topic, endpoint.type.name, self._context.uri
-        )
+        await self._context.call("registerPublisher", endpoint.topic, endpoint.type.name, self._context.uri)
 
     async def _register_subscriber(self, subscriber: Subscriber) -> None:
         endpoint, uri = subscriber.endpoint, self._context.uri
         before = subscriber.updates
-        uris = await self._context.call(
-            "registerSubscriber", endpoint.topic, endpoint.type.name, uri
-        )
+        uris = await self._context.call("registerSubscriber", endpoint.topic, endpoint.type.name, uri)
         if isinstance(uris, list) and subscriber.updates == before:  # else there was an update
             named = [uri for uri in uris if isinstance(uri, str)]
             subscriber.update(self._grace.update(subscriber.topic, named))
@@ -186,9 +179,7 @@ class Topics:
         if not others and self._subscribers.pop(subscriber.topic, None) is not None:
             self._grace.forget(subscriber.topic)
             with contextlib.suppress(HintedError, OSError):
-                await self._context.call(
-                    "unregisterSubscriber", subscriber.topic, self._context.uri
-                )
+                await self._context.call("unregisterSubscriber", subscriber.topic, self._context.uri)
 
 
 def _unused_memory_scope(memory_scope: MemoryScope, existing: Sequence[Subscriber]) -> MemoryScope:

@@ -43,9 +43,7 @@ from rossec.overlay.link_frames import BOX, is_mailbox, is_seat
 VERSION: Final = 1
 
 
-def read_document(
-    data: bytes, form: str, keys: frozenset[str], *, limit: int, hint: str
-) -> dict[str, Any]:
+def read_document(data: bytes, form: str, keys: frozenset[str], *, limit: int, hint: str) -> dict[str, Any]:
     """The entries of a document of this form, without the entry that names it."""
     if len(data) > limit:
         raise ConfigurationError(f"a {form} file has at most {limit} bytes", hint)
@@ -207,9 +205,13 @@ def write_peers(peers: Peers) -> bytes:
 def _peer(row: object, name: str) -> Peer:
     match row:
         case {
-            "label": str() as label, "box": str() as box, "domain": (str() | None) as domain,
-            "relay": str() as relay, "mailbox": str() as mailbox, **rest,
-        } if not rest:  # fmt: skip
+            "label": str() as label,
+            "box": str() as box,
+            "domain": (str() | None) as domain,
+            "relay": str() as relay,
+            "mailbox": str() as mailbox,
+            **rest,
+        } if not rest:
             return Peer(label, box, domain, relay, mailbox)
     raise ConfigurationError(f"{name} has a peer that is not in form", _HINT)
 
@@ -251,9 +253,7 @@ class RelayCard:
         keys = frozenset(each.name for each in fields(cls))
         refused = RelayRefused("this is not the card of a relay", _RELAY_CARDS_HINT)
         try:
-            found = read_document(
-                data, _RELAY_CARDS_FORM, keys, limit=MAX_CARD, hint=_RELAY_CARDS_HINT
-            )
+            found = read_document(data, _RELAY_CARDS_FORM, keys, limit=MAX_CARD, hint=_RELAY_CARDS_HINT)
         except ConfigurationError as error:
             raise refused from error
         if not is_texts(list(found.values())):

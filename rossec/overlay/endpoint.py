@@ -46,26 +46,22 @@ from rossec.overlay.zenoh_carrier import Carrier
 class MailboxReader(Protocol):
     """A mailbox that is read."""
 
-    def close(self) -> None:
-        ...
+    def close(self) -> None: ...
 
 
 class FrameCarrier(Protocol):
     """Carries frames to mailboxes: any of them may be lost, come twice, or late."""
 
     @property
-    def heard_at(self) -> float:
-        ...
+    def heard_at(self) -> float: ...
 
     def put(self, key: str, data: bytes) -> None:
         # Send a frame to a mailbox; never raises for one that is lost.
         ...
 
-    def subscribe(self, key: str, callback: Callable[[bytes], None]) -> MailboxReader:
-        ...
+    def subscribe(self, key: str, callback: Callable[[bytes], None]) -> MailboxReader: ...
 
-    def reopen(self) -> None:
-        ...
+    def reopen(self) -> None: ...
 
 
 STALLED: Final = 15.0  # seconds: half of what a link endures
@@ -83,9 +79,22 @@ class LinkTransport:
     """
 
     __slots__ = (
-        "_arrived", "_carrier", "_ending", "_flush_due", "_key", "_lagging", "_loop", "_on_closed",
-        "_owner", "_reading", "_timer", "closed", "link", "local_address", "reason",
-    )  # fmt: skip
+        "_arrived",
+        "_carrier",
+        "_ending",
+        "_flush_due",
+        "_key",
+        "_lagging",
+        "_loop",
+        "_on_closed",
+        "_owner",
+        "_reading",
+        "_timer",
+        "closed",
+        "link",
+        "local_address",
+        "reason",
+    )
 
     def __init__(
         self,
@@ -425,9 +434,7 @@ def _now() -> float:
 class RouterNetwork:
     """A carrier and the identity whose links it carries."""
 
-    def __init__(
-        self, carrier: Carrier, routers: Routers, context: aio_SecureContext[Identity]
-    ) -> None:
+    def __init__(self, carrier: Carrier, routers: Routers, context: aio_SecureContext[Identity]) -> None:
         self.seat: Final = routers.seat
         self._carrier = carrier
         self._context = context
@@ -445,10 +452,7 @@ class RouterNetwork:
         return await dial_link(self._carrier, mailbox, self.seat, self._context)
 
     def listen(
-        self,
-        mailbox: str,
-        serve: Callable[[aio_SecureStream[Identity]], Awaitable[None]],
-        label: str,
+        self, mailbox: str, serve: Callable[[aio_SecureStream[Identity]], Awaitable[None]], label: str
     ) -> LinkListener[Identity]:
         """Call `serve` with each authenticated link that arrives in this mailbox.
 
@@ -457,6 +461,4 @@ class RouterNetwork:
         Raises:
             OverlayUnavailable: the session with the routers is closed.
         """
-        return LinkListener(
-            self._carrier, mailbox, self._context, serve, address=f"a link from {label}"
-        )
+        return LinkListener(self._carrier, mailbox, self._context, serve, address=f"a link from {label}")

@@ -75,9 +75,7 @@ class Doors:
         self._tasks = TaskSet()
         self._leaving: set[LocalPort] = set()  # let nobody in any more
         self._ending: set[LocalPort] = set()
-        self._pool: PortPool[PeerTarget, LocalPort] = PortPool(
-            self._give_up, limit=limit, hint=_HINT
-        )
+        self._pool: PortPool[PeerTarget, LocalPort] = PortPool(self._give_up, limit=limit, hint=_HINT)
 
     def __iter__(self) -> Iterator[PeerTarget]:
         return iter(self._pool.keys())
@@ -151,11 +149,7 @@ class DoorTable:
     """
 
     def __init__(
-        self,
-        admission: Admission,
-        carry: Carry,
-        ways: Callable[[], Mapping[str, Way]],
-        limit: int = LIMIT,
+        self, admission: Admission, carry: Carry, ways: Callable[[], Mapping[str, Way]], limit: int = LIMIT
     ) -> None:
         self.ways: Final = ways
         self._ports = Doors(admission, carry, self._given_up, limit)

@@ -65,9 +65,7 @@ class RelayFiles:
         with files.locked_directory(self.home.path):
             found = self._load()
             edit(found)
-            files.replace(
-                self._peers, peer_lists.write_peers(peer_lists.checked_peers(found.values()))
-            )
+            files.replace(self._peers, peer_lists.write_peers(peer_lists.checked_peers(found.values())))
 
     @property
     def has_seat(self) -> bool:
@@ -97,8 +95,7 @@ class RelayFiles:
     def _check_enrolled(self) -> None:
         if not self.home.path.is_dir():
             raise ConfigurationError(
-                f"there is no {self.home.name} here",
-                f"enroll it: rossec node request {self.home.name}",
+                f"there is no {self.home.name} here", f"enroll it: rossec node request {self.home.name}"
             )
 
     def _load(self) -> dict[str, Peer]:

@@ -131,9 +131,18 @@ class Sender:
     """Bytes to send, in order."""
 
     __slots__ = (
-        "_flight", "_losses", "_on_the_way", "_waiting", "backlog", "base", "limit",
-        "next", "retransmissions", "round_trip", "window",
-    )  # fmt: skip
+        "_flight",
+        "_losses",
+        "_on_the_way",
+        "_waiting",
+        "backlog",
+        "base",
+        "limit",
+        "next",
+        "retransmissions",
+        "round_trip",
+        "window",
+    )
 
     def __init__(self) -> None:
         self._waiting: deque[Bytes] = deque()
@@ -288,9 +297,19 @@ class Receiver:
     """Bytes received, in order."""
 
     __slots__ = (
-        "_asked", "_consumed", "_kept", "_told_limit", "_unacknowledged", "_unacknowledged_bytes",
-        "_window", "ack_at", "ended", "expected", "limit", "seen",
-    )  # fmt: skip
+        "_asked",
+        "_consumed",
+        "_kept",
+        "_told_limit",
+        "_unacknowledged",
+        "_unacknowledged_bytes",
+        "_window",
+        "ack_at",
+        "ended",
+        "expected",
+        "limit",
+        "seen",
+    )
 
     def __init__(self) -> None:
         self._kept: list[tuple[int, memoryview]] = []  # by offset, without overlaps

@@ -90,9 +90,8 @@ class RelayMember:
         suites = post_quantum(environ)
         verify = loaded.anchors.verify
         self.context: Final = SecureContext(
-            loaded.live_credentials, verify, suites=suites, known=KnownCertificates(),
-            renews=Identity.renews,
-        )  # fmt: skip
+            loaded.live_credentials, verify, suites=suites, known=KnownCertificates(), renews=Identity.renews
+        )
         self.link_context: Final = SecureContext(
             loaded.live_credentials, verify, suites=suites, renews=Identity.renews
         )
@@ -220,18 +219,15 @@ Dial = Callable[[], Awaitable[SecureStream[Identity]]]
 class DoorTable(Protocol):
     """The doors of this relay. Several masters may want one target: it has one door."""
 
-    async def open(self, target: Target, master: str) -> Door:
-        ...
+    async def open(self, target: Target, master: str) -> Door: ...
 
-    def release(self, target: Target, master: str) -> None:
-        ...
+    def release(self, target: Target, master: str) -> None: ...
 
     def take_dropped(self, master: str) -> Collection[Target]:
         # What `master` wants and was closed since the last call, as its peer was removed.
         ...
 
-    def ways(self) -> Mapping[str, Way]:
-        ...
+    def ways(self) -> Mapping[str, Way]: ...
 
 
 class MasterLink:
@@ -397,9 +393,7 @@ class OwnMasters:
         dial = self._member.dial_master
         own = self._member.master
         self._tasks.spawn(self._refresh(), "asking for lists")
-        self._begin(MasterLink(
-            own, self._member.name, self._instance, dial, self._doors, self._answered
-        ))  # fmt: skip
+        self._begin(MasterLink(own, self._member.name, self._instance, dial, self._doors, self._answered))
 
     async def wait_failed(self) -> None:
         await asyncio.shield(self._failed)

@@ -423,9 +423,7 @@ class Mux:
     def _add(self, target: StreamTarget, now: float) -> int:
         number = self._next
         self._next += 1
-        self._streams[number] = _Stream(
-            target, now, ReceiveWindow(self._fund), connecting=not self._caller
-        )
+        self._streams[number] = _Stream(target, now, ReceiveWindow(self._fund), connecting=not self._caller)
         self._for_name[target] += 1
         return number
 

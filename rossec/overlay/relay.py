@@ -79,9 +79,7 @@ class PeerLink:
         error, hint: why there is no link, though one was wanted; else empty.
     """
 
-    def __init__(
-        self, peer: Peer, dial: DialPeer, clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, peer: Peer, dial: DialPeer, clock: Callable[[], float] = time.monotonic) -> None:
         self.peer: Final = peer
         self.error = self.hint = ""
         self._dial = dial
@@ -155,9 +153,7 @@ class PeerLink:
             return self._failed(f"no link to {self.peer.label}: {error}", _SILENT)
         self.error = self.hint = ""
         self._not_before = 0.0
-        streams = Streams(
-            stream, Role.CALLER, self.peer.label, round_trip=partial(idle_round_trip, stream)
-        )
+        streams = Streams(stream, Role.CALLER, self.peer.label, round_trip=partial(idle_round_trip, stream))
         self._stream, self._streams = stream, streams
         self._carrying = self._tasks.spawn(self._run(stream, streams), f"to {self.peer.label}")
         _log.info("link to %s", self.peer.label)
@@ -194,9 +190,7 @@ class PeerLink:
                 self._stream = self._streams = self._carrying = None
 
 
-_SILENT: Final = (
-    "does its relay run, does it have the newest card of this one, and is a router in reach?"
-)
+_SILENT: Final = "does its relay run, does it have the newest card of this one, and is a router in reach?"
 _ENDED: Final = (
     "the other relay's log says why; it must trust this domain (there: rossec domain list) and have"
     " this relay's card (there: rossec relay list)"
@@ -211,26 +205,21 @@ _Serve: TypeAlias = Callable[[SecureStream[Identity]], Awaitable[None]]
 class Closable(Protocol):
     """What reads a mailbox."""
 
-    async def close(self) -> None:
-        ...
+    async def close(self) -> None: ...
 
 
 class LinkNetwork(Protocol):
     """The routers, as a relay uses them: see `rossec.overlay.endpoint`."""
 
     @property
-    def router(self) -> str:
-        ...
+    def router(self) -> str: ...
 
     @property
-    def seat(self) -> str:
-        ...
+    def seat(self) -> str: ...
 
-    async def dial(self, mailbox: str) -> SecureStream[Identity]:
-        ...
+    async def dial(self, mailbox: str) -> SecureStream[Identity]: ...
 
-    def listen(self, mailbox: str, serve: _Serve, label: str) -> Closable:
-        ...
+    def listen(self, mailbox: str, serve: _Serve, label: str) -> Closable: ...
 
 
 class Relay:
@@ -244,11 +233,7 @@ class Relay:
     """
 
     def __init__(
-        self,
-        member: RelayMember,
-        network: LinkNetwork,
-        admission: Admission,
-        read_peers: Callable[[], Peers],
+        self, member: RelayMember, network: LinkNetwork, admission: Admission, read_peers: Callable[[], Peers]
     ) -> None:
         self._member = member
         self._network = network
@@ -276,9 +261,11 @@ class Relay:
         self._masters.start()
         try:
             await asyncio.gather(
-                self._maintain(), self._member.wait_ended(), self._masters.wait_failed(),
+                self._maintain(),
+                self._member.wait_ended(),
+                self._masters.wait_failed(),
                 asyncio.shield(self._failure),
-            )  # fmt: skip
+            )
         finally:
             await self._close()
 
@@ -389,8 +376,7 @@ class Relay:
         if not any(pattern_covers(pattern, peer.relay) for pattern in listed.entry.admitted):
             raise RelayRefused(
                 f"{peer.shown} is not admitted: the domain was accepted before relays were",
-                "at this side's authority: rossec domain limit"
-                f" {peer.domain} {_admit(listed.entry)}",
+                f"at this side's authority: rossec domain limit {peer.domain} {_admit(listed.entry)}",
             )
 
     def _admit(self, peer: Peer, stream: SecureStream[Identity]) -> None:
@@ -425,9 +411,7 @@ class Relay:
         finally:
             called.remove(entry)
 
-    async def _connect(
-        self, found: Identity, dial: Dial, target: StreamTarget, pump: Pump
-    ) -> socket.socket:
+    async def _connect(self, found: Identity, dial: Dial, target: StreamTarget, pump: Pump) -> socket.socket:
         self._member.check_target(found, target.kind)
         return await dial(target, pump)
 
@@ -450,9 +434,13 @@ class Relay:
         link = self._links[label]
         called = self._called.get(label, [])
         return {
-            "label": label, "relay": link.peer.shown, **self._way(link)._asdict(),
-            "called": len(called), "error": link.error, "hint": link.hint,
-        }  # fmt: skip
+            "label": label,
+            "relay": link.peer.shown,
+            **self._way(link)._asdict(),
+            "called": len(called),
+            "error": link.error,
+            "hint": link.hint,
+        }
 
 
 def _admit(entry: ForeignDomain) -> str:

@@ -26,11 +26,9 @@ class Session(Protocol):
     """What is used here of `zenoh.Session`."""
 
     @property
-    def info(self) -> Any:
-        ...
+    def info(self) -> Any: ...
 
-    def close(self) -> Any:
-        ...
+    def close(self) -> Any: ...
 
 
 class Router:

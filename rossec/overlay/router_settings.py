@@ -89,9 +89,7 @@ class Seats:
 
     @classmethod
     def read(cls, data: bytes) -> Self:
-        found = read_document(
-            data, _FORM, frozenset({"router", "seats"}), limit=MAX_SEATS_FILE, hint=_HINT
-        )
+        found = read_document(data, _FORM, frozenset({"router", "seats"}), limit=MAX_SEATS_FILE, hint=_HINT)
         match found:
             case {"router": str() as router, "seats": dict() as seats} if all(
                 isinstance(each, str) for each in seats.values()
@@ -112,9 +110,7 @@ class Seats:
 
     def remove(self, seat: str) -> Self:
         self.password(seat)
-        return replace(
-            self, passwords={name: each for name, each in self.passwords.items() if name != seat}
-        )
+        return replace(self, passwords={name: each for name, each in self.passwords.items() if name != seat})
 
     def password(self, seat: str) -> str:
         if seat not in self.passwords:
@@ -136,28 +132,20 @@ class Seats:
         return _access_control(
             [_rule(_SEND, "ingress", "put", EVERY_MAILBOX), *own, *_forwarding(EVERY_MAILBOX)],
             [*({"id": _subject(seat), "usernames": [seat]} for seat in self.names), *routers],
-            [
-                *map(_seat_policy, self.names),
-                _policy(_ACCEPTED, *_FORWARD),
-                _policy(_JOINED, *_FORWARD),
-            ],
+            [*map(_seat_policy, self.names), _policy(_ACCEPTED, *_FORWARD), _policy(_JOINED, *_FORWARD)],
         )
 
 
 def open_access_control() -> Entry:
     """Zenoh's `access_control` of a router without seats: all have one, and nothing but that."""
     return _access_control(
-        _forwarding(_mailboxes(OPEN_SEAT)),
-        [{"id": "everybody"}],
-        [_policy("everybody", *_FORWARD)],
+        _forwarding(_mailboxes(OPEN_SEAT)), [{"id": "everybody"}], [_policy("everybody", *_FORWARD)]
     )
 
 
 def _check_own(seat: str) -> None:
     if check_seat(seat) == OPEN_SEAT:
-        raise ConfigurationError(
-            f"{OPEN_SEAT} is the seat at a router without seats", "give it another name"
-        )
+        raise ConfigurationError(f"{OPEN_SEAT} is the seat at a router without seats", "give it another name")
 
 
 def _access_control(rules: list[Entry], subjects: list[Entry], policies: list[Entry]) -> Entry:
@@ -186,10 +174,7 @@ def _seat_policy(seat: str) -> Entry:
 
 def _forwarding(keys: str) -> list[Entry]:
     put, declare = _FORWARD
-    return [
-        _rule(put, "both", "put", keys),
-        _rule(declare, "both", "declare_subscriber", keys),
-    ]
+    return [_rule(put, "both", "put", keys), _rule(declare, "both", "declare_subscriber", keys)]
 
 
 def _mailboxes(seat: str) -> str:
@@ -202,13 +187,7 @@ def _subject(seat: str) -> str:
 
 def _rule(name: str, flow: str, message: str, keys: str) -> Entry:
     flows = ["ingress", "egress"] if flow == "both" else [flow]
-    return {
-        "id": name,
-        "permission": "allow",
-        "flows": flows,
-        "messages": [message],
-        "key_exprs": [keys],
-    }
+    return {"id": name, "permission": "allow", "flows": flows, "messages": [message], "key_exprs": [keys]}
 
 
 def _policy(subject: str, *rules: str) -> Entry:
@@ -231,11 +210,7 @@ COMMON: Final[dict[str, object]] = {
     "transport/unicast/accept_timeout": 1000,
     f"{_DROP}wait_before_drop": _WAIT_US,
     f"{_DROP}max_wait_before_drop_fragments": _WAIT_US,
-    "connect/retry": {
-        "period_init_ms": 200,
-        "period_max_ms": 1000,
-        "period_increase_factor": 2,
-    },
+    "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2},
 }
 """Of routers and of relays."""
 
@@ -266,16 +241,9 @@ LISTEN: Final = ("tls/[::]:7447",)
 MAX_SETTINGS_FILE: Final = 16 * 1024
 MAX_HOSTS: Final = 16
 _MESSAGE: Final = MAX_FRAME + 4096  # bytes, with Zenoh's own around a frame
-_SIZE_LIMIT: Final = {
-    "flows": ["ingress"],
-    "messages": ["put"],
-    "key_exprs": ["**"],
-    "size_limit": MAX_FRAME,
-}
+_SIZE_LIMIT: Final = {"flows": ["ingress"], "messages": ["put"], "key_exprs": ["**"], "size_limit": MAX_FRAME}
 _ROUTER_SETTINGS_FORM: Final = "rossec-router"
-_ROUTER_SETTINGS_HINT: Final = (
-    "remove the file, and start the router with --listen, --join and --host again"
-)
+_ROUTER_SETTINGS_HINT: Final = "remove the file, and start the router with --listen, --join and --host again"
 _LOCAL: Final = ("localhost", "127.0.0.1", "::1")
 
 
@@ -324,8 +292,7 @@ class RouterSettings:
         )
         if not all(map(is_texts, found.values())):
             raise ConfigurationError(
-                f"the {_ROUTER_SETTINGS_FORM} file has a value of another type",
-                _ROUTER_SETTINGS_HINT,
+                f"the {_ROUTER_SETTINGS_FORM} file has a value of another type", _ROUTER_SETTINGS_HINT
             )
         return cls(**{name: tuple(value) for name, value in found.items()})
 
@@ -375,9 +342,7 @@ class RouterFiles:
     certificate: Path
 
 
-def zenoh_settings(
-    settings: RouterSettings, seats: Seats | None, files: RouterFiles
-) -> dict[str, object]:
+def zenoh_settings(settings: RouterSettings, seats: Seats | None, files: RouterFiles) -> dict[str, object]:
     """Paths of Zenoh's configuration with their values; without seats the router is open to all.
 
     Raises:
@@ -394,7 +359,7 @@ def zenoh_settings(
         "transport/link/rx/max_message_size": _MESSAGE,
         "low_pass_filter": [_SIZE_LIMIT],
         **_tls(settings, files),
-    }  # fmt: skip
+    }
     if seats is None:
         return {**found, "access_control": open_access_control()}
     _check_joined(settings)

@@ -28,13 +28,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from rossec.errors import ConfigurationError
 from rossec.overlay import router_settings
-from rossec.overlay.documents import (
-    MAX_LOCATORS,
-    check_locator,
-    is_texts,
-    read_document,
-    write_document,
-)
+from rossec.overlay.documents import MAX_LOCATORS, check_locator, is_texts, read_document, write_document
 from rossec.overlay.router_settings import ROUTER_NAME, Seats
 
 DAY: Final = 86400
@@ -95,15 +89,12 @@ class RouterAuthority:
             .add_extension(x509.SubjectAlternativeName(map(_general, hosts)), critical=False)
             .add_extension(_SERVER, critical=False)
             .add_extension(
-                x509.AuthorityKeyIdentifier(_key_identifier(self.key).digest, None, None),
-                critical=False,
+                x509.AuthorityKeyIdentifier(_key_identifier(self.key).digest, None, None), critical=False
             )
         )
         return builder.sign(self.key, hashes.SHA256()).public_bytes(Encoding.PEM)
 
-    def is_current(
-        self, certificate: bytes, key: bytes, hosts: tuple[str, ...], *, now: int
-    ) -> bool:
+    def is_current(self, certificate: bytes, key: bytes, hosts: tuple[str, ...], *, now: int) -> bool:
         # One that has less than a third of its time left is not.
         try:
             (leaf,) = x509.load_pem_x509_certificates(certificate)
@@ -217,9 +208,11 @@ class Share:
         found = read_document(data, _FORM, _KEYS, limit=MAX_SHARE_FILE, hint=_HINT)
         match found:
             case {
-                "authority_key": str() as key, "authority": str() as pem, "seats": str() as listed,
+                "authority_key": str() as key,
+                "authority": str() as pem,
+                "seats": str() as listed,
                 "join": list() as join,
-            } if is_texts(join) and 0 < len(join) <= MAX_LOCATORS:  # fmt: skip
+            } if is_texts(join) and 0 < len(join) <= MAX_LOCATORS:
                 authority = RouterAuthority.load(key.encode(), pem.encode())
                 for each in join:
                     check_locator(each)

@@ -57,18 +57,15 @@ class StreamEnd(Protocol):
         # Where to read bytes for the stream; None: not now, `Pump.resume` says when.
         ...
 
-    def send(self, stream: int, count: int) -> None:
-        ...
+    def send(self, stream: int, count: int) -> None: ...
 
     def took(self, stream: int, count: int) -> None:
         # The program took so many received bytes.
         ...
 
-    def end(self, stream: int) -> bool:
-        ...
+    def end(self, stream: int) -> bool: ...
 
-    def reset(self, stream: int) -> None:
-        ...
+    def reset(self, stream: int) -> None: ...
 
 
 class Pump:
@@ -180,9 +177,7 @@ class Pump:
         self._changed.set()
 
 
-CONNECT_SECONDS: Final = (
-    10.0  # to find and reach a target; also how long a connection waits for room
-)
+CONNECT_SECONDS: Final = 10.0  # to find and reach a target; also how long a connection waits for room
 MOST_WAITING: Final = 256  # connections that wait for room
 MOST_UNSENT: Final = 8 * 1024 * 1024  # twice a link's window: the peer reads nothing, but asks
 _CROWDED: Final = "it has too many streams"
@@ -206,21 +201,17 @@ class LinkStream(Protocol):
 
     def on_ready(
         self, callback: Callable[[], None] | None, take: Callable[[bytes], bool] | None = None
-    ) -> None:
-        ...
+    ) -> None: ...
 
-    def next_unit(self) -> bytes | None:
-        ...
+    def next_unit(self) -> bytes | None: ...
 
-    def write_nowait(self, data: Bytes) -> bool:
-        ...
+    def write_nowait(self, data: Bytes) -> bool: ...
 
     async def drain(self) -> None:
         # Wait until the link does not lag.
         ...
 
-    def abort(self, reason: str) -> None:
-        ...
+    def abort(self, reason: str) -> None: ...
 
 
 async def refuse_streams(target: StreamTarget, _pump: Pump) -> socket.socket:

@@ -59,10 +59,7 @@ class TopicPorts:
     """
 
     def __init__(
-        self,
-        context: SecureContext[Identity],
-        name: str,
-        check_peer: Callable[[Identity, int], None],
+        self, context: SecureContext[Identity], name: str, check_peer: Callable[[Identity, int], None]
     ) -> None:
         self._context = context
         self._name = name
@@ -124,9 +121,7 @@ class TopicPorts:
     def _check(self, stream: SecureStream[Identity], name: str) -> None:
         peer = stream.peer
         if peer.is_foreign or not peer.covers(name):
-            raise RelayRefused(
-                f"{shown(peer.name)} answers at the address that {shown(name)} registered"
-            )
+            raise RelayRefused(f"{shown(peer.name)} answers at the address that {shown(name)} registered")
         self._check_peer(peer, clock.now())
 
 
@@ -162,14 +157,11 @@ Raises a `HintedError` where the master refuses, or cannot be asked.
 class NodePorts(Protocol):
     """As `rossec.overlay.targets.TopicPorts`: numeric addresses, at which it was looked."""
 
-    async def of(self, name: str, host: str, port: int) -> tuple[str, int]:
-        ...
+    async def of(self, name: str, host: str, port: int) -> tuple[str, int]: ...
 
-    async def provider(self, host: str, port: int) -> tuple[str, int]:
-        ...
+    async def provider(self, host: str, port: int) -> tuple[str, int]: ...
 
-    def forget(self, name: str, host: str, port: int) -> None:
-        ...
+    def forget(self, name: str, host: str, port: int) -> None: ...
 
 
 class Targets:

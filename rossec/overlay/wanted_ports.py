@@ -57,9 +57,12 @@ class WantedDoors:
     def take(self, answer: object, reported: int) -> Orders:
         match answer:
             case {
-                "version": int() as version, "wanted": list() as wanted,
-                "unwanted": list() as unwanted, "masters": dict() as masters, **rest,
-            } if not rest:  # fmt: skip
+                "version": int() as version,
+                "wanted": list() as wanted,
+                "unwanted": list() as unwanted,
+                "masters": dict() as masters,
+                **rest,
+            } if not rest:
                 pass
             case _:
                 raise AnswerMalformed("a master's answer about doors that is malformed")

@@ -90,9 +90,7 @@ def open_session(settings: Mapping[str, object]) -> "zenoh.Session":
     try:
         import zenoh  # noqa: PLC0415 - as above
     except ImportError as error:
-        raise OverlayUnavailable(
-            "eclipse-zenoh is not installed", "pip install rossec[overlay]"
-        ) from error
+        raise OverlayUnavailable("eclipse-zenoh is not installed", "pip install rossec[overlay]") from error
     config = zenoh.Config()
     for path, value in settings.items():
         config.insert_json5(path, dumps(value))

@@ -263,9 +263,7 @@ class Access:
         master: the certified name of its own master.
     """
 
-    def __init__(
-        self, standing: Standing, held: Iterable[bytes] = (), master: str = MASTER
-    ) -> None:
+    def __init__(self, standing: Standing, held: Iterable[bytes] = (), master: str = MASTER) -> None:
         self._standing = standing
         self._revocations: Final = standing.own
         self._anchor: Final = standing.anchors.own
@@ -433,9 +431,7 @@ class Access:
         return self._anchor.domain if listed is None else listed.entry.domain, origin
 
     def _current(self, now: int) -> list[HeldGrant]:
-        usable = [
-            held for held in self.held_grants() if held.grant.not_before <= now < held.grant.expires
-        ]
+        usable = [held for held in self.held_grants() if held.grant.not_before <= now < held.grant.expires]
         return sorted(usable, key=lambda held: held.grant.expires, reverse=True)
 
     def check_peer(self, peer: Identity, now: int) -> None:
@@ -471,9 +467,7 @@ class Access:
         grants, refusals = self._tokens.open_all(presented, domain, peer, now)
         check = self._tokens.check_of(domain, peer.domain)
         try:
-            decision = authorize(
-                grants, right, origin, holder=peer.thumbprint, now=now, check=check
-            )
+            decision = authorize(grants, right, origin, holder=peer.thumbprint, now=now, check=check)
         except GrantMissing as error:
             if refusals:  # "expired" or "forged" says more than "missing"
                 raise refusals[0] from None
@@ -491,33 +485,25 @@ def _remedy(peer: Identity, right: Right, name: str) -> str:
 class HandshakeAccess(Protocol):
     """Proves this node's rights and authorizes peers."""
 
-    def present(self, right: Right, name: str, now: int) -> bytes:
-        ...
+    def present(self, right: Right, name: str, now: int) -> bytes: ...
 
-    def is_master(self, peer: Identity) -> bool:
-        ...
+    def is_master(self, peer: Identity) -> bool: ...
 
-    def check_peer(self, peer: Identity, now: int) -> None:
-        ...
+    def check_peer(self, peer: Identity, now: int) -> None: ...
 
     def authorize(
         self, peer: Identity, presented: bytes | None, right: Right, name: str, now: int
-    ) -> Decision:
-        ...
+    ) -> Decision: ...
 
 
 class HeldGrants(Protocol):
     """The grants this node holds."""
 
     @property
-    def epoch(self) -> int:
-        ...
+    def epoch(self) -> int: ...
 
-    def hold(self, data: bytes) -> None:
-        ...
+    def hold(self, data: bytes) -> None: ...
 
-    def hold_renewed(self, token: bytes, now: int) -> None:
-        ...
+    def hold_renewed(self, token: bytes, now: int) -> None: ...
 
-    def held_grants(self) -> list[HeldGrant]:
-        ...
+    def held_grants(self) -> list[HeldGrant]: ...

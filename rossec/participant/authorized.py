@@ -56,15 +56,13 @@ class PeerStream(Protocol):
     """A stream whose peer is authenticated."""
 
     @property
-    def peer(self) -> Identity:
-        ...
+    def peer(self) -> Identity: ...
 
     def pad_units(self, multiple: int) -> None:
         # Pad what is sent from now on to a multiple of so many bytes; 0: do not.
         ...
 
-    def abort(self, reason: str) -> None:
-        ...
+    def abort(self, reason: str) -> None: ...
 
 
 StreamT = TypeVar("StreamT", bound=PeerStream)
@@ -203,17 +201,17 @@ PACE: Final = 3  # seconds between two presentations of this node on one connect
 _HEADER: Final = 30  # seconds a connection header may be older than the connection's authorization
 _RETRY: Final = 2  # seconds until what was refused is judged again; twice as long each time
 _LONGEST: Final = 60
-_AT_ONCE: Final = (
-    256  # presentations of one key that are judged: one for each connection it may have
-)
+_AT_ONCE: Final = 256  # presentations of one key that are judged: one for each connection it may have
 _A_SECOND: Final = 8.0
 _PEERS: Final = 1024  # budgets that are kept; full ones are as good as none
 _NOTHING: Final = encode([])
 
 _OTHERS: Final = {
-    Right.SUBSCRIBE: Right.PUBLISH, Right.PUBLISH: Right.SUBSCRIBE,
-    Right.CALL: Right.PROVIDE, Right.PROVIDE: Right.CALL,
-}  # fmt: skip
+    Right.SUBSCRIBE: Right.PUBLISH,
+    Right.PUBLISH: Right.SUBSCRIBE,
+    Right.CALL: Right.PROVIDE,
+    Right.PROVIDE: Right.CALL,
+}
 """The right of this side on a connection, by the one of the peer."""
 
 Connection: TypeAlias = AuthorizedConnection[Any, Any]
@@ -223,11 +221,9 @@ _log = logging.getLogger("rossec.node")
 class RenewableStream(Protocol):
     """A stream on which both sides may renew what they presented."""
 
-    def on_renewal(self, callback: Callable[[Renewal[Identity]], None]) -> None:
-        ...
+    def on_renewal(self, callback: Callable[[Renewal[Identity]], None]) -> None: ...
 
-    def present_grants(self, data: bytes) -> bool:
-        ...
+    def present_grants(self, data: bytes) -> bool: ...
 
 
 class _Budgets:
@@ -279,10 +275,7 @@ class RenewedGrants:
         cast("RenewableStream", connection.stream).on_renewal(take)
 
     def _take(
-        self,
-        connection: Connection,
-        renewal: Renewal[Identity],
-        on_renewed: Callable[[Connection], None],
+        self, connection: Connection, renewal: Renewal[Identity], on_renewed: Callable[[Connection], None]
     ) -> None:
         match renewal:
             case IdentityRenewed():
@@ -298,8 +291,9 @@ class RenewedGrants:
             case _:
                 _log.info(
                     "%s presents a certificate that is refused: %s",
-                    _peer(connection), printable(renewal.reason),
-                )  # fmt: skip
+                    _peer(connection),
+                    printable(renewal.reason),
+                )
 
     def retry(self, connections: Iterable[Connection], now: int) -> None:
         for connection in connections:
@@ -312,9 +306,7 @@ class RenewedGrants:
         return self._judge(connection, now)
 
     def _judge_within_budget(self, connection: Connection, now: int) -> None:
-        if not self._budgets.admits(connection.stream.peer, now) or not self._judge(
-            connection, now
-        ):
+        if not self._budgets.admits(connection.stream.peer, now) or not self._judge(connection, now):
             presented = connection.presented
             presented.retry_at = now + presented.pause
             presented.pause = min(2 * presented.pause, _LONGEST)
@@ -324,13 +316,9 @@ class RenewedGrants:
         if not data or rebuild is None:
             return False
         try:
-            decision = self._access.authorize(
-                connection.stream.peer, data, held.right, held.name, now
-            )
+            decision = self._access.authorize(connection.stream.peer, data, held.right, held.name, now)
         except HintedError as error:
-            _log.info(
-                "%s presents grants that are refused: %s", _peer(connection), printable(error)
-            )
+            _log.info("%s presents grants that are refused: %s", _peer(connection), printable(error))
             return False
         connection.presented.retry_at = None
         try:

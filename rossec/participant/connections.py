@@ -116,9 +116,7 @@ class ConnectionTable(Generic[StreamT]):
 
         async def serve_one(stream: SecureStream[Identity]) -> None:
             try:
-                self.accept(
-                    stream, stream.peer, stream.abort, limited=stream.peer.name != self._master
-                )
+                self.accept(stream, stream.peer, stream.abort, limited=stream.peer.name != self._master)
             except LimitExceeded:
                 _log.warning("%s has too many connections", shown(stream.peer.name))
                 stream.abort("too many connections of one identity")
@@ -129,12 +127,7 @@ class ConnectionTable(Generic[StreamT]):
         return serve_one
 
     def accept(
-        self,
-        key: object,
-        peer: Identity | str,
-        abort: Callable[[str], None],
-        *,
-        limited: bool = True,
+        self, key: object, peer: Identity | str, abort: Callable[[str], None], *, limited: bool = True
     ) -> None:
         """Count a connection of `peer` until `forget` is called with the same key.
 
@@ -260,9 +253,7 @@ class ConnectionTable(Generic[StreamT]):
             if self.discard(connection):
                 connection.stream.abort(reason)
                 name, right = connection.stream.peer.name, connection.decision.name
-                _log.warning(
-                    "closed the connection with %s (%s): %s", shown(name), shown(right), reason
-                )
+                _log.warning("closed the connection with %s (%s): %s", shown(name), shown(right), reason)
         for each, reason in refused:
             if reason is not None:
                 each.abort(reason)
@@ -306,9 +297,7 @@ class ConnectionWatchdog:
         expire_confirmation: expires the confirmation of the revocation list at that time.
     """
 
-    def __init__(
-        self, connections: ConnectionTable[Any], expire_confirmation: Callable[[int], None]
-    ) -> None:
+    def __init__(self, connections: ConnectionTable[Any], expire_confirmation: Callable[[int], None]) -> None:
         self._connections = connections
         self._expire_confirmation = expire_confirmation
         self._setbacks = clock.Setbacks()
@@ -400,9 +389,7 @@ class OwnAddresses:
         """
         if self.is_own(then) and not self.is_own(first):
             host, port = first
-            raise ConnectionHeaderRefused(
-                f"the node at {host} port {port} sends this node to itself"
-            )
+            raise ConnectionHeaderRefused(f"the node at {host} port {port} sends this node to itself")
 
 
 def _plain(host: str) -> str:
@@ -456,9 +443,7 @@ class Dialer:
         self._check_identity(stream)
         return stream
 
-    async def _connect(
-        self, host: str, port: int, protocol: WireProtocol
-    ) -> SecureStream[Identity]:
+    async def _connect(self, host: str, port: int, protocol: WireProtocol) -> SecureStream[Identity]:
         to_itself = self._own_addresses.is_own((host, port))
         return await connect(host, port, self._context, protocol, to_itself=to_itself)
 
@@ -486,9 +471,7 @@ class Dialer:
             raise
 
 
-async def serve_peer(
-    stream: SecureStream[Identity], dispatch: Dispatch[Identity], access: Access
-) -> None:
+async def serve_peer(stream: SecureStream[Identity], dispatch: Dispatch[Identity], access: Access) -> None:
     """Answer the calls of a peer until it closes, or its time is over."""
     if access.is_master(stream.peer):
         stream.raise_unit_limit()

@@ -34,16 +34,34 @@ from rossec.errors import ConnectionHeaderRefused
 from rossec.participant.handshakes import Fields, text
 from rossec.ros.names import ANY_TYPE
 
-_IN_ROS: Final = frozenset({
-    "actionlib_msgs", "diagnostic_msgs", "geometry_msgs", "map_msgs", "move_base_msgs", "nav_msgs",
-    "pcl_msgs", "rosgraph_msgs", "sensor_msgs", "shape_msgs", "std_msgs", "std_srvs", "stereo_msgs",
-    "tf2_msgs", "trajectory_msgs", "visualization_msgs",
-})  # fmt: skip
+_IN_ROS: Final = frozenset(
+    {
+        "actionlib_msgs",
+        "diagnostic_msgs",
+        "geometry_msgs",
+        "map_msgs",
+        "move_base_msgs",
+        "nav_msgs",
+        "pcl_msgs",
+        "rosgraph_msgs",
+        "sensor_msgs",
+        "shape_msgs",
+        "std_msgs",
+        "std_srvs",
+        "stereo_msgs",
+        "tf2_msgs",
+        "trajectory_msgs",
+        "visualization_msgs",
+    }
+)
 """Of these Debian has the definitions in `ros-...`."""
 _OTHERS: Final = {
-    "actionlib": "libactionlib-dev", "bond": "libbond-dev", "nodelet": "libnodelet-dev",
-    "roscpp": "ros-roscpp-msg", "topic_tools": "ros-topic-tools-srvs",
-}  # fmt: skip
+    "actionlib": "libactionlib-dev",
+    "bond": "libbond-dev",
+    "nodelet": "libnodelet-dev",
+    "roscpp": "ros-roscpp-msg",
+    "topic_tools": "ros-topic-tools-srvs",
+}
 
 
 def what_to_install(type_name: str) -> str:
@@ -53,8 +71,7 @@ def what_to_install(type_name: str) -> str:
     if (theirs := _debian(package)) is not None:
         return f"it is in Debian's package {theirs} ({ours}): apt install {theirs}"
     return (
-        f"Debian does not have it ({ours}); of a workspace: name the folder of {package} in"
-        " ROS_PACKAGE_PATH"
+        f"Debian does not have it ({ours}); of a workspace: name the folder of {package} in ROS_PACKAGE_PATH"
     )
 
 
@@ -178,9 +195,7 @@ def receiver_definition(
     return trusted
 
 
-def sender_definition(
-    own: Definition, decision: Decision, find_installed: FindDefinition
-) -> Definition:
+def sender_definition(own: Definition, decision: Decision, find_installed: FindDefinition) -> Definition:
     """The definition of the messages a program sends, as it claims.
 
     It may repeat the claim of its own publisher, as `topic_tools relay` does: where the type is
@@ -202,11 +217,7 @@ def sender_definition(
     if is_proven:
         return own
     trusted = find_installed(own.name)
-    if (
-        trusted is None
-        or trusted.md5sum != own.md5sum
-        or trusted.layout.digest == own.layout.digest
-    ):
+    if trusted is None or trusted.md5sum != own.md5sum or trusted.layout.digest == own.layout.digest:
         return own
     raise ConnectionHeaderRefused(
         f"the program's definition of {own.name} is not the one this host knows",
@@ -229,9 +240,7 @@ def _instead_of(own: Definition, error: HintedError, find_installed: FindDefinit
     ) from error
 
 
-def forwarded_definition(
-    sent: Definition, decision: Decision, find_installed: FindDefinition
-) -> Definition:
+def forwarded_definition(sent: Definition, decision: Decision, find_installed: FindDefinition) -> Definition:
     """The definition of messages that are forwarded for somebody who is not trusted.
 
     As `sender_definition`, but where the md5sum does not prove it this host has to know the type:
@@ -258,11 +267,7 @@ def definition_fields(kind: Definition, decision: Decision) -> Fields:
     """
     if not needs_definition(decision):
         return {}
-    return {
-        "type": kind.name.encode(),
-        "md5sum": kind.md5sum.encode(),
-        "message_definition": kind.octets,
-    }
+    return {"type": kind.name.encode(), "md5sum": kind.md5sum.encode(), "message_definition": kind.octets}
 
 
 def reported_definition(own: Definition, claimed: Definition) -> Definition:

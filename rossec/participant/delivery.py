@@ -82,8 +82,7 @@ class Wishes:
             return
         if not _LOWEST <= self.rate <= _HIGHEST:  # false for what is no number, too
             raise ConfigurationError(
-                f"a rate of {self.rate} messages a second",
-                f"it must be from {_LOWEST} to {_HIGHEST}",
+                f"a rate of {self.rate} messages a second", f"it must be from {_LOWEST} to {_HIGHEST}"
             )
         object.__setattr__(self, "rate", round(float(self.rate), 3))
 

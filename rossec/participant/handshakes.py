@@ -31,16 +31,7 @@ from typing import TYPE_CHECKING, Final
 
 from ca.certificates import Identity
 from ca.errors import NameRefused
-from ca.names import (
-    REMOTE,
-    alias_of,
-    check_name,
-    is_alias,
-    origin_of,
-    refuse_alias,
-    shown,
-    split_alias,
-)
+from ca.names import REMOTE, alias_of, check_name, is_alias, origin_of, refuse_alias, shown, split_alias
 from grants.decision import Decision
 from grants.model import Right
 from rossec.errors import CallerMismatch, ConfigurationError, ConnectionHeaderRefused
@@ -234,14 +225,7 @@ def _bus_entry(entry: object, rename: Rename) -> list[object] | None:
             names = _rename_all(rename, *([] if "://" in end else [end]), topic)
             if names is None:
                 return None
-            return [
-                number,
-                names[0] if len(names) > 1 else end,
-                direction,
-                transport,
-                names[-1],
-                *rest,
-            ]
+            return [number, names[0] if len(names) > 1 else end, direction, transport, names[-1], *rest]
         case _:
             return None
 
@@ -275,9 +259,7 @@ class ExpectedTopic:
     md5sum: str
 
 
-def subscriber_header(
-    caller: str, endpoint: TopicEndpoint, access: HandshakeAccess, now: int
-) -> Fields:
+def subscriber_header(caller: str, endpoint: TopicEndpoint, access: HandshakeAccess, now: int) -> Fields:
     """Fields a subscriber sends first; they prove its right to subscribe."""
     return {
         "callerid": caller.encode(),
@@ -329,11 +311,7 @@ def admit_subscriber(
 
 
 def admit_publisher(
-    fields: Mapping[str, bytes],
-    peer: Identity,
-    expected: ExpectedTopic,
-    access: HandshakeAccess,
-    now: int,
+    fields: Mapping[str, bytes], peer: Identity, expected: ExpectedTopic, access: HandshakeAccess, now: int
 ) -> Decision:
     """Decide on a publisher from the header it answered with.
 
@@ -443,9 +421,7 @@ def requested_service(fields: Mapping[str, bytes]) -> str:
     return refuse_on_wire(text(fields, "service"))
 
 
-def admit_caller(
-    fields: Mapping[str, bytes], peer: Identity, access: HandshakeAccess, now: int
-) -> Decision:
+def admit_caller(fields: Mapping[str, bytes], peer: Identity, access: HandshakeAccess, now: int) -> Decision:
     """Decide on a client from its header, before anything about the service is looked up.
 
     A decision with restrictions must be applied to each request, or refused with

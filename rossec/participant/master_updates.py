@@ -146,11 +146,7 @@ class GrantDelivery:
     """
 
     def __init__(
-        self,
-        standing: Standing,
-        holder: bytes,
-        access: HeldGrants,
-        directory: GrantDirectory,
+        self, standing: Standing, holder: bytes, access: HeldGrants, directory: GrantDirectory
     ) -> None:
         self._standing = standing
         self._holder = holder
@@ -380,9 +376,7 @@ class DomainUpdates:
         now, before = clock.now(), self._state(domain)
         try:
             with self._lock:
-                self._standing.take_foreign(
-                    domain, revocations, timestamp, certificates, now, persist
-                )
+                self._standing.take_foreign(domain, revocations, timestamp, certificates, now, persist)
         finally:
             self._changed(self._state(domain) != before)
 

@@ -40,12 +40,7 @@ from rossec.net.rpc.calls import RpcClient
 from rossec.participant.access import MAX_CALL, NO_LIST, HandshakeAccess, HeldGrants, batches
 from rossec.participant.authorized import RenewedGrants
 from rossec.participant.connections import ConnectionTable, ConnectionWatchdog
-from rossec.participant.master_updates import (
-    DomainUpdates,
-    GrantDelivery,
-    GrantDirectory,
-    GrantWatch,
-)
+from rossec.participant.master_updates import DomainUpdates, GrantDelivery, GrantDirectory, GrantWatch
 from rossec.participant.registrations import PublisherGrace, Retry
 from rossec.participant.renewals import (
     IdentityRenewal,
@@ -202,9 +197,7 @@ class MasterSession:
         try:
             newer = await self.call("rossec.updateRevocations", newest) == 1
         except (AnswerRefused, Fault) as error:
-            _log.warning(
-                "%s: the master refuses this node's revocation list: %s", self._name, error
-            )
+            _log.warning("%s: the master refuses this node's revocation list: %s", self._name, error)
             return False
         if newer:
             _log.warning(
@@ -277,8 +270,7 @@ class MembershipAccess(HeldGrants, HandshakeAccess, Provable, Protocol):
     """The grants and the revocation data of this node."""
 
     @property
-    def foreign_domains(self) -> frozenset[str]:
-        ...
+    def foreign_domains(self) -> frozenset[str]: ...
 
     def update_revocations(
         self,
@@ -287,36 +279,27 @@ class MembershipAccess(HeldGrants, HandshakeAccess, Provable, Protocol):
         master: Identity,
         now: int,
         persist: Callable[[bytes], None],
-    ) -> None:
-        ...
+    ) -> None: ...
 
-    def expire_confirmation(self, until: int) -> None:
-        ...
+    def expire_confirmation(self, until: int) -> None: ...
 
-    def current(self, now: int) -> list[bytes]:
-        ...
+    def current(self, now: int) -> list[bytes]: ...
 
 
 class MembershipHooks(Protocol):
     """What differs between the forms of a node."""
 
-    async def dial_master(self) -> SecureStream[Identity]:
-        ...
+    async def dial_master(self) -> SecureStream[Identity]: ...
 
-    async def dial_watch(self) -> SecureStream[Identity]:
-        ...
+    async def dial_watch(self) -> SecureStream[Identity]: ...
 
-    async def restore(self) -> None:
-        ...
+    async def restore(self) -> None: ...
 
-    async def rights_changed(self) -> None:
-        ...
+    async def rights_changed(self) -> None: ...
 
-    def maintain(self) -> None:
-        ...
+    def maintain(self) -> None: ...
 
-    def crashed(self, error: BaseException) -> None:
-        ...
+    def crashed(self, error: BaseException) -> None: ...
 
 
 class Membership:
@@ -355,14 +338,15 @@ class Membership:
             identity.standing, identity.identity.thumbprint, access, self._grant_directory
         )
         self.domains = DomainUpdates(
-            identity.standing, identity.domain_files, self._domains_changed,
-            lambda: access.foreign_domains | connections.domains, lock,
-        )  # fmt: skip
+            identity.standing,
+            identity.domain_files,
+            self._domains_changed,
+            lambda: access.foreign_domains | connections.domains,
+            lock,
+        )
         self._renewals = Renewals(access)
         self._renewed = connections.renewed = RenewedGrants(access)
-        self._identity_renewal = IdentityRenewal(
-            identity.home, identity.live_credentials, clock.now()
-        )
+        self._identity_renewal = IdentityRenewal(identity.home, identity.live_credentials, clock.now())
         self.session = MasterSession(
             identity.name,
             hooks.dial_master,
@@ -375,9 +359,8 @@ class Membership:
             lambda: self._identity_renewal.ended(clock.now()),
         )
         self._watch = GrantWatch(
-            identity.name, self._delivery, hooks.dial_watch, lambda: self.session.is_open,
-            identity.master,
-        )  # fmt: skip
+            identity.name, self._delivery, hooks.dial_watch, lambda: self.session.is_open, identity.master
+        )
         self.tasks = TaskSet(self._crashed)
         self._has_crashed = False
         self._domains_are_new = False
@@ -429,8 +412,11 @@ class Membership:
             case names.DOMAINS_UPDATE, (bytes() as data,):
                 self.domains.take_domains(data)
             case names.FOREIGN_UPDATE, (
-                str() as domain, bytes() as revocations, bytes() as timestamp, list() as chain,
-            ):  # fmt: skip
+                str() as domain,
+                bytes() as revocations,
+                bytes() as timestamp,
+                list() as chain,
+            ):
                 self.domains.take_foreign(domain, revocations, timestamp, chain)
             case _:
                 raise CallRefused(f"{method} has other parameters")

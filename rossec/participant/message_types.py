@@ -38,12 +38,9 @@ FURTHER_TYPES: Final[Mapping[str, str]] = {
         "uint8 TIMEOUT_ERROR = 5\nuint8 TRANSFORM_ERROR = 6\n\nuint8 error\nstring error_string\n"
     ),
     "audio_common_msgs/AudioData": "uint8[] data\n",
-    "audio_common_msgs/AudioDataStamped": (
-        "std_msgs/Header header\naudio_common_msgs/AudioData audio\n"
-    ),
+    "audio_common_msgs/AudioDataStamped": ("std_msgs/Header header\naudio_common_msgs/AudioData audio\n"),
     "audio_common_msgs/AudioInfo": (
-        "uint8 channels\nuint32 sample_rate\nstring sample_format\nuint32 bitrate\n"
-        "string coding_format\n"
+        "uint8 channels\nuint32 sample_rate\nstring sample_format\nuint32 bitrate\nstring coding_format\n"
     ),
 }
 """The text of the .msg file, by name; a type comes after those it uses."""
@@ -127,10 +124,7 @@ def registered_type(name: str) -> MessageType:
     try:
         definition, md5sum = _store().generate_msgdef(_ros2_name(name), ros_version=1)
     except TypesysError as error:
-        raise MessageError(
-            f"unknown message type {name!r}",
-            unknown_type(name, type_names()),
-        ) from error
+        raise MessageError(f"unknown message type {name!r}", unknown_type(name, type_names())) from error
     return MessageType(name, md5sum, definition)
 
 
@@ -216,10 +210,7 @@ def _element(message: Message, field: str) -> Any:
     return dict(fields)[field][1][0]
 
 
-_TIMES: Final = {
-    "builtin_interfaces/msg/Time": "time",
-    "builtin_interfaces/msg/Duration": "duration",
-}
+_TIMES: Final = {"builtin_interfaces/msg/Time": "time", "builtin_interfaces/msg/Duration": "duration"}
 
 
 def _field_names(inner: str) -> list[str]:

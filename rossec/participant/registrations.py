@@ -47,12 +47,22 @@ from rossec.ros.names import canonical
 
 SEARCH: Final = "searchParam"
 RELATIVE_NAME: Final = {
-    "registerPublisher": 1, "registerSubscriber": 1, "registerService": 1,
-    "unregisterPublisher": 1, "unregisterSubscriber": 1, "unregisterService": 1,
-    "lookupNode": 1, "lookupService": 1, "getPublishedTopics": 1,
-    "subscribeParam": 2, "unsubscribeParam": 2,
-    "getParam": 1, "setParam": 1, "deleteParam": 1, "hasParam": 1,
-}  # fmt: skip
+    "registerPublisher": 1,
+    "registerSubscriber": 1,
+    "registerService": 1,
+    "unregisterPublisher": 1,
+    "unregisterSubscriber": 1,
+    "unregisterService": 1,
+    "lookupNode": 1,
+    "lookupService": 1,
+    "getPublishedTopics": 1,
+    "subscribeParam": 2,
+    "unsubscribeParam": 2,
+    "getParam": 1,
+    "setParam": 1,
+    "deleteParam": 1,
+    "hasParam": 1,
+}
 """Index of the parameter that is a name relative to the caller; the caller_id is 0."""
 
 Params = tuple[object, ...]
@@ -108,10 +118,15 @@ UNREGISTERS: Final = {
 }
 REGISTERS: Final = frozenset(UNREGISTERS.values())
 _ADDRESS: Final = {
-    "registerPublisher": 3, "registerSubscriber": 3, "registerService": 2, "subscribeParam": 1,
-    "unregisterPublisher": 2, "unregisterSubscriber": 2, "unregisterService": 2,
+    "registerPublisher": 3,
+    "registerSubscriber": 3,
+    "registerService": 2,
+    "subscribeParam": 1,
+    "unregisterPublisher": 2,
+    "unregisterSubscriber": 2,
+    "unregisterService": 2,
     "unsubscribeParam": 1,
-}  # fmt: skip
+}
 """Index of the address that is registered: of the service, else of the slave API."""
 
 
@@ -318,10 +333,14 @@ class GraphView:
         """
         match answer:
             case {
-                "instance": str() as instance, "version": int() as version,
-                "cursor": int() as cursor, "whole": bool() as whole, "more": bool() as more,
-                "added": list() as added, "removed": list() as removed,
-            }:  # fmt: skip
+                "instance": str() as instance,
+                "version": int() as version,
+                "cursor": int() as cursor,
+                "whole": bool() as whole,
+                "more": bool() as more,
+                "added": list() as added,
+                "removed": list() as removed,
+            }:
                 new, old = facts_of(added), facts_of(removed)
             case _:
                 raise AnswerMalformed("a graph update that is malformed")

@@ -79,12 +79,8 @@ class Renewals:
             AnswerMalformed: not one token, or an empty one, for each of `requested`.
         """
         if not isinstance(answer, list) or len(answer) != len(requested):
-            raise AnswerMalformed(
-                "the master's answer has a different number of grants than requested"
-            )
-        return sum(
-            self._hold(held, token, now) for held, token in zip(requested, answer, strict=True)
-        )
+            raise AnswerMalformed("the master's answer has a different number of grants than requested")
+        return sum(self._hold(held, token, now) for held, token in zip(requested, answer, strict=True))
 
     def _hold(self, held: HeldGrant, token: object, now: int) -> bool:
         if not isinstance(token, bytes) or not token:
@@ -263,11 +259,9 @@ class Provable(Protocol):
     """`Access`, or an object that locks it."""
 
     @property
-    def unproved(self) -> list[bytes]:
-        ...
+    def unproved(self) -> list[bytes]: ...
 
-    def add_proof(self, entry: bytes, proof: bytes) -> None:
-        ...
+    def add_proof(self, entry: bytes, proof: bytes) -> None: ...
 
 
 async def prove(call: MasterCall, revocations: Provable) -> int:

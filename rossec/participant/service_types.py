@@ -49,8 +49,7 @@ _STANDARD: Final = {
         "uint8 RESULT_UNDEFINED_FAILURE=255\nnav_msgs/OccupancyGrid map\nuint8 result"
     ),
     "nav_msgs/SetMap": (
-        "nav_msgs/OccupancyGrid map\ngeometry_msgs/PoseWithCovarianceStamped initial_pose\n"
-        "---\nbool success"
+        "nav_msgs/OccupancyGrid map\ngeometry_msgs/PoseWithCovarianceStamped initial_pose\n---\nbool success"
     ),
     "sensor_msgs/SetCameraInfo": (
         "sensor_msgs/CameraInfo camera_info\n---\nbool success\nstring status_message"
@@ -157,20 +156,14 @@ class ServiceGuard:
     """
 
     def __init__(
-        self,
-        kind: ServiceType,
-        decision: Decision,
-        filter_key: Callable[[str], bytes],
-        memory: MemoryScope,
+        self, kind: ServiceType, decision: Decision, filter_key: Callable[[str], bytes], memory: MemoryScope
     ) -> None:
         keys = {name: filter_key(name) for name in needed_keys(decision.restrictions)}
         restrictions = decision.restrictions
         on_response = tuple(item for item in restrictions if item.type == kind.response.name)
         on_request = tuple(item for item in restrictions if item.type != kind.response.name)
         self._name = shown(decision.name)
-        request, response = (
-            replace(decision, restrictions=some) for some in (on_request, on_response)
-        )
+        request, response = (replace(decision, restrictions=some) for some in (on_request, on_response))
         self._request = Guard(kind.request_layout, request, keys, memory)
         self._response = Guard(kind.response_layout, response, keys, memory.child("response"))
 

@@ -52,12 +52,7 @@ def is_relay(peer: Identity) -> bool:
 
 
 def check_slave_call(
-    method: str,
-    peer: Identity,
-    node: str,
-    presented: bytes | None,
-    access: HandshakeAccess,
-    now: int,
+    method: str, peer: Identity, node: str, presented: bytes | None, access: HandshakeAccess, now: int
 ) -> None:
     """Return if `peer`, with the grants `presented`, may call `method` of the node `node`.
 
@@ -87,9 +82,7 @@ Answer = list[object]
 TCPROS: Final = "TCPROS"
 DEADLINE: Final = 30.0  # seconds a connection of a peer that is not the master may last
 _ERROR: Final = -1
-ALIAS_ASKED: Final = (
-    "a name below /remote is the caller's alias; a peer is asked by the origin's name"
-)
+ALIAS_ASKED: Final = "a name below /remote is the caller's alias; a peer is asked by the origin's name"
 NO_TRANSPORT: Final = (
     "rossec: only TCPROS, inside the secure channel; in C++: ros::TransportHints().reliable()"
 )
@@ -98,27 +91,21 @@ NO_TRANSPORT: Final = (
 class SlaveEvents(Protocol):
     """Handles the calls in the node."""
 
-    def publishers_changed(self, topic: str, uris: list[str]) -> None:
-        ...
+    def publishers_changed(self, topic: str, uris: list[str]) -> None: ...
 
-    def parameter_changed(self, key: str, value: object) -> None:
-        ...
+    def parameter_changed(self, key: str, value: object) -> None: ...
 
-    def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
-        ...
+    def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None: ...
 
-    def push_arrived(self, method: str, params: tuple[object, ...], master: Identity) -> None:
-        ...
+    def push_arrived(self, method: str, params: tuple[object, ...], master: Identity) -> None: ...
 
     def shutdown_requested(self, reason: str) -> None:
         # The master shuts this node down, for example because another one has its name.
         ...
 
-    def topic_endpoint(self) -> tuple[str, int]:
-        ...
+    def topic_endpoint(self) -> tuple[str, int]: ...
 
-    def describe(self) -> Mapping[str, object]:
-        ...
+    def describe(self) -> Mapping[str, object]: ...
 
 
 @dataclass(frozen=True)
@@ -151,12 +138,7 @@ RULES: Final[Mapping[str, SlaveMethod]] = {
 
 
 def refusal(
-    method: str,
-    params: tuple[object, ...],
-    peer: Identity,
-    *,
-    authorized: bool = False,
-    master: str = MASTER,
+    method: str, params: tuple[object, ...], peer: Identity, *, authorized: bool = False, master: str = MASTER
 ) -> Answer | None:
     """The error answer to a call that `peer` may not make; None: it may.
 

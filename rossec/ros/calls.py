@@ -46,15 +46,7 @@ from rossec.ros.compact_values import (
     put,
 )
 from rossec.ros.http import HttpClient, HttpServer, Oversized
-from rossec.ros.xmlrpc import (
-    BODY_LIMIT,
-    METHOD_LIMIT,
-    NOT_ENCODABLE,
-    Call,
-    Encoded,
-    Fault,
-    too_long,
-)
+from rossec.ros.xmlrpc import BODY_LIMIT, METHOD_LIMIT, NOT_ENCODABLE, Call, Encoded, Fault, too_long
 
 METHODS: Final = (
     "getParam",
@@ -166,9 +158,7 @@ def load_compact_call(data: bytes, turn: int, *, limit: int = BODY_LIMIT) -> Cal
     return Call(method, params)
 
 
-def compact_call_steps(
-    data: bytes, turn: int, *, limit: int = BODY_LIMIT
-) -> Generator[None, None, Call]:
+def compact_call_steps(data: bytes, turn: int, *, limit: int = BODY_LIMIT) -> Generator[None, None, Call]:
     """As `load_call`, in steps: it yields after each."""
     reader = _reader(data, limit)
     try:
@@ -387,9 +377,7 @@ class CallClient:
         unit = self._received(data)
         if not isinstance(unit, bytes):
             return unit
-        answer = yield from compact_answer_steps(
-            unit, self._turn, self._waiting_for(), limit=self._limit
-        )
+        answer = yield from compact_answer_steps(unit, self._turn, self._waiting_for(), limit=self._limit)
         self._answered()
         return answer
 
@@ -506,9 +494,7 @@ class CallServer:
             return load_compact_call(request, self._turn, limit=self._limit)
         return xmlrpc.load_call(request, limit=self._limit)
 
-    def load_steps(
-        self, request: bytes | Oversized, bound: int | None = None
-    ) -> Generator[None, None, Call]:
+    def load_steps(self, request: bytes | Oversized, bound: int | None = None) -> Generator[None, None, Call]:
         """As `load`, in steps: it yields after each."""
         request = self._bounded(request, bound)
         if self.is_compact:
@@ -519,9 +505,7 @@ class CallServer:
         # The request, unless it is too long.
         # A call that shows grants may be longer, and one that hands in another signed statement.
         if isinstance(request, Oversized):
-            raise XmlRpcRefused(
-                f"a call of {request.length} bytes where at most {self._limit} are allowed"
-            )
+            raise XmlRpcRefused(f"a call of {request.length} bytes where at most {self._limit} are allowed")
         if bound is not None and len(request) > bound and not self._has_statements(request):
             raise XmlRpcRefused(
                 f"a call of {len(request)} bytes, at most {bound} are taken from a caller"

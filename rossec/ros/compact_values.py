@@ -119,8 +119,7 @@ def _put_bytes(value: Any, out: Pieces, _depth: int) -> None:
 
 def _put_time(value: Any, out: Pieces, _depth: int) -> None:
     written = (
-        f"{value.year:04}{value.month:02}{value.day:02}"
-        f"T{value.hour:02}:{value.minute:02}:{value.second:02}"
+        f"{value.year:04}{value.month:02}{value.day:02}T{value.hour:02}:{value.minute:02}:{value.second:02}"
     )
     out.append(TIME_HEAD + written.encode())
 

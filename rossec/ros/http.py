@@ -350,6 +350,4 @@ def _length(fields: dict[bytes, bytes]) -> int:
 
 def _message(first: bytes, body: bytes, *, close: bool) -> bytes:
     end = b"\r\nConnection: close" if close else b""
-    return b"%s\r\nContent-Type: text/xml\r\nContent-length: %d%s\r\n\r\n%s" % (
-        first, len(body), end, body,
-    )  # fmt: skip
+    return b"%s\r\nContent-Type: text/xml\r\nContent-length: %d%s\r\n\r\n%s" % (first, len(body), end, body)

@@ -244,8 +244,7 @@ def _assignment(argument: str, key: str, value: str) -> tuple[str, str]:
         )
     if key.startswith("__") and key not in _SPECIAL:
         raise ConfigurationError(
-            f"the argument {argument!r} is not one of ROS's own",
-            "ROS knows " + ", ".join(sorted(_SPECIAL)),
+            f"the argument {argument!r} is not one of ROS's own", "ROS knows " + ", ".join(sorted(_SPECIAL))
         )
     return key, value
 
@@ -305,9 +304,7 @@ def _ipv6(environ: Mapping[str, str]) -> bool:
 
 def _remappings(assignments: Sequence[tuple[str, str]], node: str) -> dict[str, str]:
     return {
-        _checked(resolve(key, node), "a remapped name"): _checked(
-            resolve(value, node), "a remapped name"
-        )
+        _checked(resolve(key, node), "a remapped name"): _checked(resolve(value, node), "a remapped name")
         for key, value in assignments
         if not key.startswith("_")
     }

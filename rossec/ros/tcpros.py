@@ -41,9 +41,7 @@ def encode(fields: Mapping[str, str | bytes], *, limit: int = HEADER_LIMIT) -> b
     return _LENGTH.pack(len(body)) + body
 
 
-def decode(
-    body: bytes, *, limit: int = HEADER_LIMIT, field_limit: int = FIELD_LIMIT
-) -> dict[str, bytes]:
+def decode(body: bytes, *, limit: int = HEADER_LIMIT, field_limit: int = FIELD_LIMIT) -> dict[str, bytes]:
     """The fields of a header; `body` is the content of its frame, without the total length."""
     if len(body) > limit:
         raise HeaderRefused(f"a connection header of {len(body)} bytes, at most {limit} allowed")
@@ -91,9 +89,7 @@ class FrameReader:
             they stay in front of the frame's content.
     """
 
-    def __init__(
-        self, limit: int = MESSAGE_LIMIT, *, first: int | None = None, lead: int = 0
-    ) -> None:
+    def __init__(self, limit: int = MESSAGE_LIMIT, *, first: int | None = None, lead: int = 0) -> None:
         self._buffer = bytearray()
         self._limit = limit
         self._first = first

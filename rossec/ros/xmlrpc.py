@@ -407,8 +407,7 @@ def is_unknown_method(error: Exception) -> bool:
 def too_long(size: int, limit: int) -> Fault:
     """What is answered in place of a response that is longer than peers accept."""
     return Fault(
-        FAULT_CODE,
-        f"rossec: the answer has {size} bytes, at most {limit} are sent: ask for less at a time",
+        FAULT_CODE, f"rossec: the answer has {size} bytes, at most {limit} are sent: ask for less at a time"
     )
 
 
@@ -449,9 +448,13 @@ def _check_markup(unparsed: int) -> None:
 
 _FAULT: Final = "fault"  # as root of a body, which no body has that was parsed
 _MALFORMED: Final = (
-    expat.ExpatError, xmlrpc.client.Error, ValueError, TypeError, LookupError,
+    expat.ExpatError,
+    xmlrpc.client.Error,
+    ValueError,
+    TypeError,
+    LookupError,
     ArithmeticError,  # of decimal: the library reads <bigdecimal>
-)  # fmt: skip
+)
 
 
 class _Target(xmlrpc.client.Unmarshaller):

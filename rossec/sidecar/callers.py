@@ -217,10 +217,7 @@ class Callers:
     """
 
     def __init__(
-        self,
-        users: Collection[int],
-        ancestor: int | None = None,
-        loopback: Loopback = LOOPBACK,
+        self, users: Collection[int], ancestor: int | None = None, loopback: Loopback = LOOPBACK
     ) -> None:
         self.loopback: Final = loopback
         self._users = frozenset(users)

@@ -56,15 +56,24 @@ OUTSIDE: Final = "ROSSEC_OUTSIDE"
 
 _REPLACED: Final = ("ROS_MASTER_URI", "ROS_IP", "ROS_HOSTNAME", "ROS_IPV6")
 _FORWARDED: Final = (
-    signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT,
-    signal.SIGUSR1, signal.SIGUSR2, signal.SIGCONT,
-)  # fmt: skip
+    signal.SIGINT,
+    signal.SIGTERM,
+    signal.SIGHUP,
+    signal.SIGQUIT,
+    signal.SIGUSR1,
+    signal.SIGUSR2,
+    signal.SIGCONT,
+)
 _PACKAGES: Final = {
-    "rosrun": "rosbash", "roscd": "rosbash", "rosed": "rosbash", "rviz": "rviz",
-    **{tool: f"python3-{tool}" for tool in (
-        "rosbag", "roslaunch", "rosmsg", "rosnode", "rosparam", "rosservice", "rostopic",
-    )},
-}  # fmt: skip
+    "rosrun": "rosbash",
+    "roscd": "rosbash",
+    "rosed": "rosbash",
+    "rviz": "rviz",
+    **{
+        tool: f"python3-{tool}"
+        for tool in ("rosbag", "roslaunch", "rosmsg", "rosnode", "rosparam", "rosservice", "rostopic")
+    },
+}
 """Which of Debian's packages has a tool that is not installed."""
 _NOT_FOUND, _NOT_EXECUTABLE, _SIGNALLED = 127, 126, 128
 _SUBREAPER: Final = 36  # PR_SET_CHILD_SUBREAPER
@@ -88,10 +97,7 @@ def outer_environment(environ: Mapping[str, str]) -> dict[str, str]:
 
 
 def program_environment(
-    environ: Mapping[str, str],
-    settled: Mapping[str, str],
-    master_uri: str,
-    loopback: Loopback = LOOPBACK,
+    environ: Mapping[str, str], settled: Mapping[str, str], master_uri: str, loopback: Loopback = LOOPBACK
 ) -> dict[str, str]:
     """The environment for the program; a nested `rossec run` restores what was `settled`."""
     before = {key: settled[key] for key in _REPLACED if key in settled}
@@ -108,9 +114,7 @@ def adopt_orphans() -> None:
         raise OSError(ctypes.get_errno(), "prctl PR_SET_CHILD_SUBREAPER")
 
 
-async def run(
-    command: Sequence[str], environ: Mapping[str, str], limits: Limits | None = None
-) -> int:
+async def run(command: Sequence[str], environ: Mapping[str, str], limits: Limits | None = None) -> int:
     """Run the program to its end; its exit code, or 128 plus the signal that ended it."""
     with _blocked_signals() as (mask, signals):
 
@@ -135,9 +139,7 @@ async def _start(
             *command, env=dict(environ), preexec_fn=prepare, close_fds=False
         )
     except FileNotFoundError:
-        raise NoSuchProgram(
-            f"{command[0]}: there is no such program", _NOT_FOUND, command[0]
-        ) from None
+        raise NoSuchProgram(f"{command[0]}: there is no such program", _NOT_FOUND, command[0]) from None
     except OSError as error:
         reason = error.strerror or "no reason given"
         raise NoSuchProgram(f"{command[0]} cannot be executed: {reason}", _NOT_EXECUTABLE) from None

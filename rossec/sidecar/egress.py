@@ -104,8 +104,7 @@ class MissingRights:
         for each in new:
             nodes.setdefault(each.node, []).append(each)
         return [
-            refusal(node, [(each.right, each.in_rule) for each in found])
-            for node, found in nodes.items()
+            refusal(node, [(each.right, each.in_rule) for each in found]) for node, found in nodes.items()
         ]
 
 
@@ -191,9 +190,7 @@ class Egress:
         self._on_topic_ended = on_topic_ended
         self._tasks = TaskSet()
         self._refusals = RefusalLog()
-        self._memories: ProgramMemories[CommandExecutor] = ProgramMemories(
-            memory_scope(agent.identity.name)
-        )
+        self._memories: ProgramMemories[CommandExecutor] = ProgramMemories(memory_scope(agent.identity.name))
         self._followed: FollowedPublishers[Endpoint] = FollowedPublishers(agent.is_listed)
         self.ports = PortPool(self._close_port)
 
@@ -214,9 +211,7 @@ class Egress:
         await self._tasks.close()
 
     def _port_for(self, remote: Endpoint) -> LoopbackPort:
-        serve = (
-            self._serve_tcpros if remote.protocol is WireProtocol.TCPROS else self._serve_slave_api
-        )
+        serve = self._serve_tcpros if remote.protocol is WireProtocol.TCPROS else self._serve_slave_api
 
         async def handler(program: PlainStream) -> None:
             await serve(remote, program)
@@ -251,9 +246,13 @@ class Egress:
                 async with asyncio.timeout(HEADER_DEADLINE):
                     fields, after_request = await split_header(program)
                     layer = node_connections.connect_to_peer(
-                        self._agent, remote, fields, self._filter_key,
-                        lambda name: self._memories.acquire(name, executor), clock.now(),
-                    )  # fmt: skip
+                        self._agent,
+                        remote,
+                        fields,
+                        self._filter_key,
+                        lambda name: self._memories.acquire(name, executor),
+                        clock.now(),
+                    )
                     admitted = await executor.run(layer)
             except HangUp as error:
                 _log.info("no connection to %s: %s", remote.uri, error)
@@ -267,9 +266,7 @@ class Egress:
             if executor.stream is not None:
                 began = time.monotonic()
                 self._follow(executor.stream, remote, fields)
-                await self._forward(
-                    admitted, program, executor.stream, after_request, executor.after_header
-                )
+                await self._forward(admitted, program, executor.stream, after_request, executor.after_header)
                 self._topic_ended(fields, began)
         except (RossecError, TimeoutError) as error:
             _log.info("a connection to %s ended: %s", remote.uri, error)
@@ -279,9 +276,7 @@ class Egress:
                 self._followed.discard(executor.stream)
             await executor.close()
 
-    def _follow(
-        self, stream: SecureStream[Identity], remote: Endpoint, fields: Mapping[str, bytes]
-    ) -> None:
+    def _follow(self, stream: SecureStream[Identity], remote: Endpoint, fields: Mapping[str, bytes]) -> None:
         api = self._agent.endpoints.api_of(remote)
         if api is not None and "topic" in fields:
             self._followed.add(stream, text(fields, "topic"), api)

@@ -72,48 +72,34 @@ class AgentServices(Protocol):
     """The services that an executor needs of its agent."""
 
     @property
-    def name(self) -> str:
-        ...
+    def name(self) -> str: ...
 
     @property
-    def callers(self) -> Callers:
-        ...
+    def callers(self) -> Callers: ...
 
-    def open_ingress(self, local: Endpoint) -> int:
-        ...
+    def open_ingress(self, local: Endpoint) -> int: ...
 
-    def suspend_ingress(self, local: Endpoint) -> None:
-        ...
+    def suspend_ingress(self, local: Endpoint) -> None: ...
 
-    def leads_to(self, local: Endpoint, listeners: list[Holder]) -> bool:
-        ...
+    def leads_to(self, local: Endpoint, listeners: list[Holder]) -> bool: ...
 
-    def open_egress(self, remote: Endpoint) -> int:
-        ...
+    def open_egress(self, remote: Endpoint) -> int: ...
 
-    def refuse_egress(self, remote: Endpoint) -> int:
-        ...
+    def refuse_egress(self, remote: Endpoint) -> int: ...
 
-    def cache_client(self, remote: Endpoint, client: SlaveApiClient) -> None:
-        ...
+    def cache_client(self, remote: Endpoint, client: SlaveApiClient) -> None: ...
 
-    def cached_client(self, remote: Endpoint) -> SlaveApiClient | None:
-        ...
+    def cached_client(self, remote: Endpoint) -> SlaveApiClient | None: ...
 
-    async def dial(self, remote: Endpoint) -> SecureStream[Identity]:
-        ...
+    async def dial(self, remote: Endpoint) -> SecureStream[Identity]: ...
 
-    def note_unreachable(self, remote: Endpoint, error: PeerUnreachable) -> None:
-        ...
+    def note_unreachable(self, remote: Endpoint, error: PeerUnreachable) -> None: ...
 
-    def check_peer(self, peer: Identity) -> None:
-        ...
+    def check_peer(self, peer: Identity) -> None: ...
 
-    async def call_master(self, method: str, params: tuple[object, ...]) -> object:
-        ...
+    async def call_master(self, method: str, params: tuple[object, ...]) -> object: ...
 
-    def proof(self, right: Right, name: str) -> bytes:
-        ...
+    def proof(self, right: Right, name: str) -> bytes: ...
 
 
 class CommandExecutor:
@@ -168,9 +154,7 @@ class CommandExecutor:
                 return Opened(self._services.open_ingress(local))
             case OpenEgress(remote, probe):
                 return Opened(
-                    await self._probe_egress(remote)
-                    if probe
-                    else self._services.open_egress(remote)
+                    await self._probe_egress(remote) if probe else self._services.open_egress(remote)
                 )
             case Suspend(local):
                 self._services.suspend_ingress(local)
@@ -232,10 +216,7 @@ class CommandExecutor:
         return self.stream
 
     async def _exchange_headers(
-        self,
-        end: PlainStream | SecureStream[Identity],
-        peer: Identity | None,
-        fields: Mapping[str, bytes],
+        self, end: PlainStream | SecureStream[Identity], peer: Identity | None, fields: Mapping[str, bytes]
     ) -> Event:
         await end.send(tcpros.encode(fields))
         answer, self.after_header = await split_header(end)
@@ -244,9 +225,7 @@ class CommandExecutor:
     async def _rpc_to_program(self, local: Endpoint) -> RpcClient:
         if self._program_rpc is None or self._program_rpc.closed:
             self._program_rpc = RpcClient(
-                await self._connect_program(local),
-                host=self._services.callers.loopback.host,
-                compact=False,
+                await self._connect_program(local), host=self._services.callers.loopback.host, compact=False
             )
         return self._program_rpc
 

@@ -48,9 +48,7 @@ from rossec.sidecar.pump import WishSender, split_header
 # Peers send headers and requests; what programs send leaves in small units.
 ACCEPT_LIMITS: Final = {
     **ACCEPTED,
-    WireProtocol.TCPROS: ChannelLimits(
-        unit=MESSAGE_LIMIT + BODY_LIMIT, preauth_limit=PREAUTH_LIMIT
-    ),
+    WireProtocol.TCPROS: ChannelLimits(unit=MESSAGE_LIMIT + BODY_LIMIT, preauth_limit=PREAUTH_LIMIT),
 }
 
 
@@ -75,9 +73,7 @@ class PeerConnector:
                 raise HangUp(str(error), error.hint) from error
         return stream
 
-    def listen(
-        self, handler: Handler[Identity], host: str, protocol: WireProtocol
-    ) -> SecureServer[Identity]:
+    def listen(self, handler: Handler[Identity], host: str, protocol: WireProtocol) -> SecureServer[Identity]:
         # The port is bound explicitly, so that the kernel reserves it while the server is suspended.
         bind = host if is_loopback(host) else None
         return bind_free_port(lambda port: serve(handler, bind, port, self._context, protocol))
@@ -119,9 +115,7 @@ class Ingress:
         self._memories = ProgramMemories(memory_scope(agent.identity.name), self._is_dead)
         self.ports = PortPool(self._close_port, self._is_dead)
         self._listeners: dict[Endpoint, list[Holder]] = {}  # of each port, when it was opened
-        self._ended: PortPool[int, SecureServer[Identity]] = PortPool(
-            self._close_ended, limit=_ENDED
-        )
+        self._ended: PortPool[int, SecureServer[Identity]] = PortPool(self._close_ended, limit=_ENDED)
 
     def open(self, local: Endpoint) -> int:
         listeners = self._services.callers.listeners(local.port)
@@ -157,9 +151,7 @@ class Ingress:
         await self._tasks.close()
 
     def _listen(self, local: Endpoint) -> SecureServer[Identity]:
-        serve = (
-            self._serve_tcpros if local.protocol is WireProtocol.TCPROS else self._serve_slave_api
-        )
+        serve = self._serve_tcpros if local.protocol is WireProtocol.TCPROS else self._serve_slave_api
 
         async def handler(stream: SecureStream[Identity]) -> None:
             with contextlib.suppress(TimeoutError):
@@ -199,9 +191,7 @@ class Ingress:
                 now = clock.now()
                 proof = presented[0] if presented else None
                 agent = self._agent
-                layer = node_connections.handle_peer_call(
-                    agent, local, peer, method, params, proof, now
-                )
+                layer = node_connections.handle_peer_call(agent, local, peer, method, params, proof, now)
                 return await executor.run(layer)
             except HangUp:
                 raise
@@ -229,9 +219,14 @@ class Ingress:
                 async with asyncio.timeout(HEADER_DEADLINE):
                     fields, after_request = await split_header(stream)
                     layer = node_connections.admit_peer(
-                        self._agent, local, fields, stream.peer, self._filter_key,
-                        lambda name: self._memories.acquire(name, local), clock.now(),
-                    )  # fmt: skip
+                        self._agent,
+                        local,
+                        fields,
+                        stream.peer,
+                        self._filter_key,
+                        lambda name: self._memories.acquire(name, local),
+                        clock.now(),
+                    )
                     admitted = await executor.run(layer)
             except HangUp:
                 raise
@@ -240,9 +235,7 @@ class Ingress:
                 await stream.send(tcpros.error_header(f"rossec: {error}"))
                 return
             if executor.program is not None:
-                await self._forward(
-                    admitted, executor.program, stream, after_request, executor.after_header
-                )
+                await self._forward(admitted, executor.program, stream, after_request, executor.after_header)
         except (HangUp, ChannelClosed) as error:
             _log.info("%s: %s", shown(stream.peer.name), error)
         finally:

@@ -139,10 +139,7 @@ class LocalPort:
     """One port; suspended until `open`. `attend` serves an admitted connection and owns it."""
 
     def __init__(
-        self,
-        callers: Admission,
-        attend: Callable[[socket.socket], Awaitable[None]],
-        port: int = 0,
+        self, callers: Admission, attend: Callable[[socket.socket], Awaitable[None]], port: int = 0
     ) -> None:
         self._callers = callers
         self._attend = attend
@@ -323,8 +320,7 @@ class PooledPort(Protocol):
     """What the pool needs of a port."""
 
     @property
-    def connections(self) -> int:
-        ...
+    def connections(self) -> int: ...
 
 
 KeyT = TypeVar("KeyT", bound=Hashable)
@@ -384,9 +380,7 @@ class PortPool(Generic[KeyT, PortT]):
                 del self._ports[endpoint]
                 self._on_evict(endpoint, port)
                 return
-        raise ConfigurationError(
-            f"more than {self._limit} addresses in use in one process", self._hint
-        )
+        raise ConfigurationError(f"more than {self._limit} addresses in use in one process", self._hint)
 
     def __iter__(self) -> Iterator[PortT]:
         return iter(tuple(self._ports.values()))

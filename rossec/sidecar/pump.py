@@ -67,13 +67,9 @@ def log_end(peer: str) -> Iterator[None]:
         _log.info("the connection with %s ended: %s", peer, group.exceptions[0])
 
 
-async def exchange(
-    program: PlainStream, peer: SecureStream[Identity], outward: bytes, inward: bytes
-) -> None:
+async def exchange(program: PlainStream, peer: SecureStream[Identity], outward: bytes, inward: bytes) -> None:
     """Forward bytes in both directions, for a service; the bytes after the headers go first."""
-    await run_both(
-        program, peer, to_peer(program, peer, outward), to_program(peer, program, inward)
-    )
+    await run_both(program, peer, to_peer(program, peer, outward), to_program(peer, program, inward))
 
 
 async def publish(
@@ -172,9 +168,7 @@ async def send_filtered_nowait(
         messages = await next_messages(program, framing)
 
 
-def _filter_messages(
-    guard: MessageGuard, messages: list[bytes], peer: str, now: float
-) -> list[Buffer]:
+def _filter_messages(guard: MessageGuard, messages: list[bytes], peer: str, now: float) -> list[Buffer]:
     return [piece for message in messages for piece in framed(filtered(guard, message, peer, now))]
 
 
@@ -296,11 +290,7 @@ async def publish_as_wished(
 
 
 async def forward_as_wished(
-    program: PlainStream,
-    peer: str,
-    guard: MessageGuard | None,
-    initial: bytes,
-    sender: WishSender,
+    program: PlainStream, peer: str, guard: MessageGuard | None, initial: bytes, sender: WishSender
 ) -> None:
     """Put a program's messages to `sender`, each as the guard returns it."""
     framing = Framing(FrameReader())

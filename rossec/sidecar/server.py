@@ -113,9 +113,7 @@ class Resubscriber:
     async def run(self) -> None:
         while True:
             await asyncio.sleep(_PERIOD)
-            await self._run_logged(
-                "expired publishers", master_calls.drop_expired_publishers(self._agent)
-            )
+            await self._run_logged("expired publishers", master_calls.drop_expired_publishers(self._agent))
             for topic in self._to_resubscribe.take_due(time.monotonic(), self._may_subscribe):
                 await self._run_logged(topic, master_calls.resubscribe(self._agent, topic))
 
@@ -159,14 +157,16 @@ class Agent:
         access = Access(loaded.standing, master=master_name)
         endpoints = EndpointMap(settings.address or "", callers.loopback.host)
         publisher_grace = PublisherGrace(clock.counter())
-        self.state = AgentState(
-            loaded.identity, access, endpoints, master_uri, known_type, publisher_grace
-        )
+        self.state = AgentState(loaded.identity, access, endpoints, master_uri, known_type, publisher_grace)
         context = SecureContext(
-            loaded.live_credentials, loaded.anchors.verify, suites=suites,
-            known=KnownCertificates(), accept_limits=ACCEPT_LIMITS, half_open=half_open,
+            loaded.live_credentials,
+            loaded.anchors.verify,
+            suites=suites,
+            known=KnownCertificates(),
+            accept_limits=ACCEPT_LIMITS,
+            half_open=half_open,
             renews=Identity.renews,
-        )  # fmt: skip
+        )
         self._connector = PeerConnector(context, access)
         self._connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(
             loaded.standing, master=master_name
@@ -174,9 +174,8 @@ class Agent:
         self._membership = Membership(loaded, access, self._connections, publisher_grace, self)
         self._resubscriber = Resubscriber(self, self.state)
         self._ingress = Ingress(
-            self, self.state, self._connector, self._connections, home.filter_key,
-            self._membership.take_push,
-        )  # fmt: skip
+            self, self.state, self._connector, self._connections, home.filter_key, self._membership.take_push
+        )
         self._egress = Egress(
             self, self.state, self._connections, home.filter_key, self._resubscriber.on_topic_ended
         )
@@ -263,9 +262,7 @@ class Agent:
             self._started = True
             self._membership.start()
             self._membership.tasks.spawn(self._resubscriber.run(), f"{self.name}: resubscribe")
-            self._membership.tasks.spawn(
-                self._egress.leave_publishers(), f"{self.name}: publishers to leave"
-            )
+            self._membership.tasks.spawn(self._egress.leave_publishers(), f"{self.name}: publishers to leave")
 
     # --- hooks of the membership (MembershipHooks)
 
@@ -286,8 +283,7 @@ class Agent:
     def _holds(self, right: Right, name: str) -> bool:
         return self.state.access.holds(right, name, clock.now())
 
-    def maintain(self) -> None:
-        ...
+    def maintain(self) -> None: ...
 
     def crashed(self, _: BaseException) -> None:
         # Close what would not be checked any more.
@@ -436,9 +432,14 @@ class Sidecar:
     def _agent(self, home: NodeHome) -> Agent:
         if home.name not in self._agents:
             self._agents[home.name] = Agent(
-                home, self._settings, self._callers, self.uri, self._half_open, self._suites,
+                home,
+                self._settings,
+                self._callers,
+                self.uri,
+                self._half_open,
+                self._suites,
                 self._master_name,
-            )  # fmt: skip
+            )
         return self._agents[home.name]
 
 

@@ -187,9 +187,7 @@ def test_an_approval_that_nobody_gave_is_refused(
 
 
 @pytest.mark.attack("forged-approval")
-def test_two_browsers_at_one_statement_approve_it_once(
-    shell: Shell, store: Store, device: Passkey
-) -> None:
+def test_two_browsers_at_one_statement_approve_it_once(shell: Shell, store: Store, device: Passkey) -> None:
     statement = grant(store)
     both = [signed(statement, device.sign(challenge(statement))) for _ in range(2)]
     with closing(AuthorityHome.at(shell.root).store()) as other:
@@ -200,18 +198,14 @@ def test_two_browsers_at_one_statement_approve_it_once(
 
 
 @pytest.mark.attack("restored-approval")
-def test_nothing_from_before_a_restore_approves_after_it(
-    shell: Shell, store: Store, device: Passkey
-) -> None:
+def test_nothing_from_before_a_restore_approves_after_it(shell: Shell, store: Store, device: Passkey) -> None:
     waits, shown = grant(store), grant(store, b"j" * 16)
     store.approvals.add(signed(waits, device.sign(challenge(waits))))
     file = str(shell.root / "backup")
     assert shell.unlocked("ca", "backup", file).code == 0
     store.remove_passkey(device.id, "stolen", NOW)
     store.close()
-    said = shell.unlocked(
-        "ca", "restore", file, "--without-list", "--over", "home", "--forget", "2"
-    )
+    said = shell.unlocked("ca", "restore", file, "--without-list", "--over", "home", "--forget", "2")
     assert "no phone can approve any more" in said.err
     with closing(AuthorityHome.at(shell.root).store()) as restored:
         assert restored.approvals.waiting() == []

@@ -58,9 +58,7 @@ def found(home: AuthorityHome) -> KeyServiceClient:
 
 
 @pytest.mark.attack("agent-oracle")
-def test_bytes_that_are_no_statement_are_not_signed(
-    home: AuthorityHome, service: RunningService
-) -> None:
+def test_bytes_that_are_no_statement_are_not_signed(home: AuthorityHome, service: RunningService) -> None:
     """A program of the user has the agent sign a challenge of another protocol."""
     seen: list[bytes] = []
 
@@ -85,8 +83,11 @@ def test_bytes_that_are_no_statement_are_not_signed(
 def test_another_user_cannot_connect(home: AuthorityHome, service: RunningService) -> None:
     done = subprocess.run(
         [sys.executable, "-c", CONNECT, str(home.path / messages.SOCKET)],
-        user=NOBODY, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        user=NOBODY,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert "PermissionError" in done.stderr
 
 

@@ -33,9 +33,7 @@ async def border(site: Site) -> AsyncIterator[BorderSite]:
 
 
 @contextlib.asynccontextmanager
-async def raw(
-    border: BorderSite, name: str = LAMP, kid: bytes = b"\x2c"
-) -> AsyncIterator[RawThing]:
+async def raw(border: BorderSite, name: str = LAMP, kid: bytes = b"\x2c") -> AsyncIterator[RawThing]:
     """A thing that is stated; `name` empty: one that is not."""
     thing = RawThing(border.address, border.key.credential, LINKS, kid, encode({"data": 1.5}))
     if name:
@@ -67,10 +65,7 @@ def message_1() -> bytes:
 def sockets(border: BorderSite, many: int) -> Iterator[list[socket.socket]]:
     """Attackers with so many addresses."""
     with contextlib.ExitStack() as stack:
-        made = [
-            stack.enter_context(socket.socket(socket.AF_INET6, socket.SOCK_DGRAM))
-            for _ in range(many)
-        ]
+        made = [stack.enter_context(socket.socket(socket.AF_INET6, socket.SOCK_DGRAM)) for _ in range(many)]
         for each in made:
             each.setblocking(False)
             each.connect(border.address)
@@ -121,9 +116,7 @@ async def test_recorded_derivations_of_a_secret_change_nothing(border: BorderSit
 
 
 @pytest.mark.attack("thing-forgery")
-async def test_a_thing_that_is_not_stated_is_refused_as_one_with_a_wrong_key(
-    border: BorderSite,
-) -> None:
+async def test_a_thing_that_is_not_stated_is_refused_as_one_with_a_wrong_key(border: BorderSite) -> None:
     """The same answer, to the byte, whether the kid is that of a thing here or not."""
     async with raw(border), raw(border, "", b"\x2d") as unknown, raw(border, "", b"\x2c") as wrong:
         answers = []
@@ -196,9 +189,7 @@ async def _flood(many: list[socket.socket]) -> None:
 
 
 @pytest.mark.attack("thing-flood")
-async def test_a_flood_of_datagrams_and_resets_delays_no_call_of_a_thing(
-    border: BorderSite,
-) -> None:
+async def test_a_flood_of_datagrams_and_resets_delays_no_call_of_a_thing(border: BorderSite) -> None:
     """With its kid, its address, and all message IDs; this thing repeats nothing."""
     async with raw(border) as thing:
         assert await thing.register()
@@ -216,9 +207,7 @@ async def test_a_flood_of_datagrams_and_resets_delays_no_call_of_a_thing(
                 for number in range(20):
                     assert await thing.request(codes.GET, ("x",)) == codes.NOT_FOUND
                     for mid in range(number * 3277, (number + 1) * 3277):
-                        endpoint.receive(
-                            messages.empty(messages.RST, mid & 0xFFFF), found.address, 0.0
-                        )
+                        endpoint.receive(messages.empty(messages.RST, mid & 0xFFFF), found.address, 0.0)
                 assert endpoint.counts.refused + border.router.server.lost > 1000  # of the flood
             finally:
                 await flood.close()
@@ -233,9 +222,7 @@ async def _flood_of(many: list[socket.socket], data: bytes) -> None:
 
 
 @pytest.mark.attack("thing-flood")
-async def test_a_flood_with_the_kid_of_a_secret_does_not_keep_its_thing_out(
-    border: BorderSite,
-) -> None:
+async def test_a_flood_with_the_kid_of_a_secret_does_not_keep_its_thing_out(border: BorderSite) -> None:
     fan = border.secret_thing("/things/fan")
     eve = OscoreContext(secrets.token_bytes(16), b"", fan.kid, b"")
     async with fan:

@@ -113,9 +113,14 @@ def test_entries_are_read_in_steps(world: World, monkeypatch: pytest.MonkeyPatch
 def test_a_followed_master_that_begins_anew_for_ever_is_given_up() -> None:
     cursor = SiteCursor()
     part = {
-        "instance": "a", "version": 1, "cursor": 1, "whole": True, "more": True,
-        "added": [["node", "/n", "http://h:1/"]], "removed": [],
-    }  # fmt: skip
+        "instance": "a",
+        "version": 1,
+        "cursor": 1,
+        "whole": True,
+        "more": True,
+        "added": [["node", "/n", "http://h:1/"]],
+        "removed": [],
+    }
     for _ in range(MAX_PARTS):
         assert cursor.take(part) is None
     with pytest.raises(AnswerMalformed, match="parts"):

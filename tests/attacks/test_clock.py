@@ -42,9 +42,7 @@ class ClockControl:
     def __init__(self) -> None:
         self.set = 0.0  # by how much
         self.passed = 0.0  # seconds that need no waiting
-        self.clock = Clock(
-            lambda: time.time() + self.set + self.passed, lambda: counter()() + self.passed
-        )
+        self.clock = Clock(lambda: time.time() + self.set + self.passed, lambda: counter()() + self.passed)
 
 
 @pytest.fixture
@@ -139,9 +137,7 @@ async def pair(tmp_path: Path) -> AsyncIterator[SidecarPair]:
 
 
 @pytest.mark.attack("clock-set-back")
-async def test_a_connection_of_a_sidecar_ends_with_its_grant(
-    pair: SidecarPair, hand: ClockControl
-) -> None:
+async def test_a_connection_of_a_sidecar_ends_with_its_grant(pair: SidecarPair, hand: ClockControl) -> None:
     stream, source = await connect(pair)
     await stop_master(pair.site)
     hand.set, hand.passed = -HOUR, LIFE + 1
@@ -205,10 +201,7 @@ async def test_a_master_does_not_restore_expired_rights(site: Site, hand: ClockC
 
 @pytest.mark.attack("clock-set-back")
 async def test_a_whole_site_set_back_continues(
-    site: Site,
-    hand: ClockControl,
-    caplog: pytest.LogCaptureFixture,
-    monkeypatch: pytest.MonkeyPatch,
+    site: Site, hand: ClockControl, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An attacker that forges NTP gains nothing, and ends no connection."""
     monkeypatch.setattr(membership, "HEARTBEAT", 0.2)
@@ -247,9 +240,7 @@ async def test_a_delayed_update_does_not_correct_the_clock(site: Site, hand: Clo
         held = robot.revocations.current
         assert held is not None
         then = clock.now() - HOUR
-        stamp = sign_timestamp(
-            signer, Timestamp(held.seq, digest(robot.revocations.data), then, 30)
-        )
+        stamp = sign_timestamp(signer, Timestamp(held.seq, digest(robot.revocations.data), then, 30))
         hand.set = -HOUR
         with pytest.raises(RevocationRefused, match="too old"):
             robot.revocations_arrived(b"", stamp, site.identity(MASTER))

@@ -85,7 +85,7 @@ NO_UNITS = {
     "two calls": unit(b"\x01") * 2,
     "a request of HTTP": CallClient("x").request(GET_PID, (EVE,)),
     "the rest of a request": b"\r\n",
-}  # fmt: skip
+}
 
 
 async def is_refused(site: Site, uri: str, name: str) -> None:
@@ -164,8 +164,7 @@ async def test_calls_while_one_is_answered_end_the_connection_and_that_call(site
 
 @pytest.mark.attack("compact-turns")
 @pytest.mark.parametrize(
-    "lie",
-    ["an old answer", "a later answer", "two answers", "HTTP", "a call", "a body", "nothing asked"],
+    "lie", ["an old answer", "a later answer", "two answers", "HTTP", "a call", "a body", "nothing asked"]
 )
 async def test_a_peer_that_answers_out_of_turn_is_left(site: Site, lie: str) -> None:
     """No answer is ever taken for that to another call."""
@@ -194,9 +193,7 @@ async def test_a_peer_that_answers_out_of_turn_is_left(site: Site, lie: str) -> 
     own = unlimited(credentials(site), site.anchor.verify)
     server = serve(answer, HOST, 0, own, WireProtocol.HTTP)
     try:
-        client = RpcClient(
-            await dial(f"http://{HOST}:{server.port}/", credentials(site, "/viewer"))
-        )
+        client = RpcClient(await dial(f"http://{HOST}:{server.port}/", credentials(site, "/viewer")))
         assert await client.ask(GET_PID, "/viewer") == 7
         if lie == "nothing asked":  # it is read as the answer to the next call, once
             assert await client.ask(GET_PID, "/viewer") == 7
@@ -208,9 +205,7 @@ async def test_a_peer_that_answers_out_of_turn_is_left(site: Site, lie: str) -> 
 
 
 @pytest.mark.attack("compact-rights")
-async def test_neither_form_has_a_right_that_the_other_has_not(
-    site: Site, witness: Witness
-) -> None:
+async def test_neither_form_has_a_right_that_the_other_has_not(site: Site, witness: Witness) -> None:
     """The table of rights is one; `tests/rossec/master/test_compact_differential.py` has all."""
     async with caller(site, EVE) as eve:
         calls: list[tuple[object, ...]] = [
@@ -231,9 +226,7 @@ async def test_neither_form_has_a_right_that_the_other_has_not(
 
 
 @pytest.mark.attack("compact-rights")
-async def test_a_node_refuses_by_number_what_it_refuses_by_name(
-    site: Site, witness: Witness
-) -> None:
+async def test_a_node_refuses_by_number_what_it_refuses_by_name(site: Site, witness: Witness) -> None:
     forged: list[tuple[object, ...]] = [
         ("publisherUpdate", TOPIC, []),
         ("paramUpdate", "/p", 1),
@@ -287,9 +280,7 @@ async def test_a_switch_to_anything_else_is_refused(site: Site, answer: bytes) -
     own = unlimited(credentials(site), site.anchor.verify)
     server = serve(lie, HOST, 0, own, WireProtocol.HTTP)
     try:
-        client = RpcClient(
-            await dial(f"http://{HOST}:{server.port}/", credentials(site, "/viewer"))
-        )
+        client = RpcClient(await dial(f"http://{HOST}:{server.port}/", credentials(site, "/viewer")))
         with pytest.raises(RossecError):
             await client.ask(GET_PID, "/viewer")
         assert client.closed

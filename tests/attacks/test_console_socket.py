@@ -13,13 +13,7 @@ import pytest
 from ca.errors import HintedError, OtherChallenge
 from rossec.authority.console.access import Access
 from rossec.authority.console.client import Assertion, ConsoleClient, Registration
-from rossec.authority.console.messages import (
-    MAX_REQUEST,
-    OPERATIONS,
-    SOCKET,
-    LoginChallenge,
-    from_value,
-)
+from rossec.authority.console.messages import MAX_REQUEST, OPERATIONS, SOCKET, LoginChallenge, from_value
 from rossec.authority.console.phone_codes import MAX_FAILURES
 from rossec.authority.keyservice import messages
 from rossec.errors import KeyMessageRefused, KeyServiceFailed, PhoneCodeRefused
@@ -73,8 +67,11 @@ def use_key(service: ServiceProcess, way: str) -> set[str]:
     """What a program of the user gets at the service's socket, if it comes in this way."""
     done = subprocess.run(
         [sys.executable, "-I", "-c", USE, str(service.directory), way, PASSPHRASE, USE],
-        capture_output=True, text=True, check=False, timeout=60,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
     assert done.returncode == 0, done.stderr
     return set(done.stdout.splitlines())
 
@@ -91,9 +88,13 @@ async def test_the_socket_of_the_console_signs_and_unlocks_nothing(service: Serv
     path = service.directory / SOCKET
     assert not OPERATIONS.keys() & set(KEY_AT_ALL)
     for request in (
-        [1, "sign", b"m"], [1, "unlock", 60, PASSPHRASE], [1, "lock"], [1, "phone-code"],
-        [1, "prepare", "everything", []], [1, "status", 1],
-    ):  # fmt: skip
+        [1, "sign", b"m"],
+        [1, "unlock", 60, PASSPHRASE],
+        [1, "lock"],
+        [1, "phone-code"],
+        [1, "prepare", "everything", []],
+        [1, "status", 1],
+    ):
         reader, writer = await asyncio.open_unix_connection(path)
         writer.write(messages.frame(request))  # type: ignore[arg-type]
         head = await reader.readexactly(messages.HEAD)
@@ -129,8 +130,11 @@ def test_another_user_cannot_come_to_the_console(service: ServiceProcess) -> Non
     program = "import socket, sys; socket.socket(socket.AF_UNIX).connect(sys.argv[1])"
     done = subprocess.run(
         [sys.executable, "-c", program, str(service.directory / SOCKET)],
-        user=NOBODY, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        user=NOBODY,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert "PermissionError" in done.stderr
 
 
@@ -172,8 +176,10 @@ def test_a_program_in_the_place_of_the_service_is_not_believed() -> None:
         path.parent.chmod(0o777)
         with subprocess.Popen(
             [sys.executable, "-I", "-c", LISTEN, str(path)],
-            user=NOBODY, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-        ) as impostor:  # fmt: skip
+            user=NOBODY,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        ) as impostor:
             assert impostor.stdout is not None
             assert impostor.stdout.readline() == b"ready\n"
             with pytest.raises(KeyServiceFailed, match="another user listens"):

@@ -24,11 +24,7 @@ def _crash(*_: object, **__: object) -> Any:
     raise RuntimeError("a fault in the guard")
 
 
-GUARDS: Final[list[tuple[type, str]]] = [
-    (TrustState, "caller"),
-    (TrustState, "_confirm"),
-    (Reach, "covers"),
-]
+GUARDS: Final[list[tuple[type, str]]] = [(TrustState, "caller"), (TrustState, "_confirm"), (Reach, "covers")]
 
 
 @pytest.mark.attack("crashed-check")

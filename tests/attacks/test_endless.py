@@ -80,9 +80,10 @@ async def rospy(site: Site, directory: Path, kind: str) -> AsyncIterator[None]:
 async def behind_a_sidecar(site: Site, _directory: Path, kind: str) -> AsyncIterator[None]:
     own = message_type(kind)
     fields = {
-        "type": kind.encode(), "md5sum": own.md5sum.encode(),
+        "type": kind.encode(),
+        "md5sum": own.md5sum.encode(),
         "message_definition": own.definition.encode(),
-    }  # fmt: skip
+    }
     async with sidecar(site) as near, Program("/robot", near) as robot:
         stream, _ = await subscribed(robot, TOPIC, fields)
         yield
@@ -117,9 +118,7 @@ async def begin(link: SubscriberConnection, size: int) -> None:
 
 
 @forms
-async def test_buffered_bytes_are_limited_by_the_type(
-    site: Site, tmp_path: Path, form: Form
-) -> None:
+async def test_buffered_bytes_are_limited_by_the_type(site: Site, tmp_path: Path, form: Form) -> None:
     """Before any deadline: 20 MB of a unit are sent where a message has 48 bytes."""
     async with met(site, tmp_path, form, FIXED) as (publisher, link):
         with contextlib.suppress(Exception):  # it may end before all is sent

@@ -16,17 +16,7 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtensionOID
 
 from ca.enrollment import qr, sides
-from ca.enrollment.messages import (
-    Acknowledgement,
-    Delivery,
-    Done,
-    Message,
-    Offer,
-    frame,
-    length,
-    read,
-    write,
-)
+from ca.enrollment.messages import Acknowledgement, Delivery, Done, Message, Offer, frame, length, read, write
 from ca.enrollment.sides import AuthorityEnrollment, AuthorityState, NodeState
 from ca.errors import (
     AcknowledgementRefused,
@@ -227,9 +217,7 @@ async def test_a_stolen_screen_code_used_first(site: Site) -> None:
         core = scanned(robot)
         await enroll.fetch(core, robot._host, robot.port, clock)
         with pytest.raises(ConflictingOffer, match="another party has its code"):
-            await enroll.deliver(
-                core, offer_of(core, site), robot._host, robot.port, clock, pytest.fail
-            )
+            await enroll.deliver(core, offer_of(core, site), robot._host, robot.port, clock, pytest.fail)
         writer.close()
         assert robot.core.state is NodeState.OVER
     assert core.digits == ""
@@ -276,9 +264,7 @@ def rsa_request() -> bytes:
 
 
 DNS_WILDCARD = x509.SubjectAlternativeName([x509.DNSName("*.home")])
-BOTH = x509.SubjectAlternativeName(
-    [x509.UniformResourceIdentifier("spiffe://home/a"), x509.DNSName("a")]
-)
+BOTH = x509.SubjectAlternativeName([x509.UniformResourceIdentifier("spiffe://home/a"), x509.DNSName("a")])
 P384 = ec.generate_private_key(ec.SECP384R1())
 BIDI = raw_name("spiffe://home/a\u202eb".encode())
 HOSTILE = {
@@ -286,22 +272,16 @@ HOSTILE = {
     "two names": (crafted((BOTH, True)), "asks for 2 names where exactly one URI"),
     "a wildcard of DNS": (crafted((DNS_WILDCARD, True)), "asks for 1 names where exactly one URI"),
     "a wildcard": (crafted((uris("spiffe://home/*"), True)), r"name: '/\*' is not an absolute"),
-    "a wildcard tail": (
-        Robot("/rviz", wildcard=True).csr, "all names that begin with /rviz_",
-    ),
-    "P-384": (
-        crafted((SAN, True), key=P384), "a key that is not P-256",
-    ),
+    "a wildcard tail": (Robot("/rviz", wildcard=True).csr, "all names that begin with /rviz_"),
+    "P-384": (crafted((SAN, True), key=P384), "a key that is not P-256"),
     "RSA": (rsa_request(), "a key that is not P-256"),
     "no proof of possession": (unproven(), "does not prove that the node has the key"),
     "an over-long name": (long_name(), "a name of 256 characters where at most 255"),
     "a NUL": (crafted(raw_name(b"spiffe://home/a\0b")), r"name: '/a\\x00b' is not an absolute"),
-    "bidi": (
-        crafted(BIDI), r"name: '/a\\u202eb' is not an absolute",
-    ),
+    "bidi": (crafted(BIDI), r"name: '/a\\u202eb' is not an absolute"),
     "another domain": (crafted((uris("spiffe://lab/a"), True)), "for trust domain 'lab'"),
     "too much": (bytes(2049), "a request of 2049 bytes"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.attack("hostile-request")

@@ -158,9 +158,7 @@ async def test_a_hospital_grants_nothing_of_the_home(world: VisitWorld) -> None:
 
 
 @pytest.mark.attack("foreign-grants")
-async def test_a_grant_of_the_hospital_for_an_own_node_counts_there_alone(
-    world: VisitWorld,
-) -> None:
+async def test_a_grant_of_the_hospital_for_an_own_node_counts_there_alone(world: VisitWorld) -> None:
     own = await world.node("/robot", {"/own": Right.SUBSCRIBE})
     grant = world.hospital.site.grant(own.member, {"/pose": Right(255)})
     assert await own.ask("rossec.presentGrants", [grant]) == 2
@@ -218,9 +216,7 @@ async def test_a_domain_has_a_limited_number_of_connections(
     caplog.set_level(logging.WARNING, "rossec")
     world.server._admission._limits = MasterLimits(connections_per_domain=4)
     robots = [world.hospital.site.enroll(f"/rounds/robot{number}") for number in range(6)]
-    found = await asyncio.gather(
-        *(world.connect(robot) for robot in robots), return_exceptions=True
-    )
+    found = await asyncio.gather(*(world.connect(robot) for robot in robots), return_exceptions=True)
     assert sum(isinstance(each, RpcClient) for each in found) == 4
     assert "hospital:/rounds/robot" in caplog.text
     await world.node("/robot")  # others have room
@@ -258,9 +254,7 @@ async def test_a_certificate_named_by_its_hash_is_verified_again(world: VisitWor
     assert known.is_introduced(world.master.credentials.chain[0])
     world.trust.update_domains(world.lists.next())
     with pytest.raises(RossecError):
-        await RpcClient(await connect(host, port, context, WireProtocol.HTTP)).ask(
-            "getPid", world.robot.name
-        )
+        await RpcClient(await connect(host, port, context, WireProtocol.HTTP)).ask("getPid", world.robot.name)
 
 
 @pytest.mark.attack("foreign-node")

@@ -85,10 +85,11 @@ class Stay:
         """The hospital's master, which is admitted, controls nothing."""
         client = RpcClient(await dial(uri, credentials(self.hospital, MASTER)))
         for method, *params in (
-            ("shutdown", "now"), ("publisherUpdate", self.topic, []),
+            ("shutdown", "now"),
+            ("publisherUpdate", self.topic, []),
             ("rossec.domainsUpdate", b""),
             ("rossec.foreignRevocationUpdate", DOMAIN, b"", b"", []),
-        ):  # fmt: skip
+        ):
             answer: Any = await client.call(str(method), MASTER, *params)
             assert answer[0] == -1
         await client.close()

@@ -62,9 +62,7 @@ def large_ones() -> list[int]:
 
 
 @asynccontextmanager
-async def strangers(
-    server: SecureServer[FakeIdentity], announced: int
-) -> AsyncIterator[list[socket.socket]]:
+async def strangers(server: SecureServer[FakeIdentity], announced: int) -> AsyncIterator[list[socket.socket]]:
     """Callers that send an opening, the header of a frame, and nothing more: 82 octets."""
     head = first_bytes(WireProtocol.HTTP) + (Frame.HANDSHAKE << 28 | announced).to_bytes(4)
     assert len(head) == 82
@@ -86,8 +84,9 @@ async def test_82_octets_of_a_stranger_hold_no_more_than_they_need() -> None:
         tracemalloc.start()
         try:
             async with strangers(server, 2240):
-                await until(lambda: sum(len(each.connection._buffer) for each in server._streams)
-                            == 4 * CALLERS)  # fmt: skip
+                await until(
+                    lambda: sum(len(each.connection._buffer) for each in server._streams) == 4 * CALLERS
+                )
                 found = tracemalloc.take_snapshot()
                 assert server.connections == CALLERS
         finally:
@@ -179,9 +178,7 @@ def test_an_endless_unit_is_dropped_at_its_limit_in_programs_with_threads() -> N
 
 
 @pytest.mark.attack("endless-unit-kept")
-async def test_a_subscriber_keeps_nothing_of_a_granted_publisher_of_endless_units(
-    site: Site,
-) -> None:
+async def test_a_subscriber_keeps_nothing_of_a_granted_publisher_of_endless_units(site: Site) -> None:
     site.publish(EVE, TOPIC)
     site.subscribe(ROBOT, TOPIC)
     async with site.node(EVE) as eve, site.node(ROBOT) as robot:

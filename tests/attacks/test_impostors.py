@@ -69,9 +69,7 @@ async def impostor(own: Credentials, fields: dict[str, str | bytes]) -> AsyncIte
 async def led(site: Site, witness: Witness, uri: str) -> HintedError:
     """Let the master name `uri` besides the true publisher; returns why the viewer refuses it."""
     both = [witness.robot.uri, uri]
-    told = await call(
-        witness.viewer.uri, credentials(site, MASTER), "publisherUpdate", MASTER, TOPIC, both
-    )
+    told = await call(witness.viewer.uri, credentials(site, MASTER), "publisherUpdate", MASTER, TOPIC, both)
     assert told == [1, "", 0]
     refusals = witness.subscriber.refusals
     await until(lambda: len(refusals) > 0)
@@ -82,11 +80,7 @@ async def led(site: Site, witness: Witness, uri: str) -> HintedError:
 CASES: Final[list[tuple[str, Make, type[HintedError]]]] = [
     ("may subscribe", signed, GrantMissing),
     ("another topic", lambda s: signed(s, right=PUBLISH, pattern="/robot/scan"), GrantMissing),
-    (
-        "another key",
-        lambda s: signed(s, right=PUBLISH, holder=s.identity("/robot").thumbprint),
-        GrantNotHeld,
-    ),
+    ("another key", lambda s: signed(s, right=PUBLISH, holder=s.identity("/robot").thumbprint), GrantNotHeld),
     (
         "expired",
         lambda s: signed(s, right=PUBLISH, not_before=1, expires=int(time.time()), cap=1 << 31),
@@ -117,9 +111,7 @@ async def test_a_publisher_without_grants_is_refused(site: Site, witness: Witnes
 
 
 @pytest.mark.attack("false-publisher")
-async def test_a_publisher_with_the_name_of_another_is_refused(
-    site: Site, witness: Witness
-) -> None:
+async def test_a_publisher_with_the_name_of_another_is_refused(site: Site, witness: Witness) -> None:
     fields = answer(site.enroll("/robot").grants(), callerid="/robot")
     async with impostor(credentials(site), fields) as uri:
         assert type(await led(site, witness, uri)) is CallerMismatch

@@ -188,9 +188,7 @@ rospy.spin()
 
 @pytest.mark.ros
 @pytest.mark.attack("revoked-intermediate")
-async def test_a_connection_of_two_rospy_programs_below_it_is_closed(
-    site: Site, tmp_path: Path
-) -> None:
+async def test_a_connection_of_two_rospy_programs_below_it_is_closed(site: Site, tmp_path: Path) -> None:
     site.publish("/talker", "/words")
     site.subscribe("/hearer", "/words")
     intermediate = below(site, "/talker", "/hearer")
@@ -226,9 +224,7 @@ async def test_a_revoked_identity_gets_the_list_and_nothing_else(site: Site) -> 
 
 
 @pytest.mark.attack("revoked-intermediate")
-async def test_a_revoked_intermediate_cannot_exhaust_the_master_with_names(
-    site: Site,
-) -> None:
+async def test_a_revoked_intermediate_cannot_exhaust_the_master_with_names(site: Site) -> None:
     """Each has a limit of its own; without one for the intermediate they use every descriptor."""
     assert site.master is not None
     names = [f"/eve_{number}" for number in range(MAX_BELOW_INTERMEDIATE + 8)]

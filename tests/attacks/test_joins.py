@@ -76,9 +76,7 @@ async def between(home: JoinSite, change: Change) -> AsyncIterator[list[bytes]]:
 
 
 @pytest.mark.attack("join-code")
-async def test_the_network_does_not_see_the_secret_and_cannot_use_what_it_sees(
-    home: JoinSite,
-) -> None:
+async def test_the_network_does_not_see_the_secret_and_cannot_use_what_it_sees(home: JoinSite) -> None:
     csr, mine = asked("/fleet/a"), asked("/fleet/mallory")
     async with between(home, lambda message: message) as seen:
         code = home.invite(uses=2)
@@ -121,9 +119,7 @@ def test_a_stolen_code_after_its_time_its_uses_or_its_end(home: JoinSite) -> Non
 
 @pytest.mark.attack("join-code")
 @pytest.mark.parametrize("fails", [True, False])
-async def test_an_expiry_or_pattern_changed_in_the_code_changes_nothing(
-    home: JoinSite, fails: bool
-) -> None:
+async def test_an_expiry_or_pattern_changed_in_the_code_changes_nothing(home: JoinSite, fails: bool) -> None:
     """They are the authority's to decide: the code only repeats them."""
     code = replace(home.invite(lasts=60), pattern="/**", expires=NOW + 10 * HOUR)
     now = NOW + 61 if fails else NOW
@@ -159,9 +155,7 @@ def test_the_last_use_is_taken_once_by_many_at_once(home: JoinSite) -> None:
 
 @pytest.mark.attack("join-impostor")
 @pytest.mark.parametrize("name", ["/robot", "/master", "/fleet/ca", "/ca_1"])
-async def test_an_enrolled_node_that_plays_the_authority_gets_nothing(
-    home: JoinSite, name: str
-) -> None:
+async def test_an_enrolled_node_that_plays_the_authority_gets_nothing(home: JoinSite, name: str) -> None:
     """It has a chain to the root that the code names: a hash of the root alone would pass it."""
     own = home.site.enroll(name).credentials()
     harvested: list[JoinRequest] = []
@@ -201,9 +195,7 @@ async def test_a_copied_certificate_and_a_recorded_welcome_are_not_live(home: Jo
 
 
 @pytest.mark.attack("join-impostor")
-async def test_an_answer_that_is_not_the_authoritys_is_not_taken(
-    home: JoinSite, tmp_path: Path
-) -> None:
+async def test_an_answer_that_is_not_the_authoritys_is_not_taken(home: JoinSite, tmp_path: Path) -> None:
     """Another authority's identity for the node's own request, or another node's."""
     mallory, csr = JoinSite(tmp_path / "mallory"), asked("/fleet/a")
     other = home.site.enroll("/fleet/b").credentials().chain

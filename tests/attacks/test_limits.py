@@ -108,14 +108,15 @@ async def test_calls_over_many_connections_share_the_rate(site: Site) -> None:
     async with lamp(site, calls) as node:
         for persistent in ("0", "1") * 5:
             stream = await connect(
-                HOST,
-                node.topic_endpoint()[1],
-                unlimited(site.enroll(EVE).credentials(), site.anchor.verify),
+                HOST, node.topic_endpoint()[1], unlimited(site.enroll(EVE).credentials(), site.anchor.verify)
             )
             fields = {
-                "callerid": EVE, "service": SERVICE, "md5sum": "*", "persistent": persistent,
+                "callerid": EVE,
+                "service": SERVICE,
+                "md5sum": "*",
+                "persistent": persistent,
                 FIELD: grants,
-            }  # fmt: skip
+            }
             await stream.send(tcpros.encode(fields))
             async with asyncio.timeout(60):
                 assert b"request_type" in await stream.receive()

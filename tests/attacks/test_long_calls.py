@@ -83,9 +83,7 @@ async def test_others_are_answered_before_many_long_calls_are(site: Site, grante
         (first,) = await stack.enter_async_context(clients(site, site.master.uri, 1))
         await first.call("rossec.presentGrants", EVE, list(site.enroll(EVE).grants()))
         eves = await stack.enter_async_context(clients(site, site.master.uri, count, compact=False))
-        calls = [
-            asyncio.ensure_future(outcome(eve, "setParam", f"{EVE}/long", MANY)) for eve in eves
-        ]
+        calls = [asyncio.ensure_future(outcome(eve, "setParam", f"{EVE}/long", MANY)) for eve in eves]
         answered, longest = 0, 0.0
         while not all(each.done() for each in calls):
             began = time.monotonic()

@@ -113,9 +113,21 @@ async def test_metadata_of_a_node_that_exists_wait_for_a_person(home: JoinSite) 
 
 @pytest.mark.attack("claimed-name")
 @pytest.mark.parametrize(
-    "name", ["/ca", "/master", "/master/two", "/relay", "/remote/x/robot", "/gateway", "/../ca",
-             "/fleet/lamp\n/ca", "/*", "/fleet/*", ""],
-)  # fmt: skip
+    "name",
+    [
+        "/ca",
+        "/master",
+        "/master/two",
+        "/relay",
+        "/remote/x/robot",
+        "/gateway",
+        "/../ca",
+        "/fleet/lamp\n/ca",
+        "/*",
+        "/fleet/*",
+        "",
+    ],
+)
 async def test_reserved_names_and_what_is_none_are_not_given(home: JoinSite, name: str) -> None:
     async with serving(home, TO_THE_LETTER) as authority:
         for pattern in ("/**", "/*"):
@@ -274,9 +286,7 @@ async def test_slow_metadata_keep_no_other_node_from_joining(tmp_path: Path) -> 
     running = asyncio.ensure_future(network.run())
     try:
         await until(lambda: hasattr(face, "name"), within=40)
-        slow = [
-            asyncio.ensure_future(face.name(working.claim(code, BOMB.encode()))) for _ in range(8)
-        ]
+        slow = [asyncio.ensure_future(face.name(working.claim(code, BOMB.encode()))) for _ in range(8)]
         face.joins.put_nowait(working.request(code))
         async with asyncio.timeout(40):
             assert isinstance(read(cast("bytes", await face.answers.get())), Issued)

@@ -9,14 +9,7 @@ import pytest
 from ca.errors import HintedError
 from grants.model import Right
 from rossec.errors import RossecError
-from rossec.namespace.topic_names import (
-    CALLS,
-    CHILDREN,
-    DEADLINE,
-    SERVICE,
-    TopicNames,
-    service_type,
-)
+from rossec.namespace.topic_names import CALLS, CHILDREN, DEADLINE, SERVICE, TopicNames, service_type
 from rossec.naming import rule_runner
 from rossec.naming.rule_runner import RuleRunner
 from rossec.node import Node

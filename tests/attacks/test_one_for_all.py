@@ -105,9 +105,7 @@ def test_a_node_with_seventy_grants_keeps_no_other_the_camera(place: Place) -> N
     assert place.service.plan_policy(place.policy()).is_empty
 
 
-@pytest.mark.parametrize(
-    "name", ["/remote/hospital/x"], ids=["a name that another authority grants"]
-)
+@pytest.mark.parametrize("name", ["/remote/hospital/x"], ids=["a name that another authority grants"])
 def test_a_request_that_no_grant_can_have_is_denied_alone(place: Place, name: str) -> None:
     place.ask("/greedy", RequestedRight(Right.PUBLISH, name), RequestedRight(Right.CALL, "/s/a"))
     place.ask("/viewer", RequestedRight(Right.CALL, "/lift/up"))
@@ -129,8 +127,11 @@ def test_where_one_node_cannot_be_signed_for_all_else_is_done(
     with pytest.raises(NotDelivered):
         place.service.apply_policy(place.service.plan_policy(place.policy()), said.append)
     assert [line.partition(" (")[0] for line in said] == [
-        "revoked: 1", "signed: 1", "revoked: 1", "not granted: /greedy: too large",
-    ]  # fmt: skip
+        "revoked: 1",
+        "signed: 1",
+        "revoked: 1",
+        "not granted: /greedy: too large",
+    ]
     assert place.grants("/greedy") == {}
     assert place.grants("/viewer").keys() == {"/map", "/lift/up"}
 

@@ -49,9 +49,10 @@ def service(tmp_path: Path) -> Iterator[AuthorityService]:
         yield made
 
 
-@pytest.mark.parametrize(("name", "is_node"), [
-    ("/rviz_1234_1700000000000", False), ("/rviz_1234_1700000000000", True), ("/rviz", False),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "is_node"),
+    [("/rviz_1234_1700000000000", False), ("/rviz_1234_1700000000000", True), ("/rviz", False)],
+)
 def test_an_anonymous_node_is_opted_out_with_its_identity(
     service: AuthorityService, name: str, is_node: bool
 ) -> None:

@@ -112,9 +112,7 @@ async def publisher_that_points(site: Site, port: int) -> AsyncIterator[str]:
         await serve_calls(stream, answer)
 
     verify = site.anchor.verify
-    async with serve(
-        api, HOST, 0, unlimited(credentials(site), verify), WireProtocol.HTTP
-    ) as server:
+    async with serve(api, HOST, 0, unlimited(credentials(site), verify), WireProtocol.HTTP) as server:
         yield f"http://{HOST}:{server.port}/"
 
 
@@ -127,10 +125,7 @@ async def test_an_authorized_publisher_names_the_nodes_own_port(site: Site, robo
 
 async def test_an_authorized_publisher_names_a_redirecting_port(site: Site, robot: Node) -> None:
     heard = await robot.subscriber(TOPIC, STRING)
-    async with (
-        redirecting(robot.topic_endpoint()[1]) as port,
-        publisher_that_points(site, port) as uri,
-    ):
+    async with redirecting(robot.topic_endpoint()[1]) as port, publisher_that_points(site, port) as uri:
         assert str(await refused(heard, uri)) == OWN
 
 

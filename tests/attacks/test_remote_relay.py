@@ -108,16 +108,18 @@ async def test_targets_outside_of_what_is_shown_are_refused_alike(sites: Sites) 
     async with office.master.node("/robot") as robot, attacker(sites) as link:
         await robot.publisher("/robot/pose", "std_msgs/String")
         wanted = [
-            StreamTarget(NODE, "/robot"), StreamTarget(NODE, "/nobody"), StreamTarget(NODE, "/relay"),
-            StreamTarget(NODE, "/master"), StreamTarget(SERVICE, "/robot/stop"), StreamTarget(MASTER, "/robot"),
+            StreamTarget(NODE, "/robot"),
+            StreamTarget(NODE, "/nobody"),
+            StreamTarget(NODE, "/relay"),
+            StreamTarget(NODE, "/master"),
+            StreamTarget(SERVICE, "/robot/stop"),
+            StreamTarget(MASTER, "/robot"),
             StreamTarget(NODE, "/remote/home/robot"),
-        ]  # fmt: skip
+        ]
         for number, target in enumerate(wanted):
             await link.send(open_unit(number, target) + data(number, HTTP))
         found = await answers(link, len(wanted))
-        assert sorted(found, key=lambda unit: unit.stream) == [
-            Reset(number) for number in range(len(wanted))
-        ]
+        assert sorted(found, key=lambda unit: unit.stream) == [Reset(number) for number in range(len(wanted))]
     await honest_call(sites)
 
 
@@ -147,9 +149,7 @@ async def test_a_node_that_registers_anothers_address_brings_nobody_there(sites:
             registry = office.master.server.state.registry
             (node,) = [each for each in registry.nodes() if each.name == "/robot"]
             registry.register_publisher("/robot/scan", "std_msgs/String", node._replace(uri=uri))
-            await link.send(
-                open_unit(0, StreamTarget(NODE, "/robot")) + data(0, HTTP + b"GET / HTTP/1.1")
-            )
+            await link.send(open_unit(0, StreamTarget(NODE, "/robot")) + data(0, HTTP + b"GET / HTTP/1.1"))
             sock, _ = await asyncio.get_running_loop().sock_accept(program)
             with sock:  # the relay's own handshake, from the relay's own address
                 assert sock.getpeername()[0] == "127.0.0.1"
@@ -218,18 +218,14 @@ async def test_a_flood_of_streams_is_refused_beyond_the_first(sites: Sites) -> N
 
 
 @pytest.mark.attack("relay-floods")
-async def test_streams_that_are_broken_off_at_once_have_few_targets_looked_for(
-    sites: Sites,
-) -> None:
+async def test_streams_that_are_broken_off_at_once_have_few_targets_looked_for(sites: Sites) -> None:
     """Opened, answered with an opening, reset: it would cost the attacker 40 bytes each."""
     _, office = sites
     before = len(asyncio.all_tasks())
     most = 0
     async with attacker(sites) as link:
         for number in range(2000):
-            await link.send(
-                open_unit(number, StreamTarget(NODE, f"/n{number}")) + data(number, HTTP)
-            )
+            await link.send(open_unit(number, StreamTarget(NODE, f"/n{number}")) + data(number, HTTP))
             await link.send(reset_unit(number))
             most = max(most, len(asyncio.all_tasks()) - before)
         await answers(link, 1)

@@ -112,9 +112,7 @@ def test_the_hint_names_a_list_that_is_here_and_it_works(site: Shell) -> None:
     site.enroll("/master")
     file = backed_up(site)
     site.unlocked("ca", "revoke", "/robot", *NOBODY)
-    NodeHome.of(site.root, "/master").save_revocations(
-        AuthorityHome.at(site.root).revocation_list()
-    )
+    NodeHome.of(site.root, "/master").save_revocations(AuthorityHome.at(site.root).revocation_list())
     (site.root / "ca").rename(site.root / "lost")
     hint = site.unlocked("ca", "restore", file).err.splitlines()[1]
     named = hint.partition("--list ")[2].partition(";")[0]
@@ -284,9 +282,7 @@ def test_a_kill_at_any_step_leaves_an_authority(
     assert site("ca", "show").code == 0
 
 
-def test_an_interruption_after_the_exchange_keeps_both(
-    site: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interruption_after_the_exchange_keeps_both(site: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     home = AuthorityHome.at(site.root)
     data, exchange = back_up(home, PASSPHRASE), files.exchange
 
@@ -305,9 +301,7 @@ def test_an_interruption_after_the_exchange_keeps_both(
         unlocked.store.log.audit(unlocked.signer.public_key)
 
 
-def test_an_exchange_that_fails_leaves_all_as_it_was(
-    site: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_exchange_that_fails_leaves_all_as_it_was(site: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     data, before = back_up(AuthorityHome.at(site.root), PASSPHRASE), {*site.root.rglob("*")}
 
     def refuses(*_: object) -> None:

@@ -47,9 +47,7 @@ def below(site: Site, tmp_path: Path) -> NodeHome:
     host = SigningAuthority(Authority(signer, root, der), site.authority.store, site.root)
     home = NodeHome.of(tmp_path / "elsewhere", MASTER)
     home.create_request(site.anchor.domain)
-    leaf = host.authority.issue(
-        home.request(), now=site.now(), serial=secrets.randbits(127), lifetime=DAY
-    )
+    leaf = host.authority.issue(home.request(), now=site.now(), serial=secrets.randbits(127), lifetime=DAY)
     home.install(host.bundle(leaf), site.now())
     return home
 
@@ -78,11 +76,7 @@ async def instead_of_the_master(
         await serve_calls(stream, answer)
 
     server = serve(
-        handle,
-        "127.0.0.1",
-        port,
-        unlimited(home.credentials(), site.anchor.verify),
-        WireProtocol.HTTP,
+        handle, "127.0.0.1", port, unlimited(home.credentials(), site.anchor.verify), WireProtocol.HTTP
     )
     try:
         yield told

@@ -36,16 +36,7 @@ from tests.support.attacker import (
     send_header,
 )
 from tests.support.contexts import unlimited
-from tests.support.victim import (
-    COMMAND,
-    SERVICE,
-    STATE,
-    TYPE,
-    Victim,
-    attacked,
-    for_service,
-    slave_port,
-)
+from tests.support.victim import COMMAND, SERVICE, STATE, TYPE, Victim, attacked, for_service, slave_port
 from tests.support.witness import until
 
 pytestmark = [pytest.mark.ros, pytest.mark.asyncio(loop_scope="module")]
@@ -122,9 +113,7 @@ async def test_a_right_covers_nothing_else(victim: Victim) -> None:
     ]
     answer = await heard(victim, fields_for("/neighbour", STATE, grants), "/neighbour")
     expect_refusal(answer, "no grant")
-    expect_refusal(
-        await heard(victim, for_service("/neighbour", SERVICE, grants), "/neighbour"), "no grant"
-    )
+    expect_refusal(await heard(victim, for_service("/neighbour", SERVICE, grants), "/neighbour"), "no grant")
 
 
 @pytest.mark.attack("unit-before-right")
@@ -170,9 +159,7 @@ async def raw(victim: Victim, data: bytes) -> bytes:
 
 @pytest.mark.attack("half-open")
 @pytest.mark.parametrize("port", [lambda victim: victim.port, slave_port], ids=["topics", "api"])
-async def test_silent_connections_block_no_other(
-    victim: Victim, port: Callable[[Victim], int]
-) -> None:
+async def test_silent_connections_block_no_other(victim: Victim, port: Callable[[Victim], int]) -> None:
     """N8: stock rospy blocks after the first; here a new caller is served meanwhile."""
     count = 2 * HalfOpen().per_address
     with contextlib.ExitStack() as stack:
@@ -213,9 +200,13 @@ async def test_a_false_publisher_is_refused(victim: Victim) -> None:
     async def talk(stream: SecureStream[Identity]) -> None:
         await stream.receive()
         fields: dict[str, str | bytes] = {
-            "callerid": names[0], "topic": COMMAND, "type": kind.name, "md5sum": kind.md5sum,
-            "message_definition": kind.definition, FIELD: encode(list(grants)),
-        }  # fmt: skip
+            "callerid": names[0],
+            "topic": COMMAND,
+            "type": kind.name,
+            "md5sum": kind.md5sum,
+            "message_definition": kind.definition,
+            FIELD: encode(list(grants)),
+        }
         names.reverse()
         data = bytes(kind.serialize(kind.create(data="obey me")))
         with contextlib.suppress(ChannelError):

@@ -27,10 +27,7 @@ from tests.support.fleet import SECURE, Program, entitle, environment, program
 from tests.support.site import Site
 from tests.support.witness import until
 
-pytestmark = [
-    pytest.mark.ros,
-    pytest.mark.asyncio(loop_scope="module"),
-]
+pytestmark = [pytest.mark.ros, pytest.mark.asyncio(loop_scope="module")]
 COUNT: Final = "/robot/count"
 PLACE: Final = "/robot/place"
 PLAN: Final = "/robot/plan"
@@ -118,12 +115,10 @@ async def target(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Targ
     directory: Path = tmp_path_factory.mktemp("limits")
     async with Site(directory / "site").running() as site:
         entitle(
-            site, "/robot",
-            {
-                Right.PUBLISH: (COUNT, PLACE, PLAN), Right.SUBSCRIBE: (COMMAND,),
-                Right.PROVIDE: (SERVICE,),
-            },
-        )  # fmt: skip
+            site,
+            "/robot",
+            {Right.PUBLISH: (COUNT, PLACE, PLAN), Right.SUBSCRIBE: (COMMAND,), Right.PROVIDE: (SERVICE,)},
+        )
         site.enroll(EVE, wildcard=True)
         for topic, restriction in ((COUNT, SELDOM), (PLACE, HELD), (PLAN, SELDOM)):
             site.subscribe(EVE, topic, restriction)
@@ -170,10 +165,7 @@ async def test_calls_over_many_connections_share_the_rate(target: Target) -> Non
     answers = []
     grants = encode([*target.site.enroll(EVE).grants()])
     for persistent in ("0", "1") * 3:
-        fields = {
-            "callerid": EVE, "service": SERVICE, "md5sum": "*", "persistent": persistent,
-            FIELD: grants,
-        }  # fmt: skip
+        fields = {"callerid": EVE, "service": SERVICE, "md5sum": "*", "persistent": persistent, FIELD: grants}
         stream = await target.connect(fields)
         async with asyncio.timeout(30):
             assert b"md5sum" in await stream.receive()

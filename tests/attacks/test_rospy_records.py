@@ -17,16 +17,8 @@ from grants.model import Right
 from rossec.channel.connection import Connection
 from rossec.channel.negotiation import Authenticated, UnitReceived
 from rossec.ros import tcpros
-from tests.support.attacker import (
-    HOST,
-    credentials,
-)
-from tests.support.victim import (
-    SERVICE,
-    Victim,
-    attacked,
-    for_service,
-)
+from tests.support.attacker import HOST, credentials
+from tests.support.victim import SERVICE, Victim, attacked, for_service
 
 pytestmark = [pytest.mark.ros, pytest.mark.asyncio(loop_scope="module")]
 NOWHERE: Final = "/robot/none"
@@ -45,9 +37,11 @@ class Wire:
     def __init__(self, victim: Victim, name: str) -> None:
         self.sock = socket.create_connection((HOST, victim.port), timeout=10)
         self.core = Connection[Identity].initiator(
-            credentials(victim.site, name), victim.site.anchor.verify,
-            random=secrets.token_bytes, now=int(time.time()),
-        )  # fmt: skip
+            credentials(victim.site, name),
+            victim.site.anchor.verify,
+            random=secrets.token_bytes,
+            now=int(time.time()),
+        )
         self.units: list[bytes] = []
         self.push()
         while not self.pull():
@@ -95,8 +89,7 @@ def changed_header(one: bytes, two: bytes) -> bytes:
 
 @pytest.mark.attack("tampered-records")
 @pytest.mark.parametrize(
-    ("meddle", "called"),
-    [(tampered, 0), (replayed, 1), (reordered, 0), (changed_header, 0)],
+    ("meddle", "called"), [(tampered, 0), (replayed, 1), (reordered, 0), (changed_header, 0)]
 )
 async def test_tampered_records_end_the_connection(
     victim: Victim, meddle: Callable[[bytes, bytes], bytes], called: int

@@ -100,9 +100,7 @@ async def test_it_asks_which_mailboxes_there_are(
     reader = alice.subscribe(HOME, lambda _: None)
     remote = zenoh.Locality.REMOTE
     with attacker(home, mode) as session:
-        asked = [
-            session.declare_publisher(key, allowed_destination=remote) for key in (HOME, *PATTERNS)
-        ]
+        asked = [session.declare_publisher(key, allowed_destination=remote) for key in (HOME, *PATTERNS)]
         tokens: list[object] = []
         for key in PATTERNS[1:]:
             session.liveliness().declare_subscriber(key, tokens.append, history=True)

@@ -16,13 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.errors import (
-    MetadataRefused,
-    NameUndefined,
-    ProposedNameRefused,
-    RulesExceeded,
-    RulesRefused,
-)
+from rossec.errors import MetadataRefused, NameUndefined, ProposedNameRefused, RulesExceeded, RulesRefused
 from rossec.naming import child, requests
 from rossec.naming.requests import MAX_INPUT, Kind
 from rossec.naming.rule_runner import RuleProcess, RuleRunner
@@ -108,19 +102,33 @@ RECURSION = (
         ("<name><xsl:value-of select='str:padding(999999999, \"a\")'/></name>", ""),
         (f"{doubling(20)}<xsl:value-of select='count(str:tokenize($v20, \"0\"))'/>", ""),
         (f"{doubling(18)}<xsl:value-of select='str:replace($v18, \"0\", $v18)'/>", ""),
-        ("<xsl:for-each select='//a'>" + loops(2) + "<xsl:value-of select=\"count(key('k', //a)/"
-         "following::a[key('k', .)]/preceding::a)\"/></xsl:for-each>", MANY),
+        (
+            "<xsl:for-each select='//a'>" + loops(2) + "<xsl:value-of select=\"count(key('k', //a)/"
+            "following::a[key('k', .)]/preceding::a)\"/></xsl:for-each>",
+            MANY,
+        ),
         ("<xsl:value-of select=\"count(key('all', //a)[key('all', //a)])\"/>" + loops(3), MANY),
         ("<xsl:copy-of select='//*[//*[//*[//*[. = 1]]]]'/>", MANY),
         ("<xsl:number value='999999999999' format='i'/><xsl:number value='1e300' format='a'/>", ""),
         (loops(1) + "<name>" + "<xsl:copy-of select='//a'/>" * 50 + "</name>", MANY),
     ],
     ids=[
-        "nested loops", "endless doubling", "a megabyte for a name", "endless recursion",
-        "endless templates", "growing recursion", "padding", "tokens", "replacement", "keys",
-        "keys of all", "predicates", "roman numbers", "copies",
+        "nested loops",
+        "endless doubling",
+        "a megabyte for a name",
+        "endless recursion",
+        "endless templates",
+        "growing recursion",
+        "padding",
+        "tokens",
+        "replacement",
+        "keys",
+        "keys of all",
+        "predicates",
+        "roman numbers",
+        "copies",
     ],
-)  # fmt: skip
+)
 async def test_rules_that_take_too_much_are_ended(body: str, content: str) -> None:
     async with answered_meanwhile(rules_with(body, top=RECURSION)) as runner:
         with pytest.raises((RulesExceeded, RulesRefused, NameUndefined, ProposedNameRefused)):
@@ -208,11 +216,31 @@ async def test_rules_that_reach_out_are_refused(body: str, top: str, tmp_path: P
 @pytest.mark.parametrize(
     "value",
     [
-        "../master", "..", "/", "//master", "a/../../master", "~a", "$(find a)", "a b", "a\tb",
-        "a-b", "1a", "é", "\uff41", "\u0430", "a\u200b", "a\x7f", "master\0", "a" * 300,
-        "'or'1'='1", "document('/etc/passwd')", "{1}", "%2e", "\u202e",
+        "../master",
+        "..",
+        "/",
+        "//master",
+        "a/../../master",
+        "~a",
+        "$(find a)",
+        "a b",
+        "a\tb",
+        "a-b",
+        "1a",
+        "é",
+        "\uff41",
+        "\u0430",
+        "a\u200b",
+        "a\x7f",
+        "master\0",
+        "a" * 300,
+        "'or'1'='1",
+        "document('/etc/passwd')",
+        "{1}",
+        "%2e",
+        "\u202e",
     ],
-)  # fmt: skip
+)
 async def test_a_name_that_is_none_does_not_leave(value: str) -> None:
     rules = rules_with("<name>/<xsl:value-of select='/node/name'/></name>")
     async with answered_meanwhile(rules) as runner:
@@ -237,9 +265,7 @@ async def test_what_is_asked_for_is_text_and_no_expression(which: str) -> None:
             await runner.name(PHONE, Kind.TOPIC, which)
 
 
-def taken_over(
-    monkeypatch: pytest.MonkeyPatch, action: Callable[[], object]
-) -> requests.Result | bytes:
+def taken_over(monkeypatch: pytest.MonkeyPatch, action: Callable[[], object]) -> requests.Result | bytes:
     """What comes of a request whose process does what an attacker likes, once it is restricted."""
 
     def answered(_: bytes) -> bytes:
@@ -277,10 +303,20 @@ def fork_bomb() -> None:
         lambda: os.chroot("/"),
     ],
     ids=[
-        "fork", "exec", "kill", "kill init", "write for others", "read for others", "read a file",
-        "write a file", "socket", "limits", "setuid", "chroot",
+        "fork",
+        "exec",
+        "kill",
+        "kill init",
+        "write for others",
+        "read for others",
+        "read a file",
+        "write a file",
+        "socket",
+        "limits",
+        "setuid",
+        "chroot",
     ],
-)  # fmt: skip
+)
 def test_a_process_that_was_taken_over_reaches_nothing(
     monkeypatch: pytest.MonkeyPatch, action: Callable[[], object]
 ) -> None:

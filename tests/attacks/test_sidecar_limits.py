@@ -20,15 +20,7 @@ from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar, string_message
 from tests.support.attacker import EVE, HOST, fields_for
 from tests.support.contexts import unlimited
-from tests.support.limited import (
-    HELD,
-    NEAR_A_BOUNDARY,
-    ONE_MESSAGE,
-    SELDOM,
-    TOPIC,
-    messages,
-    number,
-)
+from tests.support.limited import HELD, NEAR_A_BOUNDARY, ONE_MESSAGE, SELDOM, TOPIC, messages, number
 from tests.support.site import Site
 from tests.support.witness import until
 
@@ -220,9 +212,7 @@ async def test_an_unread_connection_does_not_reset_hysteresis(site: Site) -> Non
         frames = FrameReader()
         await skip_header(live, frames)
         sending = asyncio.ensure_future(to_slow.send(pose(10.0, 1 << 20) * 40))
-        await asyncio.wait(
-            {sending}, timeout=5
-        )  # all of it, unless the sidecar waits for the reader
+        await asyncio.wait({sending}, timeout=5)  # all of it, unless the sidecar waits for the reader
         for _ in range(2000):  # turns of the loop, each of which reads what there is
             await asyncio.sleep(0)
         await to_live.send(pose(0.9))

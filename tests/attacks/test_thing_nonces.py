@@ -129,9 +129,7 @@ def test_a_thing_that_counts_messages_anew_after_a_start_gets_no_old_answer(site
     answered = site.sent[-2]
     site.mid = 0
     registration = site.derive()
-    assert messages.number_of(messages.read(registration)) == messages.number_of(
-        messages.read(answered)
-    )
+    assert messages.number_of(messages.read(registration)) == messages.number_of(messages.read(answered))
     site.receive(registration)
     assert (site.registrations, answered in site.sent[-2:]) == (2, False)
     begin = len(site.sent)
@@ -208,9 +206,7 @@ def test_a_state_whose_blocks_do_not_fit_does_not_end_its_observation() -> None:
     """Else it would be observed a second time, beside the first, whenever the thing registers."""
     observed = Observed()
     for _ in range(5):
-        observed.receive(
-            observed.notification(b"x" * 5, block2=BlockOption.BlockwiseTuple(0, True, 6))
-        )
+        observed.receive(observed.notification(b"x" * 5, block2=BlockOption.BlockwiseTuple(0, True, 6)))
     assert (observed.answers, len(observed.requests)) == ([], 1)
     observed.receive(observed.notification(b"fits"))
     assert isinstance(observed.answers[0], Answer)

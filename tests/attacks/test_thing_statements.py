@@ -93,9 +93,14 @@ def test_a_credential_of_another_form(office: Office, key: dict[int | str, objec
         read_ccs(data)
     assert caught.type.__module__ == "ca.errors"
     claims = {
-        2: LAMP, 3: "home", 4: office.now + 9, 5: office.now, 7: bytes(16), 8: {1: key},
+        2: LAMP,
+        3: "home",
+        4: office.now + 9,
+        5: office.now,
+        7: bytes(16),
+        8: {1: key},
         -70035: office.thumbprint(BORDER),
-    }  # fmt: skip
+    }
     with pytest.raises(ThingRefused):
         router(office).install(THING.sign(office.service.unlock().signer, claims))  # type: ignore[arg-type]
 
@@ -146,9 +151,11 @@ def test_the_keys_of_a_stolen_router_are_of_no_use(office: Office, how: str) -> 
     ids = set()
     for number, name in enumerate(names):
         signed = office.sign(
-            name=name, credential=office.key(bytes([number])), request=office.request(name),
+            name=name,
+            credential=office.key(bytes([number])),
+            request=office.request(name),
             identity_lifetime=DAY,
-        )  # fmt: skip
+        )
         ids.add(signed.statement.id)
     stolen = {office.thumbprint(name) for name in (BORDER, *names)}
     if how == "revoked":
@@ -171,9 +178,7 @@ def test_a_secret_is_nowhere_but_at_its_router(
     shell.enroll(BORDER)
     added = shell("border", "add", LAMP, "--psk", "--secret-out", "lamp.secret")
     described = str(shell.node(BORDER) / "things" / "things.lamp.psk")
-    signed = shell.unlocked(
-        "ca", "thing", LAMP, "--border", BORDER, "--psk", described, "--yes",
-    )  # fmt: skip
+    signed = shell.unlocked("ca", "thing", LAMP, "--border", BORDER, "--psk", described, "--yes")
     labels = shell("border", "labels", described, "--out", "labels.html")
     log = shell("ca", "log")
     shown = shell("ca", "things", "--json")
@@ -205,9 +210,7 @@ def test_a_thing_that_was_written_into_the_record_is_found(office: Office) -> No
     office.sign()
     store = Store.open(office.home.path / "ca.db")
     row = store.things.get(LAMP, office.now)
-    mallory = replace(
-        row.read(), name="/things/door", credential=office.key(b"\x66"), serial=bytes(16)
-    )
+    mallory = replace(row.read(), name="/things/door", credential=office.key(b"\x66"), serial=bytes(16))
     data = sign_statement(new_signer(), mallory)
     store.things.add(row._replace(id=mallory.id, name=mallory.name, data=data), mallory, office.now)
     with pytest.raises(LogDamaged, match="not a statement of this authority"):

@@ -124,9 +124,7 @@ async def master(shell: Shell) -> AsyncIterator[str]:
     """The running master of `shell`; its URI."""
     shell.enroll(MASTER)
     newest = AuthorityHome.at(shell.root).revocation_list()
-    server = master_of(
-        NodeHome.of(shell.root, MASTER), host="127.0.0.1", port=0, newest=newest, now=NOW
-    )
+    server = master_of(NodeHome.of(shell.root, MASTER), host="127.0.0.1", port=0, newest=newest, now=NOW)
     await server.start()
     yield server.uri
     await server.close()
@@ -180,9 +178,7 @@ async def test_a_lost_revocation_is_listed_later(
 
 
 @pytest.mark.attack("revoked-while-renewing")
-def test_a_key_that_is_revoked_while_it_renews_gets_no_successor(
-    home: AuthorityHome,
-) -> None:
+def test_a_key_that_is_revoked_while_it_renews_gets_no_successor(home: AuthorityHome) -> None:
     """The revocation comes after the renewal was checked, and before its successor is recorded."""
     opened, other = home.unlock(PASSPHRASE), home.unlock(PASSPHRASE)
     other.store.database.connection.execute("PRAGMA busy_timeout = 0")

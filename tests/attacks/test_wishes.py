@@ -19,14 +19,7 @@ from rossec.participant import handshakes
 from rossec.participant.delivery import deflated
 from rossec.ros import tcpros
 from rossec.ros.tcpros import MESSAGE_LIMIT, FrameReader
-from tests.support.attacker import (
-    EVE,
-    HOST,
-    credentials,
-    expect_refused,
-    fields_for,
-    send_header,
-)
+from tests.support.attacker import EVE, HOST, credentials, expect_refused, fields_for, send_header
 from tests.support.contexts import unlimited
 from tests.support.limited import SELDOM
 from tests.support.site import Site
@@ -91,9 +84,7 @@ async def test_no_wish_gives_more_than_the_grant(site: Site, witness: Witness) -
 
 @pytest.mark.attack("wish-beyond-grant")
 async def test_wishes_without_a_right_get_nothing(site: Site, witness: Witness) -> None:
-    reply = await send_header(
-        witness.topic_port, credentials(site), fields_for(EVE, TOPIC, [], **WISHES)
-    )
+    reply = await send_header(witness.topic_port, credentials(site), fields_for(EVE, TOPIC, [], **WISHES))
     assert set(reply.fields) == {"error"}
     assert reply.after == b""
     await witness.goes_on()
@@ -103,11 +94,16 @@ async def test_wishes_without_a_right_get_nothing(site: Site, witness: Witness) 
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("rossec_rate", "0"), ("rossec_rate", "-1"), ("rossec_rate", "1e308"),
-        ("rossec_rate", "nan"), ("rossec_rate", "9" * 40_000), ("rossec_rate", "\u0661"),
-        ("rossec_newest", "yes"), ("rossec_deflate", ""),
+        ("rossec_rate", "0"),
+        ("rossec_rate", "-1"),
+        ("rossec_rate", "1e308"),
+        ("rossec_rate", "nan"),
+        ("rossec_rate", "9" * 40_000),
+        ("rossec_rate", "\u0661"),
+        ("rossec_newest", "yes"),
+        ("rossec_deflate", ""),
     ],
-)  # fmt: skip
+)
 async def test_a_malformed_wish_is_refused(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture, key: str, value: str
 ) -> None:

@@ -99,9 +99,7 @@ def serving(app: ASGIApp) -> Iterator[str]:
             thread.join()
 
 
-def test_the_page_that_hands_the_certificate_out_is_sound(
-    chromium: Chromium, check: PageCheck
-) -> None:
+def test_the_page_that_hands_the_certificate_out_is_sound(chromium: Chromium, check: PageCheck) -> None:
     authority = new_authority()
     app = create_hand_out(authority.data, f"https://{NAME}:7411", lambda: False)
     with serving(app) as origin, chromium.window(origin) as window:

@@ -51,9 +51,23 @@ NOT_COVERED = [
     ("/a/b/**", "/a"),
 ]
 INVALID_NAMES = [
-    "", "/", "a", "~a", "/~a", "//a", "/a/", "/a//b", "/a b", "/a\n", "/ä", "/a/../b", "/а",  # noqa: RUF001
-    "/a-b", "/a.b", "/" + "a" * MAX_NAME,
-]  # fmt: skip
+    "",
+    "/",
+    "a",
+    "~a",
+    "/~a",
+    "//a",
+    "/a/",
+    "/a//b",
+    "/a b",
+    "/a\n",
+    "/ä",
+    "/a/../b",
+    "/а",  # noqa: RUF001
+    "/a-b",
+    "/a.b",
+    "/" + "a" * MAX_NAME,
+]
 
 
 @pytest.mark.parametrize(("pattern", "name"), COVERED)
@@ -171,20 +185,28 @@ def test_a_pattern_has_no_label() -> None:
 
 
 TAILS = [
-    ("/rviz~", "/rviz", True), ("/rviz~", "/rviz_1", True), ("/rviz~", "/rviz_1_2", True),
-    ("/rviz~", "/rviz_", False), ("/rviz~", "/rvizx", False), ("/rviz~", "/rviz_1/a", False),
-    ("/rviz~/a", "/rviz_1/a", True), ("/rviz~/a", "/rviz/a", True), ("/rviz~/a", "/rviz_/a", False),
-    ("/rviz~/a", "/rviz_1/b/a", False), ("/rviz~/a", "/x/rviz_1/a", False),
-    ("/rviz~/**", "/rviz_1/a/b", True), ("/rviz~/**", "/rviz_1", False),
-    ("/a/rviz~/*", "/a/rviz_1/b", True), ("/a/rviz~/*", "/a_1/rviz/b", False),
-    ("/rviz_1~/a", "/rviz_1x/a", False), ("/rviz_1~/a", "/rviz_1_x/a", True),
-]  # fmt: skip
+    ("/rviz~", "/rviz", True),
+    ("/rviz~", "/rviz_1", True),
+    ("/rviz~", "/rviz_1_2", True),
+    ("/rviz~", "/rviz_", False),
+    ("/rviz~", "/rvizx", False),
+    ("/rviz~", "/rviz_1/a", False),
+    ("/rviz~/a", "/rviz_1/a", True),
+    ("/rviz~/a", "/rviz/a", True),
+    ("/rviz~/a", "/rviz_/a", False),
+    ("/rviz~/a", "/rviz_1/b/a", False),
+    ("/rviz~/a", "/x/rviz_1/a", False),
+    ("/rviz~/**", "/rviz_1/a/b", True),
+    ("/rviz~/**", "/rviz_1", False),
+    ("/a/rviz~/*", "/a/rviz_1/b", True),
+    ("/a/rviz~/*", "/a_1/rviz/b", False),
+    ("/rviz_1~/a", "/rviz_1x/a", False),
+    ("/rviz_1~/a", "/rviz_1_x/a", True),
+]
 
 
 @pytest.mark.parametrize(("pattern", "name", "expected"), TAILS)
-def test_a_tail_pattern_covers_the_names_of_the_tail(
-    pattern: str, name: str, expected: bool
-) -> None:
+def test_a_tail_pattern_covers_the_names_of_the_tail(pattern: str, name: str, expected: bool) -> None:
     assert check_tail_pattern(pattern) == pattern
     assert pattern_covers(pattern, name) is expected
     if expected:
@@ -195,13 +217,31 @@ def test_a_tail_pattern_covers_the_names_of_the_tail(
 @pytest.mark.parametrize(
     "pattern",
     [
-        "~", "/~", "~/a", "/rviz~x", "/rviz~~", "/rviz~/~", "/rviz~/a~", "/*~", "/**/rviz~",
+        "~",
+        "/~",
+        "~/a",
+        "/rviz~x",
+        "/rviz~~",
+        "/rviz~/~",
+        "/rviz~/a~",
+        "/*~",
+        "/**/rviz~",
         "/a/*~/b",
-        "/rviz_~/", "/rviz~//a", "/rviz~/../a", "rviz~/a", "/master~/a", "/relay~", "/gateway/x~/a",
-        "/rviz~/%61", "/rviz\u0303/a", "/rviz\uff5e/a", "/rviz~\n", "/1~",
+        "/rviz_~/",
+        "/rviz~//a",
+        "/rviz~/../a",
+        "rviz~/a",
+        "/master~/a",
+        "/relay~",
+        "/gateway/x~/a",
+        "/rviz~/%61",
+        "/rviz\u0303/a",
+        "/rviz\uff5e/a",
+        "/rviz~\n",
+        "/1~",
         "/" + "r" * 200 + "~/" + "p" * 60,
     ],
-)  # fmt: skip
+)
 def test_other_places_of_the_mark_are_refused(pattern: str) -> None:
     with pytest.raises(PatternRefused):
         check_tail_pattern(pattern)

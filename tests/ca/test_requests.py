@@ -128,10 +128,7 @@ COMMON_NAME = [x509.NameAttribute(NameOID.COMMON_NAME, "robot")]
 @pytest.mark.parametrize(
     ("csr", "message"),
     [
-        (
-            crafted((SAN, True), key=ec.generate_private_key(ec.SECP384R1())),
-            "a key that is not P-2",
-        ),
+        (crafted((SAN, True), key=ec.generate_private_key(ec.SECP384R1())), "a key that is not P-2"),
         (crafted((SAN, True), algorithm=hashes.SHA384()), "is not signed with ECDSA and SHA-256"),
         (crafted((SAN, True), subject=COMMON_NAME), "asks for a subject"),
         (crafted((SAN, True), challenge=b"x"), "has other attributes than its extensions"),

@@ -8,9 +8,14 @@ from rossec.ros.calls import METHODS, UNPARSED, CallClient, CallServer
 from rossec.ros.xmlrpc import Encoded, Fault
 
 _TREE = {
-    "a": [1, -2, 300, -70000, 2**31 - 1], "rate": 1.5, "on": True, "off": False, "": b"\0\xff",
-    "when": datetime.fromisoformat("2026-11-23T09:08:07"), "é": {"x" * 30: ["y" * 300]},
-}  # fmt: skip
+    "a": [1, -2, 300, -70000, 2**31 - 1],
+    "rate": 1.5,
+    "on": True,
+    "off": False,
+    "": b"\0\xff",
+    "when": datetime.fromisoformat("2026-11-23T09:08:07"),
+    "é": {"x" * 30: ["y" * 300]},
+}
 
 
 def call(data: bytes) -> None:
@@ -50,9 +55,7 @@ def client(data: bytes) -> None:
 
 def calls() -> list[bytes]:
     """Calls of each method, with every type."""
-    return [
-        compact.dump_compact_call(0, method, ("/a", _TREE)) for method in (*METHODS[::8], "later")
-    ]
+    return [compact.dump_compact_call(0, method, ("/a", _TREE)) for method in (*METHODS[::8], "later")]
 
 
 def answers() -> list[bytes]:
@@ -70,11 +73,7 @@ def responses() -> list[bytes]:
     """What a server sends: first of all, and then."""
     first, old = _first_answer(), CallServer(compact=False)
     old.take(CallClient("x").request("getPid", ()))
-    return [
-        first,
-        old.respond([1, "", _TREE]),
-        *(b"%b\x01%b" % (unit[:1], unit[2:]) for unit in answers()),
-    ]
+    return [first, old.respond([1, "", _TREE]), *(b"%b\x01%b" % (unit[:1], unit[2:]) for unit in answers())]
 
 
 def _at(turn: int, unit: bytes) -> bytes:

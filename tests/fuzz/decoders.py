@@ -39,13 +39,7 @@ from rossec.channel.edhoc.messages import (
     decode_plaintext_4,
     encode_error,
 )
-from rossec.channel.opening import (
-    WireProtocol,
-    classify_answer,
-    classify_caller,
-    first_bytes,
-    refusal,
-)
+from rossec.channel.opening import WireProtocol, classify_answer, classify_caller, first_bytes, refusal
 from rossec.overlay import link_frames
 from rossec.overlay.link import Link
 from rossec.overlay.link_frames import Kind
@@ -163,9 +157,7 @@ def _enrolling_authority(data: bytes) -> None:
         assert authority.digits == ""
 
 
-INVITATION: Final = InvitationCode(
-    sha256(HOME.root).digest(), bytes(16), SOME_TIME, ADDRESS, "/robot1/*"
-)
+INVITATION: Final = InvitationCode(sha256(HOME.root).digest(), bytes(16), SOME_TIME, ADDRESS, "/robot1/*")
 OWN: Final = new_signer()
 CA_LEAF: Final = HOME.authority.issue(
     build_request(OWN, "home", "/ca"), now=SOME_TIME, serial=2, lifetime=86400
@@ -264,10 +256,7 @@ DECODERS: Final[dict[str, tuple[Target, Callable[[], list[bytes]]]]] = {
         lambda: [INVITATION.text().encode()],
     ),
     "ndef": (ndef.read, lambda: [ndef.write(INVITATION)]),
-    "join_request": (
-        lambda data: JoinRequest.from_bytes(data).verify(INVITATION.key),
-        joins,
-    ),
+    "join_request": (lambda data: JoinRequest.from_bytes(data).verify(INVITATION.key), joins),
     "join_claim": (lambda data: JoinClaim.from_bytes(data).verify(INVITATION.key), claims),
     "joining_node": (_joining_node, joins),
     "joining_authority": (_joining_authority, joins),

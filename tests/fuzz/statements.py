@@ -82,9 +82,15 @@ PLACE: Final = Restriction(
     keep_when_stale=True,
 )
 DRAFT: Final = Draft(
-    "home", "/heating", thumbprint(NODE.public_key), NOW - 10, NOW + 100, NOW + DAY, bytes(16),
+    "home",
+    "/heating",
+    thumbprint(NODE.public_key),
+    NOW - 10,
+    NOW + 100,
+    NOW + DAY,
+    bytes(16),
     (Permission("/pose", Right.SUBSCRIBE, PLACE), Permission("/heating/**", Right.PUBLISH)),
-)  # fmt: skip
+)
 GRANT: Final = document.sign(CA, DRAFT)
 
 
@@ -117,12 +123,9 @@ def _bare_grant(structure: bytes) -> None:
 # --- renewals of grants
 
 DELEGATION: Final = tickets.sign_delegation(
-    CA,
-    tickets.Delegation("home", thumbprint(MASTER.public_key), NOW - 10, NOW + DAY, 3600, bytes(16)),
+    CA, tickets.Delegation("home", thumbprint(MASTER.public_key), NOW - 10, NOW + DAY, 3600, bytes(16))
 )
-TICKET: Final = tickets.sign_ticket(
-    MASTER, tickets.Ticket(document.grant_id(GRANT), NOW - 10, NOW + 60, 0)
-)
+TICKET: Final = tickets.sign_ticket(MASTER, tickets.Ticket(document.grant_id(GRANT), NOW - 10, NOW + 60, 0))
 
 
 def _never(_entry: bytes, _now: int) -> None:
@@ -147,9 +150,7 @@ def _token(structure: bytes) -> None:
 
 # --- revocations
 
-LISTED: Final = lists.RevocationList(
-    1, 2, NOW, NOW + DAY, frozenset({bytes(16), bytes(32), b"\1" * 32})
-)
+LISTED: Final = lists.RevocationList(1, 2, NOW, NOW + DAY, frozenset({bytes(16), bytes(32), b"\1" * 32}))
 LIST: Final = lists.sign_list(CA, LISTED)
 TIMESTAMP: Final = lists.sign_timestamp(MASTER, lists.Timestamp(2, lists.digest(LIST), NOW, 30))
 LISTING: Final = tree.TreeEntries([bytes([number]) * 32 for number in range(9)])
@@ -200,9 +201,7 @@ MASTER_LEAF: Final = HOME.authority.issue(
 NODE_LEAF: Final = HOME.authority.issue(
     build_request(NODE, "home", "/heating"), now=NOW - 2 * DAY, serial=8, lifetime=3 * DAY
 )
-RENEWAL: Final = certificates.sign_renewal(
-    NODE, [NODE_LEAF], build_request(NODE, "home", "/heating"), NOW
-)
+RENEWAL: Final = certificates.sign_renewal(NODE, [NODE_LEAF], build_request(NODE, "home", "/heating"), NOW)
 REQUEST: Final = request.sign_request(
     NODE,
     request.GrantRequest(
@@ -305,12 +304,10 @@ DECODERS: Final[dict[str, Decoder]] = {
         _sequence(lambda data: decode_plaintext(data, with_c_r=True)),
     ),
     "plaintext_3": Decoder(
-        ([{33: ALICE.chain[0]}, bytes(64)],),
-        _sequence(lambda data: decode_plaintext(data, with_c_r=False)),
+        ([{33: ALICE.chain[0]}, bytes(64)],), _sequence(lambda data: decode_plaintext(data, with_c_r=False))
     ),
     "error": Decoder(([1, "no"], [2, [6, 4]], [3, True]), _sequence(decode_error)),
     "credential": Decoder(
-        (reference(ALICE.chain[0]), {33: ALICE.chain[0]}, ALICE.id_cred, {33: [b"a", b"b"]}),
-        _credential,
+        (reference(ALICE.chain[0]), {33: ALICE.chain[0]}, ALICE.id_cred, {33: [b"a", b"b"]}), _credential
     ),
 }

@@ -18,9 +18,7 @@ OTHER_CA = KeySigner(ec.generate_private_key(ec.SECP256R1()))
 COARSE = Restriction(
     "geometry_msgs/PoseStamped",
     ('msg.header.frame_id == "map"',),
-    filter_rules(
-        {"pose.position": {"round": {"step": 0.5}}, "header.frame_id": {"clear": True}},
-    ),
+    filter_rules({"pose.position": {"round": {"step": 0.5}}, "header.frame_id": {"clear": True}}),
 )
 DRAFT = Draft(
     domain="home",

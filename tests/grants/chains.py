@@ -45,8 +45,11 @@ class Made:
 def first(*permissions: Permission, holder: KeySigner = A, **changes: Any) -> Made:
     """A grant to A that may be narrowed three times."""
     wanted: dict[str, Any] = {
-        "holder": key_of(holder), "subject": NAMES[0], "may_narrow": 3, "cap": NOW + 100,
-    } | changes  # fmt: skip
+        "holder": key_of(holder),
+        "subject": NAMES[0],
+        "may_narrow": 3,
+        "cap": NOW + 100,
+    } | changes
     data = document.sign(CA, draft(*(permissions or (EVERYTHING,)), **wanted))
     return Made(data, token.peek(data))
 
@@ -55,9 +58,11 @@ def following(parent: Grant, *permissions: Permission, **changes: Any) -> Draft:
     """The draft of a narrowing after `parent`, for the next holder."""
     depth = len(parent.links)
     wanted: dict[str, Any] = {
-        "holder": key_of(HOLDERS[depth]), "subject": NAMES[depth], "serial": bytes([depth]) * 16,
+        "holder": key_of(HOLDERS[depth]),
+        "subject": NAMES[depth],
+        "serial": bytes([depth]) * 16,
         "may_narrow": parent.may_narrow - 1,
-    } | changes  # fmt: skip
+    } | changes
     base = draft(*(permissions or (EVERYTHING,)), domain=parent.domain)
     end = wanted.setdefault("expires", base.expires)
     return replace(base, **wanted, cap=end)

@@ -13,10 +13,16 @@ from tests.grants.authority import CA, HOLDER, NOW, draft, granted, signed_claim
 
 RVIZ = granted(Permission("/rviz~/get_loggers", Right.PROVIDE), subject="/rviz")
 NAMES = {
-    "/rviz/get_loggers": True, "/rviz_1/get_loggers": True, "/rviz_1_2/get_loggers": True,
-    "/rviz_/get_loggers": False, "/rvizx/get_loggers": False, "/rviz_1x/set_level": False,
-    "/rviz_1/a/get_loggers": False, "/other/get_loggers": False, "/rviz_1/get_loggers/x": False,
-}  # fmt: skip
+    "/rviz/get_loggers": True,
+    "/rviz_1/get_loggers": True,
+    "/rviz_1_2/get_loggers": True,
+    "/rviz_/get_loggers": False,
+    "/rvizx/get_loggers": False,
+    "/rviz_1x/set_level": False,
+    "/rviz_1/a/get_loggers": False,
+    "/other/get_loggers": False,
+    "/rviz_1/get_loggers/x": False,
+}
 
 
 def _live(_entry: bytes, _now: int) -> None:
@@ -36,9 +42,9 @@ def test_every_place_that_decides_gives_the_same_answer(name: str, expected: boo
 
 
 @pytest.mark.parametrize(
-    ("peer", "tail"), [("/rviz", False), ("/rviz_1", True), ("/other", True),
-                       ("/remote/lab/rviz", True), ("/rvi", True)],
-)  # fmt: skip
+    ("peer", "tail"),
+    [("/rviz", False), ("/rviz_1", True), ("/other", True), ("/remote/lab/rviz", True), ("/rvi", True)],
+)
 def test_who_has_not_the_tail_is_refused(peer: str, tail: bool) -> None:
     with pytest.raises(GrantNotHeld, match="anonymous nodes of /rviz") as refused:
         check_tail(RVIZ, peer, tail=tail)

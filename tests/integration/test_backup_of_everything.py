@@ -34,9 +34,7 @@ rules:
 
 
 @pytest.fixture
-def used(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> Shell:
+def used(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Shell:
     """The home of an authority in which every part has written its files."""
     monkeypatch.setattr("ca.keys.passphrases._N", 16)  # the passphrase is not under test
     monkeypatch.setattr("ca.keys.passphrases._N", 16)
@@ -56,9 +54,8 @@ def used(
     of_the_own_node(shell, neighbours)
     of_the_console(shell.root / "ca")
     invitations.invite(
-        AuthorityHome.at(shell.root), "/fleet/*", 2, int(time.time()) + 600, "127.0.0.1:9",
-        int(time.time()),
-    )  # fmt: skip
+        AuthorityHome.at(shell.root), "/fleet/*", 2, int(time.time()) + 600, "127.0.0.1:9", int(time.time())
+    )
     return shell
 
 
@@ -68,8 +65,11 @@ def serving(shell: Shell) -> Iterator[None]:
     options = ("--no-network", "--json", "--passphrase-file", str(shell.secret))
     process = subprocess.Popen(
         [sys.executable, "-I", "-m", "rossec", "ca", "serve", *options],
-        env=shell.environ, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        env=shell.environ,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
     assert process.stdout is not None
     with process.stdout:
         assert process.stdout.readline()

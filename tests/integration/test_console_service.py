@@ -80,9 +80,7 @@ async def test_a_phone_comes_in_and_approves(service: ServiceProcess) -> None:
     service.run("ca", "log", "verify")
 
 
-async def test_a_service_that_was_killed_knows_phones_and_no_codes(
-    service: ServiceProcess,
-) -> None:
+async def test_a_service_that_was_killed_knows_phones_and_no_codes(service: ServiceProcess) -> None:
     client, phone = ConsoleClient(service.directory / SOCKET), Passkey()
     await add(client, phone, await asyncio.to_thread(code_of, service), "Ann's phone")
     code = await asyncio.to_thread(code_of, service)

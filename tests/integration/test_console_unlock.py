@@ -34,8 +34,9 @@ class Home:
     def start(self) -> None:
         self.master = subprocess.Popen(
             [sys.executable, "-I", "-m", "rossec", "master", "--port", str(self.port)],
-            env=self.service.environ, stdin=subprocess.DEVNULL,
-        )  # fmt: skip
+            env=self.service.environ,
+            stdin=subprocess.DEVNULL,
+        )
         self.service.start("--join-address", f"127.0.0.1:{free_port()}")
 
     async def add_phone(self) -> None:
@@ -84,9 +85,7 @@ async def until(holds: Callable[[], Coroutine[Any, Any, bool]], within: float = 
 
 
 @pytest.mark.timeout(240)
-async def test_what_was_done_while_locked_reaches_the_master_when_it_is_unlocked(
-    home: Home,
-) -> None:
+async def test_what_was_done_while_locked_reaches_the_master_when_it_is_unlocked(home: Home) -> None:
     service, client = home.service, home.client
     assert (await home.enroll("/robot")).state == "done"
 

@@ -31,11 +31,15 @@ HEAR_MORE: Final = """
 heard=$(grep -c temperature: heard)
 until test $(grep -c temperature: heard) -gt $((heard + 3)); do sleep 0.1; done
 """
-LOSS: Final = "table inet lossy {\n" + "".join(
-    f"chain {hook} {{ type filter hook {hook} priority 0;"
-    " meta l4proto udp numgen inc mod 10 < 2 counter drop; }\n"
-    for hook in ("input", "output")
-) + "}\n"  # fmt: skip
+LOSS: Final = (
+    "table inet lossy {\n"
+    + "".join(
+        f"chain {hook} {{ type filter hook {hook} priority 0;"
+        " meta l4proto udp numgen inc mod 10 < 2 counter drop; }\n"
+        for hook in ("input", "output")
+    )
+    + "}\n"
+)
 KILL: Final = """
 kill -9 "%rossec border"
 rossec border &
@@ -98,6 +102,5 @@ def lossy(lan: Lan) -> Iterator[None]:
 def _nft(lan: Lan, rules: str) -> None:
     environ = {**os.environ, "PATH": f"{os.environ['PATH']}:/usr/sbin:/sbin"}
     subprocess.run(
-        lan["lamp"].at("nft", "-f", "-"),
-        input=rules, text=True, check=True, capture_output=True, env=environ,
-    )  # fmt: skip
+        lan["lamp"].at("nft", "-f", "-"), input=rules, text=True, check=True, capture_output=True, env=environ
+    )

@@ -23,10 +23,14 @@ from tests.support.site import Site
 from tests.support.witness import undisturbed, until
 
 VALUE = {
-    "i": [0, -1, 2**31 - 1, -(2**31)], "d": [0.5, 1.0, -0.0, 1e300], "b": [True, False],
-    "s": ["", "é\t\n", "x" * 300], "raw": bytes(range(256)), "deep": {"er": [[{}], []]},
+    "i": [0, -1, 2**31 - 1, -(2**31)],
+    "d": [0.5, 1.0, -0.0, 1e300],
+    "b": [True, False],
+    "s": ["", "é\t\n", "x" * 300],
+    "raw": bytes(range(256)),
+    "deep": {"er": [[{}], []]},
     "when": datetime.fromisoformat("2026-11-23T09:08:07"),
-}  # fmt: skip
+}
 PARAMS = Right.PARAM_GET | Right.PARAM_SET
 
 
@@ -48,10 +52,10 @@ def without_offers(monkeypatch: pytest.MonkeyPatch) -> None:
     """Callers of before."""
     init = CallClient.__init__
     monkeypatch.setattr(
-        CallClient, "__init__", lambda self, host, **options: init(
-            self, host, **{**options, "compact": False}
-        ),
-    )  # fmt: skip
+        CallClient,
+        "__init__",
+        lambda self, host, **options: init(self, host, **{**options, "compact": False}),
+    )
 
 
 def without_answers(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -41,8 +41,11 @@ class Fleet:
     def start_master(self) -> None:
         self.master = subprocess.Popen(
             [sys.executable, "-I", "-m", "rossec", "master", "--json"],
-            env=self.service.environ, text=True, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-        )  # fmt: skip
+            env=self.service.environ,
+            text=True,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+        )
         assert self.master.stdout is not None
         assert "ready" in json.loads(self.master.stdout.readline())
 

@@ -116,9 +116,7 @@ async def listen(subscriber: Subscriber, heard: Heard) -> None:
 
 
 @contextlib.asynccontextmanager
-async def fleet(
-    site: Site, directory: Path
-) -> AsyncIterator[tuple[Publisher, list[Talking], Heard]]:
+async def fleet(site: Site, directory: Path) -> AsyncIterator[tuple[Publisher, list[Talking], Heard]]:
     """All six: the built-in publisher, the programs, and what the built-in subscriber hears."""
     env = environment(site, directory)
     run = (str(Path(sys.executable).parent / "rossec"), "run", "--as")
@@ -148,9 +146,7 @@ async def fleet(
 
 
 async def test_renewals_lose_no_message(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr("tests.support.site.renew", partial(renewals.renew, lifetime=LIFE))
     caplog.set_level(logging.INFO)

@@ -105,10 +105,7 @@ async def test_a_day_passes_without_unreported_losses(tmp_path: Path) -> None:
         site.publish("/talker", TOPIC)
         site.grant("/listener", Right.SUBSCRIBE, TOPIC, lifetime=LIFETIME, cap=DAY)
         env = environment(site, tmp_path / "logs")
-        async with (
-            program(env, TALKER, told=True) as talker,
-            program(env, LISTENER, told=True) as listener,
-        ):
+        async with program(env, TALKER, told=True) as talker, program(env, LISTENER, told=True) as listener:
             await talker.read_until("READY")
             await listener.read_until("READY")
             begin, step = time.monotonic(), 0

@@ -38,9 +38,7 @@ def resident() -> float:
     return int(line.split()[1]) / 1024
 
 
-async def cycles(
-    count: int, once: Callable[[], Awaitable[None]], after: Callable[[], None]
-) -> None:
+async def cycles(count: int, once: Callable[[], Awaitable[None]], after: Callable[[], None]) -> None:
     for _ in range(count // _AT_ONCE):
         async with asyncio.TaskGroup() as group:
             for _ in range(_AT_ONCE):
@@ -52,9 +50,7 @@ async def as_task(once: Callable[[], Awaitable[None]]) -> None:
     await once()
 
 
-async def stays_flat(
-    count: int, once: Callable[[], Awaitable[None]], after: Callable[[], None]
-) -> None:
+async def stays_flat(count: int, once: Callable[[], Awaitable[None]], after: Callable[[], None]) -> None:
     await cycles(count // 10, once, after)
     open_before, before = descriptors(), resident()
     await cycles(count - count // 10, once, after)

@@ -95,8 +95,7 @@ def test_programs_share_an_identity(world: World, aging: object, probe: str) -> 
     """One sidecar, one certified name with a suffix for each; they connect directly."""
     world.enroll("/fleet", wildcard=True, publish="/fleet", subscribe="/fleet", provide="/*/say")
     both = (
-        f"{probe} talker /fleet __name:=fleet_1 & {probe} listener /fleet 5 __name:=fleet_2;"
-        " echo DONE; wait"
+        f"{probe} talker /fleet __name:=fleet_1 & {probe} listener /fleet 5 __name:=fleet_2; echo DONE; wait"
     )
     with world.secured(world.hosts.near, "sh", "-c", both, options=("--as", "/fleet")) as fleet:
         fleet.wait_for("DONE")

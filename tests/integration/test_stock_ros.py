@@ -93,9 +93,7 @@ async def test_a_stock_subscriber_logs_why_it_is_refused(witness: Witness, tmp_p
 
 @pytest.mark.ros
 @pytest.mark.parametrize(
-    "command",
-    [("rostopic", "list"), ("rostopic", "echo", TOPIC), ("rosnode", "list")],
-    ids=" ".join,
+    "command", [("rostopic", "list"), ("rostopic", "echo", TOPIC), ("rosnode", "list")], ids=" ".join
 )
 async def test_the_stock_tools_print_why_they_are_refused(
     site: Site, witness: Witness, tmp_path: Path, command: tuple[str, ...]
@@ -108,9 +106,7 @@ async def test_the_stock_tools_print_why_they_are_refused(
 
 
 @pytest.mark.ros
-async def test_a_stock_node_logs_why_it_cannot_register(
-    site: Site, witness: Witness, tmp_path: Path
-) -> None:
+async def test_a_stock_node_logs_why_it_cannot_register(site: Site, witness: Witness, tmp_path: Path) -> None:
     assert site.master is not None
     env = stock.environment(site.master.uri, tmp_path)
     _, said = await stock.run(env, *stock.python(stock.NODE))
@@ -133,9 +129,7 @@ async def test_plain_http_gets_only_the_refusal(site: Site, witness: Witness, in
         assert (status, data) == (200, http_refusal(REFUSAL).partition(b"\r\n\r\n")[2])
         assert xmlrpc.client.loads(data) == (([-1, REFUSAL, 0],), None)
     for method in ("GET", "HEAD", "PUT", "OPTIONS"):
-        raw = await asyncio.to_thread(
-            exchange, port, f"{method} / HTTP/1.1\r\nHost: x\r\n\r\n".encode()
-        )
+        raw = await asyncio.to_thread(exchange, port, f"{method} / HTTP/1.1\r\nHost: x\r\n\r\n".encode())
         assert raw == http_refusal(REFUSAL)
 
 
@@ -179,9 +173,7 @@ def noise(seed: int, length: int) -> bytes:
 
 TCPROS_OPENING: Final = first_bytes(WireProtocol.TCPROS)
 HTTP_OPENING: Final = first_bytes(WireProtocol.HTTP)
-PLAIN_HEADER: Final = tcpros.encode(
-    {"callerid": "/viewer", "topic": TOPIC, "md5sum": "*", "type": "*"}
-)
+PLAIN_HEADER: Final = tcpros.encode({"callerid": "/viewer", "topic": TOPIC, "md5sum": "*", "type": "*"})
 GARBAGE: Final[dict[str, bytes]] = {
     **{f"noise {seed}": noise(seed, 40 << seed) for seed in range(8)},
     "nothing": b"",

@@ -208,10 +208,17 @@ def test_an_anonymous_node_finds_its_identity(tmp_path: Path) -> None:
         enrolled_as(tmp_path, name, wildcard=True)
     enrolled_as(tmp_path, "/rviz_9", wildcard=False)
     found = {
-        "/rviz": "/rviz", "/rviz_1": "/rviz", "/rviz_1_2": "/rviz", "/rviz_": "/rviz_",
-        "/rviz_tall_1": "/rviz_tall", "/rviz_9": "/rviz_9", "/rviz_9_1": "/rviz",
-        "/robot/rviz_1": "/robot/rviz_1", "/rvizx": "/rvizx", "/r": "/r",
-    }  # fmt: skip
+        "/rviz": "/rviz",
+        "/rviz_1": "/rviz",
+        "/rviz_1_2": "/rviz",
+        "/rviz_": "/rviz_",
+        "/rviz_tall_1": "/rviz_tall",
+        "/rviz_9": "/rviz_9",
+        "/rviz_9_1": "/rviz",
+        "/robot/rviz_1": "/robot/rviz_1",
+        "/rvizx": "/rvizx",
+        "/r": "/r",
+    }
     assert {name: NodeHome.find(tmp_path, name).name for name in found} == found
     assert NodeHome.find(tmp_path, "/rviz_1").identity(NOW).covers("/rviz_1")
 
@@ -233,8 +240,7 @@ def test_the_hint_for_an_anonymous_node_without_an_identity(tmp_path: Path, name
     with pytest.raises(ConfigurationError) as caught:
         NodeHome.find(tmp_path, name).credentials()
     assert caught.value.hint == (
-        f"next: rossec node request {name},"
-        " or for all such nodes rossec node request /rviz --anonymous"
+        f"next: rossec node request {name}, or for all such nodes rossec node request /rviz --anonymous"
     )
 
 

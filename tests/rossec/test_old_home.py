@@ -67,9 +67,7 @@ def test_a_node_goes_on(home: Path) -> None:
     (permission,) = grant.permissions
     assert permission.covers(Right.SUBSCRIBE, "/robot/pose")
     assert permission.restriction is not None
-    assert [rule.path for rule in permission.restriction.filters] == [
-        "header.frame_id", "pose.position",
-    ]  # fmt: skip
+    assert [rule.path for rule in permission.restriction.filters] == ["header.frame_id", "pose.position"]
 
 
 def test_what_a_node_has_seen_revoked_stays_revoked(home: Path) -> None:
@@ -93,9 +91,7 @@ def test_the_masters_audit_is_read(home: Path) -> None:
 
 
 def test_the_backup_comes_back(home: Path, tmp_path: Path) -> None:
-    done = restore(
-        tmp_path / "again", (tmp_path / "authority.backup").read_bytes(), PASSPHRASE, NOW
-    )
+    done = restore(tmp_path / "again", (tmp_path / "authority.backup").read_bytes(), PASSPHRASE, NOW)
     unlocked = done.home.unlock(PASSPHRASE)
     unlocked.store.log.audit(unlocked.signer.public_key)
     assert len(unlocked.store.grants()) == 2

@@ -92,9 +92,7 @@ def test_what_is_held_already_is_not_loaded_again(saved: DomainFiles, pair: Pair
 
 
 @pytest.mark.parametrize("domain", ["..", "x" * 255])
-def test_every_domain_is_the_name_of_a_file(
-    saved: DomainFiles, tmp_path: Path, domain: str
-) -> None:
+def test_every_domain_is_the_name_of_a_file(saved: DomainFiles, tmp_path: Path, domain: str) -> None:
     site = Site.create(domain)
     saved.save_foreign(site.anchor, revoked(site))
     (found,) = (tmp_path / "robot" / "foreign").iterdir()

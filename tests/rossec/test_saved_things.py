@@ -35,9 +35,14 @@ class Router:
         self.files = ThingFiles(self.home)
         self.now = self.site.now()
         self.lamp = ThingStatement(
-            "home", LAMP, ThingKey.of(LAMP_KEY.public_key, b"\x2b"),
-            self.home.identity(self.now).thumbprint, self.now, self.now + 60, bytes(16),
-        )  # fmt: skip
+            "home",
+            LAMP,
+            ThingKey.of(LAMP_KEY.public_key, b"\x2b"),
+            self.home.identity(self.now).thumbprint,
+            self.now,
+            self.now + 60,
+            bytes(16),
+        )
 
     def sign(self, statement: ThingStatement) -> bytes:
         return sign_statement(self.site.authority.signer, statement)

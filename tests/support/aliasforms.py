@@ -109,9 +109,7 @@ class BehindSidecar:
 
     def __init__(self, near: Sidecar, running: PlainProgram) -> None:
         exports = near._agent_for(SUBSCRIBER)._ingress.ports._ports
-        [port] = (
-            server.port for local, server in exports.items() if local.protocol is WireProtocol.HTTP
-        )
+        [port] = (server.port for local, server in exports.items() if local.protocol is WireProtocol.HTTP)
         self.uri, self.heard = f"http://{HOST}:{port}/", list[str]()
         self._running, self._errors = running, list[str]()
 

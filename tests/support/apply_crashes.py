@@ -136,8 +136,10 @@ def check_done(root: Path, authority: Authority) -> None:
         rows, rules = store.unrevoked_grants(), store.policy_grants()
         revoked = {entry.hex() for entry in store.revoked_entries()}
     assert sorted((row.name, rules[row.id]) for row in rows) == [
-        ("/here", "a"), ("/here", "b"), ("/there", "a"),
-    ]  # fmt: skip
+        ("/here", "a"),
+        ("/here", "b"),
+        ("/there", "a"),
+    ]
     master = Master(root)
     assert {row.id.hex() for row in rows} <= master.grants()
     assert master.revoked(authority) == revoked

@@ -23,9 +23,7 @@ NOW = 1_800_000_000
 DIGESTS = [bytes([number]) * 32 for number in range(9)]
 DEVICE = passkeys.Passkey()
 WHATS: dict[Kind, What] = {
-    Kind.ENROLL: Enroll(
-        DIGESTS[1], "/robot", DIGESTS[2], wildcard=False, lifetime=9, replaces=True
-    ),
+    Kind.ENROLL: Enroll(DIGESTS[1], "/robot", DIGESTS[2], wildcard=False, lifetime=9, replaces=True),
     Kind.GRANT: Grant(b"r" * 16, DIGESTS[3]),
     Kind.POLICY: PolicyChange(DIGESTS[0], DIGESTS[4], DIGESTS[8]),
     Kind.DELEGATE: Delegate(DIGESTS[5], 86400, 3600),
@@ -39,9 +37,7 @@ WHATS: dict[Kind, What] = {
 
 def registered(device: passkeys.Passkey, name: str = "Ann's phone", at: int = NOW) -> Passkey:
     """A passkey as it is recorded when the terminal adds it."""
-    return Passkey(
-        device.id, name, device.cose_key, bytes(16), device.rp_id, device.origin, b"", at
-    )
+    return Passkey(device.id, name, device.cose_key, bytes(16), device.rp_id, device.origin, b"", at)
 
 
 PASSKEY = registered(DEVICE)

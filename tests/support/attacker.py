@@ -43,13 +43,9 @@ class Reply:
         return self.fields["error"].decode()
 
 
-def fields_for(
-    name: str, topic: str, grants: list[bytes] | None, **changes: str
-) -> dict[str, str | bytes]:
+def fields_for(name: str, topic: str, grants: list[bytes] | None, **changes: str) -> dict[str, str | bytes]:
     """A subscriber's connection header; `*` fits every type (attack N5)."""
-    fields: dict[str, str | bytes] = {
-        "callerid": name, "topic": topic, "type": "*", "md5sum": "*", **changes,
-    }  # fmt: skip
+    fields: dict[str, str | bytes] = {"callerid": name, "topic": topic, "type": "*", "md5sum": "*", **changes}
     if grants is not None:
         fields[FIELD] = encode(list(grants))
     return fields
@@ -114,18 +110,19 @@ def credentials(site: Site, name: str = EVE) -> Credentials:
 
 
 def drafted(
-    site: Site,
-    name: str = EVE,
-    pattern: str = TOPIC,
-    right: Right = Right.SUBSCRIBE,
-    **changes: Any,
+    site: Site, name: str = EVE, pattern: str = TOPIC, right: Right = Right.SUBSCRIBE, **changes: Any
 ) -> Draft:
     now = int(time.time())
     draft = Draft(
-        domain=site.anchor.domain, subject=name, holder=site.identity(name).thumbprint,
-        not_before=now, expires=now + DAY, cap=now + DAY, serial=secrets.token_bytes(16),
+        domain=site.anchor.domain,
+        subject=name,
+        holder=site.identity(name).thumbprint,
+        not_before=now,
+        expires=now + DAY,
+        cap=now + DAY,
+        serial=secrets.token_bytes(16),
         permissions=(Permission(pattern, right),),
-    )  # fmt: skip
+    )
     return dataclasses.replace(draft, **changes)
 
 

@@ -92,9 +92,8 @@ class Site:
         """Let `to`, the master, renew grants for an hour at a time."""
         begin = self.now + start
         draft = Delegation(
-            domain or self.domain, to.thumbprint, begin, begin + lifetime, 3600,
-            secrets.token_bytes(16),
-        )  # fmt: skip
+            domain or self.domain, to.thumbprint, begin, begin + lifetime, 3600, secrets.token_bytes(16)
+        )
         return sign_delegation(self.signer, draft)
 
     def revoke(self, *entries: bytes | EnrolledNode, lifetime: int = DAY) -> bytes:
@@ -108,8 +107,7 @@ class Site:
             for entry in entries
         )
         return sign_list(
-            self.signer,
-            RevocationList(1, next(self._numbers), self.now, self.now + lifetime, frozenset(ids)),
+            self.signer, RevocationList(1, next(self._numbers), self.now, self.now + lifetime, frozenset(ids))
         )
 
     def revocations(self) -> Revocations:

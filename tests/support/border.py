@@ -46,11 +46,10 @@ class BorderSite:
         border = private_keys.thumbprint(self.home.signer().public_key)
         statement = dataclasses.replace(
             ThingStatement(
-                site.anchor.domain, name, credential, border, now - 5, now + DAY,
-                secrets.token_bytes(16),
+                site.anchor.domain, name, credential, border, now - 5, now + DAY, secrets.token_bytes(16)
             ),
             **changes,
-        )  # fmt: skip
+        )
         authority = site.authority
         data = sign_statement(authority.signer, statement)
         row = ThingRow(statement.id, name, self.name, data, statement.not_before, statement.expires)
@@ -65,9 +64,7 @@ class BorderSite:
         self.state(name, thing.credential)
         return thing
 
-    def secret_thing(
-        self, name: str = LAMP, links: str = TEMPERATURE, kid: bytes = b"\x07"
-    ) -> SecretThing:
+    def secret_thing(self, name: str = LAMP, links: str = TEMPERATURE, kid: bytes = b"\x07") -> SecretThing:
         """A thing with a secret, which is stated."""
         secret = self.files.create_secret(name)
         thing = SecretThing(self.address, secret, links, kid)

@@ -38,9 +38,7 @@ class Caller:
         """The status text of a call that must be refused, with its default value."""
         return refusal(await self(method, *params))
 
-    async def dispatch(
-        self, method: str, params: tuple[object, ...], peer: UnverifiedPeer
-    ) -> object:
+    async def dispatch(self, method: str, params: tuple[object, ...], peer: UnverifiedPeer) -> object:
         self.told.append((method, *params[1:]))
         return [1, "", 0]
 
@@ -55,9 +53,7 @@ def refusal(answer: Any) -> str:
 
 
 @contextlib.asynccontextmanager
-async def caller(
-    site: Site, name: str, rights: Mapping[str, Right] = _NONE
-) -> AsyncIterator[Caller]:
+async def caller(site: Site, name: str, rights: Mapping[str, Right] = _NONE) -> AsyncIterator[Caller]:
     """A caller with these rights by pattern and its earlier ones; its slave API answers."""
     assert site.master is not None
     for pattern, right in rights.items():

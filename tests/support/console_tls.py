@@ -61,10 +61,21 @@ def openssl_verify(directory: Path, authority: TlsAuthority, leaf: bytes, *optio
     root.write_bytes(pem(authority.data))
     file.write_bytes(leaf)
     done = subprocess.run(
-        ["openssl", "verify", "-x509_strict", "-purpose", "sslserver", *options,
-         "-CAfile", str(root), str(file)],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        [
+            "openssl",
+            "verify",
+            "-x509_strict",
+            "-purpose",
+            "sslserver",
+            *options,
+            "-CAfile",
+            str(root),
+            str(file),
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     return "" if done.returncode == 0 else done.stderr
 
 

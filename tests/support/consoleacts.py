@@ -146,12 +146,7 @@ class Acts:
         return self.touch(self.asks(name, **changes))
 
     def asks(
-        self,
-        name: str = "/lamp",
-        *,
-        csr: bytes | None = None,
-        wildcard: bool = False,
-        replaces: bool = False,
+        self, name: str = "/lamp", *, csr: bytes | None = None, wildcard: bool = False, replaces: bool = False
     ) -> Prepared:
         """A node asks for an identity, and the page shows it."""
         given = self.csr(name) if csr is None else csr

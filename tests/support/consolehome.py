@@ -70,9 +70,7 @@ class FakeHome:
     heard: Heard = field(default_factory=lambda: Heard(NOW))  # every node knows what was ended
 
     def node(self, name: str, revoked_at: int = 0, reason: str = "") -> NodeView:
-        made = NodeView(
-            name, key_of(name), NOW - HOUR, NOW + 30 * 86400, False, revoked_at, reason
-        )  # fmt: skip
+        made = NodeView(name, key_of(name), NOW - HOUR, NOW + 30 * 86400, False, revoked_at, reason)
         self.nodes.append(made)
         self._event("certificate", name, made.key.hex(), NOW - HOUR)
         return made
@@ -92,9 +90,7 @@ class FakeHome:
         serial = len(self.grants).to_bytes(16)
         draft = Draft("home", name, key_of(name), at, end, cap, serial, permissions)
         data = document.sign(CA, draft)
-        made = GrantView(
-            document.grant_id(data), name, data, at, end, cap, revoked_at, reason, "", "held"
-        )  # fmt: skip
+        made = GrantView(document.grant_id(data), name, data, at, end, cap, revoked_at, reason, "", "held")
         self.grants.append(made)
         self._event("grant", name, made.id.hex(), at)
         if revoked_at:
@@ -133,9 +129,7 @@ def demo() -> FakeHome:
         home.publisher(topic, "/robot", kind)
     home.grant("/robot", sends("/robot/pose"), sends("/robot/scan"), sends("/robot/camera"))
     home.grant("/doctor", sees("/robot/pose"), sees("/robot/scan"))
-    home.grant(
-        "/doctor", sees("/robot/camera"), revoked_at=NOW - 1800, reason="the visit is over"
-    )  # fmt: skip
+    home.grant("/doctor", sees("/robot/camera"), revoked_at=NOW - 1800, reason="the visit is over")
     home.grant("/heating", sees("/robot/pose", COARSE))
     home.denials.append(DenialView(NOW - 960, "/heating", int(Right.SUBSCRIBE), "/robot/scan"))
     return home
@@ -144,10 +138,7 @@ def demo() -> FakeHome:
 def crowd(nodes: int = 30, topics: int = 40) -> FakeHome:
     """A large home in which every node sees a third of all topics."""
     home = FakeHome()
-    robot, seen = (
-        "/a_robot_with_a_long_name",
-        [f"/robot/sensor_{at:02}/data" for at in range(topics)],
-    )
+    robot, seen = ("/a_robot_with_a_long_name", [f"/robot/sensor_{at:02}/data" for at in range(topics)])
     home.node(robot)
     home.grant(robot, *map(sends, seen))
     for topic in seen:
@@ -158,8 +149,7 @@ def crowd(nodes: int = 30, topics: int = 40) -> FakeHome:
         some = seen[at % 3 :: 3]
         home.grant(name, *(sees(topic, COARSE if at % 2 else None) for topic in some))
     home.denials += [
-        DenialView(NOW - at, f"/receiver_{at % 29:02}", 2, f"/robot/other_{at:03}")
-        for at in range(400)
+        DenialView(NOW - at, f"/receiver_{at % 29:02}", 2, f"/robot/other_{at:03}") for at in range(400)
     ]
     return home
 

@@ -42,10 +42,12 @@ class Browser(TestClient):
         self.now = int(time.time())
         self.elapsed: float | None = None
         self.context = ConsoleContext(
-            MemoryClient(self.home), settings or Settings("home", (ORIGIN,)),
+            MemoryClient(self.home),
+            settings or Settings("home", (ORIGIN,)),
             clock=lambda: self.now,
-            elapsed=lambda: self.now if self.elapsed is None else self.elapsed, **context,
-        )  # fmt: skip
+            elapsed=lambda: self.now if self.elapsed is None else self.elapsed,
+            **context,
+        )
         super().__init__(create_app(self.context), ORIGIN, follow_redirects=False)
         self.headers["Origin"] = ORIGIN
 

@@ -74,9 +74,7 @@ async def ask(
         connection = http.client.HTTPConnection("127.0.0.1", running.port, timeout=20)
         given = {"Host": running.origin.removeprefix("http://"), **headers}
         with contextlib.closing(connection):
-            connection.request(
-                method, path, body, {k.replace("_", "-"): v for k, v in given.items()}
-            )
+            connection.request(method, path, body, {k.replace("_", "-"): v for k, v in given.items()})
             answer = connection.getresponse()
             found = {name.lower(): text for name, text in answer.getheaders()}
             return Answer(answer.status, found, answer.read().decode())

@@ -80,9 +80,7 @@ class FakeHome:
         self.grants = [
             self.grant(nodes["/robot"], Permission("/robot/**", Right.PUBLISH)),
             self.grant(nodes["/doctor"], Permission("/robot/pose", Right.SUBSCRIBE)),
-            self.grant(
-                nodes["/heating"], Permission("/robot/pose", Right.SUBSCRIBE, COARSE), "rule 3"
-            ),
+            self.grant(nodes["/heating"], Permission("/robot/pose", Right.SUBSCRIBE, COARSE), "rule 3"),
         ]
         self._wait(nodes["/map"].thumbprint)
         self._look()
@@ -91,27 +89,45 @@ class FakeHome:
         """What waits for an answer."""
         self.requests = [
             IdentityRequestView(
-                b"\1" * 32, "/lamp", b"\2" * 32, "code", self.now, self.now + DAY, "pending",
-                False, False, build_request(KeySigner(generate()), "home", "/lamp"),
+                b"\1" * 32,
+                "/lamp",
+                b"\2" * 32,
+                "code",
+                self.now,
+                self.now + DAY,
+                "pending",
+                False,
+                False,
+                build_request(KeySigner(generate()), "home", "/lamp"),
             )
-        ]  # fmt: skip
+        ]
         permission = Permission("/robot/pose", Right.SUBSCRIBE)
         self.rights = (
             AskedRight(
-                int(Right.SUBSCRIBE), "/robot/pose", "geometry_msgs/PoseStamped", "rule 4",
-                "rooms are warm where people are", scope_of([permission]),
+                int(Right.SUBSCRIBE),
+                "/robot/pose",
+                "geometry_msgs/PoseStamped",
+                "rule 4",
+                "rooms are warm where people are",
+                scope_of([permission]),
             ),
-        )  # fmt: skip
+        )
         self.questions = [
             GrantQuestion(
-                b"\3" * 16, "/map", key, "to draw <b>where</b> it was",
-                self.now, self.now + 600, 7 * DAY, ("coarse", "room"), self.rights, b"\3" * 16,
+                b"\3" * 16,
+                "/map",
+                key,
+                "to draw <b>where</b> it was",
+                self.now,
+                self.now + 600,
+                7 * DAY,
+                ("coarse", "room"),
+                self.rights,
+                b"\3" * 16,
             )
-        ]  # fmt: skip
+        ]
         self.invitations = [
-            InvitationView(
-                b"\4" * 8, "/lamp/*", 5, ("/lamp/1",), False, self.now + DAY, self.now, "open"
-            )
+            InvitationView(b"\4" * 8, "/lamp/*", 5, ("/lamp/1",), False, self.now + DAY, self.now, "open")
         ]
 
     def _look(self) -> None:
@@ -120,10 +136,15 @@ class FakeHome:
         self.proposals = [Proposal(b"\6" * 16, "Ben's phone", "123456", self.now + 300)]
         self.approvals = [
             ApprovalView(
-                b"\7" * 16, 2, "the doctor may see where the robot is", "Anna's phone", self.now,
-                "done", "signed",
+                b"\7" * 16,
+                2,
+                "the doctor may see where the robot is",
+                "Anna's phone",
+                self.now,
+                "done",
+                "signed",
             )
-        ]  # fmt: skip
+        ]
         self.events = [
             EventView(number, self.now - 60 * (40 - number), "grant", "/doctor", f"{number:02x}")
             for number in range(1, 40)
@@ -143,15 +164,18 @@ class FakeHome:
     def grant(self, to: EnrolledNode, permission: Permission, rules: str = "") -> GrantView:
         """A real grant, recorded."""
         draft = Draft(
-            domain="home", subject=to.name, holder=to.thumbprint, not_before=self.now,
-            expires=self.now + 7 * DAY, cap=self.now + 30 * DAY, serial=secrets.token_bytes(16),
+            domain="home",
+            subject=to.name,
+            holder=to.thumbprint,
+            not_before=self.now,
+            expires=self.now + 7 * DAY,
+            cap=self.now + 30 * DAY,
+            serial=secrets.token_bytes(16),
             permissions=(permission,),
-        )  # fmt: skip
+        )
         data = sign(self.site.signer, draft)
         end = peek(data)
-        return GrantView(
-            grant_id(data), to.name, data, self.now, end.expires, end.cap, 0, "", rules, "held"
-        )
+        return GrantView(grant_id(data), to.name, data, self.now, end.expires, end.cap, 0, "", rules, "held")
 
     def handlers(self) -> Mapping[str, Callable[..., Value]]:
         """As `rossec.authority.console.serving.Part`."""
@@ -173,9 +197,15 @@ class FakeHome:
     def _do_status(self) -> Status:
         print_ = "00c3 1f0e 7b21 9d44 5a5a 1020 77aa 0f0f"
         return Status(
-            "home", print_, self.remaining is None, self.remaining, self.number, int(time.time()),
-            len([phone for phone in self.phones if not phone.ended]), self.has_master,
-        )  # fmt: skip
+            "home",
+            print_,
+            self.remaining is None,
+            self.remaining,
+            self.number,
+            int(time.time()),
+            len([phone for phone in self.phones if not phone.ended]),
+            self.has_master,
+        )
 
     def _do_consider(self, question: bytes, coarse: str, _: int) -> tuple[AskedRight, ...]:
         self._one(self.questions, question)
@@ -234,9 +264,14 @@ class FakeHome:
         statement = encode(["rossec-approval-v1", kind, number, arguments])
         self.prepared[number] = kind, arguments
         return Prepared(
-            number, statement, hashlib.sha256(statement).digest(), int(time.time()) + 300,
-            "localhost", tuple(phone.id for phone in self.phones if not phone.ended), b"",
-        )  # fmt: skip
+            number,
+            statement,
+            hashlib.sha256(statement).digest(),
+            int(time.time()) + 300,
+            "localhost",
+            tuple(phone.id for phone in self.phones if not phone.ended),
+            b"",
+        )
 
     def _do_approve(self, number: bytes, *_: bytes) -> Outcome:
         kind, arguments = self.prepared.pop(number, ("", []))
@@ -247,9 +282,7 @@ class FakeHome:
         outcome = Outcome(number, state, kind, data.get(kind, b""))
         self.outcomes[number] = outcome
         code = _KINDS.index(kind) + 1 if kind in _KINDS else 9
-        self.approvals.insert(
-            0, ApprovalView(number, code, kind, "Anna's phone", self.now, state, "")
-        )
+        self.approvals.insert(0, ApprovalView(number, code, kind, "Anna's phone", self.now, state, ""))
         if kind == "grant" and isinstance(arguments[0], bytes):
             self._drop(self.questions, arguments[0])
         self.number += 1
@@ -300,9 +333,7 @@ class FakeHome:
 
     def _challenge(self, rp_id: str, credentials: tuple[bytes, ...]) -> LoginChallenge:
         until = int(time.time()) + 120
-        return LoginChallenge(
-            secrets.token_bytes(16), secrets.token_bytes(32), until, rp_id, credentials
-        )
+        return LoginChallenge(secrets.token_bytes(16), secrets.token_bytes(32), until, rp_id, credentials)
 
     def _listed(self) -> tuple[int, int]:
         self.number += 1

@@ -66,10 +66,15 @@ class ConsoleWork:
         authority = self.home.unlock(PASSPHRASE)
         holder = authority.store.valid_certificate(name, self.now).thumbprint
         draft = Draft(
-            domain="home", subject=name, holder=holder, not_before=self.now - 60,
-            expires=self.now + lifetime, cap=self.now + lifetime, serial=secrets.token_bytes(16),
+            domain="home",
+            subject=name,
+            holder=holder,
+            not_before=self.now - 60,
+            expires=self.now + lifetime,
+            cap=self.now + lifetime,
+            serial=secrets.token_bytes(16),
             permissions=(Permission("/pose", Right.SUBSCRIBE),),
-        )  # fmt: skip
+        )
         data = authority.issue_grant(draft, self.now, rules)
         authority.store.close()
         return grant_id(data)

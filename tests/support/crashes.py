@@ -48,9 +48,7 @@ Scenario = Callable[[SigningAuthority, Path], None]
 
 
 def opened(directory: Path) -> SigningAuthority:
-    return SigningAuthority(
-        Authority(ROOT, CERTIFICATE), Store.open(directory / "ca.db"), directory
-    )
+    return SigningAuthority(Authority(ROOT, CERTIFICATE), Store.open(directory / "ca.db"), directory)
 
 
 def prepare(directory: Path) -> None:
@@ -168,10 +166,17 @@ def migrate(authority: SigningAuthority, _: Path) -> None:
 
 
 SCENARIOS: dict[str, Scenario] = {
-    "issue": issue, "deny": deny, "collect": collect, "revoke": revoke, "renew": succeed,
-    "replace": replace, "approve": approve, "trust": trust, "rename": rename,
+    "issue": issue,
+    "deny": deny,
+    "collect": collect,
+    "revoke": revoke,
+    "renew": succeed,
+    "replace": replace,
+    "approve": approve,
+    "trust": trust,
+    "rename": rename,
     "migrate": migrate,
-}  # fmt: skip
+}
 
 
 def act(scenario: Scenario, directory: Path) -> None:

@@ -43,12 +43,14 @@ class Robot:
         self, *, label: bool = False, now: int = NOW, contribution: bytes | None = None
     ) -> NodeEnrollment:
         return NodeEnrollment(
-            self.signer, self.csr, "home",
+            self.signer,
+            self.csr,
+            "home",
             secret=b"" if label else fresh(),
             contribution=contribution or fresh(),
             expires=now + WINDOW,
             wildcard=self.wildcard,
-        )  # fmt: skip
+        )
 
 
 def scanned(node: NodeEnrollment) -> AuthorityEnrollment:
@@ -74,9 +76,7 @@ def offered(
     return enrollment, enrollment.offer([certificate], site.root, nonce or fresh(), now)
 
 
-def acknowledged(
-    node: NodeEnrollment, site: Site, now: int = NOW
-) -> tuple[AuthorityEnrollment, bytes]:
+def acknowledged(node: NodeEnrollment, site: Site, now: int = NOW) -> tuple[AuthorityEnrollment, bytes]:
     """As `offered`, with the node's answer delivered."""
     enrollment, offer = offered(node, site, now)
     for answer in node.receive(offer, now):

@@ -123,9 +123,7 @@ class FalsePublisher:
         except ChannelError:
             self.left += 1
 
-    async def answer(
-        self, _method: str, params: tuple[object, ...], _: UnverifiedPeer
-    ) -> Sequence[object]:
+    async def answer(self, _method: str, params: tuple[object, ...], _: UnverifiedPeer) -> Sequence[object]:
         self.requested.append(str(params[1]))
         return [1, "", ["TCPROS", HOST, self.port]]
 
@@ -158,6 +156,10 @@ def answering(name: str, topic: str, *grants: bytes) -> dict[str, str | bytes]:
     """The connection header of a publisher."""
     kind = message_type(STRING)
     return {
-        "callerid": name, "topic": topic, "type": kind.name, "md5sum": kind.md5sum,
-        "message_definition": kind.definition, FIELD: encode(list[Value](grants)),
-    }  # fmt: skip
+        "callerid": name,
+        "topic": topic,
+        "type": kind.name,
+        "md5sum": kind.md5sum,
+        "message_definition": kind.definition,
+        FIELD: encode(list[Value](grants)),
+    }

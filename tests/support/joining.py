@@ -58,18 +58,11 @@ class JoinSite:
         return self.site.now()
 
     def invite(
-        self,
-        pattern: str = PATTERN,
-        uses: int = 1,
-        *,
-        lasts: int = HOUR,
-        wildcard: bool = False,
+        self, pattern: str = PATTERN, uses: int = 1, *, lasts: int = HOUR, wildcard: bool = False
     ) -> InvitationCode:
         """A recorded invitation."""
         expires = self.now + lasts
-        code = InvitationCode(
-            self.site_hash(), fresh(), expires, self.address, pattern, wildcard=wildcard
-        )
+        code = InvitationCode(self.site_hash(), fresh(), expires, self.address, pattern, wildcard=wildcard)
         self.store.invitations.add(
             InvitationRow(code.id, code.key, pattern, uses, wildcard, expires, self.now)
         )
@@ -83,9 +76,7 @@ class JoinSite:
         own = self.own.credentials()
         return LiveIdentity(own.signer, own.chain, self.root)
 
-    def request(
-        self, code: InvitationCode, csr: bytes, identity: LiveIdentity | None = None
-    ) -> JoinRequest:
+    def request(self, code: InvitationCode, csr: bytes, identity: LiveIdentity | None = None) -> JoinRequest:
         """The request of a node that joins by `code`, as the authority's key gets it."""
         node = NodeJoin(code, fresh())
         face = AuthorityJoin(identity or self.identity(), fresh())

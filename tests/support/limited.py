@@ -42,9 +42,7 @@ class Eve:
         """One more connection; returns once the publisher has it."""
         before = len(self.publisher.links)
         stream = await connect(
-            HOST,
-            self.port,
-            unlimited(self.site.enroll(EVE).credentials(), self.site.anchor.verify),
+            HOST, self.port, unlimited(self.site.enroll(EVE).credentials(), self.site.anchor.verify)
         )
         await stream.send(tcpros.encode(fields_for(EVE, TOPIC, [self.grant])))
         await until(lambda: len(self.publisher.links) == before + 1)
@@ -77,9 +75,7 @@ def number(value: float) -> bytes:
 
 
 @contextlib.asynccontextmanager
-async def publishing(
-    site: Site, *restrictions: Restriction, latch: bool = False
-) -> AsyncIterator[Eve]:
+async def publishing(site: Site, *restrictions: Restriction, latch: bool = False) -> AsyncIterator[Eve]:
     """/robot publishes numbers; Eve may subscribe under each of the restrictions."""
     site.publish("/robot", TOPIC)
     grants = [site.subscribe(EVE, TOPIC, item) for item in restrictions]

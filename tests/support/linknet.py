@@ -17,9 +17,7 @@ Fate = Callable[[float], tuple[float, ...]]
 """From the time a frame is put: after how long it arrives, each time it does."""
 
 
-def frame(
-    kind: Kind, offset: int = 0, body: bytes = b"", link: bytes = ID, received: int = 0
-) -> bytes:
+def frame(kind: Kind, offset: int = 0, body: bytes = b"", link: bytes = ID, received: int = 0) -> bytes:
     """A frame as anyone could make it."""
     return head(kind, link, offset, received, 65536) + body
 

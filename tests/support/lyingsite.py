@@ -52,11 +52,21 @@ class LyingSite:
             await asyncio.sleep(5)
         facts = self._facts[at : at + _BATCH]
         self.asked += 1
-        return [1, "", {
-            "instance": "liar", "version": 1, "cursor": at + len(facts), "whole": at == 0,
-            "more": at + len(facts) < len(self._facts), "added": facts, "removed": [],
-            "revocations": digest(self._list) if self._list else b"", "domains": b"",
-        }]  # fmt: skip
+        return [
+            1,
+            "",
+            {
+                "instance": "liar",
+                "version": 1,
+                "cursor": at + len(facts),
+                "whole": at == 0,
+                "more": at + len(facts) < len(self._facts),
+                "added": facts,
+                "removed": [],
+                "revocations": digest(self._list) if self._list else b"",
+                "domains": b"",
+            },
+        ]
 
     def _timestamp(self) -> bytes:
         if not self._list:

@@ -36,9 +36,12 @@ class Master:
 
     async def start(self) -> None:
         self.server = master_of(
-            self.home, host="127.0.0.1", port=self._port, now=self.site.now(),
+            self.home,
+            host="127.0.0.1",
+            port=self._port,
+            now=self.site.now(),
             newest=self.site.authority.store.newest_list(),
-        )  # fmt: skip
+        )
         await self.server.start()
         self._port = self.server.port
         if self.domains:
@@ -77,9 +80,11 @@ class Master:
         """A node that works with this master."""
         self.site.enroll(name)
         environ = {
-            "ROSSEC_HOME": str(self.site.root), "ROS_IP": "127.0.0.1",
-            "ROS_MASTER_URI": self.server.uri, "ROSSEC_MASTER": self.name,
-        }  # fmt: skip
+            "ROSSEC_HOME": str(self.site.root),
+            "ROS_IP": "127.0.0.1",
+            "ROS_MASTER_URI": self.server.uri,
+            "ROSSEC_MASTER": self.name,
+        }
         return Node(name, environ=environ)
 
     @property
@@ -130,15 +135,11 @@ class Master:
             await stream.close()
 
 
-def domain_list(
-    site: Site, *masters: str, foreign: Sequence[ForeignDomain] = (), seq: int = 1
-) -> bytes:
+def domain_list(site: Site, *masters: str, foreign: Sequence[ForeignDomain] = (), seq: int = 1) -> bytes:
     """A list of domains of `site`, with these masters."""
     now = int(time.time())
     keys = tuple(sorted(to_coordinates(site.identity(name).public_key) for name in masters))
-    listed = DomainList(
-        1, seq, now, now + DAY, tuple(sorted(foreign, key=lambda each: each.domain)), keys
-    )
+    listed = DomainList(1, seq, now, now + DAY, tuple(sorted(foreign, key=lambda each: each.domain)), keys)
     return sign_domains(site.authority.authority.signer, listed, site.anchor.domain)
 
 

@@ -95,9 +95,13 @@ class Place:
     def environ(self) -> dict[str, str]:
         kept = {key: value for key, value in os.environ.items() if not key.startswith("ROS")}
         return {
-            **kept, "ROSSEC_HOME": str(self.domain.site.root), "ROS_IP": self.host.ipv4,
-            "ROS_MASTER_URI": self.uri, "ROSSEC_MASTER": self.master, "PYTHONUNBUFFERED": "1",
-        }  # fmt: skip
+            **kept,
+            "ROSSEC_HOME": str(self.domain.site.root),
+            "ROS_IP": self.host.ipv4,
+            "ROS_MASTER_URI": self.uri,
+            "ROSSEC_MASTER": self.master,
+            "PYTHONUNBUFFERED": "1",
+        }
 
     @property
     def crew(self) -> CrewProcess:
@@ -112,9 +116,12 @@ class Place:
     async def run(self, *words: str) -> str:
         """Run `rossec WORDS` on this host; what it printed."""
         process = await asyncio.create_subprocess_exec(
-            *self.rossec(*words), env=self.environ, stdin=asyncio.subprocess.DEVNULL,
-            stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT,
-        )  # fmt: skip
+            *self.rossec(*words),
+            env=self.environ,
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.STDOUT,
+        )
         async with asyncio.timeout(40):
             said, _ = await process.communicate()
         assert process.returncode == 0, said.decode()
@@ -155,8 +162,10 @@ class Place:
             self._process = await asyncio.create_subprocess_exec(
                 *self.host.at(sys.executable, *self._module, "master", *name, *self._options),
                 env=self.environ,
-                stdin=asyncio.subprocess.DEVNULL, stdout=log, stderr=log,
-            )  # fmt: skip
+                stdin=asyncio.subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+            )
         process = self._process
 
         def up() -> bool:

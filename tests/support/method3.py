@@ -136,10 +136,7 @@ class Method3:
         return bstr(_aead(self.prk, self.th, KdfLabel.K_4, KdfLabel.IV_4, "encrypt", b""))
 
     def take_4(self, data: bytes) -> None:
-        assert (
-            _aead(self.prk, self.th, KdfLabel.K_4, KdfLabel.IV_4, "decrypt", decode_bytes(data))
-            == b""
-        )
+        assert _aead(self.prk, self.th, KdfLabel.K_4, KdfLabel.IV_4, "decrypt", decode_bytes(data)) == b""
 
     # -- parts
 
@@ -155,9 +152,7 @@ class Method3:
         return kdf(self.prk, label, context, MAC_LENGTH)
 
 
-def _aead(
-    prk: Secret, th: bytes, key: KdfLabel, iv: KdfLabel, operation: str, data: bytes
-) -> bytes:
+def _aead(prk: Secret, th: bytes, key: KdfLabel, iv: KdfLabel, operation: str, data: bytes) -> bytes:
     aead = SUITE.aead(kdf(prk, key, th, SUITE.key_length))
     run = partial(getattr(aead, operation), kdf(prk, iv, th, SUITE.nonce_length))
     result: bytes = run(data, encode(["Encrypt0", b"", th]))

@@ -32,9 +32,14 @@ class RawThing(asyncio.DatagramProtocol):
     """
 
     def __init__(
-        self, border: tuple[str, int], peer: ThingKey, links: bytes = b"", kid: bytes = b"\x2c",
-        state: bytes = b"", form: int = 60,
-    ) -> None:  # fmt: skip
+        self,
+        border: tuple[str, int],
+        peer: ThingKey,
+        links: bytes = b"",
+        kid: bytes = b"\x2c",
+        state: bytes = b"",
+        form: int = 60,
+    ) -> None:
         self.border, self.peer, self.links = border, peer, links
         key = ec.generate_private_key(ec.SECP256R1())
         self.private = key.private_numbers().private_value.to_bytes(32)
@@ -52,9 +57,7 @@ class RawThing(asyncio.DatagramProtocol):
     async def start(self) -> None:
         """Open the socket."""
         loop = asyncio.get_running_loop()
-        self._transport, _ = await loop.create_datagram_endpoint(
-            lambda: self, remote_addr=self.border
-        )
+        self._transport, _ = await loop.create_datagram_endpoint(lambda: self, remote_addr=self.border)
 
     def close(self) -> None:
         """Close it."""
@@ -161,9 +164,8 @@ class RawThing(asyncio.DatagramProtocol):
         self._respond(message, identifier, self.state, observed=observed, first=True)
 
     def _respond(
-        self, message: Message, identifier: Any, body: bytes, *, observed: bool = False,
-        first: bool = False,
-    ) -> None:  # fmt: skip
+        self, message: Message, identifier: Any, body: bytes, *, observed: bool = False, first: bool = False
+    ) -> None:
         answer = Message(code=codes.CONTENT, payload=body, content_format=self.form)
         if observed:
             answer.opt.observe = 0

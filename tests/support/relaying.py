@@ -100,9 +100,7 @@ class StraightRelay:
         task.add_done_callback(self._tasks.discard)
 
     async def _dial(self) -> SecureStream[Identity]:
-        context: SecureContext[Identity] = SecureContext(
-            self._home.credentials(), self._home.anchor().verify
-        )
+        context: SecureContext[Identity] = SecureContext(self._home.credentials(), self._home.anchor().verify)
         address = parse_uri(self._master.server.uri)
         return await connect(*address, context, WireProtocol.HTTP)
 

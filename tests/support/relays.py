@@ -38,13 +38,9 @@ class Link:
 
 
 @contextlib.asynccontextmanager
-async def secure_pair() -> AsyncIterator[
-    tuple[SecureStream[FakeIdentity], SecureStream[FakeIdentity]]
-]:
+async def secure_pair() -> AsyncIterator[tuple[SecureStream[FakeIdentity], SecureStream[FakeIdentity]]]:
     """Both ends of a secure stream, the one that dialled first."""
-    accepted: asyncio.Future[SecureStream[FakeIdentity]] = (
-        asyncio.get_running_loop().create_future()
-    )
+    accepted: asyncio.Future[SecureStream[FakeIdentity]] = asyncio.get_running_loop().create_future()
 
     async def keep(stream: SecureStream[FakeIdentity]) -> None:
         accepted.set_result(stream)

@@ -37,9 +37,13 @@ class Talking:
 @contextlib.asynccontextmanager
 async def started(env: dict[str, str], *command: str) -> AsyncIterator[Talking]:
     process = await asyncio.create_subprocess_exec(
-        *command, env=env, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.STDOUT, limit=1 << 20,
-    )  # fmt: skip
+        *command,
+        env=env,
+        stdin=asyncio.subprocess.DEVNULL,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.STDOUT,
+        limit=1 << 20,
+    )
     running = Talking(process)
     tasks = TaskSet()
     reading = tasks.spawn(running.read(), "what a program says")

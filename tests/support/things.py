@@ -29,13 +29,9 @@ def elsewhere(statement: ThingStatement, serial: int) -> ThingStatement:
 def row_of(statement: ThingStatement, border: str = BORDER) -> ThingRow:
     """Its row, signed by the authority of the vectors."""
     data = sign_statement(HOME, statement)
-    return ThingRow(
-        statement.id, statement.name, border, data, statement.not_before, statement.expires
-    )
+    return ThingRow(statement.id, statement.name, border, data, statement.not_before, statement.expires)
 
 
-def add_thing(
-    store: Store, statement: ThingStatement, *, border: str = BORDER, at: int = NOW
-) -> None:
+def add_thing(store: Store, statement: ThingStatement, *, border: str = BORDER, at: int = NOW) -> None:
     """Record a statement."""
     store.things.add(row_of(statement, border), statement, at)

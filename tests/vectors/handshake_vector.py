@@ -65,15 +65,30 @@ def _schedule(message_1: bytes, message_2: bytes) -> dict[str, bytes]:
     exporter = EdhocExporter.derive(prk, th_4)
     context = b"rossec/1" + bytes(8)
     return {
-        "x": x, "y": y, "g_x": g_x, "g_y": g_y, "g_xy": shared, "cred_i": cred_i, "cred_r": cred_r,
-        "id_cred_i": id_i, "id_cred_r": id_r, "th_2": th_2, "mac_2": mac_2, "signature_2": sig_2,
-        "plaintext_2": plaintext_2, "th_3": th_3, "mac_3": mac_3, "signature_3": sig_3,
-        "plaintext_3": plaintext_3, "th_4": th_4, "prk_out": exporter.prk_out,
+        "x": x,
+        "y": y,
+        "g_x": g_x,
+        "g_y": g_y,
+        "g_xy": shared,
+        "cred_i": cred_i,
+        "cred_r": cred_r,
+        "id_cred_i": id_i,
+        "id_cred_r": id_r,
+        "th_2": th_2,
+        "mac_2": mac_2,
+        "signature_2": sig_2,
+        "plaintext_2": plaintext_2,
+        "th_3": th_3,
+        "mac_3": mac_3,
+        "signature_3": sig_3,
+        "plaintext_3": plaintext_3,
+        "th_4": th_4,
+        "prk_out": exporter.prk_out,
         "key_initiator": exporter.export(32768, context, 16),
         "iv_initiator": exporter.export(32769, context, 12),
         "key_responder": exporter.export(32770, context, 16),
         "iv_responder": exporter.export(32771, context, 12),
-    }  # fmt: skip
+    }
 
 
 def _exchange(secret: bytes, public: bytes) -> bytes:

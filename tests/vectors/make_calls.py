@@ -61,10 +61,7 @@ def build() -> Vectors:
 
 def flawed() -> dict[str, bytes]:
     """Calls with one flaw."""
-    head, good = (
-        bytes.fromhex("86185201") + b"\x01",
-        calls.dump_compact_call(TURN, "getPid", ("/a",)),
-    )
+    head, good = (bytes.fromhex("86185201") + b"\x01", calls.dump_compact_call(TURN, "getPid", ("/a",)))
     before = head + encoded("/a") + encoded("/p")
     return {
         **{name: before + bytes.fromhex(written) for name, written in REFUSED.items()},

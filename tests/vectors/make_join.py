@@ -33,9 +33,7 @@ from ca.svid import build_request
 
 FILE: Final = Path(__file__).parent / "join" / "join.json"
 NOW: Final = 1_800_000_000
-ROOT, OWN, NODE = (
-    KeySigner(ec.derive_private_key(scalar, ec.SECP256R1())) for scalar in (11, 12, 13)
-)
+ROOT, OWN, NODE = (KeySigner(ec.derive_private_key(scalar, ec.SECP256R1())) for scalar in (11, 12, 13))
 NODE_NONCE, OWN_NONCE = bytes(range(16)), bytes(range(16, 32))
 NAME: Final = "/fleet/robot07"
 METADATA: Final = b"<node><group>fleet</group><name>robot07</name></node>"
@@ -71,22 +69,31 @@ def vectors() -> dict[str, Any]:
         "named_join": Join(NAME, csr, named_proof, METADATA),
     }
     return {
-        "now": NOW, "name": NAME,
-        "root": root.hex(), "own": own.hex(), "csr": csr.hex(), "leaf": leaf.hex(),
-        "secret": code.secret.hex(), "expires": code.expires,
-        "address": code.address, "pattern": code.pattern,
-        "code": code.text(), "ndef": invitation.write(code).hex(),
-        "key": code.key.hex(), "id": code.id.hex(),
-        "node_nonce": NODE_NONCE.hex(), "own_nonce": OWN_NONCE.hex(),
-        "transcript": agreed.hex(), "live": live.hex(), "proof": proof.hex(),
+        "now": NOW,
+        "name": NAME,
+        "root": root.hex(),
+        "own": own.hex(),
+        "csr": csr.hex(),
+        "leaf": leaf.hex(),
+        "secret": code.secret.hex(),
+        "expires": code.expires,
+        "address": code.address,
+        "pattern": code.pattern,
+        "code": code.text(),
+        "ndef": invitation.write(code).hex(),
+        "key": code.key.hex(),
+        "id": code.id.hex(),
+        "node_nonce": NODE_NONCE.hex(),
+        "own_nonce": OWN_NONCE.hex(),
+        "transcript": agreed.hex(),
+        "live": live.hex(),
+        "proof": proof.hex(),
         "messages": {name: write(message).hex() for name, message in messages.items()},
         "request": JoinRequest(code.id, agreed, NAME, csr, proof).to_bytes().hex(),
         "metadata": METADATA.hex(),
         "claim": JoinClaim(code.id, agreed, METADATA, claim).to_bytes().hex(),
-        "named_request": JoinRequest(
-            code.id, agreed, NAME, csr, named_proof, METADATA
-        ).to_bytes().hex(),
-    }  # fmt: skip
+        "named_request": JoinRequest(code.id, agreed, NAME, csr, named_proof, METADATA).to_bytes().hex(),
+    }
 
 
 if __name__ == "__main__":

@@ -9,15 +9,7 @@ RP id of the first bind the others until every one was removed.
 import contextlib
 from collections.abc import Callable, Mapping
 
-from ca.approvals.passkeys import (
-    Assertion,
-    Challenge,
-    Passkey,
-    Purpose,
-    Registration,
-    register,
-    verify,
-)
+from ca.approvals.passkeys import Assertion, Challenge, Passkey, Purpose, Registration, register, verify
 from ca.encoding import Value
 from ca.errors import OtherOrigin, PasskeyUnknown
 from ca.store.record import Store
@@ -37,10 +29,7 @@ class Access:
     """
 
     def __init__(
-        self,
-        work: AuthorityWork,
-        audit: Callable[[str], None],
-        elapsed: clock.Seconds | None = None,
+        self, work: AuthorityWork, audit: Callable[[str], None], elapsed: clock.Seconds | None = None
     ) -> None:
         self.proposals = Proposals(elapsed)
         self._work = work
@@ -168,7 +157,5 @@ def check_bound(known: list[Passkey], origin: str, rp_id: str) -> None:
 
 def _shown(challenge: Challenge, credentials: tuple[bytes, ...]) -> Value:
     return to_value(
-        LoginChallenge(
-            challenge.id, challenge.digest, challenge.until, challenge.rp_id, credentials
-        )
+        LoginChallenge(challenge.id, challenge.digest, challenge.until, challenge.rp_id, credentials)
     )

@@ -50,14 +50,7 @@ from grants.renewal import MAX_DELEGATION, MAX_TICKET, MIN_TICKET, open_delegati
 from rossec import clock
 from rossec.authority import renewals
 from rossec.authority.console.access import check_bound
-from rossec.authority.console.approving import (
-    Approved,
-    Arguments,
-    Conclude,
-    Immediate,
-    ToApprove,
-    tried,
-)
+from rossec.authority.console.approving import Approved, Arguments, Conclude, Immediate, ToApprove, tried
 from rossec.authority.console.grant_requests import checked_reason, keys_of
 from rossec.authority.console.phone_codes import Proposals
 from rossec.authority.grant_operations import MasterCall
@@ -114,9 +107,12 @@ class EnrollAct:
         with authority.store.transaction():
             _check_unchanged(authority.store, what, now)
             authority.issue(
-                approved.approval.payload, now, what.lifetime,
-                replace_key=what.name if what.replaces else None, wildcard=what.wildcard,
-            )  # fmt: skip
+                approved.approval.payload,
+                now,
+                what.lifetime,
+                replace_key=what.name if what.replaces else None,
+                wildcard=what.wildcard,
+            )
             conclude(authority.store, f"{what.name} is enrolled")
         _grant_outright(service, what.name, self._policy)
 
@@ -198,9 +194,7 @@ def _check_unchanged(store: Store, what: Enroll, now: int) -> None:
 
 def _check_lifetime(lifetime: int) -> None:
     if not 0 < lifetime <= MAX_LIFETIME:
-        raise KeyServiceRefused(
-            f"a lifetime of {lifetime} s where 1 to {MAX_LIFETIME} are allowed", ""
-        )
+        raise KeyServiceRefused(f"a lifetime of {lifetime} s where 1 to {MAX_LIFETIME} are allowed", "")
 
 
 def _bundle(home: AuthorityHome, row: CertificateRow) -> bytes:
@@ -281,9 +275,7 @@ class InvitationAct(Immediate):
                 raise KeyServiceRefused("these are not the arguments of a join code", "")
         check_invitation(pattern, wildcard=wildcard)
         if not (1 <= uses <= MAX_USES and MIN_INVITATION <= seconds <= MAX_INVITATION):
-            raise KeyServiceRefused(
-                f"a join code is for 1 to {MAX_USES} nodes, and for at most 30 days", ""
-            )
+            raise KeyServiceRefused(f"a join code is for 1 to {MAX_USES} nodes, and for at most 30 days", "")
         self._address()
         return ToApprove(Invitation(pattern, uses, now + seconds, wildcard))
 
@@ -291,9 +283,14 @@ class InvitationAct(Immediate):
         what = approved.statement.what
         assert isinstance(what, Invitation)  # noqa: S101 - of this kind
         code, row = make_invitation(
-            self._home, what.pattern, what.uses, what.until, self._address(),
-            approved.approval.at, wildcard=what.wildcard,
-        )  # fmt: skip
+            self._home,
+            what.pattern,
+            what.uses,
+            what.until,
+            self._address(),
+            approved.approval.at,
+            wildcard=what.wildcard,
+        )
         store.invitations.add(row)
         with self._lock:
             self._codes[approved.id] = code.text(), self._elapsed() + CODES_KEPT
@@ -429,9 +426,7 @@ class DelegateAct:
             what.holder, what.lifetime, what.max_ttl, approved.approval.at, serial=approved.id
         )
         node = service.home.node()
-        service.deliver(
-            MasterCall(node, "rossec.updateDelegation", (data,), "the delegation", _LATER)
-        )
+        service.deliver(MasterCall(node, "rossec.updateDelegation", (data,), "the delegation", _LATER))
         given = open_delegation(data, authority.signer.public_key)
         service.home.confirm_delegation(given.id, now)
         conclude(authority.store, f"{MASTER} may renew grants")
@@ -459,11 +454,7 @@ def _last_approved(store: Store) -> bytes:
 
 
 def _put_in_force(
-    authority: SigningAuthority,
-    plan: PolicyPlan,
-    approved: Approved,
-    conclude: Conclude,
-    now: int,
+    authority: SigningAuthority, plan: PolicyPlan, approved: Approved, conclude: Conclude, now: int
 ) -> list[bytes]:
     from rossec.authority.policyfile import check_record  # noqa: PLC0415 - an apply needs more
 
@@ -474,10 +465,7 @@ def _put_in_force(
         check_record(authority, plan)
         for entry in revoked:
             authority.store.revoke(entry, f"policy, {approved.reason}", now)
-        conclude(
-            authority.store,
-            _done(plan.signs, len(revoked), plan),
-        )
+        conclude(authority.store, _done(plan.signs, len(revoked), plan))
 
     drafts = list(plan.drafts(authority.domain, now, lambda: secrets.token_bytes(ID_SIZE)))
     try:

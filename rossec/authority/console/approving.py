@@ -89,8 +89,7 @@ class Approved(NamedTuple):
 class Act(Protocol):
     """One kind of act. All methods raise `HintedError` to refuse."""
 
-    def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
-        ...
+    def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove: ...
 
     def admit(self, store: Store, approved: Approved, /) -> str | None:
         # Returns the result if it is done thereby; None: `carry_out` follows.
@@ -98,11 +97,9 @@ class Act(Protocol):
 
     def carry_out(
         self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
-    ) -> None:
-        ...
+    ) -> None: ...
 
-    def made(self, service: AuthorityService, approved: Approved, /) -> bytes:
-        ...
+    def made(self, service: AuthorityService, approved: Approved, /) -> bytes: ...
 
 
 class Immediate:
@@ -199,9 +196,7 @@ class LookersRequests:
     def __init__(self) -> None:
         self._prepared: dict[bytes, None] = {}
 
-    def check(
-        self, home: AuthorityHome, arguments: tuple[Value, ...], owner: str, now: int
-    ) -> None:
+    def check(self, home: AuthorityHome, arguments: tuple[Value, ...], owner: str, now: int) -> None:
         if messages.rank(owner) or not arguments or not isinstance(arguments[0], bytes):
             return
         with closing(home.store()) as store:
@@ -261,9 +256,7 @@ class Approving:
         elapsed: seconds of a clock that cannot be set.
     """
 
-    def __init__(
-        self, of: Of, acts: Mapping[Kind, Act], elapsed: clock.Seconds | None = None
-    ) -> None:
+    def __init__(self, of: Of, acts: Mapping[Kind, Act], elapsed: clock.Seconds | None = None) -> None:
         self._of = of
         self._work = of.work
         self._acts = acts
@@ -295,10 +288,15 @@ class Approving:
         self._statements.add(PreparedStatement(statement, wanted.payload, given), owner)
         return to_value(
             Prepared(
-                statement.id, statement.to_bytes(), statement.challenge, statement.until,
-                phones[-1].rp_id, tuple(each.id for each in phones), wanted.payload,
+                statement.id,
+                statement.to_bytes(),
+                statement.challenge,
+                statement.until,
+                phones[-1].rp_id,
+                tuple(each.id for each in phones),
+                wanted.payload,
             )
-        )  # fmt: skip
+        )
 
     def approve(self, number: bytes, *assertion: bytes) -> Value:
         at = self._work.now()

@@ -249,9 +249,7 @@ async def _connect(path: Path) -> _Connection:
         require_user(raw_socket(writer.get_extra_info("socket")), allowed)
     except PeerUserRefused as error:
         writer.transport.abort()
-        raise KeyServiceFailed(
-            f"another user listens at {path}", "find out who did that"
-        ) from error
+        raise KeyServiceFailed(f"another user listens at {path}", "find out who did that") from error
     return _Connection(reader, writer)
 
 

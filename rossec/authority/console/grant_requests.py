@@ -51,13 +51,7 @@ from rossec.authority.approvals import (
     verdict_change,
 )
 from rossec.authority.console.approving import Approved, Arguments, Conclude, ToApprove
-from rossec.authority.console.messages import (
-    AskedRight,
-    GrantQuestion,
-    QuestionAnswer,
-    given,
-    to_value,
-)
+from rossec.authority.console.messages import AskedRight, GrantQuestion, QuestionAnswer, given, to_value
 from rossec.authority.console.queries import bounded
 from rossec.authority.invitations import InvitationStatus
 from rossec.authority.keyservice.work import AuthorityWork
@@ -79,11 +73,7 @@ class Questions:
         self._work = work
 
     def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        return {
-            "questions": self.questions,
-            "consider": self.consider,
-            "question-answers": self.answers,
-        }
+        return {"questions": self.questions, "consider": self.consider, "question-answers": self.answers}
 
     def questions(self) -> Value:
         if not self._work.policy_path().exists():
@@ -110,13 +100,17 @@ class Questions:
         return to_value(
             tuple(
                 QuestionAnswer(
-                    each.stored.request.node, int(each.stored.requested.right),
-                    each.stored.requested.pattern, each.answer, each.reason, each.at,
+                    each.stored.request.node,
+                    int(each.stored.requested.right),
+                    each.stored.requested.pattern,
+                    each.answer,
+                    each.reason,
+                    each.at,
                 )
                 for each in found
                 if is_about(each.stored, question)
             )
-        )  # fmt: skip
+        )
 
     def _queue(self, file: PolicyFile) -> ApprovalQueue:
         return ApprovalQueue(self._work.home(), file, self._work.now())
@@ -143,9 +137,7 @@ def is_about(stored: StoredRequest, question: bytes) -> bool:
 
 def pending_of(queue: ApprovalQueue, question: bytes) -> list[PendingApproval]:
     """The rights of one question, or of a whole request, that wait for a person."""
-    found = [
-        each for each in queue.pending() if is_about(each.stored, question) and not each.is_allowed
-    ]
+    found = [each for each in queue.pending() if is_about(each.stored, question) and not each.is_allowed]
     if not found:
         raise StoreError("this question was answered", "look at what happened to it")
     return found
@@ -229,9 +221,7 @@ class Answer(NamedTuple):
     def from_bytes(cls, data: bytes) -> "Answer":
         match decode(data, limit=MAX_PAYLOAD):
             case [bytes(policy), [*rights], [*grants]]:
-                return cls(
-                    policy, tuple(map(_grant_acts_right, rights)), tuple(map(_grant, grants))
-                )
+                return cls(policy, tuple(map(_grant_acts_right, rights)), tuple(map(_grant, grants)))
             case _:
                 raise ConfigurationError(*_MALFORMED)
 
@@ -262,9 +252,7 @@ class GrantAct:
         issuer = thumbprint(service.home.own_key())
         answer = Answer(
             sha256(file.text.encode()).digest(),
-            tuple(
-                (int(each.stored.requested.right), each.stored.requested.pattern) for each in found
-            ),
+            tuple((int(each.stored.requested.right), each.stored.requested.pattern) for each in found),
             tuple((encode(document.from_draft(draft, issuer)), rules) for draft, rules in made),
         )
         payload = answer.to_bytes()
@@ -306,9 +294,7 @@ class GrantAct:
             service.store_grant(data)
 
     def made(self, _service: AuthorityService, approved: Approved, /) -> bytes:
-        bodies: list[Value] = [
-            body for body, _ in Answer.from_bytes(approved.approval.payload).grants
-        ]
+        bodies: list[Value] = [body for body, _ in Answer.from_bytes(approved.approval.payload).grants]
         return encode(bodies)
 
     def _check_policy(self, answer: Answer) -> None:
@@ -347,9 +333,15 @@ def _grant(value: Value) -> tuple[bytes, str]:
 def _draft(body: bytes) -> Draft:
     found = document.read_claims(body, bytes(ID_SIZE))
     return Draft(
-        found.domain, found.subject, found.holder, found.not_before, found.expires, found.cap,
-        found.serial, found.permissions,
-    )  # fmt: skip
+        found.domain,
+        found.subject,
+        found.holder,
+        found.not_before,
+        found.expires,
+        found.cap,
+        found.serial,
+        found.permissions,
+    )
 
 
 def _answered() -> StoreError:
@@ -425,8 +417,7 @@ class Removals:
             )
         if is_master_name(name):
             raise KeyServiceRefused(
-                f"without {name} its nodes find nothing: a phone has to approve that",
-                "approve it there",
+                f"without {name} its nodes find nothing: a phone has to approve that", "approve it there"
             )
         return self._revoke(keys_of(name), reason)
 
@@ -435,9 +426,7 @@ class Removals:
         why, at = checked_reason(reason), self._work.now()
         with contextlib.closing(self._work.home().store()) as store, store.transaction():
             table = store.invitations
-            status = InvitationStatus(
-                table.get(invitation), table.uses(invitation), table.ended(invitation)
-            )
+            status = InvitationStatus(table.get(invitation), table.uses(invitation), table.ended(invitation))
             before = {row.digest for row in store.requests.open(at)}
             invitations.end(store, status, why, at)
             for digest in sorted(before - {row.digest for row in store.requests.open(at)}):

@@ -85,9 +85,7 @@ def check_page(origin: str, rp_id: str) -> None:
             f"{origin[:80]!a} is no address of a console", "https://NAME, or http://localhost"
         )
     if not _DOMAIN.fullmatch(rp_id) or _is_address(rp_id):
-        raise PasskeyRefused(
-            f"passkeys cannot belong to {rp_id[:80]!a}", "open the console by a name"
-        )
+        raise PasskeyRefused(f"passkeys cannot belong to {rp_id[:80]!a}", "open the console by a name")
     if host != rp_id and not host.endswith(f".{rp_id}"):
         raise PasskeyRefused(
             f"a page at {host} has no passkeys of {rp_id}", "open the console by its own name"

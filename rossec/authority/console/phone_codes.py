@@ -47,9 +47,7 @@ class Challenges:
     """The challenges of this process; threads may share it."""
 
     def __init__(
-        self,
-        elapsed: clock.Seconds | None = None,
-        random: Callable[[int], bytes] = secrets.token_bytes,
+        self, elapsed: clock.Seconds | None = None, random: Callable[[int], bytes] = secrets.token_bytes
     ) -> None:
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._random = random
@@ -73,9 +71,15 @@ class Challenges:
             raise _other()
         match decode(said):
             case [
-                str(found), bytes(), str(domain), str(origin), str(rp_id), int(made), int(until),
+                str(found),
+                bytes(),
+                str(domain),
+                str(origin),
+                str(rp_id),
+                int(made),
+                int(until),
                 int(end),
-            ] if found == purpose:  # fmt: skip
+            ] if found == purpose:
                 pass
             case _:
                 raise _other()
@@ -124,9 +128,7 @@ class Codes:
     """The codes that were made and not used yet; threads may share it."""
 
     def __init__(
-        self,
-        elapsed: clock.Seconds | None = None,
-        random: Callable[[int], bytes] = secrets.token_bytes,
+        self, elapsed: clock.Seconds | None = None, random: Callable[[int], bytes] = secrets.token_bytes
     ) -> None:
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._random = random
@@ -204,9 +206,7 @@ class Proposals:
     """The passkeys that wait; threads may share it."""
 
     def __init__(
-        self,
-        elapsed: clock.Seconds | None = None,
-        random: Callable[[int], bytes] = secrets.token_bytes,
+        self, elapsed: clock.Seconds | None = None, random: Callable[[int], bytes] = secrets.token_bytes
     ) -> None:
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._random = random
@@ -225,9 +225,7 @@ class Proposals:
                     f"{MAX_PROPOSALS} phones wait to be approved", "approve them, or wait"
                 )
             number = self._random(16)
-            shown = Proposal(
-                number, passkey.name, digits_of(number, passkey), now + PROPOSAL_LIFETIME
-            )
+            shown = Proposal(number, passkey.name, digits_of(number, passkey), now + PROPOSAL_LIFETIME)
             proposed = _Proposed(passkey, shown, self._elapsed() + PROPOSAL_LIFETIME)
             self._proposed.add(number, proposed, owner, rank)
         return shown

@@ -85,10 +85,7 @@ class Reading:
     """
 
     def __init__(
-        self,
-        work: AuthorityWork,
-        last_used: Callable[[bytes], int],
-        deliveries: Deliveries = dict,
+        self, work: AuthorityWork, last_used: Callable[[bytes], int], deliveries: Deliveries = dict
     ) -> None:
         self._work = work
         self._last_used = last_used
@@ -121,10 +118,15 @@ class Reading:
             revoked = ended.get(row.thumbprint)
             views.append(
                 NodeView(
-                    row.name, row.thumbprint, row.not_before, row.not_after, row.wildcard,
-                    revoked.at if revoked else 0, revoked.reason if revoked else "",
+                    row.name,
+                    row.thumbprint,
+                    row.not_before,
+                    row.not_after,
+                    row.wildcard,
+                    revoked.at if revoked else 0,
+                    revoked.reason if revoked else "",
                 )
-            )  # fmt: skip
+            )
         return bounded("identities", reversed(views), lambda view: view.name)
 
     def grants(self) -> Value:
@@ -141,11 +143,18 @@ class Reading:
                 continue
             views.append(
                 GrantView(
-                    row.id, row.name, row.data, signed[row.id], grant.expires, grant.cap,
-                    revoked.at if revoked else 0, revoked.reason if revoked else "",
-                    rules.get(row.id, ""), states.get(row.id, ""),
+                    row.id,
+                    row.name,
+                    row.data,
+                    signed[row.id],
+                    grant.expires,
+                    grant.cap,
+                    revoked.at if revoked else 0,
+                    revoked.reason if revoked else "",
+                    rules.get(row.id, ""),
+                    states.get(row.id, ""),
                 )
-            )  # fmt: skip
+            )
         return bounded("grants", views, lambda view: view.node)
 
     def identity_requests(self) -> Value:
@@ -154,14 +163,19 @@ class Reading:
             store.requests.collect(at)
             views = [
                 IdentityRequestView(
-                    row.digest, row.name, row.thumbprint, row.source, row.arrived, row.expires,
-                    str(row.state), row.wildcard,
-                    any(each.thumbprint != row.thumbprint
-                        for each in store.identities.by_name(row.name)),
+                    row.digest,
+                    row.name,
+                    row.thumbprint,
+                    row.source,
+                    row.arrived,
+                    row.expires,
+                    str(row.state),
+                    row.wildcard,
+                    any(each.thumbprint != row.thumbprint for each in store.identities.by_name(row.name)),
                     row.der,
                 )
                 for row in store.requests.open(at)
-            ]  # fmt: skip
+            ]
         return bounded("requests", reversed(views))
 
     def invitations(self) -> Value:
@@ -169,12 +183,17 @@ class Reading:
         with self._store() as store, store.database.read_transaction():
             views = [
                 InvitationView(
-                    each.row.id, each.row.pattern, each.row.uses,
-                    tuple(use.name for use in each.uses), each.row.wildcard, each.row.expires,
-                    each.row.at, each.state(at),
+                    each.row.id,
+                    each.row.pattern,
+                    each.row.uses,
+                    tuple(use.name for use in each.uses),
+                    each.row.wildcard,
+                    each.row.expires,
+                    each.row.at,
+                    each.state(at),
                 )
                 for each in invitations.invitations(store)
-            ]  # fmt: skip
+            ]
         return bounded("join codes", reversed(views))
 
     def phones(self) -> Value:
@@ -188,10 +207,14 @@ class Reading:
             why = ended.get(each.id)
             views.append(
                 PhoneView(
-                    each.id, each.name, each.at, last, names.get(by.get(each.approval, b""), ""),
+                    each.id,
+                    each.name,
+                    each.at,
+                    last,
+                    names.get(by.get(each.approval, b""), ""),
                     "" if why is None else why or "removed",
                 )
-            )  # fmt: skip
+            )
         return bounded("phones", views)
 
     def approvals(self, count: int) -> Value:
@@ -204,10 +227,15 @@ class Reading:
             end = ends.get(each.id)
             views.append(
                 ApprovalView(
-                    each.id, each.kind, _sentence(each), names.get(each.passkey, ""), each.at,
-                    end.state if end else str(ApprovalState.WAITING), end.result if end else "",
+                    each.id,
+                    each.kind,
+                    _sentence(each),
+                    names.get(each.passkey, ""),
+                    each.at,
+                    end.state if end else str(ApprovalState.WAITING),
+                    end.result if end else "",
                 )
-            )  # fmt: skip
+            )
         return bounded("approvals", views)
 
     def events(self, before: int, count: int) -> Value:
@@ -465,9 +493,7 @@ class MasterView:
     def _watch(self, view: GraphView, within: float) -> None:
         more = True
         while more:
-            answer = self._call(
-                WATCH_GRAPH, (*view.next_params,), "a question about the graph", within
-            )
+            answer = self._call(WATCH_GRAPH, (*view.next_params,), "a question about the graph", within)
             more = view.take(answer).more
             if len(view.facts) > MAX_FACTS:
                 raise NotDelivered(f"the graph has more than {MAX_FACTS} facts", _HINT)
@@ -503,9 +529,7 @@ class MasterView:
         except NotDelivered:
             return unknown
         match answer:
-            case {"list": str(number), "nodes": int(nodes), "holding": int(holding)} if (
-                0 <= holding <= nodes
-            ):
+            case {"list": str(number), "nodes": int(nodes), "holding": int(holding)} if 0 <= holding <= nodes:
                 is_there = _number(number) >= (epoch, seq)
                 return ListStanding(epoch, seq, True, is_there, nodes, holding if is_there else 0)
             case _:
@@ -513,9 +537,7 @@ class MasterView:
 
     def _call(self, method: str, arguments: tuple[object, ...], what: str, within: float) -> object:
         node = self._work.home().node()
-        return self._deliver(
-            MasterCall(node, method, arguments, what, _HINT, within=within, waits=True)
-        )
+        return self._deliver(MasterCall(node, method, arguments, what, _HINT, within=within, waits=True))
 
 
 def _facts(view: GraphView) -> Value:

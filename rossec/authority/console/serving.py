@@ -107,10 +107,9 @@ class StatusLook:
         number = _number(size, remaining is None, has_master, *map(_changed, files), *self._seen())
         return to_value(
             Status(
-                self._domain, self._fingerprint, remaining is None, remaining, number, now,
-                phones, has_master,
+                self._domain, self._fingerprint, remaining is None, remaining, number, now, phones, has_master
             )
-        )  # fmt: skip
+        )
 
 
 def _changed(path: Path) -> tuple[int, ...]:
@@ -179,21 +178,25 @@ _log = logging.getLogger("rossec.authority.service")
 Handler = Callable[..., Value]
 CHANGES: Final = frozenset(
     {
-        "deny-request", "deny-question", "revoke-grant", "revoke-node", "end-invitation",
-        "remove-phone", "end-proposal", "approve",
+        "deny-request",
+        "deny-question",
+        "revoke-grant",
+        "revoke-node",
+        "end-invitation",
+        "remove-phone",
+        "end-proposal",
+        "approve",
     }
-)  # fmt: skip
+)
 
 
-def _unaudited(_: str) -> None:
-    ...
+def _unaudited(_: str) -> None: ...
 
 
 class Part(Protocol):
     """Some of the operations."""
 
-    def handlers(self) -> Mapping[str, Handler]:
-        ...
+    def handlers(self) -> Mapping[str, Handler]: ...
 
 
 class ConsoleService:
@@ -257,9 +260,7 @@ class ConsolePlace(NamedTuple):
 def place(directory: Path, path: Path | None, user: str | None) -> ConsolePlace:
     """Where the console of the authority in `directory` is: by default there."""
     if path is not None and path.exists() and not path.is_socket():
-        raise ConfigurationError(
-            f"{path} is a file, and not a socket", "choose another --console-socket"
-        )
+        raise ConfigurationError(f"{path} is a file, and not a socket", "choose another --console-socket")
     if user is None:
         return ConsolePlace(path or directory / messages.SOCKET)
     try:
@@ -354,9 +355,7 @@ class Console:
         of = Of(work, operations.audit, self.rounds.wake, self.access.counter)
         self.approving = Approving(of, acts_of(work, self.access, join_address))
         self.rounds.add(self.approving.carry_out_waiting, first=True)
-        self.master = MasterView(
-            work, network.deliver if network else _fail, came_back=self.rounds.wake
-        )
+        self.master = MasterView(work, network.deliver if network else _fail, came_back=self.rounds.wake)
         self.service = ConsoleService(
             self.access,
             StatusLook(work, operations.held, self._has_master, self._seen),
@@ -403,10 +402,7 @@ class Deliveries:
 
 
 def acts_of(
-    work: AuthorityWork,
-    access: Access,
-    join_address: Callable[[], str],
-    elapsed: clock.Seconds | None = None,
+    work: AuthorityWork, access: Access, join_address: Callable[[], str], elapsed: clock.Seconds | None = None
 ) -> Mapping[Kind, Act]:
     """What a phone can approve; `elapsed` counts seconds and cannot be set."""
     policy = work.policy_path()

@@ -200,9 +200,7 @@ def _connect(path: Path) -> socket.socket:
         require_user(sock, {os.geteuid()})
     except PeerUserRefused as error:
         sock.close()
-        raise KeyServiceFailed(
-            f"another user listens at {path}", "find out who did that"
-        ) from error
+        raise KeyServiceFailed(f"another user listens at {path}", "find out who did that") from error
     except BaseException:
         sock.close()
         raise

@@ -61,9 +61,7 @@ class Face:
         suites: the post-quantum policy.
     """
 
-    def __init__(
-        self, node: NodeHome, join_address: str, master_uri: str, suites: tuple[int, ...]
-    ) -> None:
+    def __init__(self, node: NodeHome, join_address: str, master_uri: str, suites: tuple[int, ...]) -> None:
         self._node = node
         self._join_address = join_address
         self._master_uri = master_uri
@@ -125,9 +123,7 @@ class Face:
             async with asyncio.timeout(seconds):
                 own, anchor = self._node.credentials(), self._node.anchor()
                 deadline = max(CALL_DEADLINE, float(seconds))
-                connection = master_connection(
-                    own, anchor, self._master_uri, self._suites, deadline
-                )
+                connection = master_connection(own, anchor, self._master_uri, self._suites, deadline)
                 async with connection as client:
                     return await _ask(client, self._node.name, method, arguments)
         except (HintedError, OSError, TimeoutError, Fault) as error:

@@ -139,9 +139,7 @@ def frame_size(head: bytes, limit: int = MAX_FRAME) -> int:
     """
     size = int.from_bytes(head)
     if not 0 < size <= limit:
-        raise KeyMessageRefused(
-            f"a message of {size} bytes where 1 to {limit} are allowed", _MESSAGES_HINT
-        )
+        raise KeyMessageRefused(f"a message of {size} bytes where 1 to {limit} are allowed", _MESSAGES_HINT)
     return size
 
 
@@ -151,9 +149,7 @@ def write_request(request: Request) -> bytes:
 
 
 def read_request(
-    body: bytes,
-    operations: Mapping[str, tuple[type, ...]] = OPERATIONS,
-    limit: int = MAX_FRAME,
+    body: bytes, operations: Mapping[str, tuple[type, ...]] = OPERATIONS, limit: int = MAX_FRAME
 ) -> Request:
     """Read the body of a request's frame, for the table `operations`."""
     match _decode(body, limit):
@@ -266,9 +262,7 @@ def read(body: bytes, limit: int) -> InnerMessage:
 def _message(kind: int, number: int, rest: list[Value]) -> InnerMessage | None:
     match kind, rest:
         case 0, [str() as operation, *arguments] if operation in INNER_OPERATIONS:
-            if tuple(map(type, arguments)) == INNER_OPERATIONS[operation] and _fits(
-                operation, arguments
-            ):
+            if tuple(map(type, arguments)) == INNER_OPERATIONS[operation] and _fits(operation, arguments):
                 return InnerRequest(number, operation, tuple(arguments))
         case 1, [value]:
             return InnerAnswer(number, value)

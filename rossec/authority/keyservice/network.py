@@ -110,10 +110,7 @@ class JoinNames:
         return self
 
     async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._runner is not None:
             self._runner.close()
@@ -144,8 +141,7 @@ Renew = Callable[[list[bytes]], Awaitable[list[tuple[bytes, bytes, str]]]]
 class CallsMaster(Protocol):
     """What calls the master (`FaceProcess`)."""
 
-    async def call(self, method: str, arguments: list[Value], within: int) -> Value:
-        ...
+    async def call(self, method: str, arguments: list[Value], within: int) -> Value: ...
 
 
 class RenewalWatch:

@@ -26,13 +26,7 @@ from ca.keys.private_keys import TokenSigner
 from ca.keys.signing import Signer
 from rossec import clock
 from rossec.authority.keyservice import messages
-from rossec.authority.keyservice.messages import (
-    MAX_PASSPHRASE,
-    MAX_UNLOCKED,
-    Authority,
-    Request,
-    kind_of,
-)
+from rossec.authority.keyservice.messages import MAX_PASSPHRASE, MAX_UNLOCKED, Authority, Request, kind_of
 from rossec.errors import AuthorityLocked, KeyServiceRefused, SigningRefused
 
 UNLOCK_HINT: Final = "unlock it with: rossec ca unlock --for 15m"
@@ -258,10 +252,7 @@ class OwnSigner:
     """A `Signer` for what the service does itself: joins, and what the policy gives."""
 
     def __init__(
-        self,
-        operations: KeyOperations,
-        public_key: ec.EllipticCurvePublicKey,
-        purpose: str = ITSELF,
+        self, operations: KeyOperations, public_key: ec.EllipticCurvePublicKey, purpose: str = ITSELF
     ) -> None:
         self._operations = operations
         self._public_key = public_key
@@ -275,5 +266,4 @@ class OwnSigner:
         return self._operations.sign(message, self.purpose)
 
 
-def _nothing() -> None:
-    ...
+def _nothing() -> None: ...

@@ -328,11 +328,7 @@ class FaceProcess:
     """
 
     def __init__(
-        self,
-        home: AuthorityHome,
-        options: FaceOptions,
-        environ: Mapping[str, str],
-        module: str = MODULE,
+        self, home: AuthorityHome, options: FaceOptions, environ: Mapping[str, str], module: str = MODULE
     ) -> None:
         self.port = 0
         self._command = [sys.executable, "-I", "-m", module]

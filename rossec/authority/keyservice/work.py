@@ -264,9 +264,7 @@ class AuthorityWork:
             self._operations.held.check()
             return OwnSigner(self._operations, home.own_key(), purpose)
 
-        service = AuthorityService(
-            self._rossec_home, _no_passphrase, self._deliver, self._now, find_signer
-        )
+        service = AuthorityService(self._rossec_home, _no_passphrase, self._deliver, self._now, find_signer)
         with contextlib.closing(service):
             yield service
 

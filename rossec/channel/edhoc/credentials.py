@@ -43,12 +43,10 @@ class PeerIdentity(Protocol):
     """What the channel must know about a verified peer."""
 
     @property
-    def public_key(self) -> PublicKey:
-        ...
+    def public_key(self) -> PublicKey: ...
 
     @property
-    def not_after(self) -> int:
-        ...
+    def not_after(self) -> int: ...
 
 
 PeerT = TypeVar("PeerT", bound=PeerIdentity)
@@ -70,24 +68,20 @@ class OwnCredential(Protocol):
     """What the handshake needs of this side's credential."""
 
     @property
-    def id_cred(self) -> Value:
-        ...
+    def id_cred(self) -> Value: ...
 
     @property
-    def certificate(self) -> bytes:
-        ...
+    def certificate(self) -> bytes: ...
 
     @property
-    def public_key(self) -> PublicKey:
-        ...
+    def public_key(self) -> PublicKey: ...
 
     @property
     def shared(self) -> bool:
         """Whether several nodes hold this key: a peer that sends it is not a reflection."""
         ...
 
-    def sign(self, message: bytes) -> bytes:
-        ...
+    def sign(self, message: bytes) -> bytes: ...
 
 
 @dataclass(frozen=True)
@@ -172,9 +166,7 @@ def x5chain(id_cred: Value) -> tuple[bytes, ...]:
         HandshakeFailed: another kind of credential, or not a chain of 1 to 4 certificates.
     """
     if isinstance(id_cred, dict) and X5T in id_cred:
-        raise PeerCredentialUnknown(
-            "the peer names a certificate by its hash, and this node caches none"
-        )
+        raise PeerCredentialUnknown("the peer names a certificate by its hash, and this node caches none")
     named = id_cred.get(X5CHAIN) if isinstance(id_cred, dict) and len(id_cred) == 1 else None
     match named:
         case bytes():
@@ -242,9 +234,7 @@ class KnownCertificates:
             case {34: [-15, bytes() as short], **rest} if not rest:
                 chain = self._chains.get(short)
                 if chain is None:
-                    raise PeerCredentialUnknown(
-                        "the peer names a certificate this node does not know"
-                    )
+                    raise PeerCredentialUnknown("the peer names a certificate this node does not know")
                 self._chains.move_to_end(short)
                 return chain
             case _:

@@ -207,11 +207,7 @@ class EdhocPeer(Generic[PeerT]):
             raise HandshakeFailed("a handshake message does not decrypt") from None
 
     def _aead(
-        self,
-        key: KdfLabel,
-        iv: KdfLabel,
-        operation: Callable[..., Callable[..., bytes]],
-        data: bytes,
+        self, key: KdfLabel, iv: KdfLabel, operation: Callable[..., Callable[..., bytes]], data: bytes
     ) -> bytes:
         suite = self._suite
         aead = suite.aead(kdf(self._prk, key, self._th, suite.key_length))

@@ -51,16 +51,16 @@ as_border = click.option(
 @click.option("--key", "ccs", type=options.FILE, help="the thing's credential: a CCS, as CBOR")
 @click.option("--psk", is_flag=True, help="it has no curves: make a secret for it")
 @click.option(
-    "--secret-out", type=click.Path(path_type=Path, dir_okay=False),
+    "--secret-out",
+    type=click.Path(path_type=Path, dir_okay=False),
     help="write the secret for the thing to this new file, and do not show it",
-)  # fmt: skip
+)
 @as_border
 @json_result(secret=True)
 @pass_environment
 def add(
-    environment: Environment, name: str, ccs: Path | None, psk: bool, secret_out: Path | None,
-    router: str,
-) -> None:  # fmt: skip
+    environment: Environment, name: str, ccs: Path | None, psk: bool, secret_out: Path | None, router: str
+) -> None:
     """Prepare the thing NAME: the request of its node, and its secret if it has one.
 
     The keys of the thing's node and its secret stay here; the secret is shown once, for the thing.
@@ -167,9 +167,8 @@ def credential(environment: Environment, file: Path, router: str) -> None:
 @click.command()
 @click.argument("credentials", nargs=-1, required=True, type=options.FILE)
 @click.option(
-    "--out", type=click.Path(path_type=Path, dir_okay=False), required=True,
-    help="HTML file to print",
-)  # fmt: skip
+    "--out", type=click.Path(path_type=Path, dir_okay=False), required=True, help="HTML file to print"
+)
 @json_result()
 def labels(credentials: tuple[Path, ...], out: Path) -> None:
     """Write a sheet of labels for the things with these CREDENTIALS, 24 to a page.
@@ -211,12 +210,16 @@ def list_(environment: Environment, router: str, *, as_json: bool) -> None:
         say_json(
             {
                 "things": [
-                    {"name": each.name, "kind": each.kind, "kid": each.credential.kid.hex(),
-                     "expires": each.expires}
+                    {
+                        "name": each.name,
+                        "kind": each.kind,
+                        "kid": each.credential.kid.hex(),
+                        "expires": each.expires,
+                    }
                     for each in found
                 ]
             }
-        )  # fmt: skip
+        )
         return
     for each in found:
         kind = "key" if isinstance(each.credential, ThingKey) else "secret"
@@ -268,9 +271,7 @@ def forget(environment: Environment, names: tuple[str, ...], router: str) -> Non
     for name in names:
         with batch.item(name):
             if not ThingFiles(home).forget(name):
-                raise ConfigurationError(
-                    f"there is nothing about {name} here", "see: rossec border list"
-                )
+                raise ConfigurationError(f"there is nothing about {name} here", "see: rossec border list")
             say(f"{name} is not served here any more")
             note(f"if it is lost, at the authority: rossec ca revoke --thing {name}")
     batch.finish()
@@ -278,9 +279,7 @@ def forget(environment: Environment, names: tuple[str, ...], router: str) -> Non
 
 def needs_extra() -> ConfigurationError:
     """The error that CoAP is not installed."""
-    return ConfigurationError(
-        "CoAP for things is not installed", "pip install 'rossec[constrained]'"
-    )
+    return ConfigurationError("CoAP for things is not installed", "pip install 'rossec[constrained]'")
 
 
 def _home(environment: Environment, router: str) -> NodeHome:

@@ -40,9 +40,7 @@ def run(environment: Environment, name: str, host: str, port: int, *, as_json: b
         asyncio.run(_serve(environment, home, host, port, as_json=as_json))
 
 
-async def _serve(
-    environment: Environment, home: NodeHome, host: str, port: int, *, as_json: bool
-) -> None:
+async def _serve(environment: Environment, home: NodeHome, host: str, port: int, *, as_json: bool) -> None:
     stop = stop_on_signals()
     key = StaticKey(ThingFiles(home).router_key())
     router = BorderRouter(home.name, key, await with_master(environment, home), host, port)
@@ -62,9 +60,7 @@ def _print_ready(router: BorderRouter, *, as_json: bool) -> None:
     if as_json:
         say_json({"ready": [host, port], "things": len(router.roster)})
         return
-    say(
-        f"border router {router.node.name} at {host} port {port} (UDP), {len(router.roster)} things"
-    )
+    say(f"border router {router.node.name} at {host} port {port} (UDP), {len(router.roster)} things")
     if not len(router.roster):
         note("add things: rossec border add NAME --key FILE")
 

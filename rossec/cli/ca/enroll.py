@@ -30,13 +30,7 @@ from rossec.authority.service import AuthorityService
 from rossec.cli.ca import sign
 from rossec.cli.ca.sign import warn_of_wildcard, write_identity
 from rossec.cli.shared import options
-from rossec.cli.shared.context import (
-    Environment,
-    ask_yes_no,
-    now,
-    pass_environment,
-    reraise_interrupt,
-)
+from rossec.cli.shared.context import Environment, ask_yes_no, now, pass_environment, reraise_interrupt
 from rossec.cli.shared.options import Batch, json_result, unique
 from rossec.cli.shared.service import (
     give_outright,
@@ -195,22 +189,18 @@ _DENIED: Final = "denied at the authority"
 @click.command()
 @click.argument("code", required=False)
 @click.option(
-    "--image", type=click.Path(path_type=Path, exists=True, dir_okay=False, allow_dash=True),
+    "--image",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False, allow_dash=True),
     help="read the code from this picture; - is standard input",
-)  # fmt: skip
-@click.option(
-    "--csr", "csr_file", type=options.FILE,
-    help="no code: this request, whose fingerprint you have compared",
-)  # fmt: skip
-@click.option(
-    "--address", "given_address", help="where the node waits, for a label: host, or host:port"
 )
+@click.option(
+    "--csr", "csr_file", type=options.FILE, help="no code: this request, whose fingerprint you have compared"
+)
+@click.option("--address", "given_address", help="where the node waits, for a label: host, or host:port")
 @sign.identity_lifetime
 @sign.replace_key()
 @sign.anonymous
-@click.option(
-    "--later", is_flag=True, help="only record the request; decide with: rossec ca approve"
-)
+@click.option("--later", is_flag=True, help="only record the request; decide with: rossec ca approve")
 @options.master_uri
 @click.option("--yes", is_flag=True, help="do not ask")
 @json_result()
@@ -255,9 +245,8 @@ def enroll(
         raise ConfigurationError("denied", "to ask again the node needs a new request")
     core.approve(now())
     bundle = service.issue(
-        row.der, lifetime,
-        replace_key=replaced, wildcard=core.request.wildcard, source=row.source,
-    )  # fmt: skip
+        row.der, lifetime, replace_key=replaced, wildcard=core.request.wildcard, source=row.source
+    )
     record(state="signed")
     if destination is None:
         assert csr_file is not None  # noqa: S101 - without an address there is a file
@@ -301,9 +290,7 @@ def _prompt_for_code() -> str:
     return typed
 
 
-def _destination(
-    code: qr.Code, given_address: str | None, csr_file: Path | None
-) -> Destination | None:
+def _destination(code: qr.Code, given_address: str | None, csr_file: Path | None) -> Destination | None:
     if given_address is not None or code.address:
         return addresses.split(given_address or code.address)
     if csr_file is not None:
@@ -313,9 +300,7 @@ def _destination(
     )
 
 
-def _fetch_request(
-    core: AuthorityEnrollment, csr_file: Path | None, destination: Destination | None
-) -> None:
+def _fetch_request(core: AuthorityEnrollment, csr_file: Path | None, destination: Destination | None) -> None:
     if csr_file is not None:
         core.receive(write(Delivery(_read(csr_file))), now())
         return

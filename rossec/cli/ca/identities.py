@@ -79,10 +79,7 @@ def ends_soon(row: CertificateRow, at: int) -> bool:
 def line(row: CertificateRow, state: str) -> str:
     """One identity as a line of text."""
     name = f"{row.name} and {row.name}_*" if row.wildcard else row.name
-    until, key = (
-        f"until {format_time(row.not_after)}",
-        f"fingerprint {format_fingerprint(row.thumbprint)}",
-    )
+    until, key = (f"until {format_time(row.not_after)}", f"fingerprint {format_fingerprint(row.thumbprint)}")
     return "  ".join([name, until, key, *[terminal.state(state)] * (state != "valid")])
 
 
@@ -129,9 +126,7 @@ def _remarks(found: list[tuple[CertificateRow, str]], at: int) -> list[str]:
 def show(environment: Environment, name: str | None, in_json: bool) -> None:
     """Show the authority, or everything about the node NAME."""
     home = AuthorityHome.at(environment.home)
-    with_states = [
-        (row, state) for row, state in states(home.store(), now()) if name in {None, row.name}
-    ]
+    with_states = [(row, state) for row, state in states(home.store(), now()) if name in {None, row.name}]
     if name is not None and not with_states:
         raise ConfigurationError(f"{name} never had an identity here", "see: rossec ca list --all")
     if in_json:
@@ -145,29 +140,25 @@ def show(environment: Environment, name: str | None, in_json: bool) -> None:
         say(line(row, state))
     for each in things.states(home.store(), now()) if name is not None else ():
         if name in {each.row.name, each.row.border} and each.state == things.IN_FORCE:
-            say(
-                f"thing {each.row.name} at {each.row.border}, until {format_time(each.row.expires)}"
-            )
+            say(f"thing {each.row.name} at {each.row.border}, until {format_time(each.row.expires)}")
 
 
 @click.command()
 @click.argument("names", metavar="NAME...", nargs=-1, required=True)
 @click.option(
-    "--for", "lifetime", type=Duration(MAX_LIFETIME // DAY), default="30d", show_default=True,
+    "--for",
+    "lifetime",
+    type=Duration(MAX_LIFETIME // DAY),
+    default="30d",
+    show_default=True,
     help="how long the new identity lasts",
-)  # fmt: skip
-@click.option(
-    "--expired", is_flag=True, help="also one that is over: it keeps its key, and so its grants"
 )
+@click.option("--expired", is_flag=True, help="also one that is over: it keeps its key, and so its grants")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="where to write it")
 @json_result()
 @pass_service
 def renew(
-    service: AuthorityService,
-    names: tuple[str, ...],
-    lifetime: int,
-    expired: bool,
-    out: Path | None,
+    service: AuthorityService, names: tuple[str, ...], lifetime: int, expired: bool, out: Path | None
 ) -> None:
     """Renew the identity of NAME for the key it has; /ca is the authority's own node.
 
@@ -198,9 +189,7 @@ def renew(
     batch.finish()
 
 
-def _renew(
-    service: AuthorityService, name: str, lifetime: int, out: Path | None, *, expired: bool
-) -> Path:
+def _renew(service: AuthorityService, name: str, lifetime: int, out: Path | None, *, expired: bool) -> Path:
     bundle = service.renew(name, lifetime, expired=expired)
     target = out or Path(f"{name.lstrip('/').replace('/', '.')}.pem")
     files.replace(target, bundle, 0o644)
@@ -243,13 +232,16 @@ def publish(service: AuthorityService) -> None:
 
 @click.command()
 @click.option(
-    "--list", "older", type=options.FILE,
+    "--list",
+    "older",
+    type=options.FILE,
     help="first revoke what this list revokes: a node's, from before a restore that lacked it",
-)  # fmt: skip
+)
 @click.option(
-    "--entries", type=options.FILE,
+    "--entries",
+    type=options.FILE,
     help="of that list where it is a tree; by default revocations.entries beside it",
-)  # fmt: skip
+)
 @options.master_uri
 @json_result()
 @pass_service
@@ -273,22 +265,21 @@ def refresh(service: AuthorityService, older: Path | None, entries: Path | None)
 @click.argument("names", metavar="NAME...", nargs=-1, required=True)
 @click.option("--reason", default="", help="why, for the record")
 @click.option(
-    "--certificate", type=options.FILE,
+    "--certificate",
+    type=options.FILE,
     help="of a node of another domain: revoke the key in this node.pem, and no other",
-)  # fmt: skip
+)
 @click.option(
-    "--thing", "of_thing", is_flag=True,
+    "--thing",
+    "of_thing",
+    is_flag=True,
     help="revoke what is said of the thing NAME; the node that stands for it keeps its identity",
-)  # fmt: skip
+)
 @options.master_uri
 @json_result()
 @pass_service
 def revoke(
-    service: AuthorityService,
-    names: tuple[str, ...],
-    reason: str,
-    certificate: Path | None,
-    of_thing: bool,
+    service: AuthorityService, names: tuple[str, ...], reason: str, certificate: Path | None, of_thing: bool
 ) -> None:
     """Revoke the identity of the node NAME, or with --thing the thing NAME, at once.
 
@@ -307,8 +298,11 @@ def revoke(
     batch = Batch(len(names), "name")
     for name in names:
         with batch.item(name):
-            say(_revoke_thing(service, name, reason) if of_thing
-                else _revoke_node(service, name, reason, certificate))  # fmt: skip
+            say(
+                _revoke_thing(service, name, reason)
+                if of_thing
+                else _revoke_node(service, name, reason, certificate)
+            )
     if batch.done:
         publish_list(service)
     batch.finish()
@@ -320,9 +314,7 @@ def _revoke_thing(service: AuthorityService, name: str, reason: str) -> str:
     return f"revoked the thing {name}, {count} statement{'s' * (count != 1)} (list {listed.seq})"
 
 
-def _revoke_node(
-    service: AuthorityService, name: str, reason: str, certificate: Path | None
-) -> str:
+def _revoke_node(service: AuthorityService, name: str, reason: str, certificate: Path | None) -> str:
     local = local_name(name)
     if is_alias(local):
         pem = b"" if certificate is None else files.read(certificate, options.MAX_PEM)
@@ -439,9 +431,7 @@ def _summary(each: InvitationStatus, at: int) -> dict[str, object]:
         "anonymous": row.wildcard,
         "made": row.at,
         "until": row.expires,
-        "joined": [
-            {"name": use.name, "key": use.thumbprint.hex(), "at": use.at} for use in each.uses
-        ],
+        "joined": [{"name": use.name, "key": use.thumbprint.hex(), "at": use.at} for use in each.uses],
     }
 
 
@@ -461,9 +451,12 @@ def show_log(environment: Environment, last: int | None, *, in_json: bool) -> No
 
 @click.command()
 @click.option(
-    "--head", "heads", multiple=True, type=options.FILE,
+    "--head",
+    "heads",
+    multiple=True,
+    type=options.FILE,
     help="a signed head kept elsewhere (rossec ca log head)",
-)  # fmt: skip
+)
 @click.option("--json", "in_json", is_flag=True, help="one line of JSON")
 @pass_environment
 def verify(environment: Environment, heads: tuple[Path, ...], in_json: bool) -> None:
@@ -509,10 +502,7 @@ def head(service: AuthorityService, out: Path | None) -> None:
 
 @click.command()
 @click.option("--entry", type=click.IntRange(0), help="prove that this entry is in the log")
-@click.option(
-    "--since", type=options.FILE,
-    help="prove that the log continues this signed head",
-)  # fmt: skip
+@click.option("--since", type=options.FILE, help="prove that the log continues this signed head")
 @pass_environment
 def prove(environment: Environment, entry: int | None, since: Path | None) -> None:
     """Print a proof, as JSON, against the newest signed head (RFC 6962)."""

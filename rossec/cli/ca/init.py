@@ -18,19 +18,13 @@ from rossec.terminal import record, say
 
 @click.command()
 @click.argument("domain")
-@click.option(
-    "--key", "uri", metavar="URI", help="make the key in a token: pkcs11:token=T;object=O"
-)
+@click.option("--key", "uri", metavar="URI", help="make the key in a token: pkcs11:token=T;object=O")
 @click.option("--master", "with_master", is_flag=True, help="enroll /master here too")
 @passphrase.option
 @json_result()
 @pass_environment
 def init(
-    environment: Environment,
-    domain: str,
-    uri: str | None,
-    with_master: bool,
-    passphrase_file: Path | None,
+    environment: Environment, domain: str, uri: str | None, with_master: bool, passphrase_file: Path | None
 ) -> None:
     """Create the authority of the trust domain DOMAIN, for example home.
 

@@ -29,22 +29,29 @@ _MAX_DAYS: Final = 30
 @click.command("invite")
 @click.argument("pattern")
 @click.option(
-    "--uses", type=click.IntRange(1, MAX_USES), default=1, show_default=True,
+    "--uses",
+    type=click.IntRange(1, MAX_USES),
+    default=1,
+    show_default=True,
     help="so many nodes may join, each with a new name",
-)  # fmt: skip
+)
 @click.option(
-    "--for", "lasts", type=Duration(_MAX_DAYS), default="1h", show_default=True,
+    "--for",
+    "lasts",
+    type=Duration(_MAX_DAYS),
+    default="1h",
+    show_default=True,
     help="how long it can be used",
-)  # fmt: skip
+)
 @click.option("--anonymous", is_flag=True, help="for anonymous nodes too: NAME and NAME_*")
 @click.option("--qr", "picture", is_flag=True, help="also show it as a picture, on stderr")
 @click.option(
-    "--ndef", "tag", type=click.Path(path_type=Path, dir_okay=False),
+    "--ndef",
+    "tag",
+    type=click.Path(path_type=Path, dir_okay=False),
     help="also write it to this new file, for an NFC tag (NDEF)",
-)  # fmt: skip
-@click.option(
-    "--address", "given", help="where nodes reach `rossec ca serve`, instead of the address found"
 )
+@click.option("--address", "given", help="where nodes reach `rossec ca serve`, instead of the address found")
 @json_result(secret=True)
 @pass_environment
 def command(
@@ -77,10 +84,7 @@ def command(
         note(f"written for an NFC tag: {tag}")
     if picture:
         note_picture(qr.terminal(code.text()))
-    record(
-        id=code.id.hex(), pattern=code.pattern, address=code.address, until=code.expires,
-        code=code.text(),
-    )  # fmt: skip
+    record(id=code.id.hex(), pattern=code.pattern, address=code.address, until=code.expires, code=code.text())
     say_secret(code.text())
 
 

@@ -38,14 +38,7 @@ from rossec.host import addresses
 from rossec.host.addresses import JOIN_PORT
 from rossec.host.audit import AUDIT, audit_written
 from rossec.host.local_sockets import UnixPeer
-from rossec.host.runner import (
-    READY,
-    STOPPING,
-    log_as_json,
-    notify,
-    stop_on_signals,
-    until_first_ends,
-)
+from rossec.host.runner import READY, STOPPING, log_as_json, notify, stop_on_signals, until_first_ends
 from rossec.host.sandbox import protect_memory
 from rossec.ros import names
 from rossec.terminal import record, say, say_json
@@ -55,33 +48,46 @@ OPERATOR = "the operator who started it"
 
 @click.command()
 @click.option(
-    "--unlock-for", "seconds", type=UnlockTime(MAX_UNLOCKED), default="15m", show_default=True,
+    "--unlock-for",
+    "seconds",
+    type=UnlockTime(MAX_UNLOCKED),
+    default="15m",
+    show_default=True,
     help="how long the key is held; 0: while it runs",
-)  # fmt: skip
+)
 @click.option("--locked", is_flag=True, help="start without the key: rossec ca unlock")
 @click.option(
-    "--join-address", metavar="HOST:PORT", default=f"{ANY}:{JOIN_PORT}", show_default=True,
+    "--join-address",
+    metavar="HOST:PORT",
+    default=f"{ANY}:{JOIN_PORT}",
+    show_default=True,
     help="where nodes with an invitation join; *: every address of this host",
-)  # fmt: skip
+)
 @click.option("--no-network", is_flag=True, help="only serve the commands of this host")
 @click.option("--apply", "applies", is_flag=True, help="put the policy in force, and keep it so")
 @click.option(
-    "--renewals/--no-renewals", "renews", default=True,
+    "--renewals/--no-renewals",
+    "renews",
+    default=True,
     help="renew the identities of nodes that are enrolled, before they end (the default)",
-)  # fmt: skip
+)
 @options.policy
 @click.option(
-    "--rules", "rules_path", type=options.FILE, metavar="FILE",
+    "--rules",
+    "rules_path",
+    type=options.FILE,
+    metavar="FILE",
     help="name nodes that join with metadata by these rules; without, none is named",
-)  # fmt: skip
-@options.master_uri
-@click.option(
-    "--console-user", metavar="NAME", help="another user whose console may show this authority"
 )
+@options.master_uri
+@click.option("--console-user", metavar="NAME", help="another user whose console may show this authority")
 @click.option(
-    "--console-socket", "console_socket_path", type=click.Path(path_type=Path), metavar="PATH",
+    "--console-socket",
+    "console_socket_path",
+    type=click.Path(path_type=Path),
+    metavar="PATH",
     help="where the console finds it; for --console-user",
-)  # fmt: skip
+)
 @click.option("--log", type=click.Choice(["text", "json"]), default="text", help="form of the log")
 @click.option("--json", "as_json", is_flag=True, help="say that it is ready as a line of JSON")
 @passphrase.option
@@ -132,9 +138,14 @@ def serve(
             stack.callback(face.close)
             face.spawn()  # before there is a key
             network = NetworkWork(
-                environment.home, operations, face, applies=applies, policy=policy_path,
-                rules=joiners, renews=renews,
-            )  # fmt: skip
+                environment.home,
+                operations,
+                face,
+                applies=applies,
+                policy=policy_path,
+                rules=joiners,
+                renews=renews,
+            )
         if not locked:
             secret = passphrase.read(passphrase_file, environment.variables)
             operations.unlock(secret, seconds, OPERATOR)
@@ -223,9 +234,13 @@ _PAUSE = 0.1
 
 @click.command()
 @click.option(
-    "--for", "seconds", type=UnlockTime(MAX_UNLOCKED), default="15m", show_default=True,
+    "--for",
+    "seconds",
+    type=UnlockTime(MAX_UNLOCKED),
+    default="15m",
+    show_default=True,
     help="how long the key is held; 0: while the service runs",
-)  # fmt: skip
+)
 @passphrase.option
 @json_result()
 @pass_environment

@@ -22,14 +22,7 @@ from ca.enrollment import qr
 from ca.keys.signing import thumbprint
 from ca.names import check_wildcard, spiffe_id
 from ca.svid import IdentityRequest, check_request
-from ca.things.constrained_nodes import (
-    PSK,
-    Credential,
-    ThingKey,
-    ThingStatement,
-    read_ccs,
-    read_description,
-)
+from ca.things.constrained_nodes import PSK, Credential, ThingKey, ThingStatement, read_ccs, read_description
 from rossec import files
 from rossec.authority import renewals
 from rossec.authority.home import AuthorityHome, format_fingerprint
@@ -50,21 +43,27 @@ from rossec.errors import ConfigurationError
 from rossec.terminal import printable, record, say, say_json
 
 identity_lifetime = click.option(
-    "--for", "lifetime", type=Duration(MAX_LIFETIME // DAY), default="30d", show_default=True,
+    "--for",
+    "lifetime",
+    type=Duration(MAX_LIFETIME // DAY),
+    default="30d",
+    show_default=True,
     help="how long the identity lasts",
-)  # fmt: skip
+)
 anonymous = click.option(
-    "--anonymous", is_flag=True,
-    help="for anonymous nodes too: /rviz also as /rviz_1234_1700000000000",
-)  # fmt: skip
+    "--anonymous", is_flag=True, help="for anonymous nodes too: /rviz also as /rviz_1234_1700000000000"
+)
 
 
 def replace_key(*, multiple: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Add `--replace-key` to a command that signs one identity, or `multiple`."""
     return click.option(
-        "--replace-key", "replaced", multiple=multiple, metavar="NAME",
+        "--replace-key",
+        "replaced",
+        multiple=multiple,
+        metavar="NAME",
         help="let the known name NAME come with another key; revokes the old one",
-    )  # fmt: skip
+    )
 
 
 _MAX_REQUEST = 16 * 1024
@@ -72,9 +71,7 @@ _MAX_REQUEST = 16 * 1024
 
 @click.command()
 @click.argument("requests", nargs=-1, required=True, type=options.FILE)
-@click.option(
-    "--code", "codes", multiple=True, help="text of the QR code the node shows; one per request"
-)
+@click.option("--code", "codes", multiple=True, help="text of the QR code the node shows; one per request")
 @identity_lifetime
 @replace_key(multiple=True)
 @anonymous
@@ -115,9 +112,7 @@ def sign(
         for path, data, name in checked:
             with batch.item(path):
                 key = name if name in replaced else None
-                bundle = service.issue(
-                    data, lifetime, replace_key=key, wildcard=anonymous, source="file"
-                )
+                bundle = service.issue(data, lifetime, replace_key=key, wildcard=anonymous, source="file")
                 target = write_identity(path, bundle)
                 record(name=name, identity=str(target))
                 say(f"signed {name}: {target}")
@@ -146,9 +141,7 @@ def _check_codes(codes: tuple[str, ...], requests: list[bytes]) -> None:
         )
 
 
-def _show_request(
-    path: Path, request: IdentityRequest, home: AuthorityHome, *, code_checked: bool
-) -> None:
+def _show_request(path: Path, request: IdentityRequest, home: AuthorityHome, *, code_checked: bool) -> None:
     how = (
         "its code fits"
         if code_checked
@@ -187,9 +180,7 @@ _MAX_FILE = 16 * 1024
 @passphrase.option
 @json_result()
 @pass_environment
-def request_intermediate(
-    environment: Environment, domain: str, passphrase_file: Path | None
-) -> None:
+def request_intermediate(environment: Environment, domain: str, passphrase_file: Path | None) -> None:
     """On the host: make its key and a request, to carry to the root of DOMAIN."""
     secret = passphrase.choose(passphrase_file, environment.variables)
     path = renewals.begin(environment.home, domain, secret)
@@ -203,19 +194,23 @@ def request_intermediate(
 @click.command()
 @click.argument("request", type=options.FILE)
 @click.option(
-    "--may", required=True, type=click.Choice(["renew", "enroll"]),
+    "--may",
+    required=True,
+    type=click.Choice(["renew", "enroll"]),
     help="renew identities that exist, or enroll new nodes as well",
-)  # fmt: skip
+)
 @click.option(
-    "--for", "lifetime", type=Duration(MAX_LIFETIME // DAY), default="90d", show_default=True,
+    "--for",
+    "lifetime",
+    type=Duration(MAX_LIFETIME // DAY),
+    default="90d",
+    show_default=True,
     help="how long it may sign",
-)  # fmt: skip
+)
 @click.option("--yes", is_flag=True, help="do not ask")
 @json_result()
 @pass_service
-def sign_intermediate(
-    service: AuthorityService, request: Path, may: str, lifetime: int, yes: bool
-) -> None:
+def sign_intermediate(service: AuthorityService, request: Path, may: str, lifetime: int, yes: bool) -> None:
     """At the root: sign REQUEST of a host, and set what it may do."""
     domain = service.home.domain
     data = files.read(request, _MAX_FILE)
@@ -238,9 +233,7 @@ def sign_intermediate(
 @passphrase.option
 @json_result()
 @pass_environment
-def install_intermediate(
-    environment: Environment, bundle: Path, passphrase_file: Path | None
-) -> None:
+def install_intermediate(environment: Environment, bundle: Path, passphrase_file: Path | None) -> None:
     """On the host: install BUNDLE, which the root signed."""
     data = files.read(bundle, _MAX_FILE)
     secret = passphrase.read(passphrase_file, environment.variables)
@@ -305,26 +298,37 @@ _SHOWN: Final = (IN_FORCE, OTHER_KEY)
 @click.option("--border", metavar="NAME", help="the border router that serves it")
 @click.option("--key", "ccs", type=options.FILE, help="its credential: a CCS, as CBOR")
 @click.option(
-    "--psk", "description", type=options.FILE,
+    "--psk",
+    "description",
+    type=options.FILE,
     help="what `rossec border add NAME --psk` wrote about its secret",
-)  # fmt: skip
-@click.option("--renew", is_flag=True, help="say the same again")
-@click.option(
-    "--request", type=options.FILE, help="sign this request, of the node that stands for it, too"
 )
+@click.option("--renew", is_flag=True, help="say the same again")
+@click.option("--request", type=options.FILE, help="sign this request, of the node that stands for it, too")
 @click.option("--code", help="text of the code on the thing's label")
 @click.option(
-    "--replace", "replaced", multiple=True, metavar="NAME",
+    "--replace",
+    "replaced",
+    multiple=True,
+    metavar="NAME",
     help="end what is said of NAME: it was renamed or moved, or its device is another one",
-)  # fmt: skip
+)
 @click.option(
-    "--for", "lifetime", type=Duration(_MAX_DAYS), default="365d", show_default=True,
+    "--for",
+    "lifetime",
+    type=Duration(_MAX_DAYS),
+    default="365d",
+    show_default=True,
     help="how long this is so",
-)  # fmt: skip
+)
 @click.option(
-    "--identity-for", "identity_lifetime", type=Duration(MAX_LIFETIME // DAY), default="30d",
-    show_default=True, help="how long the identity lasts",
-)  # fmt: skip
+    "--identity-for",
+    "identity_lifetime",
+    type=Duration(MAX_LIFETIME // DAY),
+    default="30d",
+    show_default=True,
+    help="how long the identity lasts",
+)
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="where to write it")
 @click.option("--yes", is_flag=True, help="do not ask")
 @options.master_uri
@@ -375,11 +379,14 @@ def _order(name: str, given: dict[str, Any]) -> ThingOrder:
         raise ConfigurationError("which border router serves it?", "give --border NAME")
     request: Path | None = given["request"]
     return ThingOrder(
-        name, given["border"], _credential(given["ccs"], given["description"]), given["lifetime"],
+        name,
+        given["border"],
+        _credential(given["ccs"], given["description"]),
+        given["lifetime"],
         frozenset(given["replaced"]),
         b"" if request is None else files.read(request, _THINGS_MAX_REQUEST),
         given["identity_lifetime"],
-    )  # fmt: skip
+    )
 
 
 def _credential(ccs: Path | None, description: Path | None) -> Credential:
@@ -452,11 +459,15 @@ def _hand_over(
 def _line(each: ThingState) -> str:
     found = each.row.read()
     kind = "secret" if found.kind == PSK else "key"
-    return "  ".join([
-        each.row.name, f"at {each.row.border}", f"until {format_time(each.row.expires)}",
-        f"{kind} {format_fingerprint(found.credential.thumbprint)}",
-        *[each.state] * (each.state != IN_FORCE),
-    ])  # fmt: skip
+    return "  ".join(
+        [
+            each.row.name,
+            f"at {each.row.border}",
+            f"until {format_time(each.row.expires)}",
+            f"{kind} {format_fingerprint(found.credential.thumbprint)}",
+            *[each.state] * (each.state != IN_FORCE),
+        ]
+    )
 
 
 def _summary(each: ThingState) -> dict[str, object]:

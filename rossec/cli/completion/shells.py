@@ -52,9 +52,7 @@ _MAX: Final = 1024 * 1024
 class OutlineTable:
     """The outlines by the places of their commands (`ca.init:init`)."""
 
-    def __init__(
-        self, shipped: Path = SHIPPED, cache: Path = CACHE, commands: Path = COMMANDS
-    ) -> None:
+    def __init__(self, shipped: Path = SHIPPED, cache: Path = CACHE, commands: Path = COMMANDS) -> None:
         self._cache = cache
         self._stamp: str | None = None  # None: what is shipped does not age
         self._outlines = _read(shipped).get("outlines", {})

@@ -21,13 +21,9 @@ from ca.errors import HintedError
 from ca.keys import ownership
 from rossec.cli.completion import values
 
-RIGHTS: Final = (
-    "admin", "call", "graph", "param-get", "param-set", "provide", "publish", "subscribe",
-)  # fmt: skip
+RIGHTS: Final = ("admin", "call", "graph", "param-get", "param-set", "provide", "publish", "subscribe")
 _MAX_POLICY: Final = 1024 * 1024
-_NAME: Final = re.compile(
-    r"""(?<![\w/*.:-])(?:[a-z0-9._-]+:)?(?:/[A-Za-z]\w*)+(?![\w/*])""", re.ASCII
-)
+_NAME: Final = re.compile(r"""(?<![\w/*.:-])(?:[a-z0-9._-]+:)?(?:/[A-Za-z]\w*)+(?![\w/*])""", re.ASCII)
 _STORE: Final = ("typesys", "stores", "ros1_noetic.py")
 _TYPE: Final = re.compile(r"^    '(\w+)/msg/(\w+)'", re.ASCII | re.MULTILINE)
 _SHORT: Final = 8  # hexadecimal digits; commands take the beginning of an identifier
@@ -35,17 +31,14 @@ _SHORT: Final = 8  # hexadecimal digits; commands take the beginning of an ident
 _RECORD: Final = {
     "node": "SELECT name FROM certificate WHERE not_after > :now"
     " AND thumbprint NOT IN (SELECT entry FROM revocation)",
-    "thing": "SELECT name FROM thing WHERE expires > :now"
-    " AND id NOT IN (SELECT entry FROM revocation)",
-    "grant": "SELECT id FROM grant_ WHERE expires > :now"
-    " AND id NOT IN (SELECT entry FROM revocation)",
+    "thing": "SELECT name FROM thing WHERE expires > :now AND id NOT IN (SELECT entry FROM revocation)",
+    "grant": "SELECT id FROM grant_ WHERE expires > :now AND id NOT IN (SELECT entry FROM revocation)",
     "invitation": "SELECT id FROM invitation WHERE expires > :now"
     " AND id NOT IN (SELECT invitation FROM invitation_end)",
     "request": "SELECT digest FROM csr WHERE state = 'pending'",
     "grant request": "SELECT id FROM grant_request WHERE id NOT IN (SELECT request FROM decision)",
     "phone": "SELECT name FROM passkey WHERE id NOT IN (SELECT passkey FROM passkey_end)",
-    "domain": "SELECT label FROM foreign_domain"
-    " WHERE number NOT IN (SELECT number FROM foreign_domain_end)",
+    "domain": "SELECT label FROM foreign_domain WHERE number NOT IN (SELECT number FROM foreign_domain_end)",
 }
 
 

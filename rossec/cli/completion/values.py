@@ -139,15 +139,18 @@ def _parameter(outline: Outline, complete: Values | None) -> click.Parameter:
     kind = _made_type(outline)
     if "opts" not in outline:
         return click.Argument(
-            [outline["name"]], nargs=outline["nargs"], type=kind, required=False,
-            shell_complete=complete,
-        )  # fmt: skip
+            [outline["name"]], nargs=outline["nargs"], type=kind, required=False, shell_complete=complete
+        )
     if outline["flag"]:
         return click.Option([outline["name"], *_flags(outline)], is_flag=True, help=outline["help"])
     return click.Option(
-        [outline["name"], *outline["opts"]], nargs=outline["nargs"], type=kind,
-        multiple=outline["multiple"], help=outline["help"], shell_complete=complete,
-    )  # fmt: skip
+        [outline["name"], *outline["opts"]],
+        nargs=outline["nargs"],
+        type=kind,
+        multiple=outline["multiple"],
+        help=outline["help"],
+        shell_complete=complete,
+    )
 
 
 def _flags(outline: Outline) -> list[str]:
@@ -265,11 +268,7 @@ KINDS: Final[dict[str, tuple[Read, ...]]] = {
     "grant": (methodcaller("recorded", "grant"), methodcaller("held_grants")),
     "grant request": (methodcaller("recorded", "grant request"),),
     "invitation": (methodcaller("recorded", "invitation"),),
-    "message type": (
-        methodcaller("seen", TYPE),
-        methodcaller("known_types"),
-        methodcaller("types", "msg"),
-    ),
+    "message type": (methodcaller("seen", TYPE), methodcaller("known_types"), methodcaller("types", "msg")),
     "node": (_OWN, _NODES, methodcaller("seen", NODE), _WRITTEN),
     "own node": (_OWN,),
     "phone": (methodcaller("recorded", "phone"),),
@@ -291,11 +290,13 @@ def kinds_of(place: str, outline: Outline) -> list[str]:
     """The kind of each option and argument of the command at `place`, in their order."""
     arguments = iter(ARGUMENTS.get(place, ()))
     return [
-        _kind_of_option(place, each["opts"]) if "opts" in each
-        else next(arguments, FREE) if each.get("text")
+        _kind_of_option(place, each["opts"])
+        if "opts" in each
+        else next(arguments, FREE)
+        if each.get("text")
         else FREE
         for each in outline["params"]
-    ]  # fmt: skip
+    ]
 
 
 def _kind_of_option(place: str, opts: list[str]) -> str:

@@ -148,9 +148,7 @@ def _last_used(store: Store) -> dict[bytes, int]:
     return {each.passkey: each.at for each in store.approvals.all()}
 
 
-def _summary(
-    passkey: Passkey, used: dict[bytes, int], ended: dict[bytes, str]
-) -> dict[str, object]:
+def _summary(passkey: Passkey, used: dict[bytes, int], ended: dict[bytes, str]) -> dict[str, object]:
     return {
         "id": passkey.id.hex(),
         "name": passkey.name,

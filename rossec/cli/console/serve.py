@@ -14,13 +14,7 @@ from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.cli.console.phones import login_address, running_service, show_code
 from rossec.cli.shared.context import Environment, now
 from rossec.console.listening import only_console, write_address
-from rossec.console.options import (
-    HAND_OUT_PORT,
-    Endpoint,
-    Options,
-    check_origin,
-    read_options,
-)
+from rossec.console.options import HAND_OUT_PORT, Endpoint, Options, check_origin, read_options
 from rossec.console.tls.certificates import DIRECTORY, TlsSetup, prepare_tls, renewed_from
 from rossec.console.tls.own_authority import TlsAuthority, describe
 from rossec.console.tls.own_authority import as_json as described
@@ -63,11 +57,7 @@ def serve(environment: Environment, options: Options, form: Form, *, rename: boo
             it by another address and `rename` was not given.
     """
     check_libraries()
-    from rossec.console.server.supervisor import (  # noqa: PLC0415 - extra
-        WebOptions,
-        settings_for,
-        supervise,
-    )
+    from rossec.console.server.supervisor import WebOptions, settings_for, supervise  # noqa: PLC0415 - extra
 
     if form.log == "json":
         log_as_json()
@@ -88,13 +78,11 @@ def serve(environment: Environment, options: Options, form: Form, *, rename: boo
         certificates = None if setup is None else renewed_from(setup.source, now)
         preview = _preview(environment) if options.preview else None
         with _handing_out(endpoint, setup, environment):
-            asyncio.run(
-                supervise(endpoint, web, environment.variables, ready, certificates, preview)
-            )
+            asyncio.run(supervise(endpoint, web, environment.variables, ready, certificates, preview))
 
 
 def _preview(environment: Environment) -> "PreviewProcess":
-    from rossec.console.server.supervisor import PreviewProcess, check_enrolled
+    from rossec.console.server.supervisor import PreviewProcess, check_enrolled  # noqa: PLC0415 - heavy
 
     check_enrolled(environment.home)
     return PreviewProcess({**environment.variables, "ROSSEC_HOME": str(environment.home)})
@@ -115,9 +103,7 @@ def _origins_of_phones(home: AuthorityHome) -> set[str]:
 
 
 @contextmanager
-def _handing_out(
-    endpoint: Endpoint, setup: TlsSetup | None, environment: Environment
-) -> Iterator[None]:
+def _handing_out(endpoint: Endpoint, setup: TlsSetup | None, environment: Environment) -> Iterator[None]:
     if not endpoint.hand_out or setup is None or setup.authority is None:
         yield
         return

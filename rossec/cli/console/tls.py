@@ -28,9 +28,7 @@ def tls(environment: Environment, renew: bool, name: str | None, as_json: bool) 
         raise click.UsageError("--name is for --renew")
     directory = environment.home / "ca" / certificates.DIRECTORY
     if renew:
-        authority = certificates.renew(
-            directory, _name(directory, name), certificates.first_address(), now()
-        )
+        authority = certificates.renew(directory, _name(directory, name), certificates.first_address(), now())
     else:
         authority = certificates.open_authority(directory)
     if as_json:

@@ -56,25 +56,34 @@ _RULE: Final = "'/robot/** subscribe', '/door/open call'; or everything, or noth
 _UNITS: Final = ((86400, "d"), (3600, "h"), (60, "m"))
 
 admit = click.option(
-    "--admit", multiple=True, metavar="PATTERN",
+    "--admit",
+    multiple=True,
+    metavar="PATTERN",
     help="nodes of it that may connect; its masters and relays may as well",
-)  # fmt: skip
+)
 
 
 def fresh(default: str | None) -> Callable[..., Any]:
     """Add `--fresh` to a command."""
     return click.option(
-        "--fresh", type=Duration(MOST_FRESH // 86400), default=default, show_default=True,
+        "--fresh",
+        type=Duration(MOST_FRESH // 86400),
+        default=default,
+        show_default=True,
         help="how old its last word on its revocations may be",
-    )  # fmt: skip
+    )
 
 
 def lifetime(default: str | None) -> Callable[..., Any]:
     """Add `--for` to a command."""
     return click.option(
-        "--for", "lifetime", type=Duration(MAX_DAYS), default=default, show_default=True,
+        "--for",
+        "lifetime",
+        type=Duration(MAX_DAYS),
+        default=default,
+        show_default=True,
         help="how long it is trusted, from now on",
-    )  # fmt: skip
+    )
 
 
 def rules(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -177,10 +186,7 @@ def duration(seconds: int) -> str:
 def _rules_json(given: tuple[NameRights, ...] | None) -> list[dict[str, Any]] | None:
     if given is None:
         return None
-    return [
-        {"pattern": pattern, "rights": [right.label for right in Right(bits)]}
-        for pattern, bits in given
-    ]
+    return [{"pattern": pattern, "rights": [right.label for right in Right(bits)]} for pattern, bits in given]
 
 
 def publish_domains(service: AuthorityService) -> None:
@@ -193,18 +199,25 @@ def publish_domains(service: AuthorityService) -> None:
 
 @click.command()
 @click.option(
-    "--out", type=click.Path(path_type=Path, dir_okay=False),
-    help="write it here, instead of DOMAIN.card",
-)  # fmt: skip
+    "--out", type=click.Path(path_type=Path, dir_okay=False), help="write it here, instead of DOMAIN.card"
+)
 @click.option(
-    "--names", multiple=True, metavar="PATTERN", default=("/**",), show_default=True,
+    "--names",
+    multiple=True,
+    metavar="PATTERN",
+    default=("/**",),
+    show_default=True,
     help="your nodes that shall be admitted there",
-)  # fmt: skip
+)
 @click.option("--at", "masters", multiple=True, metavar="URI", help="where they reach your master")
 @click.option(
-    "--for", "lifetime", type=Duration(MAX_CARD_LIFETIME // 86400), default="7d", show_default=True,
+    "--for",
+    "lifetime",
+    type=Duration(MAX_CARD_LIFETIME // 86400),
+    default="7d",
+    show_default=True,
     help="how long it can be accepted",
-)  # fmt: skip
+)
 @click.option("--qr", "picture", is_flag=True, help="also show its code as a picture, on stderr")
 @json_result()
 @pass_service
@@ -225,10 +238,7 @@ def card(
     data = service.domain_card(names, masters, lifetime)
     target = out or Path(f"{home.domain}.card")
     files.replace(target, data, 0o644)
-    record(
-        domain=home.domain, file=str(target), code=card_code(data),
-        fingerprint=fingerprint(home.anchor()),
-    )  # fmt: skip
+    record(domain=home.domain, file=str(target), code=card_code(data), fingerprint=fingerprint(home.anchor()))
     say(f"card of {home.domain}: {target}")
     say(f"fingerprint {fingerprint(home.anchor())}")
     say(f"code {card_code(data)}")
@@ -247,9 +257,10 @@ def card(
 @rules
 @click.option("--code", help="the code that its authority shows (rossec domain card)")
 @click.option(
-    "--image", type=click.Path(path_type=Path, exists=True, dir_okay=False, allow_dash=True),
+    "--image",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False, allow_dash=True),
     help="read the code from this picture; - is standard input",
-)  # fmt: skip
+)
 @click.option("--fingerprint", "expected", help="the fingerprint that its authority has told you")
 @options.master_uri
 @click.option("--yes", is_flag=True, help="do not ask")
@@ -283,11 +294,15 @@ def accept(
     found = open_card(data, now())
     _check_fingerprint(found, expected)
     domain = ForeignDomain(
-        found.anchor.domain, _label(home, found, label), found.root,
-        admitted(admit or found.names), check_fresh(fresh), now() + lifetime,
+        found.anchor.domain,
+        _label(home, found, label),
+        found.root,
+        admitted(admit or found.names),
+        check_fresh(fresh),
+        now() + lifetime,
         read_rules(exported) if exported else None,
         read_rules(imported) if imported else None,
-    )  # fmt: skip
+    )
     _check_apart(home, domain)
     _show(home, domain, found, is_checked=code is not None or expected is not None)
     confirm("trust this domain so far?", yes=yes)
@@ -308,9 +323,7 @@ def _label(home: AuthorityHome, card: Card, given: str | None) -> str:
     try:
         return check_label(domain.replace("-", "_").partition(".")[0])
     except NameRefused:
-        raise ConfigurationError(
-            f"domain {domain} needs a name here", "for example: --as hospital"
-        ) from None
+        raise ConfigurationError(f"domain {domain} needs a name here", "for example: --as hospital") from None
 
 
 def _check_apart(home: AuthorityHome, domain: ForeignDomain) -> None:
@@ -397,9 +410,7 @@ def limit(
     if imported:
         changes["imported"] = read_rules(imported)
     if not changes:
-        raise ConfigurationError(
-            "nothing is changed", "--admit, --fresh, --for, --export, --import"
-        )
+        raise ConfigurationError("nothing is changed", "--admit, --fresh, --for, --export, --import")
     new = service.changed_domain(label, **changes)
     say(f"domain {new.domain}, here {label}")
     for line in lines(new):
@@ -414,9 +425,7 @@ def limit(
 @click.command()
 @click.argument("label")
 @click.option("--reason", default="", help="why, for the record")
-@click.option(
-    "--revoke-grants", is_flag=True, help="also revoke every grant that was signed for its nodes"
-)
+@click.option("--revoke-grants", is_flag=True, help="also revoke every grant that was signed for its nodes")
 @options.master_uri
 @json_result()
 @pass_service

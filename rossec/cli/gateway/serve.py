@@ -43,12 +43,7 @@ def run(environment: Environment, rules: Sequence[TopicRule], *, as_json: bool) 
 
 
 async def _serve(
-    environment: Environment,
-    name: str,
-    home: NodeHome,
-    rules: Sequence[TopicRule],
-    *,
-    as_json: bool,
+    environment: Environment, name: str, home: NodeHome, rules: Sequence[TopicRule], *, as_json: bool
 ) -> None:
     stop = stop_on_signals()
     async with AsyncExitStack() as stack:
@@ -93,8 +88,7 @@ def _check_origins(node: Node, rules: Sequence[TopicRule]) -> None:
         if domain is None:
             raise ConfigurationError(
                 f"no trusted domain is called {label}",
-                "at this side's authority: rossec domain list, rossec domain accept CARD"
-                f" --as {label}",
+                f"at this side's authority: rossec domain list, rossec domain accept CARD --as {label}",
             )
         if domain not in granted:
             pattern = next(each.pattern for each in rules if each.label == label)

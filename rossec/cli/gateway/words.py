@@ -29,13 +29,9 @@ class _Group:
 
     def rules(self) -> Iterator[TopicRule]:
         if "/" in self.label:
-            raise click.UsageError(
-                f"{FROM} takes a label, and then patterns: {FROM} hospital /robot/pose"
-            )
+            raise click.UsageError(f"{FROM} takes a label, and then patterns: {FROM} hospital /robot/pose")
         if not self.patterns:
-            raise click.UsageError(
-                f"{FROM} {self.label} names no topics: {FROM} {self.label} /robot/pose"
-            )
+            raise click.UsageError(f"{FROM} {self.label} names no topics: {FROM} {self.label} /robot/pose")
         wishes = Wishes(self.rate, self.newest, self.compress)
         return (rule(self.label, pattern, wishes) for pattern in self.patterns)
 

@@ -23,13 +23,7 @@ from rossec.cli.shared import options
 from rossec.cli.shared.context import Duration, Environment, now, pass_environment
 from rossec.cli.shared.master import holder_home, open_held, read_token
 from rossec.cli.shared.options import Batch, json_result, unique
-from rossec.cli.shared.service import (
-    pass_service,
-    publish_list,
-    remind_to_publish,
-    say_deposited,
-    service_of,
-)
+from rossec.cli.shared.service import pass_service, publish_list, remind_to_publish, say_deposited, service_of
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError, NotDelivered
 from rossec.home import NodeHome
@@ -45,9 +39,7 @@ _STATES = {"held": "held", "fetched": "delivered", "waiting": "waiting", "": "un
 @click.option("--json", "as_json", is_flag=True, help="one line of JSON")
 @options.master_uri
 @pass_environment
-def list_(
-    environment: Environment, nodes: tuple[str, ...], as_json: bool, master_uri: str | None
-) -> None:
+def list_(environment: Environment, nodes: tuple[str, ...], as_json: bool, master_uri: str | None) -> None:
     """List the grants signed here, of one NODE or of all, and how far each has come.
 
     In order of nodes; what is in force first, and of it what ends last. Each line ends with when
@@ -177,9 +169,7 @@ def _facts(content: Grant) -> dict[str, object]:
         "not_before": content.not_before,
         "expires": content.expires,
         "may_narrow": content.may_narrow,
-        "links": [
-            {"node": link.subject, "permissions": permissions_json(link)} for link in content.links
-        ],
+        "links": [{"node": link.subject, "permissions": permissions_json(link)} for link in content.links],
     }
 
 
@@ -241,24 +231,33 @@ DAY: Final = 86400
 
 @click.command()
 @click.option(
-    "--for", "lifetime", type=Duration(MAX_DELEGATION // DAY), default="90d", show_default=True,
+    "--for",
+    "lifetime",
+    type=Duration(MAX_DELEGATION // DAY),
+    default="90d",
+    show_default=True,
     help="how long the master may renew grants",
-)  # fmt: skip
+)
 @click.option(
-    "--ticket", type=Duration(MAX_TICKET // DAY), default="8h", show_default=True,
+    "--ticket",
+    type=Duration(MAX_TICKET // DAY),
+    default="8h",
+    show_default=True,
     help="how long a renewed grant holds before it is renewed again; at least a minute",
-)  # fmt: skip
+)
 @click.option(
-    "--to", "master", metavar="NAME", default=MASTER, show_default=True,
+    "--to",
+    "master",
+    metavar="NAME",
+    default=MASTER,
+    show_default=True,
     help="which of the domain's masters; give its address with --master",
-)  # fmt: skip
+)
 @click.option("--withdraw", is_flag=True, help="revoke what was delegated before instead")
 @options.master_uri
 @json_result()
 @pass_service
-def delegate(
-    service: AuthorityService, lifetime: int, ticket: int, master: str, withdraw: bool
-) -> None:
+def delegate(service: AuthorityService, lifetime: int, ticket: int, master: str, withdraw: bool) -> None:
     """Let the master renew grants, unchanged and up to their caps, while the authority is away.
 
     A revoked grant is not renewed. With --withdraw, what the master has renewed ends at once.

@@ -59,15 +59,11 @@ def request(
         raise ConfigurationError("a request for nothing", "add --subscribe NAME, --publish NAME")
     identity = home.identity(now())
     requested = tuple(
-        RequestedRight(
-            Right[label.upper()], own_pattern(name, identity.name, tail=identity.wildcard)
-        )
+        RequestedRight(Right[label.upper()], own_pattern(name, identity.name, tail=identity.wildcard))
         for label, names in named.items()
         for name in names
     )
-    asked = GrantRequest(
-        identity.domain, identity.name, now(), secrets.token_bytes(16), requested, why
-    )
+    asked = GrantRequest(identity.domain, identity.name, now(), secrets.token_bytes(16), requested, why)
     data = sign_request(home.credentials().signer, asked)
     record(request=asked.id.hex(), node=asked.node)
     say(f"request {asked.id.hex()} of {asked.node}")
@@ -89,18 +85,13 @@ def request(
 
 @click.command()
 @click.argument("request_files", nargs=-1, type=options.FILE)
-@click.option(
-    "--out-dir", type=click.Path(path_type=Path, file_okay=False), help="write grants here too"
-)
+@click.option("--out-dir", type=click.Path(path_type=Path, file_okay=False), help="write grants here too")
 @options.policy
 @options.master_uri
 @json_result()
 @pass_service
 def decide(
-    service: AuthorityService,
-    request_files: tuple[Path, ...],
-    out_dir: Path | None,
-    policy_path: Path | None,
+    service: AuthorityService, request_files: tuple[Path, ...], out_dir: Path | None, policy_path: Path | None
 ) -> None:
     """Let the policy decide the requests in REQUEST_FILES and in the inbox.
 
@@ -147,9 +138,7 @@ def pending(environment: Environment, as_json: bool, policy_path: Path | None) -
 @click.argument("request_ids", metavar="REQUEST_ID...", nargs=-1, required=True)
 @click.option("--approximate", "coarse", metavar="FILTER", help="only through this filter")
 @click.option("--today", "only_today", is_flag=True, help="only until midnight")
-@click.option(
-    "--out-dir", type=click.Path(path_type=Path, file_okay=False), help="write the grant here too"
-)
+@click.option("--out-dir", type=click.Path(path_type=Path, file_okay=False), help="write the grant here too")
 @options.policy
 @options.master_uri
 @json_result()
@@ -211,9 +200,7 @@ def _collected(
     return policy
 
 
-def _collect(
-    service: AuthorityService, policy: PolicyFile, request_files: Sequence[Path] = ()
-) -> None:
+def _collect(service: AuthorityService, policy: PolicyFile, request_files: Sequence[Path] = ()) -> None:
     for error in service.collect_grant_requests(policy, map(requests.read_request, request_files)):
         note(printable(f"a request was dropped: {error}"))
 

@@ -23,13 +23,7 @@ from ca.errors import PatternRefused
 from ca.names import check_name, is_alias, local_name
 from grants import document
 from grants.conditions.compile import compile_condition
-from grants.errors import (
-    ConditionRefused,
-    FilterRefused,
-    GrantMalformed,
-    GrantNotHeld,
-    NarrowingNotAllowed,
-)
+from grants.errors import ConditionRefused, FilterRefused, GrantMalformed, GrantNotHeld, NarrowingNotAllowed
 from grants.filters.compile import PRESETS, compile_filter, preset
 from grants.filters.layout import parse
 from grants.model import (
@@ -61,8 +55,7 @@ from rossec.participant.service_types import part_type
 from rossec.terminal import printable, record, say
 
 _EXAMPLES: Final = (
-    "for example --clear header.frame_id, --round pose.position=2.0,"
-    " --when 'msg.header.frame_id == \"map\"'"
+    "for example --clear header.frame_id, --round pose.position=2.0, --when 'msg.header.frame_id == \"map\"'"
 )
 
 _RIGHTS: Final = {
@@ -87,28 +80,38 @@ def _once(_context: click.Context, _parameter: click.Parameter, given: tuple[Any
 _RESTRICTING: Final = (
     click.option("--graph", is_flag=True, help="may see the whole ROS graph"),
     click.option(
-        "--type", "type_name", multiple=True, callback=_once, metavar="PKG/TYPE",
+        "--type",
+        "type_name",
+        multiple=True,
+        callback=_once,
+        metavar="PKG/TYPE",
         help="message type of the restrictions",
     ),
     click.option("--clear", multiple=True, metavar="FIELD", help="clear this field"),
     click.option("--round", "rounds", multiple=True, metavar="FIELD=STEP", help="round this field"),
     click.option(
-        "--clamp", "clamps", multiple=True, metavar="FIELD=LOW:HIGH",
-        help="keep this field in a range",
+        "--clamp", "clamps", multiple=True, metavar="FIELD=LOW:HIGH", help="keep this field in a range"
     ),
     click.option(
-        "--rate", type=float, multiple=True, callback=_once, metavar="HZ",
+        "--rate",
+        type=float,
+        multiple=True,
+        callback=_once,
+        metavar="HZ",
         help="at most so many messages a second",
     ),
     click.option(
-        "--preset", "preset_name", type=click.Choice(list(PRESETS)), multiple=True, callback=_once,
+        "--preset",
+        "preset_name",
+        type=click.Choice(list(PRESETS)),
+        multiple=True,
+        callback=_once,
         help="restrictions for a usual wish; see `rossec grant presets`",
     ),
     click.option(
-        "--when", multiple=True, metavar="CONDITION",
-        help="only messages and times for which this holds",
+        "--when", multiple=True, metavar="CONDITION", help="only messages and times for which this holds"
     ),
-)  # fmt: skip
+)
 
 
 def wishes(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -140,18 +143,14 @@ def read(said: Mapping[str, Any]) -> tuple[Permission, ...]:
         ConditionRefused, FilterRefused: a restriction that does not fit the message type.
     """
     filters = rules(said["clear"], said["rounds"], said["clamps"])
-    inside = restrictions(
-        said["type_name"], filters, said["when"], said["rate"], said["preset_name"]
-    )
+    inside = restrictions(said["type_name"], filters, said["when"], said["rate"], said["preset_name"])
     return permissions(patterns_by_right(said), graph=said["graph"], restricted=inside)
 
 
 def rights(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add an option for every right over names: `--publish`, `--param-get` and so on."""
     for right, help_text in reversed(_RIGHTS.items()):
-        command = click.option(
-            f"--{right.label}", multiple=True, metavar="PATTERN", help=help_text
-        )(command)
+        command = click.option(f"--{right.label}", multiple=True, metavar="PATTERN", help=help_text)(command)
     return command
 
 
@@ -195,9 +194,7 @@ def rules(
     """
     given: list[tuple[str, dict[str, object]]] = [(path, {"clear": True}) for path in clear]
     given += [(path, {"round": {"step": step}}) for path, step in map(_rounding, rounds)]
-    given += [
-        (path, {"clamp": {"low": low, "high": high}}) for path, low, high in map(_clamping, clamps)
-    ]
+    given += [(path, {"clamp": {"low": low, "high": high}}) for path, low, high in map(_clamping, clamps)]
     for path, times in Counter(path for path, _ in given).items():
         if times > 1:
             raise ConfigurationError(
@@ -217,9 +214,7 @@ def restrictions(
     if not filters and not when and rate is None and preset_name is None:
         return []
     if type_name is None:
-        raise ConfigurationError(
-            "restrictions need the message type they are for", "add --type PKG/TYPE"
-        )
+        raise ConfigurationError("restrictions need the message type they are for", "add --type PKG/TYPE")
     shape = parse(type_name, part_type(type_name).definition)
     try:
         made = [preset(preset_name).restriction(shape)] if preset_name is not None else []
@@ -298,24 +293,29 @@ MAX_DAYS: Final = 3650  # an authority's own certificate does not last longer
 @click.argument("node")
 @wishes
 @click.option(
-    "--for", "lifetime", type=Duration(MAX_DAYS), default="7d", show_default=True,
-    help="how long it holds",
-)  # fmt: skip
-@click.option(
-    "--renew-until", "renewal", type=Duration(MAX_DAYS), default=0, metavar="DURATION",
-    help="how long the master may renew it; see: rossec master delegate",
-)  # fmt: skip
-@click.option(
-    "--may-narrow", type=click.IntRange(0, MAX_NARROWINGS), default=0, metavar="N",
-    help="how often it may be handed on, restricted further; see: rossec grant narrow",
-)  # fmt: skip
-@click.option(
-    "--certificate", type=options.FILE,
-    help="the certificate of a node of another domain: its node.pem, without its key",
-)  # fmt: skip
-@click.option(
-    "--out", type=click.Path(path_type=Path), help="also write the grant to this new file"
+    "--for", "lifetime", type=Duration(MAX_DAYS), default="7d", show_default=True, help="how long it holds"
 )
+@click.option(
+    "--renew-until",
+    "renewal",
+    type=Duration(MAX_DAYS),
+    default=0,
+    metavar="DURATION",
+    help="how long the master may renew it; see: rossec master delegate",
+)
+@click.option(
+    "--may-narrow",
+    type=click.IntRange(0, MAX_NARROWINGS),
+    default=0,
+    metavar="N",
+    help="how often it may be handed on, restricted further; see: rossec grant narrow",
+)
+@click.option(
+    "--certificate",
+    type=options.FILE,
+    help="the certificate of a node of another domain: its node.pem, without its key",
+)
+@click.option("--out", type=click.Path(path_type=Path), help="also write the grant to this new file")
 @options.master_uri
 @json_result()
 @pass_service
@@ -410,18 +410,29 @@ _OVERHEAD: Final = 16  # of the array it is presented in
 @click.argument("file", type=options.FILE)
 @click.option("--as", "own", required=True, metavar="NODE", help="the node that holds the grant")
 @click.option(
-    "--to", "certificate", required=True, type=options.FILE, metavar="CERTIFICATE",
+    "--to",
+    "certificate",
+    required=True,
+    type=options.FILE,
+    metavar="CERTIFICATE",
     help="the certificate of the node that gets the right: its node.pem",
-)  # fmt: skip
+)
 @wishes
 @click.option(
-    "--for", "lifetime", type=Duration(MAX_NARROWED_DAYS), default="8h", show_default=True,
+    "--for",
+    "lifetime",
+    type=Duration(MAX_NARROWED_DAYS),
+    default="8h",
+    show_default=True,
     help="how long it holds; never longer than the grant in FILE",
-)  # fmt: skip
+)
 @click.option(
-    "--may-narrow", type=click.IntRange(0), default=0, metavar="N",
+    "--may-narrow",
+    type=click.IntRange(0),
+    default=0,
+    metavar="N",
     help="how often the other node may hand it on in its turn",
-)  # fmt: skip
+)
 @click.option(
     "--out", type=click.Path(path_type=Path), required=True, help="write the token to this new file"
 )
@@ -450,17 +461,21 @@ def narrow(
     _check_held(home, held, may_narrow, at)
     end = min(at + lifetime, held.expires)
     draft = Draft(
-        domain=held.domain, subject=receiver.name, holder=receiver.thumbprint,
-        not_before=max(at - CLOCK_SKEW, held.not_before), expires=end, cap=end,
-        serial=secrets.token_bytes(16), permissions=read(wishes),
+        domain=held.domain,
+        subject=receiver.name,
+        holder=receiver.thumbprint,
+        not_before=max(at - CLOCK_SKEW, held.not_before),
+        expires=end,
+        cap=end,
+        serial=secrets.token_bytes(16),
+        permissions=read(wishes),
         may_narrow=may_narrow,
-    )  # fmt: skip
+    )
     _check_useful(draft, held)
     packed = pack_chain(token, [sign_narrowing(home.signer(), draft, held)])
     if len(packed) > MAX_PRESENTED - _OVERHEAD:
         raise GrantMalformed(
-            f"the chain has {len(packed)} bytes, more than a node may present",
-            "fewer rights in one grant",
+            f"the chain has {len(packed)} bytes, more than a node may present", "fewer rights in one grant"
         )
     files.create(out, packed, 0o644)
     record(id=peek(packed).id.hex(), node=receiver.name, expires=end, file=str(out))
@@ -499,6 +514,5 @@ def _check_useful(draft: Draft, held: Grant) -> None:
         for right in permission.rights:
             if not held.covers(right, permission.pattern):
                 raise ConfigurationError(
-                    f"the grant gives no {right.label} on {permission.pattern}",
-                    "see: rossec grant show FILE",
+                    f"the grant gives no {right.label} on {permission.pattern}", "see: rossec grant show FILE"
                 )

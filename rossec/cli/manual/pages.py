@@ -26,8 +26,14 @@ from rossec.cli.completion.values import Outline, outline_of
 from rossec.cli.shared.context import LazyCommand
 
 _ESCAPED: Final = {
-    "\\": r"\e", "-": r"\-", "^": r"\(ha", "~": r"\(ti", "`": r"\(ga", "'": r"\(aq", '"': r"\(dq",
-}  # fmt: skip
+    "\\": r"\e",
+    "-": r"\-",
+    "^": r"\(ha",
+    "~": r"\(ti",
+    "`": r"\(ga",
+    "'": r"\(aq",
+    '"': r"\(dq",
+}
 _SPECIAL: Final = re.compile(r"""[\\^~`'"-]|[^\x20-\x7e]""")
 _FONT: Final = {"B": r"\fB", "I": r"\fI"}
 
@@ -77,14 +83,7 @@ def paragraph(text: str) -> list[str]:
 
 def verbatim(lines: Iterable[str]) -> list[str]:
     """Lines that stay as they are, indented."""
-    return [
-        ".PP",
-        ".RS 4",
-        ".nf",
-        *(escape(line.rstrip()) or r"\&" for line in lines),
-        ".fi",
-        ".RE",
-    ]
+    return [".PP", ".RS 4", ".nf", *(escape(line.rstrip()) or r"\&" for line in lines), ".fi", ".RE"]
 
 
 def item(term: str, text: str) -> list[str]:

@@ -87,9 +87,7 @@ def _parse_thumbprint(text: str) -> bytes:
 
 
 def _read_entries(path: Path, most: int) -> tuple[list[audits.Entry], list[int]]:
-    missing = ConfigurationError(
-        f"there is no {path}", "has the master run here? with --ca: the service"
-    )
+    missing = ConfigurationError(f"there is no {path}", "has the master run here? with --ca: the service")
     with open_text(path, missing) as file:
         return audits.read_entries(lines(file, audits.LINE_LIMIT + 2), most)
 

@@ -22,14 +22,7 @@ from rossec.federation.settings import FederationConfig, read_config
 from rossec.home import NodeHome
 from rossec.host.audit import audit_written
 from rossec.host.local_sockets import process_lock
-from rossec.host.runner import (
-    READY,
-    STOPPING,
-    log_as_json,
-    notify,
-    stop_on_signals,
-    until_first_ends,
-)
+from rossec.host.runner import READY, STOPPING, log_as_json, notify, stop_on_signals, until_first_ends
 from rossec.master.operation import config as configs
 from rossec.master.operation.admin import AdminPort, denials_limited, raise_descriptor_limit
 from rossec.master.operation.config import Config
@@ -91,8 +84,7 @@ def run(
 
 def _only_master(directory: Path) -> AbstractContextManager[None]:
     busy = ConfigurationError(
-        f"another master runs from {directory}",
-        "end it first; two would lose each other's parameters",
+        f"another master runs from {directory}", "end it first; two would lose each other's parameters"
     )
     return process_lock(directory / LOCK, busy)
 
@@ -176,14 +168,11 @@ async def _announce(server: MasterServer, home: NodeHome) -> None:
     from rossec.discovery.local_links import announce  # noqa: PLC0415 - carried when it is used
 
     await announce(
-        home.credentials(), server.uri, name=home.name,
-        version=lambda: server.state.registry.version,
-    )  # fmt: skip
+        home.credentials(), server.uri, name=home.name, version=lambda: server.state.registry.version
+    )
 
 
-def _federation(
-    config: Config, config_file: Path | None, *, follow_announced: bool
-) -> FederationConfig:
+def _federation(config: Config, config_file: Path | None, *, follow_announced: bool) -> FederationConfig:
     found = read_config(config.federation, str(config_file))
     return replace(found, follow_announced=True) if follow_announced else found
 

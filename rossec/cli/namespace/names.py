@@ -144,9 +144,12 @@ class _Reader:
 @click.command("launch")
 @click.argument("source", metavar="IN.launch", type=options.FILE)
 @click.option(
-    "--out", type=click.Path(path_type=Path, dir_okay=False), required=True, metavar="OUT",
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    required=True,
+    metavar="OUT",
     help="the new file; one that exists is not overwritten",
-)  # fmt: skip
+)
 @rules.option
 @json_result()
 def launch(source: Path, out: Path, rules_path: Path | None) -> None:
@@ -198,9 +201,10 @@ def _describe(node: NamedNode) -> None:
 @click.option("--service", metavar="SERVICE", help="the name of this service of the node")
 @rules.option
 @click.option(
-    "--thesis-defaults", is_flag=True,
+    "--thesis-defaults",
+    is_flag=True,
     help="unknown-group instead of unknown_group, as in the thesis; ROS has no such names",
-)  # fmt: skip
+)
 @click.option("--json", "as_json", is_flag=True, help="one line of JSON")
 def show_name(
     meta: Path,
@@ -230,8 +234,6 @@ def show_name(
         say(found)
 
 
-async def _name_name(
-    sheet: bytes, document: bytes, kind: Kind, which: str, *, thesis_defaults: bool
-) -> str:
+async def _name_name(sheet: bytes, document: bytes, kind: Kind, which: str, *, thesis_defaults: bool) -> str:
     async with RuleRunner(sheet, thesis_defaults=thesis_defaults) as runner:
         return await runner.name(document, kind, which)

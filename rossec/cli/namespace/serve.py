@@ -37,10 +37,7 @@ from rossec.naming.requests import MAX_INPUT, Kind
 from rossec.naming.rule_runner import RuleRunner
 from rossec.terminal import note, printable, say, say_json
 
-RIGHTS: Final = {
-    Kind.TOPIC: Right.PUBLISH | Right.SUBSCRIBE,
-    Kind.SERVICE: Right.PROVIDE | Right.CALL,
-}
+RIGHTS: Final = {Kind.TOPIC: Right.PUBLISH | Right.SUBSCRIBE, Kind.SERVICE: Right.PROVIDE | Right.CALL}
 SUFFIX: Final = "*.grant"
 _NO_KEY: Final = bytes(32)
 
@@ -65,9 +62,7 @@ class Coverage:
         if kind is Kind.NODE:
             return bool(held) or any(map(self._has_rules, self._subjects(node)))
         return Reach.of(held).covers_any(RIGHTS[kind], name) or any(
-            self._allows(subject, right, name)
-            for subject in self._subjects(node)
-            for right in RIGHTS[kind]
+            self._allows(subject, right, name) for subject in self._subjects(node) for right in RIGHTS[kind]
         )
 
     def _subjects(self, node: str) -> list[Subject]:
@@ -95,9 +90,7 @@ def read_grants(directory: Path) -> list[Grant]:
         except GrantError as error:
             raise ConfigurationError(f"{path} is not a grant: {error}", error.hint) from None
     if not found:
-        raise ConfigurationError(
-            f"there are no grants in {directory}", f"it is a folder with files {SUFFIX}"
-        )
+        raise ConfigurationError(f"there are no grants in {directory}", f"it is a folder with files {SUFFIX}")
     return found
 
 
@@ -109,24 +102,30 @@ _DIRECTORY: Final = click.Path(path_type=Path, exists=True, file_okay=False)
 @click.command()
 @click.argument("rules", type=options.FILE)
 @click.option(
-    "--meta", "directory", metavar="DIR", required=True, type=_DIRECTORY,
+    "--meta",
+    "directory",
+    metavar="DIR",
+    required=True,
+    type=_DIRECTORY,
     help=f"metadata of nodes, files {METADATA_SUFFIX}",
-)  # fmt: skip
+)
 @click.option(
-    "--policy", "policy_path", metavar="FILE", type=options.FILE,
+    "--policy",
+    "policy_path",
+    metavar="FILE",
+    type=options.FILE,
     help="report names on which this policy gives their node nothing",
-)  # fmt: skip
+)
 @click.option(
-    "--grants", "grants_path", metavar="DIR", type=_DIRECTORY,
+    "--grants",
+    "grants_path",
+    metavar="DIR",
+    type=_DIRECTORY,
     help="report names on which no grant in DIR (files *.grant) gives their node anything",
-)  # fmt: skip
+)
 @click.option("--json", "as_json", is_flag=True, help="one line of JSON")
 def check(
-    rules: Path,
-    directory: Path,
-    policy_path: Path | None,
-    grants_path: Path | None,
-    as_json: bool,
+    rules: Path, directory: Path, policy_path: Path | None, grants_path: Path | None, as_json: bool
 ) -> None:
     """Try RULES on the metadata of many nodes: which names are wrong, and why.
 
@@ -168,9 +167,7 @@ def _coverage(policy_path: Path | None, grants_path: Path | None) -> Covered | N
     return Coverage(held, None if policy_path is None else PolicyFile.read(policy_path).policy)
 
 
-async def _examined(
-    rules: bytes, documents: Sequence[tuple[str, bytes]], covered: Covered | None
-) -> Report:
+async def _examined(rules: bytes, documents: Sequence[tuple[str, bytes]], covered: Covered | None) -> Report:
     async with RuleRunner(rules) as runner:
         return await examine(runner, documents, covered)
 
@@ -191,10 +188,7 @@ def _print(report: Report) -> None:
 
 
 @click.command()
-@click.option(
-    "--as", "name", metavar="NAME", default="/namespace", show_default=True,
-    help="identity to use",
-)  # fmt: skip
+@click.option("--as", "name", metavar="NAME", default="/namespace", show_default=True, help="identity to use")
 @rules.option
 @click.option("--json", "as_json", is_flag=True, help="say that it runs as a line of JSON")
 @pass_environment
@@ -215,9 +209,8 @@ async def _serve(environment: Environment, name: str, sheet: bytes, *, as_json: 
     ):
         names = TopicNames(runner, node.params.get)
         await node.services.provide(
-            SERVICE, topic_names.service_type(), names.answer, concurrency=CALLS,
-            deadline=DEADLINE,
-        )  # fmt: skip
+            SERVICE, topic_names.service_type(), names.answer, concurrency=CALLS, deadline=DEADLINE
+        )
         say_json({"ready": node.name}) if as_json else say(f"{node.name} provides {SERVICE}")
         notify(READY, environment.variables)
         await until_first_ends(stop.wait(), node.wait_ended())

@@ -59,14 +59,7 @@ from rossec import clock, files
 from rossec.authority.home import AuthorityHome
 from rossec.channel.opening import post_quantum
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.master import (
-    REVOCATIONS,
-    anew,
-    find_master,
-    is_of_revoked,
-    open_held,
-    revoked_text,
-)
+from rossec.cli.shared.master import REVOCATIONS, anew, find_master, is_of_revoked, open_held, revoked_text
 from rossec.clock import format_duration, format_time
 from rossec.environment import OWN_MASTER, missing_nodes, nodes_in, own_master
 from rossec.errors import ChannelError, ConfigurationError
@@ -181,8 +174,7 @@ async def check_node_addresses(home: NodeHome, call: MasterCall) -> AsyncIterato
             host, _ = names.parse_uri(str(await call("lookupNode", name)))
             if not await asyncio.to_thread(addresses.resolved, host):
                 yield ConfigurationError(
-                    f"{shown(name)} is at {printable(host)}, a name that this host does not know",
-                    _ENTER,
+                    f"{shown(name)} is at {printable(host)}, a name that this host does not know", _ENTER
                 )
 
 
@@ -310,9 +302,7 @@ def describe_offset(issued: int, begun: float, ended: float) -> Outcome:
     if off <= 0:
         return "the clock agrees with the master's"
     which = "behind" if behind > 0 else "ahead of"
-    text = (
-        f"the clock of this host is {clock.format_duration(max(1, int(off)))} {which} the master's"
-    )
+    text = f"the clock of this host is {clock.format_duration(max(1, int(off)))} {which} the master's"
     if off <= SKEW:
         return f"{text}; up to {SKEW} s are allowed"
     return ConfigurationError(
@@ -341,9 +331,7 @@ async def _check_grants(
         )
 
 
-async def _revoked_of(
-    revocations: Revocations, entries: Sequence[bytes], call: MasterCall
-) -> list[bytes]:
+async def _revoked_of(revocations: Revocations, entries: Sequence[bytes], call: MasterCall) -> list[bytes]:
     for start in range(0, len(entries), MAX_PROOFS_PER_CALL):
         for entry in entries[start : start + MAX_PROOFS_PER_CALL]:
             with suppress(Revoked, RevocationsStale):
@@ -384,13 +372,12 @@ def doctor(environment: Environment, names: tuple[str, ...], offline: bool, as_j
     homes, unfinished = [NodeHome.find(environment.home, name) for name in names], list[str]()
     if not homes:
         homes, unfinished = _all(environment)
-    findings = [
-        finding for home in homes for finding in _examine(environment, home, offline=offline)
-    ]
+    findings = [finding for home in homes for finding in _examine(environment, home, offline=offline)]
     plain = list(_plain(environment))
     if as_json:
-        say_json({"findings": [asdict(finding) for finding in findings], "plain": plain,
-                  "unfinished": unfinished})  # fmt: skip
+        say_json(
+            {"findings": [asdict(finding) for finding in findings], "plain": plain, "unfinished": unfinished}
+        )
     else:
         _say(findings, plain, several=len(homes) > 1)
         for name in unfinished:
@@ -400,9 +387,7 @@ def doctor(environment: Environment, names: tuple[str, ...], offline: bool, as_j
     if failed:
         said = {(finding.text, finding.hint) for finding in findings if not finding.ok}
         of = f"{len(failed)} of {len(homes) * len(_checks(offline=offline))} checks"
-        causes = (
-            f"{of} failed" if len(said) >= len(failed) else f"{of} failed, {_causes(len(said))}"
-        )
+        causes = f"{of} failed" if len(said) >= len(failed) else f"{of} failed, {_causes(len(said))}"
         raise ConfigurationError(causes, "see above")
 
 
@@ -436,8 +421,11 @@ def _causes(number: int) -> str:
 
 def _checks(*, offline: bool) -> dict[str, Check]:
     checks: dict[str, Check] = {
-        "identity": _identity, "address": _address, "grants": _grants, "domains": _domains,
-    }  # fmt: skip
+        "identity": _identity,
+        "address": _address,
+        "grants": _grants,
+        "domains": _domains,
+    }
     return checks if offline else {**checks, "master": _master}
 
 
@@ -469,9 +457,7 @@ def _say(findings: list[Finding], plain: list[str], *, several: bool) -> None:
         if not ok:
             say(f"        {terminal_printable(hint)}")
     for entry in plain:
-        say(
-            f"PLAIN   {terminal_printable(entry)} is neither encrypted nor checked: allow_plain names it"
-        )
+        say(f"PLAIN   {terminal_printable(entry)} is neither encrypted nor checked: allow_plain names it")
 
 
 def _identity(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
@@ -480,16 +466,14 @@ def _identity(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
     if revoked := [key for key in identity.keys if key in known]:
         which = "" if revoked[0] == identity.thumbprint else "intermediate's "
         raise IdentityRevoked(
-            f"the {which}key of {identity.name} is revoked according to {known[revoked[0]]}",
-            anew(home),
+            f"the {which}key of {identity.name} is revoked according to {known[revoked[0]]}", anew(home)
         )
     yield f"{identity.name} of {identity.domain} until {format_time(identity.not_after)}"
     yield from _clock(home, identity)
     life = identity.not_after - signed_at(identity.not_before, identity.not_after)
     if identity.not_after - now() < life * _SOON:
         raise ConfigurationError(
-            f"the identity ends soon, in {format_duration(identity.not_after - now())}, and was not"
-            " renewed",
+            f"the identity ends soon, in {format_duration(identity.not_after - now())}, and was not renewed",
             f"it is while {home.name} runs, if where the authority is `rossec ca serve` runs and is"
             f" unlocked (rossec ca status); or there: rossec ca renew {home.name}, then here:"
             " rossec node install FILE",

@@ -32,13 +32,7 @@ from ca.svid import check_request
 from rossec import files
 from rossec.authority.home import fingerprint, format_fingerprint
 from rossec.cli.shared import options, rules
-from rossec.cli.shared.context import (
-    Duration,
-    Environment,
-    now,
-    pass_environment,
-    reraise_interrupt,
-)
+from rossec.cli.shared.context import Duration, Environment, now, pass_environment, reraise_interrupt
 from rossec.cli.shared.master import own_address
 from rossec.cli.shared.options import json_result
 from rossec.cli.shared.passphrase import read_lines
@@ -62,13 +56,7 @@ class EnrollmentScreen:
     """One run of `rossec node enroll`: the waiting node, its screen and its operator."""
 
     def __init__(
-        self,
-        home: NodeHome,
-        core: NodeEnrollment,
-        *,
-        label: bool,
-        png: Path | None,
-        svg: Path | None,
+        self, home: NodeHome, core: NodeEnrollment, *, label: bool, png: Path | None, svg: Path | None
     ) -> None:
         self._home = home
         self._core = core
@@ -162,11 +150,7 @@ class EnrollmentScreen:
     def _pending(self) -> enrollment_control.Answer:
         pending = self._core.pending
         anchor = pending.anchor
-        return {
-            "digits": pending.digits,
-            "domain": anchor.domain,
-            "authority": fingerprint(anchor),
-        }
+        return {"digits": pending.digits, "domain": anchor.domain, "authority": fingerprint(anchor)}
 
     def _handle_control(self, request: enrollment_control.Answer) -> enrollment_control.Answer:
         if request.get("do") == "confirm":
@@ -254,9 +238,7 @@ def enroll(
 @click.command()
 @click.argument("name")
 @click.argument("digits", nargs=-1)
-@click.option(
-    "--yes", is_flag=True, help="without DIGITS: do not ask, as a button that was pressed"
-)
+@click.option("--yes", is_flag=True, help="without DIGITS: do not ask, as a button that was pressed")
 @json_result()
 @pass_environment
 def confirm(environment: Environment, name: str, digits: tuple[str, ...], yes: bool) -> None:
@@ -274,9 +256,7 @@ def confirm(environment: Environment, name: str, digits: tuple[str, ...], yes: b
         if not yes:
             _ask_whether_same(given)
     if _DIGITS.fullmatch(given) is None:
-        raise ConfigurationError(
-            "the authority shows six digits", f"rossec node confirm {name} 123 456"
-        )
+        raise ConfigurationError("the authority shows six digits", f"rossec node confirm {name} 123 456")
     enrollment_control.ask(home.path, {"do": "confirm", "digits": given})
     record(name=name)
     say(f"{name} is enrolled")
@@ -285,9 +265,7 @@ def confirm(environment: Environment, name: str, digits: tuple[str, ...], yes: b
 def _ask_whether_same(digits: str) -> None:
     # Raises ConfigurationError unless the answer is yes, or the digits themselves.
     try:
-        answer: str = click.prompt(
-            f"{SAME_DIGITS} [y/N]", default="n", show_default=False, err=True
-        )
+        answer: str = click.prompt(f"{SAME_DIGITS} [y/N]", default="n", show_default=False, err=True)
     except click.Abort as abort:
         reraise_interrupt(abort)
         answer = "n"
@@ -322,14 +300,19 @@ _QUESTION: Final = "the line of `rossec ca invite` (it is not shown)"
 
 @click.command("join")
 @click.option(
-    "--file", "path", type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    "--file",
+    "path",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
     help="read the code from this file: the line, or an NFC tag (NDEF)",
-)  # fmt: skip
+)
 @click.option("--name", help="the node's name, if the invitation is for more than one")
 @click.option(
-    "--meta", "meta_path", type=options.FILE, metavar="FILE",
+    "--meta",
+    "meta_path",
+    type=options.FILE,
+    metavar="FILE",
     help="the node's metadata: take the name that the authority's rules give for them",
-)  # fmt: skip
+)
 @json_result()
 @pass_environment
 def join_domain(

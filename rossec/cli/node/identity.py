@@ -24,9 +24,12 @@ _MAX_BUNDLE = 64 * 1024
 @click.option("--domain", default="home", show_default=True, help="trust domain of the authority")
 @click.option("--anonymous", is_flag=True, help="for anonymous nodes too: /rviz also as /rviz_17")
 @click.option(
-    "--meta", "meta_path", type=options.FILE, metavar="FILE",
+    "--meta",
+    "meta_path",
+    type=options.FILE,
+    metavar="FILE",
     help="take the name that rules give for the metadata there, instead of NAME",
-)  # fmt: skip
+)
 @rules.option
 @json_result()
 @pass_environment
@@ -61,9 +64,7 @@ def _request(home: NodeHome, domain: str, *, anonymous: bool) -> Path:
     return home.request_path
 
 
-def _names(
-    given: tuple[str, ...], meta_path: Path | None, rules_path: Path | None
-) -> tuple[str, ...]:
+def _names(given: tuple[str, ...], meta_path: Path | None, rules_path: Path | None) -> tuple[str, ...]:
     if bool(given) is (meta_path is not None):
         raise click.UsageError("give NAME, or --meta FILE")
     if meta_path is not None:
@@ -81,9 +82,7 @@ def _names(
 @click.option("--png", type=click.Path(path_type=Path), help="write the code to this PNG file")
 @json_result()
 @pass_environment
-def code(
-    environment: Environment, name: str, text: bool, svg: Path | None, png: Path | None
-) -> None:
+def code(environment: Environment, name: str, text: bool, svg: Path | None, png: Path | None) -> None:
     """Show the QR code of NAME's request, for the authority to scan."""
     payload = qr.label_code(NodeHome.of(environment.home, name).request())
     record(name=name, code=payload)

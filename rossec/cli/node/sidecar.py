@@ -32,9 +32,7 @@ def run(
 
     Without --as each node uses the identity that is enrolled for its name. Ends as COMMAND does.
     """
-    exec_sidecar(
-        environment, context, identity=identity, each=each or identity is None, command=command
-    )
+    exec_sidecar(environment, context, identity=identity, each=each or identity is None, command=command)
 
 
 def exec_sidecar(
@@ -70,24 +68,28 @@ _LAST_USER = (1 << 32) - 2  # the last number means "no user"
 @click.command()
 @click.option("--as", "identity", metavar="NAME", help="for nodes that are not enrolled themselves")
 @click.option(
-    "--port", "-p", type=click.IntRange(0, 65535), default=11311, show_default=True,
+    "--port",
+    "-p",
+    type=click.IntRange(0, 65535),
+    default=11311,
+    show_default=True,
     help="where programs find their master on this host",
-)  # fmt: skip
+)
 @click.option("--user", "users", multiple=True, help="whose programs may use it, by default yours")
 @click.pass_context
 @pass_environment
 def sidecar(
-    environment: Environment,
-    context: click.Context,
-    identity: str | None,
-    port: int,
-    users: tuple[str, ...],
+    environment: Environment, context: click.Context, identity: str | None, port: int, users: tuple[str, ...]
 ) -> None:
     """Serve the ROS programs of this host: each node with the identity enrolled for its name."""
     exec_sidecar(
-        environment, context, identity=identity, each=True, port=port,
+        environment,
+        context,
+        identity=identity,
+        each=True,
+        port=port,
         users=[_user_id(name) for name in users],
-    )  # fmt: skip
+    )
 
 
 def _user_id(name: str) -> int:

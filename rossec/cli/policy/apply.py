@@ -57,19 +57,13 @@ _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 
 @click.command()
 @click.option("--from-graph", "node", metavar="NODE", help="as this node ask the running master")
-@click.option(
-    "--from-log", "log", type=_FILE, help="from this denial log (rossec master --complaints FILE)"
-)
+@click.option("--from-log", "log", type=_FILE, help="from this denial log (rossec master --complaints FILE)")
 @click.option("--out", type=click.Path(path_type=Path), help="write here instead of the policy")
 @options.policy
 @json_result()
 @pass_environment
 def learn(
-    environment: Environment,
-    node: str | None,
-    log: Path | None,
-    out: Path | None,
-    policy_path: Path | None,
+    environment: Environment, node: str | None, log: Path | None, out: Path | None, policy_path: Path | None
 ) -> None:
     """Add rules for what runs and no rule decides: exact names, marked for review.
 
@@ -164,13 +158,7 @@ def _undecided(read: PolicyFile, item: Observation) -> bool:
     return bool(rules)
 
 
-_CHOICES = {
-    "a": "allow",
-    "c": "allow coarsely",
-    "g": "allow beside it too",
-    "d": "deny",
-    "s": "skip",
-}
+_CHOICES = {"a": "allow", "c": "allow coarsely", "g": "allow beside it too", "d": "deny", "s": "skip"}
 
 
 def _ask_about(read: PolicyFile, item: Observation) -> PolicyFile:
@@ -266,9 +254,7 @@ def _remark(policy: PolicyFile, given: Path | None) -> None:
     leaks = [item for item in lint(policy.policy, layout_of) if item.is_leak]
     if leaks:
         command = shlex.join(["rossec", "policy", "lint", *([str(given)] if given else [])])
-        note(
-            f"this policy may give away more than it says, {count(len(leaks), 'remark')}: {command}"
-        )
+        note(f"this policy may give away more than it says, {count(len(leaks), 'remark')}: {command}")
 
 
 def _carry_out(service: AuthorityService, plan: PolicyPlan, *, yes: bool, as_json: bool) -> None:

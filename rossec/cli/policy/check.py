@@ -52,8 +52,7 @@ def init(environment: Environment, file: Path | None, robot: str) -> None:
     path = place(environment.home, file)
     if not path.parent.is_dir():
         raise ConfigurationError(
-            f"there is no {path.parent}",
-            "name a file, or create an authority: rossec ca init DOMAIN",
+            f"there is no {path.parent}", "name a file, or create an authority: rossec ca init DOMAIN"
         )
     text = beginning(robot)
     parse_policy(text, str(path))
@@ -179,9 +178,14 @@ def test(environment: Environment, file: Path | None, as_json: bool) -> None:
 
 def _row(outcome: Outcome) -> dict[str, object]:
     return {
-        "line": outcome.line, "node": outcome.node, "says": outcome.says, "holds": bool(outcome),
-        "failure": outcome.failure, "rules": list(outcome.rules), "needed": outcome.needed,
-    }  # fmt: skip
+        "line": outcome.line,
+        "node": outcome.node,
+        "says": outcome.says,
+        "holds": bool(outcome),
+        "failure": outcome.failure,
+        "rules": list(outcome.rules),
+        "needed": outcome.needed,
+    }
 
 
 _NAMED = 3  # nodes of one line
@@ -192,9 +196,7 @@ def lines(plan: PolicyPlan) -> Iterator[str]:
     """The plan as text, for people."""
     changes = [change for node in plan.nodes for change in node.changes]
     yield from _by_nodes(
-        (shown(change.subject.name), _change(change))
-        for change in changes
-        if change.kind != Kind.KEPT
+        (shown(change.subject.name), _change(change)) for change in changes if change.kind != Kind.KEPT
     )
     kept = {change.subject for change in changes if change.kind is Kind.KEPT}
     if kept:
@@ -230,14 +232,27 @@ def as_json(plan: PolicyPlan) -> dict[str, object]:
         "policy": str(plan.policy.path),
         "changes": [_change_row(each) for node in plan.nodes for each in node.changes],
         "withheld": [
-            {"node": shown(node.subject.name), "right": each.right.label, "name": each.pattern,
-             "effect": each.effect, "rule": _rule_row(each.rule), "by": _rule_row(each.by)}
-            for node in plan.nodes for each in node.withheld
+            {
+                "node": shown(node.subject.name),
+                "right": each.right.label,
+                "name": each.pattern,
+                "effect": each.effect,
+                "rule": _rule_row(each.rule),
+                "by": _rule_row(each.by),
+            }
+            for node in plan.nodes
+            for each in node.withheld
         ],
         "contradictions": [
-            {"node": each.grant.subject, "right": each.right.label, "name": each.pattern,
-             "grant": each.grant.id.hex(), "rule": _rule_row(each.rule)}
-            for node in plan.nodes for each in node.contradictions
+            {
+                "node": each.grant.subject,
+                "right": each.right.label,
+                "name": each.pattern,
+                "grant": each.grant.id.hex(),
+                "rule": _rule_row(each.rule),
+            }
+            for node in plan.nodes
+            for each in node.contradictions
         ],
         "refused": list(plan.refused),
         "due": [grant.id.hex() for node in plan.nodes for grant in node.due],
@@ -245,7 +260,7 @@ def as_json(plan: PolicyPlan) -> dict[str, object]:
         "revoke": [grant.id.hex() for grant in plan.revoke],
         "listed": plan.listed,
         "ends": plan.ends,
-    }  # fmt: skip
+    }
 
 
 def _outlook(plan: PolicyPlan) -> Iterator[str]:
@@ -254,9 +269,7 @@ def _outlook(plan: PolicyPlan) -> Iterator[str]:
     if plan.is_empty and not plan.refused:
         yield "the policy is in force, nothing to do"
     if plan.needs_tree:
-        yield (
-            f"the revocations are a tree of {plan.listed} entries: a list has at most {MAX_ENTRIES}"
-        )
+        yield (f"the revocations are a tree of {plan.listed} entries: a list has at most {MAX_ENTRIES}")
     due = sum(len(node.due) for node in plan.nodes)
     if due:
         yield f"{count(due, 'grant')} due for renewal: rossec policy apply --renew"

@@ -44,9 +44,11 @@ _NO_KEY = bytes(32)
 @click.argument("right")
 @click.argument("name")
 @click.option(
-    "--message", "message_file", type=options.FILE,
+    "--message",
+    "message_file",
+    type=options.FILE,
     help="try it on this message: YAML as in rostopic (.yaml), or its serialized bytes",
-)  # fmt: skip
+)
 @click.option("--json", "as_json", is_flag=True, help="one line of JSON")
 @options.policy
 @pass_environment
@@ -82,14 +84,16 @@ def explain(
     if message_file is not None:
         tried = _tried(read, verdict, message_file)
     if as_json:
-        say_json({
-            "decision": str(verdict.effect),
-            "rules": [rule.id for rule in verdict.rules],
-            "explanation": decider.explain(verdict),
-            "sees": levels_json(seen),
-            "in_force": [_as_json(each) for each in held],
-            **({"message": tried} if tried else {}),
-        })  # fmt: skip
+        say_json(
+            {
+                "decision": str(verdict.effect),
+                "rules": [rule.id for rule in verdict.rules],
+                "explanation": decider.explain(verdict),
+                "sees": levels_json(seen),
+                "in_force": [_as_json(each) for each in held],
+                **({"message": tried} if tried else {}),
+            }
+        )
         return
     if not verdict and gives_whole(held, asked, name):
         say(f"IN FORCE: {verdict.subject.name} {asked.label} {name}, by a grant; the policy says")
@@ -108,26 +112,40 @@ def _tried(read: PolicyFile, verdict: Verdict, message_file: Path) -> dict[str, 
     # What would become of a message.
     kind = read.policy.type_of(verdict.name)
     if kind is None:
-        raise ConfigurationError(
-            f"{read.path} does not say the type of {verdict.name}", "add it to types"
-        )
+        raise ConfigurationError(f"{read.path} does not say the type of {verdict.name}", "add it to types")
     message = _message(message_file, message_type(kind))
     outcome = Trial(layout_of(kind), verdict)(message, now())
     sent = outcome.message
-    return {"sent": sent is not None, "reason": outcome.reason,
-            "changed": changes(kind, message, sent) if sent is not None else []}  # fmt: skip
+    return {
+        "sent": sent is not None,
+        "reason": outcome.reason,
+        "changed": changes(kind, message, sent) if sent is not None else [],
+    }
 
 
 def _without_policy(
-    node: str, subject: Subject, right: Right, name: str, held: list[Grant],
-    certified: Collection[str], *, as_json: bool,
-) -> None:  # fmt: skip
+    node: str,
+    subject: Subject,
+    right: Right,
+    name: str,
+    held: list[Grant],
+    certified: Collection[str],
+    *,
+    as_json: bool,
+) -> None:
     if subject.name not in certified:
         note(f"nobody named {node} is enrolled here ({suggest(node, certified)})")
     lines = held_lines(held, right, name)
     if as_json:
-        say_json({"decision": "none", "rules": [], "explanation": [], "sees": {},
-                  "in_force": [_as_json(each) for each in held]})  # fmt: skip
+        say_json(
+            {
+                "decision": "none",
+                "rules": [],
+                "explanation": [],
+                "sees": {},
+                "in_force": [_as_json(each) for each in held],
+            }
+        )
         return
     whole = gives_whole(held, right, name)
     say(f"{'IN FORCE' if whole else 'DENY'}: {subject.name} {right.label} {name}")
@@ -184,9 +202,7 @@ def _named(policy: Policy) -> set[str]:
     return {node for node in nodes if node is not None and "*" not in node}
 
 
-def _in_force(
-    environment: Environment, keys: Collection[bytes], right: Right, name: str
-) -> list[Grant]:
+def _in_force(environment: Environment, keys: Collection[bytes], right: Right, name: str) -> list[Grant]:
     if not keys or not (environment.home / "ca" / "ca.pem").exists():
         return []
     store = AuthorityHome.at(environment.home).store()
@@ -284,9 +300,7 @@ def _day(time: int) -> str:
     return day(time)
 
 
-def _held(
-    home: AuthorityHome, decider: Decider, told: Callable[[int], str]
-) -> list[ReceiverAccess]:
+def _held(home: AuthorityHome, decider: Decider, told: Callable[[int], str]) -> list[ReceiverAccess]:
     store = home.store()
     try:
         revoked = store.revoked_entries()
@@ -325,17 +339,14 @@ def _is_wanted(node: str | None, field: str | None, receiver: str, path: str) ->
     return node in (None, receiver) and (field is None or field in path)
 
 
-def _page(
-    accesses: list[ReceiverAccess], wanted: Callable[[str, str], bool], policy: Policy
-) -> str:
+def _page(accesses: list[ReceiverAccess], wanted: Callable[[str, str], bool], policy: Policy) -> str:
     try:
         from rossec.console.matrix import topics  # noqa: PLC0415 - an extra
         from rossec.console.pages.visibility import write  # noqa: PLC0415 - an extra
         from rossec.console.words import Names  # noqa: PLC0415 - an extra
     except ModuleNotFoundError as error:
         raise ConfigurationError(
-            f"a page needs the package {error.name}",
-            "pip install 'rossec[console]', or leave out --html",
+            f"a page needs the package {error.name}", "pip install 'rossec[console]', or leave out --html"
         ) from error
     found = topics(accesses, layout_of, wanted, policy.vocabulary)
     return write(found, policy.robot, now(), Names(dict(policy.titles)))

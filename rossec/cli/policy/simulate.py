@@ -34,9 +34,19 @@ from rossec.terminal import note, printable, say, say_json
 _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 # What the reader of bags raises for wrong bytes, few of which it checks first.
 _BROKEN = (
-    ReaderError, OSError, EOFError, ValueError, LookupError, struct.error, TypeError,
-    AttributeError, AssertionError, RuntimeError, ArithmeticError, MemoryError,
-)  # fmt: skip
+    ReaderError,
+    OSError,
+    EOFError,
+    ValueError,
+    LookupError,
+    struct.error,
+    TypeError,
+    AttributeError,
+    AssertionError,
+    RuntimeError,
+    ArithmeticError,
+    MemoryError,
+)
 MAX_CHUNK = MESSAGE_LIMIT + (16 << 20)  # bytes, decompressed: one long message and others
 MAX_MESSAGES = 100_000  # per bag; the rest is said to be left out
 
@@ -68,12 +78,7 @@ class Tally:
 @click.option("--json", "as_json", is_flag=True, help="one line of JSON")
 @pass_environment
 def simulate(
-    environment: Environment,
-    new: Path,
-    old: Path | None,
-    bag: Path,
-    nodes: tuple[str, ...],
-    as_json: bool,
+    environment: Environment, new: Path, old: Path | None, bag: Path, nodes: tuple[str, ...], as_json: bool
 ) -> None:
     """Show per topic and receiver how many messages of a bag pass, before and after.
 
@@ -172,9 +177,7 @@ def _layout(connection: Any) -> Layout | None:
     return layout
 
 
-def _receivers(
-    environment: Environment, nodes: tuple[str, ...], *policies: Policy
-) -> list[Subject]:
+def _receivers(environment: Environment, nodes: tuple[str, ...], *policies: Policy) -> list[Subject]:
     if nodes:
         return [subject_of(environment, node) for node in nodes]
     found = {

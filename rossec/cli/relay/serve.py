@@ -65,12 +65,7 @@ def _read_seat(file: Path) -> Routers:
 
 
 async def _serve(
-    environment: Environment,
-    store: RelayFiles,
-    routers: Routers,
-    doors: str,
-    *,
-    as_json: bool,
+    environment: Environment, store: RelayFiles, routers: Routers, doors: str, *, as_json: bool
 ) -> None:
     stop = stop_on_signals()
     admission = _admission(doors)
@@ -79,9 +74,7 @@ async def _serve(
     carrier = await _carrier(routers, stop)
     if carrier is None:
         return
-    relay = Relay(
-        member, RouterNetwork(carrier, routers, member.link_context), admission, store.peers
-    )
+    relay = Relay(member, RouterNetwork(carrier, routers, member.link_context), admission, store.peers)
     admin = AdminPort(store.home.path / RELAY_SOCKET, {"status": relay.status})
     try:
         await admin.start()

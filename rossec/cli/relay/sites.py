@@ -74,9 +74,11 @@ _LISTED = "at the authority: rossec domain accept CARD; then the master has the 
 @click.command()
 @click.argument("label")
 @click.option(
-    "--domain", metavar="DOMAIN-LABEL", default=None,
+    "--domain",
+    metavar="DOMAIN-LABEL",
+    default=None,
     help="only a relay of this trusted domain may use it; '' for the own domain",
-)  # fmt: skip
+)
 @pass_environment
 def card(environment: Environment, label: str, domain: str | None) -> None:
     """Print the card for the relay LABEL: the mailbox that it alone shall send to.
@@ -95,9 +97,7 @@ def card(environment: Environment, label: str, domain: str | None) -> None:
         if domain is None or domain == peer.domain:
             return
         if peer.is_complete:
-            raise ConfigurationError(
-                f"{label} is {peer.shown} already", f"rossec relay remove {label}"
-            )
+            raise ConfigurationError(f"{label} is {peer.shown} already", f"rossec relay remove {label}")
         peers[label] = replace(peer, domain=domain)
 
     store.change(put)
@@ -137,9 +137,7 @@ def add_relay(environment: Environment, label: str, file: Path) -> None:
                 f"take the right card, or begin anew: rossec relay remove {label}",
             )
         if peer.is_complete and peer.relay != found.relay:
-            raise ConfigurationError(
-                f"{label} is {peer.shown} already", f"rossec relay remove {label}"
-            )
+            raise ConfigurationError(f"{label} is {peer.shown} already", f"rossec relay remove {label}")
         peers[label] = replace(peer, domain=domain, relay=found.relay, mailbox=found.mailbox)
 
     store.change(put)
@@ -242,13 +240,17 @@ def home_of(environment: Environment, directory: Path | None) -> RouterHome:
 def _reached(command: Callable[..., Any]) -> Callable[..., Any]:
     # Options of what makes a seat file: where the router is found, if it was not told yet.
     listen = click.option(
-        "--listen", metavar="LOCATOR", multiple=True,
+        "--listen",
+        metavar="LOCATOR",
+        multiple=True,
         help="where this router will listen, if it never ran yet; as of rossec router",
-    )  # fmt: skip
+    )
     host = click.option(
-        "--host", metavar="NAME", multiple=True,
+        "--host",
+        metavar="NAME",
+        multiple=True,
         help="name or address by which relays reach this router; may be repeated",
-    )  # fmt: skip
+    )
     return host(listen(command))
 
 
@@ -256,9 +258,7 @@ def _reached(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.argument("name")
 @_reached
 @pass_home
-def add_account(
-    home: RouterHome, name: str, host: tuple[str, ...], listen: tuple[str, ...]
-) -> None:
+def add_account(home: RouterHome, name: str, host: tuple[str, ...], listen: tuple[str, ...]) -> None:
     """Make the seat NAME, and print its file for the relay of that site.
 
     For example: rossec router seats add home > home.seat. The file holds a password: bring it to
@@ -275,9 +275,7 @@ def add_account(
 @click.argument("name")
 @_reached
 @pass_home
-def show_account(
-    home: RouterHome, name: str, host: tuple[str, ...], listen: tuple[str, ...]
-) -> None:
+def show_account(home: RouterHome, name: str, host: tuple[str, ...], listen: tuple[str, ...]) -> None:
     """Print the file of the seat NAME again, with the routers of now.
 
     NAME is `open` for a router that was started with --open.
@@ -356,9 +354,7 @@ def take(home: RouterHome, file: Path, host: tuple[str, ...]) -> None:
     home.take(Share.read(_read(file)))
     home.tell(hosts=host)
     record(seats=list(home.seats().names), joins=list(home.settings().join))
-    say(
-        f"seats: {', '.join(home.seats().names) or 'none'}; joins {', '.join(home.settings().join)}"
-    )
+    say(f"seats: {', '.join(home.seats().names) or 'none'}; joins {', '.join(home.settings().join)}")
 
 
 def _read(file: Path) -> bytes:
@@ -372,17 +368,25 @@ def _read(file: Path) -> bytes:
 @click.argument("uri", required=False, default="")
 @click.option("--as", "label", metavar="LABEL", required=True, help="what it is called here")
 @click.option(
-    "--name", "master", metavar="NAME", default=MASTER, show_default=True,
+    "--name",
+    "master",
+    metavar="NAME",
+    default=MASTER,
+    show_default=True,
     help="the name that master is certified for",
-)  # fmt: skip
+)
 @click.option(
-    "--domain", metavar="LABEL", default=None,
+    "--domain",
+    metavar="LABEL",
+    default=None,
     help="the label of its foreign domain, if that is not the site's own label",
-)  # fmt: skip
+)
 @click.option(
-    "--via", metavar="PEER", default="",
+    "--via",
+    metavar="PEER",
+    default="",
     help="instead of a URI: the site that the relay of this site knows by this label",
-)  # fmt: skip
+)
 @json_result()
 @pass_environment
 def add_site(
@@ -411,8 +415,7 @@ def add_site(
     def put(sites: dict[str, SiteSettings]) -> None:
         if label in sites:
             raise ConfigurationError(
-                f"there is a site {label} already: {sites[label].place}",
-                f"rossec federation remove {label}",
+                f"there is a site {label} already: {sites[label].place}", f"rossec federation remove {label}"
             )
         sites[label] = site
         checked_sites(sites.values())
@@ -462,9 +465,7 @@ def param(environment: Environment, label: str, pattern: str, *, removing: bool)
         site = _find(sites, label)
         patterns = [each for each in site.parameters if each != pattern]
         if removing and len(patterns) == len(site.parameters):
-            raise ConfigurationError(
-                f"{pattern} of {label} is not mirrored", "rossec federation list"
-            )
+            raise ConfigurationError(f"{pattern} of {label} is not mirrored", "rossec federation list")
         sites[label] = replace(site, parameters=(*patterns, *([] if removing else [pattern])))
 
     SiteFile(_home(environment).path).change(change)
@@ -483,10 +484,16 @@ def list_sites(environment: Environment, *, as_json: bool) -> None:
     sites = list(SiteFile(_home(environment).path).sites())
     for each in sites:
         if as_json:
-            say_json({
-                "label": each.label, "uri": each.uri, "master": each.master,
-                "domain": each.domain, "parameters": list(each.parameters), "via": each.via,
-            })  # fmt: skip
+            say_json(
+                {
+                    "label": each.label,
+                    "uri": each.uri,
+                    "master": each.master,
+                    "domain": each.domain,
+                    "parameters": list(each.parameters),
+                    "via": each.via,
+                }
+            )
             continue
         where = each.uri or each.place
         mirrored = f"  {' '.join(each.parameters)}" if each.parameters else ""

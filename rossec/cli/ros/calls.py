@@ -16,14 +16,7 @@ from ca.names import local_name, shown
 from rossec.cli.ros.topic import run_until_node_ends
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.master import node_as
-from rossec.cli.shared.messages import (
-    fill,
-    parse_arguments,
-    parse_message,
-    plain,
-    render,
-    stamp_now,
-)
+from rossec.cli.shared.messages import fill, parse_arguments, parse_message, plain, render, stamp_now
 from rossec.cli.shared.options import Batch, json_result, unique
 from rossec.errors import ConfigurationError
 from rossec.node import ServiceClient, register_service_type, service_type
@@ -127,12 +120,7 @@ async def _info(environment: Environment, name: str, own: str, as_json: bool) ->
         uri = await running.services.lookup(name)
         fields, provider = await running.services.probe(name)
     node = caller_here(provider, text(fields, "callerid"))
-    found = {
-        "node": node,
-        "uri": uri,
-        "type": text(fields, "type"),
-        "md5sum": text(fields, "md5sum"),
-    }
+    found = {"node": node, "uri": uri, "type": text(fields, "type"), "md5sum": text(fields, "md5sum")}
     if node != provider.name:
         found["identity"] = provider.name
     if as_json:
@@ -252,9 +240,7 @@ def delete_param(environment: Environment, names: tuple[str, ...], node: str) ->
     batch.finish()
 
 
-def _run(
-    environment: Environment, node: str, work: Callable[[NodeParameters], Awaitable[Any]]
-) -> Any:
+def _run(environment: Environment, node: str, work: Callable[[NodeParameters], Awaitable[Any]]) -> Any:
     async def run() -> Any:
         async with node_as(environment, node) as running:
             return await work(running.params)

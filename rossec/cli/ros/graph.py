@@ -108,9 +108,7 @@ def note_hidden(node: str) -> None:
     note(f"nothing that {node} may see; all of it needs: rossec grant sign {node} --graph")
 
 
-async def _ask(
-    environment: Environment, node: str, question: Callable[[MasterCall], Awaitable[T]]
-) -> T:
+async def _ask(environment: Environment, node: str, question: Callable[[MasterCall], Awaitable[T]]) -> T:
     home = NodeHome.of(environment.home, node)
     async with calls_as(environment, home, await find_master(environment, home)) as call:
         return await question(call)
@@ -204,9 +202,7 @@ def topic_info(environment: Environment, name: str, node: str, as_json: bool) ->
         return
     groups = {"Publishers": state.publishers, "Subscribers": state.subscribers}
     found = {heading: list(names.get(topic, ())) for heading, names in groups.items()}
-    uris = addresses(
-        environment, node, sorted({name for names in found.values() for name in names})
-    )
+    uris = addresses(environment, node, sorted({name for names in found.values() for name in names}))
     say(f"Type: {state.type_of(topic)}")
     say("")
     for heading, nodes in found.items():
@@ -280,9 +276,7 @@ def _row(state: SystemState, topic: str) -> dict[str, object]:
     }
 
 
-def _say_verbose(
-    heading: str, one: str, names: Names, topics: list[str], state: SystemState
-) -> None:
+def _say_verbose(heading: str, one: str, names: Names, topics: list[str], state: SystemState) -> None:
     say("")
     say(f"{heading} topics:")
     for topic in topics:
@@ -397,9 +391,7 @@ async def _print_changes(environment: Environment, home: NodeHome, uri: str, as_
         try:
             async with calls_as(environment, home, uri, own.current) as call:
                 while not await renew_identity(call, renewal, now()):
-                    _print_change(
-                        view, view.take(await call(WATCH_GRAPH, *view.next_params)), as_json
-                    )
+                    _print_change(view, view.take(await call(WATCH_GRAPH, *view.next_params)), as_json)
         except (HintedError, OSError, TimeoutError) as error:
             if view.version < 0:
                 raise
@@ -465,9 +457,12 @@ def describe(facts: frozenset[Fact]) -> list[str]:
 @click.command()
 @click.option("--as", "identity", metavar="NAME", help="the node whose master is looked for")
 @click.option(
-    "--seconds", type=click.FloatRange(0.1, 600), default=PATIENCE, show_default=True,
+    "--seconds",
+    type=click.FloatRange(0.1, 600),
+    default=PATIENCE,
+    show_default=True,
     help="how long to wait for the first",
-)  # fmt: skip
+)
 @click.option("--json", "as_json", is_flag=True, help="a line of JSON for each")
 @pass_environment
 def discover(environment: Environment, identity: str | None, seconds: float, as_json: bool) -> None:

@@ -99,15 +99,13 @@ class Arrivals:
         self._wake = asyncio.Event()
         self._said: set[str] = set()
 
-    def connected(self, _: RawSource) -> None:
-        ...
+    def connected(self, _: RawSource) -> None: ...
 
     def received(self, source: RawSource, messages: Sequence[bytes]) -> None:
         self._queue.extend((source, bytes(message)) for message in messages)
         self._wake.set()
 
-    def disconnected(self, _: RawSource) -> None:
-        ...
+    def disconnected(self, _: RawSource) -> None: ...
 
     def refused(self, error: Exception) -> None:
         # Say once why a publisher is not connected, or no longer.
@@ -126,9 +124,7 @@ class Arrivals:
 
 
 @asynccontextmanager
-async def listening(
-    environment: Environment, name: str, node: str
-) -> AsyncIterator[tuple[Node, Arrivals]]:
+async def listening(environment: Environment, name: str, node: str) -> AsyncIterator[tuple[Node, Arrivals]]:
     """A running node that subscribes to the topic, and what arrives there."""
     async with node_as(environment, node) as running:
         arrivals = Arrivals()
@@ -187,9 +183,10 @@ def echo(
     hidden = tuple(kind for kind, hide in ((list, noarr), (str, nostr)) if hide)
     show = _as_json if as_json else partial(_as_text, hidden=hidden)
     asyncio.run(
-        _echo_any(environment, name, node, count, show) if type_name is None
+        _echo_any(environment, name, node, count, show)
+        if type_name is None
         else _echo(environment, name, type_name, node, count, show)
-    )  # fmt: skip
+    )
 
 
 @click.command()
@@ -198,18 +195,22 @@ def echo(
 @click.argument("content", nargs=-1)
 @as_node
 @click.option(
-    "--rate", "-r",
+    "--rate",
+    "-r",
     type=click.FloatRange(min=0, min_open=True),
     default=1.0,
     show_default=True,
     help="messages per second",
-)  # fmt: skip
+)
 @click.option("--count", "-n", type=click.IntRange(min=1), help="end after this many messages")
 @click.option("--once", "-1", is_flag=True, help="publish one message and end")
 @click.option(
-    "--file", "-f", "file", type=options.FILE,
+    "--file",
+    "-f",
+    "file",
+    type=options.FILE,
     help="the messages in FILE in turn, each behind a line ---, as `rossec topic echo` prints them",
-)  # fmt: skip
+)
 @pass_environment
 def pub(
     environment: Environment,
@@ -242,9 +243,7 @@ def _as_json(message: Message) -> None:
     say_json(plain(message))
 
 
-async def _echo_any(
-    environment: Environment, name: str, node: str, count: int | None, show: Show
-) -> None:
+async def _echo_any(environment: Environment, name: str, node: str, count: int | None, show: Show) -> None:
     async with listening(environment, name, node) as (running, arrivals):
         await run_until_node_ends(running, _print(_read(arrivals), count, show))
 
@@ -309,12 +308,7 @@ def _contents(content: tuple[str, ...], file: Path | None) -> list[object]:
 
 
 async def _pub(
-    environment: Environment,
-    name: str,
-    messages: Messages,
-    node: str,
-    period: float,
-    count: int | None,
+    environment: Environment, name: str, messages: Messages, node: str, period: float, count: int | None
 ) -> None:
     async with node_as(environment, node) as running:
         publisher = await running.publisher(local_name(name), messages.kind.name)
@@ -322,9 +316,7 @@ async def _pub(
         await run_until_node_ends(running, _publish(publisher, messages, period, count))
 
 
-async def _publish(
-    publisher: Publisher, messages: Messages, period: float, count: int | None
-) -> None:
+async def _publish(publisher: Publisher, messages: Messages, period: float, count: int | None) -> None:
     await publisher.wait_for_subscribers()
     sent = 0
     while count is None or sent < count:
@@ -348,14 +340,10 @@ Add = Callable[[float, int], None]
 @_WINDOW
 @_COUNT
 @pass_environment
-def hz(
-    environment: Environment, name: str, node: str, window: int | None, count: int | None
-) -> None:
+def hz(environment: Environment, name: str, node: str, window: int | None, count: int | None) -> None:
     """Show how often messages of the topic NAME arrive, as NODE may see them."""
     rates = RateWindow(window)
-    asyncio.run(
-        _watch(environment, name, node, lambda now, _: rates.add(now), rates.describe, count)
-    )
+    asyncio.run(_watch(environment, name, node, lambda now, _: rates.add(now), rates.describe, count))
 
 
 @click.command()
@@ -364,9 +352,7 @@ def hz(
 @_WINDOW
 @_COUNT
 @pass_environment
-def bw(
-    environment: Environment, name: str, node: str, window: int | None, count: int | None
-) -> None:
+def bw(environment: Environment, name: str, node: str, window: int | None, count: int | None) -> None:
     """Show how many bytes of the topic NAME arrive, as NODE may see them."""
     sizes = SizeWindow(window or 100)  # rostopic's
 
@@ -377,12 +363,7 @@ def bw(
 
 
 async def _watch(
-    environment: Environment,
-    name: str,
-    node: str,
-    add: Add,
-    describe: Callable[[], str],
-    count: int | None,
+    environment: Environment, name: str, node: str, add: Add, describe: Callable[[], str], count: int | None
 ) -> None:
     async with listening(environment, name, node) as (running, arrivals):
         note(f"subscribed to [{name}]")

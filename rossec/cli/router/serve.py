@@ -40,12 +40,7 @@ def run(
 
 
 async def _serve(
-    environment: Environment,
-    home: RouterHome,
-    settings: RouterSettings,
-    *,
-    is_open: bool,
-    as_json: bool,
+    environment: Environment, home: RouterHome, settings: RouterSettings, *, is_open: bool, as_json: bool
 ) -> None:
     stop = stop_on_signals()
     router = Router(home, settings, is_open=is_open)
@@ -59,9 +54,7 @@ async def _serve(
         await router.close()
 
 
-def _print_address(
-    home: RouterHome, settings: RouterSettings, *, is_open: bool, as_json: bool
-) -> None:
+def _print_address(home: RouterHome, settings: RouterSettings, *, is_open: bool, as_json: bool) -> None:
     if as_json:
         say_json({"ready": list(settings.listen)})
         return
@@ -74,9 +67,7 @@ def _print_address(
         say(f"joins {', '.join(settings.join)}")
 
 
-def print_settings(
-    home: RouterHome, given: Mapping[str, tuple[str, ...]], *, is_open: bool
-) -> None:
+def print_settings(home: RouterHome, given: Mapping[str, tuple[str, ...]], *, is_open: bool) -> None:
     """Print what `zenohd --config FILE` reads; it names files of `home`, which are made.
 
     Raises:

@@ -77,9 +77,7 @@ class Duration(click.ParamType[int]):
     def __init__(self, days: int | None = None) -> None:
         self._days = days
 
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> int:
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> int:
         """Seconds of the duration `value`."""
         if isinstance(value, int):
             return value
@@ -100,9 +98,7 @@ class UnlockTime(click.ParamType[int]):
     def __init__(self, most: int) -> None:
         self._duration = Duration(most // _UNITS["d"])
 
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> int:
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> int:
         return 0 if value in {0, "0"} else self._duration.convert(value, param, ctx)
 
 
@@ -154,9 +150,7 @@ _EXIT_CODES: Final[dict[type[HintedError], int]] = {
 def run(program: click.Command, arguments: Sequence[str], environ: Mapping[str, str]) -> int:
     """Run one command line and return its exit code (see `rossec.terminal`)."""
     try:
-        program.main(
-            list(arguments), prog_name="rossec", standalone_mode=False, obj=Environment(environ)
-        )
+        program.main(list(arguments), prog_name="rossec", standalone_mode=False, obj=Environment(environ))
     except HintedError as error:
         fail(str(error), error.hint)
         return _EXIT_CODES.get(type(error), REFUSED)

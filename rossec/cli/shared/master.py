@@ -48,9 +48,7 @@ REVOCATIONS: Final = "rossec.revocations"
 SETTLE: Final = 1.0  # seconds: two announcements; a command that ends at once measures no loss
 
 
-def master_at(
-    environment: Environment, node: str | NodeHome | None, master_uri: str | None = None
-) -> str:
+def master_at(environment: Environment, node: str | NodeHome | None, master_uri: str | None = None) -> str:
     """As `find_master`, outside of a loop."""
     uri = _given(environment, master_uri)
     if uri != DISCOVER:
@@ -193,9 +191,7 @@ def own_address(environment: Environment) -> str:
     """ROS_IP or ROS_HOSTNAME, else the address at which others probably reach this host."""
     configured = names.own_address(environment.variables)
     if configured is not None:
-        warn_of_own_address(
-            configured, environment.variables, lambda error: note(f"{error} ({error.hint})")
-        )
+        warn_of_own_address(configured, environment.variables, lambda error: note(f"{error} ({error.hint})"))
         return configured
     first, *others = addresses.own_addresses()
     if others:
@@ -238,5 +234,4 @@ def open_held(home: NodeHome, token: bytes, now: int) -> Grant:
     return grant
 
 
-def _not_asked(entry: bytes, now: int) -> None:
-    ...
+def _not_asked(entry: bytes, now: int) -> None: ...

@@ -138,10 +138,7 @@ def quoted(text: str) -> str:
 def plain(value: Any) -> object:
     """A message, or a value in one, as what JSON has."""
     if is_message(value):
-        return {
-            _shown_name(value, field): plain(field_value(value, field))
-            for field in field_names(value)
-        }
+        return {_shown_name(value, field): plain(field_value(value, field)) for field in field_names(value)}
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     return [plain(item) for item in value] if isinstance(value, list) else value
@@ -190,9 +187,7 @@ def mentions_now(content: object) -> bool:
     """Whether `content` may have `now` or `auto` in it: it is another message each time."""
     if isinstance(content, dict):
         return any(map(mentions_now, content.values()))
-    return any(map(mentions_now, content)) if isinstance(content, list) else (
-        content in ("now", "auto")
-    )  # fmt: skip
+    return any(map(mentions_now, content)) if isinstance(content, list) else (content in ("now", "auto"))
 
 
 @dataclass(frozen=True)
@@ -256,15 +251,17 @@ def _by_name(path: str, message: Message, content: object) -> dict[str, object]:
             raise ConfigurationError(
                 f"{where}{_counted(len(content), 'value')} for {_counted(len(fields), 'field')}",
                 f"give all of {', '.join(shown)} in this order, or name them: '{{field: value}}'"
-                if shown else "it has no fields: write {}",
-            )  # fmt: skip
+                if shown
+                else "it has no fields: write {}",
+            )
         return dict(zip(fields, content, strict=True))
     if not isinstance(content, dict):
         raise ConfigurationError(
             f"{where}a message is a mapping of fields, not {_kind(content)}",
-            f"it has {', '.join(shown)}: for example '{{{shown[0]}: ...}}'" if shown
+            f"it has {', '.join(shown)}: for example '{{{shown[0]}: ...}}'"
+            if shown
             else "it has no fields: write {}",
-        )  # fmt: skip
+        )
     for field in content:
         if field not in fields:
             name = message.__msgtype__.replace("/msg/", "/").replace("builtin_interfaces/", "")
@@ -288,9 +285,7 @@ def _like(path: str, current: Any, value: object) -> object:
     if value is None and isinstance(current, str):
         return ""  # as rostopic: a key without a value is empty text
     if type(value) is not type(current):
-        raise ConfigurationError(
-            f"{path} is {_kind(current)}, not {_kind(value)}", _advice(current, value)
-        )
+        raise ConfigurationError(f"{path} is {_kind(current)}, not {_kind(value)}", _advice(current, value))
     return value
 
 
@@ -312,8 +307,15 @@ def _counted(number: int, noun: str) -> str:
 
 
 def _kind(value: object) -> str:
-    names = {str: "text", bool: "true or false", int: "a whole number", float: "a number",
-             list: "a list", dict: "a mapping", type(None): "nothing"}  # fmt: skip
+    names = {
+        str: "text",
+        bool: "true or false",
+        int: "a whole number",
+        float: "a number",
+        list: "a list",
+        dict: "a mapping",
+        type(None): "nothing",
+    }
     return names.get(type(value), "a list")
 
 
@@ -422,6 +424,5 @@ class SizeWindow:
         scale, unit = next((pair for pair in _UNITS if rate >= pair[0]), _UNITS[-1])
         shown = [f"{value / scale:.2f}{unit}" for value in (rate, total, min(sizes), max(sizes))]
         return (
-            f"average: {shown[0]}/s\n"
-            f"\tmean: {shown[1]} min: {shown[2]} max: {shown[3]} window: {len(sizes)}"
+            f"average: {shown[0]}/s\n\tmean: {shown[1]} min: {shown[2]} max: {shown[3]} window: {len(sizes)}"
         )

@@ -38,13 +38,17 @@ MAX_PEM: Final = 64 * 1024
 FILE: Final = click.Path(path_type=Path, exists=True, dir_okay=False)
 
 policy = click.option(
-    "--policy", "policy_path", type=click.Path(path_type=Path, dir_okay=False),
+    "--policy",
+    "policy_path",
+    type=click.Path(path_type=Path, dir_okay=False),
     help="this policy, instead of ca/policy.yaml in ROSSEC_HOME",
-)  # fmt: skip
+)
 master_uri = click.option(
-    "--master", "master_uri", metavar="URI",
+    "--master",
+    "master_uri",
+    metavar="URI",
     help="master to notify, instead of ROS_MASTER_URI; discover: finds it",
-)  # fmt: skip
+)
 
 HELP = "the result as one line of JSON"
 

@@ -78,9 +78,10 @@ _MAX_FILE: Final = 4096
 
 
 option = click.option(
-    "--passphrase-file", type=options.FILE,
+    "--passphrase-file",
+    type=options.FILE,
     help="read the passphrase of the authority's key from this file (first line)",
-)  # fmt: skip
+)
 
 
 def read(file: Path | None, environ: Mapping[str, str]) -> str:
@@ -132,9 +133,12 @@ def long_enough(typed: str) -> str:
 def _ask(question: str, check_new: Callable[[str], str] | None = None) -> str:
     try:
         answer: str = click.prompt(
-            question, hide_input=can_hide(), err=True,
-            confirmation_prompt=check_new is not None, value_proc=check_new,
-        )  # fmt: skip
+            question,
+            hide_input=can_hide(),
+            err=True,
+            confirmation_prompt=check_new is not None,
+            value_proc=check_new,
+        )
     except click.Abort as abort:
         reraise_interrupt(abort)
         raise ConfigurationError(

@@ -12,9 +12,12 @@ from rossec.naming.requests import MAX_INPUT, check_document, check_rules
 from rossec.naming.rule_runner import RuleRunner, require_extra
 
 option = click.option(
-    "--rules", "rules_path", type=options.FILE, metavar="FILE",
+    "--rules",
+    "rules_path",
+    type=options.FILE,
+    metavar="FILE",
     help="rules in XSLT instead of those that are shipped",
-)  # fmt: skip
+)
 
 
 def read_rules(path: Path | None) -> bytes:

@@ -27,9 +27,7 @@ from rossec.ros import names
 from rossec.ros.xmlrpc import Fault
 from rossec.terminal import note, printable, record, say
 
-_SIGNED_ANEW: Final = (
-    "a list for the master was due and is signed anew; deliver it with: rossec ca publish"
-)
+_SIGNED_ANEW: Final = "a list for the master was due and is signed anew; deliver it with: rossec ca publish"
 
 _NO_LIST: Final = (
     "the master has no revocation list of this authority, so it trusts no grant yet:"
@@ -79,10 +77,7 @@ def call_master(environment: Environment, master_uri: str | None, call: MasterCa
     names.parse_uri(uri, "the master's URI")
 
     async def ask() -> object:
-        async with (
-            asyncio.timeout(call.within),
-            master_as(environment, call.node, uri) as client,
-        ):
+        async with asyncio.timeout(call.within), master_as(environment, call.node, uri) as client:
             return await client.ask(call.method, call.node.name, *call.statement)
 
     try:
@@ -176,9 +171,7 @@ def say_deposited(count: int, refused: Sequence[RefusedDeposit]) -> None:
         note(_NO_LIST)
 
 
-def deliver_grant(
-    service: AuthorityService, data: bytes, out: Path | None
-) -> Sequence[RefusedDeposit]:
+def deliver_grant(service: AuthorityService, data: bytes, out: Path | None) -> Sequence[RefusedDeposit]:
     """Write a grant to the file `out`, which somebody carries; else as `deliver_grants`."""
     if out is None:
         return deliver_grants(service, [data])

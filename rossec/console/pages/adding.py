@@ -68,12 +68,20 @@ async def show_one(request: Request, context: ConsoleContext) -> Response:
     name = found.core.request.name if found.core.csr else ""
     held = await context.service.grants() if found.stage is Stage.ENROLLED else ()
     return render(
-        context, request, "adding.html", live=not found.is_over, enrollment=number, found=found,
-        stage=found.stage.value, name=name, digits=group_digits(found.core.digits),
-        lifetime=IDENTITY_LIFETIME, is_conflict=isinstance(found.error, ConflictingOffer),
+        context,
+        request,
+        "adding.html",
+        live=not found.is_over,
+        enrollment=number,
+        found=found,
+        stage=found.stage.value,
+        name=name,
+        digits=group_digits(found.core.digits),
+        lifetime=IDENTITY_LIFETIME,
+        is_conflict=isinstance(found.error, ConflictingOffer),
         keeps_identity=found.known is Known.SAME_KEY,
         has_grants=any(each.node == name and not each.revoked_at for each in held),
-    )  # fmt: skip
+    )
 
 
 async def reject_node(request: Request, context: ConsoleContext) -> Response:
@@ -100,9 +108,15 @@ def _ask(
     error: HintedError | None = None,
 ) -> Response:
     return render(
-        context, request, "add.html", 422 if error else 200, code=code, address=address,
-        problem=error, is_label=bool(address) or (bool(error) and _is_label(code)),
-    )  # fmt: skip
+        context,
+        request,
+        "add.html",
+        422 if error else 200,
+        code=code,
+        address=address,
+        problem=error,
+        is_label=bool(address) or (bool(error) and _is_label(code)),
+    )
 
 
 def _is_label(text: str) -> bool:
@@ -129,10 +143,13 @@ async def show_invite(request: Request, context: ConsoleContext) -> Response:
     found = await context.service.invitations()
     now = context.clock()
     return render(
-        context, request, "invite.html", most=MAX_USES,
+        context,
+        request,
+        "invite.html",
+        most=MAX_USES,
         open=[each for each in found if each.state == "open" and each.expires >= now],
         over=[each for each in found if each.state != "open" or each.expires < now][-20:],
-    )  # fmt: skip
+    )
 
 
 async def show_made(request: Request, context: ConsoleContext) -> Response:
@@ -143,9 +160,14 @@ async def show_made(request: Request, context: ConsoleContext) -> Response:
     is_done = outcome.state == "done" and bool(outcome.data)
     text = outcome.data.decode() if is_done and context.made_codes.take(number, session) else ""
     return render(
-        context, request, "invited.html", live=outcome.state == "waiting", outcome=outcome,
-        text=text, picture=qr.inline_svg(text) if text else "",
-    )  # fmt: skip
+        context,
+        request,
+        "invited.html",
+        live=outcome.state == "waiting",
+        outcome=outcome,
+        text=text,
+        picture=qr.inline_svg(text) if text else "",
+    )
 
 
 async def end(request: Request, context: ConsoleContext) -> Response:
@@ -169,9 +191,7 @@ async def show_join(request: Request, context: ConsoleContext) -> Response:
     number = from_base64url(request.path_params["id"])
     waiting = await context.service.identity_requests()
     found = next((each for each in waiting if each.id == number), None)
-    return render(
-        context, request, "join.html", live=True, found=found, lifetime=IDENTITY_LIFETIME
-    )  # fmt: skip
+    return render(context, request, "join.html", live=True, found=found, lifetime=IDENTITY_LIFETIME)
 
 
 async def reject_request(request: Request, context: ConsoleContext) -> Response:

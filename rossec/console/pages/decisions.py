@@ -57,12 +57,20 @@ async def show_ask(request: Request, context: ConsoleContext) -> Response:
             continue
     sentence = approvals.sentence(found, await _graph(context))
     return render(
-        context, request, "ask.html", live=True, found=found, sentence=sentence,
-        ways=approvals.ways(ways), acts=approvals.acts(found.rights),
-        alone=approvals.why_no_coarser(found), others=_others(questions, found),
-        labels=approvals.LABELS, looks=approvals.looks(found.node, ways, context.preview),
+        context,
+        request,
+        "ask.html",
+        live=True,
+        found=found,
+        sentence=sentence,
+        ways=approvals.ways(ways),
+        acts=approvals.acts(found.rights),
+        alone=approvals.why_no_coarser(found),
+        others=_others(questions, found),
+        labels=approvals.LABELS,
+        looks=approvals.looks(found.node, ways, context.preview),
         durations=approvals.durations(found, context.clock()),
-    )  # fmt: skip
+    )
 
 
 def _others(questions: tuple[GrantQuestion, ...], found: GrantQuestion) -> int:
@@ -95,10 +103,7 @@ async def _graph(context: ConsoleContext) -> tuple[FactView, ...]:
         return ()
 
 
-ASK_PAGES: Final = (
-    Page("/ask/{id}", ("GET",), show_ask),
-    Page("/ask/{id}/deny", ("POST",), deny),
-)
+ASK_PAGES: Final = (Page("/ask/{id}", ("GET",), show_ask), Page("/ask/{id}/deny", ("POST",), deny))
 
 _SHOWN: Final = 200  # rights
 
@@ -107,11 +112,15 @@ async def show_policy(request: Request, context: ConsoleContext) -> Response:
     """What the policy file would give and take, to be approved as a whole."""
     found = await context.service.policy()
     return render(
-        context, request, "policy.html", live=True, policy=found,
+        context,
+        request,
+        "policy.html",
+        live=True,
+        policy=found,
         gives=[sentence(each, "may") for each in found.gives[:_SHOWN]],
         takes=[sentence(each, "no longer may") for each in found.takes[:_SHOWN]],
         more=max(0, len(found.gives) - _SHOWN) + max(0, len(found.takes) - _SHOWN),
-    )  # fmt: skip
+    )
 
 
 async def show_delegate(request: Request, context: ConsoleContext) -> Response:
@@ -131,9 +140,7 @@ async def check_request(request: Request, context: ConsoleContext) -> Response:
         key = check_intermediate_request(certificate_request(text), context.settings.domain)
     except HintedError as error:
         return render(context, request, "intermediate.html", 422, csr=text, key=None, problem=error)
-    return render(
-        context, request, "intermediate.html", csr=text, key=thumbprint(key), problem=None
-    )
+    return render(context, request, "intermediate.html", csr=text, key=thumbprint(key), problem=None)
 
 
 def sentence(right: PolicyRight, verb: str) -> tuple[Part, ...]:
@@ -169,9 +176,18 @@ async def _ask_grant(
 ) -> Response:
     node, what = await _grant(context, from_base64url(request.path_params["id"]))
     return render(
-        context, request, "revoke.html", 422 if problem else 200, node=node, what=what,
-        asks_name=False, is_master=False, problem=problem, reason=given, typed="",
-    )  # fmt: skip
+        context,
+        request,
+        "revoke.html",
+        422 if problem else 200,
+        node=node,
+        what=what,
+        asks_name=False,
+        is_master=False,
+        problem=problem,
+        reason=given,
+        typed="",
+    )
 
 
 async def revoke_grant(request: Request, context: ConsoleContext) -> Response:
@@ -200,10 +216,18 @@ def _ask_node(
     form: Mapping[str, str] = _EMPTY,
 ) -> Response:
     return render(
-        context, request, "revoke.html", 422 if problem else 200, node=name, what=(),
-        asks_name=True, is_master=is_master_name(name), problem=problem,
-        reason=form["reason"], typed=form["name"],
-    )  # fmt: skip
+        context,
+        request,
+        "revoke.html",
+        422 if problem else 200,
+        node=name,
+        what=(),
+        asks_name=True,
+        is_master=is_master_name(name),
+        problem=problem,
+        reason=form["reason"],
+        typed=form["name"],
+    )
 
 
 async def revoke_node(request: Request, context: ConsoleContext) -> Response:
@@ -227,9 +251,15 @@ async def show_ending(request: Request, context: ConsoleContext) -> Response:
     locked = not standing.is_signed and (await context.service.status()).locked
     has_all = 0 < standing.nodes == standing.nodes_with_list
     answer = render(
-        context, request, "revoked.html", standing=standing, node=node, what=what, locked=locked,
+        context,
+        request,
+        "revoked.html",
+        standing=standing,
+        node=node,
+        what=what,
+        locked=locked,
         has_all=has_all,
-    )  # fmt: skip
+    )
     if not has_all:
         answer.headers["Refresh"] = str(REFRESH)
         return answer

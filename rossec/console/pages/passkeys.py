@@ -72,9 +72,7 @@ async def look(request: Request, context: ConsoleContext) -> Response:
         code = text_field(form, "code").strip()
         await counted(request, context, context.service.redeem(code))
     except HttpRefused as error:
-        return render(
-            context, request, "login.html", error.status, problem=f"{error}: {error.hint}"
-        )
+        return render(context, request, "login.html", error.status, problem=f"{error}: {error.hint}")
     return _begin(RedirectResponse(FIRST, 303), context, "")
 
 
@@ -173,9 +171,8 @@ def _begin(response: Response, context: ConsoleContext, phone: str) -> Response:
     settings, secret = context.settings, secrets.token_bytes(COOKIE_SIZE)
     value = context.sessions.begin(secret, phone, context.elapsed())
     response.set_cookie(
-        COOKIE, value, max_age=settings.lifetime, path="/", secure=True, httponly=True,
-        samesite="strict",
-    )  # fmt: skip
+        COOKIE, value, max_age=settings.lifetime, path="/", secure=True, httponly=True, samesite="strict"
+    )
     return response
 
 
@@ -197,9 +194,14 @@ async def show_phones(request: Request, context: ConsoleContext) -> Response:
     phones, proposals = await context.service.phones(), await context.service.proposals()
     current = [phone for phone in phones if not phone.ended]
     return render(
-        context, request, "phones.html", live=True, phones=current, proposals=proposals,
+        context,
+        request,
+        "phones.html",
+        live=True,
+        phones=current,
+        proposals=proposals,
         ended=[phone for phone in phones if phone.ended],
-    )  # fmt: skip
+    )
 
 
 async def link(request: Request, context: ConsoleContext) -> Response:
@@ -262,13 +264,15 @@ async def prepare(request: Request, context: ConsoleContext) -> Response:
             "no phone is set up", "get a code at the terminal: rossec console phone", status=409
         )
     context.pending.add(made.id, request.state.session.id, act, owner)
-    return JSONResponse({
-        "id": to_base64url(made.id),
-        "challenge": to_base64url(made.challenge),
-        "credentials": [to_base64url(each) for each in made.credentials],
-        "rpId": made.rp_id,
-        "timeout": max(0, made.until - context.clock()) * 1000,
-    })  # fmt: skip
+    return JSONResponse(
+        {
+            "id": to_base64url(made.id),
+            "challenge": to_base64url(made.challenge),
+            "credentials": [to_base64url(each) for each in made.credentials],
+            "rpId": made.rp_id,
+            "timeout": max(0, made.until - context.clock()) * 1000,
+        }
+    )
 
 
 async def approve(request: Request, context: ConsoleContext) -> Response:
@@ -310,10 +314,16 @@ async def show_approved(request: Request, context: ConsoleContext) -> Response:
     is_waiting = outcome.state == "waiting"
     locked = is_waiting and (await context.service.status()).locked
     return render(
-        context, request, "approved.html", live=is_waiting, outcome=outcome, locked=locked,
-        approval=approval, given=_given(outcome.data) if of_grant else (),
+        context,
+        request,
+        "approved.html",
+        live=is_waiting,
+        outcome=outcome,
+        locked=locked,
+        approval=approval,
+        given=_given(outcome.data) if of_grant else (),
         carried=outcome.data.decode(errors="replace") if is_carried else "",
-    )  # fmt: skip
+    )
 
 
 def _given(data: bytes) -> list[Given]:
@@ -321,9 +331,7 @@ def _given(data: bytes) -> list[Given]:
     try:
         bodies = decode(data, limit=MAX_PAYLOAD) if data else []
         found = bodies if isinstance(bodies, list) else []
-        grants = [
-            document.read_claims(body, bytes(ID_SIZE)) for body in found if isinstance(body, bytes)
-        ]
+        grants = [document.read_claims(body, bytes(ID_SIZE)) for body in found if isinstance(body, bytes)]
     except (EncodingError, GrantError):
         return []
     return [

@@ -62,26 +62,31 @@ async def show_today(request: Request, context: ConsoleContext) -> Response:
     busy = home.matrix.busiest_first()
     part = busy.window(slice(ROWS), slice(RECEIVERS))
     return render(
-        context, request, "today.html", live=True,
-        authority=await context.service.status(), waiting=await _waiting(context, questions),
-        counts=counts(home.matrix), matrix=part, rows=len(busy.rows),
-        receivers=len(busy.receivers), silent=silent(home), **_looks(context, busy),
+        context,
+        request,
+        "today.html",
+        live=True,
+        authority=await context.service.status(),
+        waiting=await _waiting(context, questions),
+        counts=counts(home.matrix),
+        matrix=part,
+        rows=len(busy.rows),
+        receivers=len(busy.receivers),
+        silent=silent(home),
+        **_looks(context, busy),
         flow=flow.draw(part, visibility.refused_names(denied), names_of(request).title),
-        sentences=told[:THINGS], ending=len(home.ending), again=visibility.again(home),
-        new=_new(request, [each.number for each in told]), without_master=home.without_master,
+        sentences=told[:THINGS],
+        ending=len(home.ending),
+        again=visibility.again(home),
+        new=_new(request, [each.number for each in told]),
+        without_master=home.without_master,
         without_policy=without_policy,
-    )  # fmt: skip
+    )
 
 
 async def _waiting(context: ConsoleContext, questions: Iterable[GrantQuestion]) -> list[Waiting]:
     found = [
-        Waiting(
-            _asked(each),
-            f"/ask/{to_base64url(each.id)}",
-            each.at,
-            each.why,
-            approvals.acts(each.rights),
-        )
+        Waiting(_asked(each), f"/ask/{to_base64url(each.id)}", each.at, each.why, approvals.acts(each.rights))
         for each in questions
     ]
     found += [
@@ -167,16 +172,23 @@ async def log(request: Request, context: ConsoleContext) -> Response:
     known = Known.of(home.held, home.nodes, questions, home.ending)
     events, following = await _events(context, before, node, known)
     denied = _between(await visibility.denials(context), events, before, following)
-    told, refused = _bounded(
-        [each for each in story(events, denied, known) if not node or each.node == node]
-    )
+    told, refused = _bounded([each for each in story(events, denied, known) if not node or each.node == node])
     fresh = 0 if before else _look(request, events, told)
     more = urlencode({"before": following, **({"node": node} if node else {})})
     return render(
-        context, request, "log.html", live=not before, sentences=told, node=node, before=before,
-        more=f"/log?{more}" if following else "", new=fresh, more_refused=refused,
-        without_master=home.without_master, again=0 if before else visibility.again(home),
-    )  # fmt: skip
+        context,
+        request,
+        "log.html",
+        live=not before,
+        sentences=told,
+        node=node,
+        before=before,
+        more=f"/log?{more}" if following else "",
+        new=fresh,
+        more_refused=refused,
+        without_master=home.without_master,
+        again=0 if before else visibility.again(home),
+    )
 
 
 def _bounded(told: list[Sentence]) -> tuple[list[Sentence], int]:
@@ -230,13 +242,21 @@ async def way(request: Request, context: ConsoleContext) -> Response:
     told = refusals(denied)
     running = {fact.name for fact in home.facts if fact.kind == "publisher"}
     return render(
-        context, request, "way.html", live=True, row=row, rows=len(busy.rows),
-        page_rows=flow.MAX_ROWS, shown=busy.rows[row : row + flow.MAX_ROWS],
+        context,
+        request,
+        "way.html",
+        live=True,
+        row=row,
+        rows=len(busy.rows),
+        page_rows=flow.MAX_ROWS,
+        shown=busy.rows[row : row + flow.MAX_ROWS],
         flow=flow.draw(part, visibility.refused_names(denied), names_of(request).title),
-        running=running, again=visibility.again(home),
+        running=running,
+        again=visibility.again(home),
         refused=sorted(told, key=lambda each: -each.at)[:MAX_REFUSED],
-        more_refused=max(0, len(told) - MAX_REFUSED), without_master=home.without_master,
-    )  # fmt: skip
+        more_refused=max(0, len(told) - MAX_REFUSED),
+        without_master=home.without_master,
+    )
 
 
 HAPPENED_PAGES: Final = (Page("/log", ("GET",), log), Page("/way", ("GET",), way))

@@ -39,14 +39,7 @@ from rossec.console.matrix import (
     topics,
 )
 from rossec.console.pictures import looks
-from rossec.console.rendering import (
-    STATIC_FOLDER,
-    Page,
-    from_base64url,
-    names_of,
-    render,
-    render_text,
-)
+from rossec.console.rendering import STATIC_FOLDER, Page, from_base64url, names_of, render, render_text
 from rossec.console.sentences import Known, Part, permission, permissions, story
 from rossec.console.words import NONE, Names
 from rossec.errors import HttpRefused, KeyServiceFailed
@@ -144,9 +137,7 @@ def refused_names(found: tuple[DenialView, ...]) -> dict[str, list[str]]:
     """The names that each node was refused, the latest first; of the nodes refused last."""
     names: dict[str, list[str]] = {}
     for denial in sorted(found, key=lambda each: -each.at):
-        known = names.setdefault(denial.node, []) if len(names) < MAX_REFUSED else names.get(
-            denial.node, []
-        )  # fmt: skip
+        known = names.setdefault(denial.node, []) if len(names) < MAX_REFUSED else names.get(denial.node, [])
         if denial.name not in known:
             known.append(denial.name)
     return names
@@ -204,24 +195,37 @@ async def show_who(request: Request, context: ConsoleContext) -> Response:
     part = home.matrix.window(slice(row, row + ROWS), slice(receiver, receiver + RECEIVERS))
     others = other_rights(home.held)
     return render(
-        context, request, "who.html", live=True, matrix=part, row=row, receiver=receiver,
-        rows=len(home.matrix.rows), receivers=len(home.matrix.receivers),
-        page_rows=ROWS, page_receivers=RECEIVERS,
-        others=others[:MAX_OTHERS], more=max(0, len(others) - MAX_OTHERS),
-        without_master=home.without_master, again=again(home),
-    )  # fmt: skip
+        context,
+        request,
+        "who.html",
+        live=True,
+        matrix=part,
+        row=row,
+        receiver=receiver,
+        rows=len(home.matrix.rows),
+        receivers=len(home.matrix.receivers),
+        page_rows=ROWS,
+        page_receivers=RECEIVERS,
+        others=others[:MAX_OTHERS],
+        more=max(0, len(others) - MAX_OTHERS),
+        without_master=home.without_master,
+        again=again(home),
+    )
 
 
 def other_rights(held: tuple[HeldGrant, ...]) -> list[OtherRight]:
     """Calls, settings and administration that are granted now, by node."""
     found = [
-        OtherRight(each.grant.subject,
-                   "still " * each.is_ending + words.rights(permission.rights & _OTHER),
-                   words.topic(permission.pattern), each.view.id)
+        OtherRight(
+            each.grant.subject,
+            "still " * each.is_ending + words.rights(permission.rights & _OTHER),
+            words.topic(permission.pattern),
+            each.view.id,
+        )
         for each in held
         for permission in each.grant.permissions
         if not each.is_over and permission.rights & _OTHER
-    ]  # fmt: skip
+    ]
     return sorted(set(found))
 
 
@@ -231,15 +235,20 @@ async def see(request: Request, context: ConsoleContext) -> Response:
     home = await load(context, names_of(request))
     row = home.matrix.row(name)
     if row is None:
-        raise HttpRefused(
-            f"no grant and no node names {words.name(name)}", "see who sees what", status=404
-        )
+        raise HttpRefused(f"no grant and no node names {words.name(name)}", "see who sees what", status=404)
     cells = sorted(row.cells, key=lambda cell: (_order(row, cell.receiver), cell.receiver))
     return render(
-        context, request, "see.html", live=True, row=row, cells=cells[:MAX_CELLS],
-        more=max(0, len(cells) - MAX_CELLS), comparison=comparison(context, row),
-        without_master=home.without_master, again=again(home),
-    )  # fmt: skip
+        context,
+        request,
+        "see.html",
+        live=True,
+        row=row,
+        cells=cells[:MAX_CELLS],
+        more=max(0, len(cells) - MAX_CELLS),
+        comparison=comparison(context, row),
+        without_master=home.without_master,
+        again=again(home),
+    )
 
 
 def _order(row: TopicRow, receiver: str) -> int:
@@ -280,9 +289,7 @@ async def show_node(request: Request, context: ConsoleContext) -> Response:
     home = await load(context, names_of(request))
     identities = home.named(name)
     if not identities:
-        raise HttpRefused(
-            f"no node has the name {words.name(name)}", "see who sees what", status=404
-        )
+        raise HttpRefused(f"no node has the name {words.name(name)}", "see who sees what", status=404)
     now = context.clock()
     grants = [grant_line(each, now) for each in home.held if each.grant.subject == name]
     grants.sort(key=lambda line: line.ended)
@@ -290,16 +297,26 @@ async def show_node(request: Request, context: ConsoleContext) -> Response:
     sent = [row for row in home.matrix.rows if name in row.publishers]
     events = await context.service.events(0, _ENTRIES)
     known = Known.of(home.held, home.nodes, ending=home.ending)
-    told = [each for each in story(events, await denials(context), known)
-            if each.node == name]  # fmt: skip
+    told = [each for each in story(events, await denials(context), known) if each.node == name]
     return render(
-        context, request, "node.html", live=True, name=name, identities=identities,
-        seen=seen[:MAX_ROWS], sent=sent[:MAX_ROWS], grants=grants[:MAX_GRANTS],
-        more_seen=max(0, len(seen) - MAX_ROWS), more_sent=max(0, len(sent) - MAX_ROWS),
-        more_grants=max(0, len(grants) - MAX_GRANTS), sentences=told[:THINGS],
-        is_master=is_master_name(name), without_master=home.without_master,
-        is_ending=identities[0].key.hex() in home.ending, again=again(home),
-    )  # fmt: skip
+        context,
+        request,
+        "node.html",
+        live=True,
+        name=name,
+        identities=identities,
+        seen=seen[:MAX_ROWS],
+        sent=sent[:MAX_ROWS],
+        grants=grants[:MAX_GRANTS],
+        more_seen=max(0, len(seen) - MAX_ROWS),
+        more_sent=max(0, len(sent) - MAX_ROWS),
+        more_grants=max(0, len(grants) - MAX_GRANTS),
+        sentences=told[:THINGS],
+        is_master=is_master_name(name),
+        without_master=home.without_master,
+        is_ending=identities[0].key.hex() in home.ending,
+        again=again(home),
+    )
 
 
 def sees(matrix: Matrix, name: str) -> list[tuple[TopicRow, Cell]]:
@@ -331,9 +348,7 @@ async def grant(request: Request, context: ConsoleContext) -> Response:
     home = await load(context, names_of(request))
     held = next((each for each in home.held if each.view.id == number), None)
     if held is None:
-        raise HttpRefused(
-            "there is no such grant in the last 30 days", "see who sees what", status=404
-        )
+        raise HttpRefused("there is no such grant in the last 30 days", "see who sees what", status=404)
     lines = [
         PermissionLine(
             permission(each),
@@ -343,20 +358,24 @@ async def grant(request: Request, context: ConsoleContext) -> Response:
         for each in held.grant.permissions
     ]
     return render(
-        context, request, "grant.html", live=True, held=held, lines=lines,
-        line=grant_line(held, context.clock()), holder=_holder(home, held),
-        without_master=home.without_master, again=again(home),
-    )  # fmt: skip
+        context,
+        request,
+        "grant.html",
+        live=True,
+        held=held,
+        lines=lines,
+        line=grant_line(held, context.clock()),
+        holder=_holder(home, held),
+        without_master=home.without_master,
+        again=again(home),
+    )
 
 
 def _holder(home: Overview, held: HeldGrant) -> bool:
     return any(node.key == held.grant.holder and not node.revoked_at for node in home.nodes)
 
 
-NODES_PAGES: Final = (
-    Page("/node/{name:path}", ("GET",), show_node),
-    Page("/grant/{id}", ("GET",), grant),
-)
+NODES_PAGES: Final = (Page("/node/{name:path}", ("GET",), show_node), Page("/grant/{id}", ("GET",), grant))
 
 TOPICS: Final = 12  # on one page
 
@@ -368,10 +387,17 @@ async def show_privacy(request: Request, context: ConsoleContext) -> Response:
     types = {fact.name: fact.node for fact in home.facts if fact.kind == "type"}
     found = topics(held_accesses(home.held, types, names_of(request).type_of), layout_of)
     return render(
-        context, request, "privacy.html", live=True, topics=found[first : first + TOPICS],
-        row=first, rows=len(found), page_rows=TOPICS, without_master=home.without_master,
+        context,
+        request,
+        "privacy.html",
+        live=True,
+        topics=found[first : first + TOPICS],
+        row=first,
+        rows=len(found),
+        page_rows=TOPICS,
+        without_master=home.without_master,
         again=again(home),
-    )  # fmt: skip
+    )
 
 
 def write(found: Sequence[ReportTopic], robot: str, now: int, names: Names = NONE) -> str:

@@ -60,11 +60,7 @@ def _first(names: Iterable[str]) -> list[str]:
 def _heads() -> list[Element]:
     return [
         label(column[0], 16, text, "head")
-        for column, text in (
-            (_SENDERS, "comes from"),
-            (_TOPICS, "what"),
-            (_RECEIVERS, "is seen by"),
-        )
+        for column, text in ((_SENDERS, "comes from"), (_TOPICS, "what"), (_RECEIVERS, "is seen by"))
     ]
 
 
@@ -92,12 +88,17 @@ def _column(
                 "g",
                 Element("title", f"{called} {name}".strip()),
                 Element(
-                    "rect", x=left + 0.5, y=y - _BOX / 2, width=right - left - 1, height=_BOX,
-                    rx=9.0, class_=class_,
+                    "rect",
+                    x=left + 0.5,
+                    y=y - _BOX / 2,
+                    width=right - left - 1,
+                    height=_BOX,
+                    rx=9.0,
+                    class_=class_,
                 ),
                 *texts,
             )
-        )  # fmt: skip
+        )
     return boxes
 
 
@@ -123,10 +124,7 @@ def free_places(struck: Sequence[Line], others: Sequence[Line]) -> list[Point]:
     places: list[Point] = []
     for line in struck:
         beside = [
-            along(start, end, at / 40)
-            for start, end in struck
-            if (start, end) != line
-            for at in range(41)
+            along(start, end, at / 40) for start, end in struck if (start, end) != line for at in range(41)
         ]
         candidates = [along(*line, at / 40) for at in range(6, 35)]
         points = [*taken, *beside, *places]

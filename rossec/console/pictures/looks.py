@@ -43,9 +43,14 @@ _MAX_PNG: Final = 9_000  # bytes: a page has several, and at most 100 kB
 _SIDES: Final = (240, 160, 120, 80, 40)
 # Encoding of sensor_msgs/image_encodings: channels, and their order as red, green, blue.
 _ENCODINGS: Final = {
-    "mono8": (1, None), "8UC1": (1, None), "rgb8": (3, (0, 1, 2)), "bgr8": (3, (2, 1, 0)),
-    "8UC3": (3, (2, 1, 0)), "rgba8": (4, (0, 1, 2)), "bgra8": (4, (2, 1, 0)),
-}  # fmt: skip
+    "mono8": (1, None),
+    "8UC1": (1, None),
+    "rgb8": (3, (0, 1, 2)),
+    "bgr8": (3, (2, 1, 0)),
+    "8UC3": (3, (2, 1, 0)),
+    "rgba8": (4, (0, 1, 2)),
+    "bgra8": (4, (2, 1, 0)),
+}
 
 
 def draw_image(seen: SeenTopic) -> Element | None:
@@ -57,9 +62,7 @@ def draw_image(seen: SeenTopic) -> Element | None:
     shown = Element.picture(
         base64.b64encode(_png(found)).decode(), width=IMAGE_WIDTH, height=height, class_="photo"
     )
-    return drawing(
-        IMAGE_WIDTH, height, f"The picture that {seen.receiver} sees", shown, class_="camera"
-    )
+    return drawing(IMAGE_WIDTH, height, f"The picture that {seen.receiver} sees", shown, class_="camera")
 
 
 def _picture(seen: SeenTopic) -> Image.Image | None:
@@ -117,9 +120,7 @@ def draw_scan(seen: SeenTopic, reach: float) -> Element | None:
     ]
     hits = [_at(angle, distance * scale) for angle, distance in _rays(seen)]
     dots = [Element("circle", cx=x, cy=y, r=1.6, class_="hit") for x, y in hits]
-    text = (
-        [label(_MIDDLE, SCAN_SIZE - 2, f"{reach:.3g} m", "ruler-text", "middle")] if scale else []
-    )
+    text = [label(_MIDDLE, SCAN_SIZE - 2, f"{reach:.3g} m", "ruler-text", "middle")] if scale else []
     here = Element("circle", cx=_MIDDLE, cy=_MIDDLE, r=4.5, class_="here")
     outline = [path([*hits, hits[0]], "outline")] if len(hits) > 2 else []
     said = f"{len(hits)} rays that {seen.receiver} sees, from above"
@@ -287,9 +288,7 @@ def compare(recorded: Recorded, cells: Iterable[Cell]) -> Comparison:
     cells = [group[0] for group in shown]
     drawer = _drawer(exact, [each for each in seen if each], cells, minutes(recorded))
     looks = tuple(_look(drawer, group, each) for group, each in zip(shown, seen, strict=True))
-    return Comparison(
-        recorded.topic, recorded.type, looks, len(groups) - len(shown), recorded.is_made_up
-    )
+    return Comparison(recorded.topic, recorded.type, looks, len(groups) - len(shown), recorded.is_made_up)
 
 
 def _newest(kind: str) -> int:
@@ -353,9 +352,7 @@ def _looks_picture(drawer: _Drawer, cell: Cell, seen: SeenTopic) -> tuple[str, s
     return "sees these fields", messages, None
 
 
-def _place(
-    frame: place.Frame, cell: Cell, seen: SeenTopic, during: str
-) -> tuple[str, str, Element | None]:
+def _place(frame: place.Frame, cell: Cell, seen: SeenTopic, during: str) -> tuple[str, str, Element | None]:
     cells = place.cells_of(cell.restrictions, frame.origin)
     picture = place.draw(seen, frame, max(cells, default=None))
     if picture is None:
@@ -376,9 +373,7 @@ def _fields(seen: SeenTopic, cell: Cell) -> tuple[FieldLine, ...]:
     return tuple(found[:MAX_FIELDS])
 
 
-def _walk(
-    fields: Mapping[str, Any], above: str, rules: list[FilterRule], found: list[FieldLine]
-) -> None:
+def _walk(fields: Mapping[str, Any], above: str, rules: list[FilterRule], found: list[FieldLine]) -> None:
     for name, value in fields.items():
         path = f"{above}{name}"
         if isinstance(value, Mapping):

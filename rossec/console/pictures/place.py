@@ -151,10 +151,12 @@ def _points(seen: SeenTopic, origin: Point | None) -> list[Point]:
             return []
         shrink = math.cos(math.radians(origin[0])) * _EARTH
         found = [
-            ((float(each.fields["longitude"]) - origin[1]) * shrink,
-             (float(each.fields["latitude"]) - origin[0]) * _EARTH)
+            (
+                (float(each.fields["longitude"]) - origin[1]) * shrink,
+                (float(each.fields["latitude"]) - origin[0]) * _EARTH,
+            )
             for each in seen.samples
-        ]  # fmt: skip
+        ]
         return [point for point in found if _is_near(point)]
     field = _POSITION.get(seen.type)
     if field is None:
@@ -269,6 +271,11 @@ def _box(x: float, y: float, wide: float, high: float, class_: str) -> Element:
     left, right = min(max(x - wide / 2, 0.0) + 1, WIDTH - 2), min(x + wide / 2, WIDTH) - 1
     top, bottom = min(max(y - high / 2, 0.0) + 1, HEIGHT - 2), min(y + high / 2, HEIGHT) - 1
     return Element(
-        "rect", x=left, y=top, width=max(right - left, 1.0), height=max(bottom - top, 1.0),
-        rx=4.0, class_=class_,
-    )  # fmt: skip
+        "rect",
+        x=left,
+        y=top,
+        width=max(right - left, 1.0),
+        height=max(bottom - top, 1.0),
+        rx=4.0,
+        class_=class_,
+    )

@@ -96,9 +96,7 @@ class PreviewReceiver:
             if at < next_at or len(data) > samples.MAX_DATA:
                 continue
             next_at = at + 1 / PER_SECOND
-            self._writer.write(
-                samples.write_preview(PreviewMessage(subscriber.topic, kind, at, data))
-            )
+            self._writer.write(samples.write_preview(PreviewMessage(subscriber.topic, kind, at, data)))
             await self._writer.drain()
 
 

@@ -106,10 +106,8 @@ class ConnectionShares:
         return sum(map(len, counts))
 
     def take(self, address: str, *, is_other_user: bool) -> Place | None:
-        if is_other_user:
-            count = self._other_users
-        else:
-            count = self._strangers if address else self._proxies
+        others = self._strangers if address else self._proxies
+        count = self._other_users if is_other_user else others
         slot = count.admit(address)
         return None if slot is None else Place(slot, self._sessions)
 
@@ -203,10 +201,18 @@ class ConsoleServer:
         users: frozenset[int] | None = None,
     ) -> None:
         self._config = Config(
-            app, http=BoundedProtocol, ws="none", lifespan="off", interface="asgi3",
-            log_config=None, access_log=False, proxy_headers=False, server_header=False,
-            timeout_keep_alive=KEEP_ALIVE, h11_max_incomplete_event_size=MAX_HEAD,
-        )  # fmt: skip
+            app,
+            http=BoundedProtocol,
+            ws="none",
+            lifespan="off",
+            interface="asgi3",
+            log_config=None,
+            access_log=False,
+            proxy_headers=False,
+            server_header=False,
+            timeout_keep_alive=KEEP_ALIVE,
+            h11_max_incomplete_event_size=MAX_HEAD,
+        )
         self._config.load()
         self._state = ServerState()
         self._context = context

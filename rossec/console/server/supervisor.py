@@ -113,9 +113,11 @@ class ScannerSupervisor:
     async def _start(self) -> asyncio.subprocess.Process:
         self._worker = await asyncio.create_subprocess_exec(
             *self._command,
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            env={}, start_new_session=True,  # Ctrl-C is for the supervisor, which ends it
-        )  # fmt: skip
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env={},
+            start_new_session=True,  # Ctrl-C is for the supervisor, which ends it
+        )
         return self._worker
 
     async def _end(self) -> None:
@@ -300,10 +302,13 @@ class WebProcess:
         descriptors = [sock.fileno() for sock in inherited]
         options = self._options
         arguments = (
-            ",".join(map(str, descriptors)), write_settings(options.settings),
-            str(options.service), "plain" if self._certificates is None else "tls", options.log,
+            ",".join(map(str, descriptors)),
+            write_settings(options.settings),
+            str(options.service),
+            "plain" if self._certificates is None else "tls",
+            options.log,
             "preview" if messages_end else "made-up",
-        )  # fmt: skip
+        )
         with theirs, other, messages_end or nullcontext():
             self._process = subprocess.Popen(  # noqa: S603 - this program's own module
                 [*self._command, *arguments],

@@ -90,9 +90,7 @@ class ScannerClient:
 
     async def read(self, picture: bytes) -> str | None:
         if not 0 < len(picture) <= frames.MAX_PICTURE:
-            raise PictureRefused(
-                f"a picture has at most {frames.MAX_PICTURE // 1024} kB here", _PASTE
-            )
+            raise PictureRefused(f"a picture has at most {frames.MAX_PICTURE // 1024} kB here", _PASTE)
         if self._is_busy:
             raise ScannerBusy("another picture is being read", "wait a moment")
         answer: asyncio.Future[Answer | None] = asyncio.get_running_loop().create_future()
@@ -218,9 +216,7 @@ class WebProcess:
         self._scanner = ScannerClient(scanner)
         self._preview = None if preview is None else PreviewClient(preview)
         self._context = ConsoleContext(client, settings, self._scanner, self._preview)
-        self._server = ConsoleServer(
-            create_app(self._context), context, settings.proxy_users, settings.users
-        )
+        self._server = ConsoleServer(create_app(self._context), context, settings.proxy_users, settings.users)
 
     async def run(self, supervisor: socket.socket, listening: Sequence[socket.socket]) -> None:
         reader, writer = await asyncio.open_connection(sock=supervisor)
@@ -244,9 +240,7 @@ class WebProcess:
         head = await reader.readexactly(messages.HEAD)
         size = messages.frame_size(head, control.MAX_FRAME)
         match control.read(await reader.readexactly(size)):
-            case control.ControlMessage(control.CERTIFICATE, (bytes() as bundle,)) if (
-                self._tls is not None
-            ):
+            case control.ControlMessage(control.CERTIFICATE, (bytes() as bundle,)) if self._tls is not None:
                 load_bundle(self._tls, bundle)
             case other:
                 raise ConfigurationError(f"the supervisor says {other.word}, which is not for here")
@@ -275,9 +269,7 @@ def main(arguments: list[str]) -> None:
     protect_memory()
     confine_files([])
     executor = confine_processes()
-    supervisor, scanner, *listening = (
-        socket.socket(fileno=int(each)) for each in descriptors.split(",")
-    )
+    supervisor, scanner, *listening = (socket.socket(fileno=int(each)) for each in descriptors.split(","))
 
     async def run() -> None:
         asyncio.get_running_loop().set_default_executor(executor)

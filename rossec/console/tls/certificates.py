@@ -135,11 +135,9 @@ _log = logging.getLogger("rossec.console")
 class CertificateSource(Protocol):
     """Where the server's key and chain come from."""
 
-    def first(self, now: int) -> bytes:
-        ...
+    def first(self, now: int) -> bytes: ...
 
-    def newer(self, now: int) -> bytes | None:
-        ...
+    def newer(self, now: int) -> bytes | None: ...
 
 
 class OwnCertificates:
@@ -151,9 +149,7 @@ class OwnCertificates:
         serial: makes random serials.
     """
 
-    def __init__(
-        self, authority: TlsAuthority, address: Address | None, serial: Callable[[], int]
-    ) -> None:
+    def __init__(self, authority: TlsAuthority, address: Address | None, serial: Callable[[], int]) -> None:
         self._authority = authority
         self._address = address
         self._serial = serial
@@ -161,9 +157,7 @@ class OwnCertificates:
 
     def first(self, now: int) -> bytes:
         key = ec.generate_private_key(ec.SECP256R1())
-        leaf = self._authority.issue(
-            key.public_key(), now=now, serial=self._serial(), address=self._address
-        )
+        leaf = self._authority.issue(key.public_key(), now=now, serial=self._serial(), address=self._address)
         certificate = x509.load_der_x509_certificate(leaf)
         self._renew_at = renewal_time(now, _end(certificate))
         return key_pem(key) + certificate.public_bytes(Encoding.PEM)

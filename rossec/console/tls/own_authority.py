@@ -62,13 +62,7 @@ class TlsAuthority:
 
     @classmethod
     def create(
-        cls,
-        key: ec.EllipticCurvePrivateKey,
-        name: str,
-        address: Address | None,
-        *,
-        now: int,
-        serial: int,
+        cls, key: ec.EllipticCurvePrivateKey, name: str, address: Address | None, *, now: int, serial: int
     ) -> Self:
         """A new authority for `name`, a DNS name in lower case, valid for a year.
 
@@ -103,20 +97,13 @@ class TlsAuthority:
                 "the certificate of the console's TLS authority is damaged", _RENEW
             ) from error
         if certificate.public_key() != key.public_key():
-            raise ConfigurationError(
-                "the console's TLS authority has the certificate of another key", _RENEW
-            )
+            raise ConfigurationError("the console's TLS authority has the certificate of another key", _RENEW)
         networks = [each.value for each in permitted if isinstance(each, x509.IPAddress)]
         address = getattr(networks[0], "network_address", None) if networks else None
         return cls(key, data, name, address, *_validity(certificate))
 
     def issue(
-        self,
-        key: ec.EllipticCurvePublicKey,
-        *,
-        now: int,
-        serial: int,
-        address: Address | None = None,
+        self, key: ec.EllipticCurvePublicKey, *, now: int, serial: int, address: Address | None = None
     ) -> bytes:
         """A server's certificate (DER) for `name`, valid for 90 days, or until the authority ends.
 
@@ -233,9 +220,7 @@ def in_hex(certificate: bytes) -> str:
 def in_words(certificate: bytes) -> str:
     """The first 88 bits as eight words."""
     number = int.from_bytes(sha256(certificate).digest(), "big")
-    return " ".join(
-        word_list()[number >> 256 - _BITS * place & 0x7FF] for place in range(1, COUNT + 1)
-    )
+    return " ".join(word_list()[number >> 256 - _BITS * place & 0x7FF] for place in range(1, COUNT + 1))
 
 
 @lru_cache(maxsize=1)

@@ -287,9 +287,12 @@ def _way(value: object) -> Way | None:
     if not all(_is_count(value[each]) for each in numbers):
         return None
     return Way(
-        str(value["state"]), float(value["rtt_ms"]), int(value["retransmissions"]),
-        str(value["router"]), int(value["streams"]),
-    )  # fmt: skip
+        str(value["state"]),
+        float(value["rtt_ms"]),
+        int(value["retransmissions"]),
+        str(value["router"]),
+        int(value["streams"]),
+    )
 
 
 def _is_count(value: object) -> bool:

@@ -139,13 +139,7 @@ class MasterApi:
         }
 
     def begin(
-        self,
-        method: str,
-        params: Sequence[object],
-        caller: Caller,
-        now: int,
-        *,
-        is_local: bool = True,
+        self, method: str, params: Sequence[object], caller: Caller, now: int, *, is_local: bool = True
     ) -> CallOutcome | Work:
         """Answer one call, or begin to; `is_local`: the caller is on the master's host.
 
@@ -206,9 +200,7 @@ class MasterApi:
         return Reply(0, "shutdown", events=(StopMaster(reason),))
 
 
-def _in_steps(
-    steps: Steps, method: str, entry: Method, request: CallRequest, caller: Caller
-) -> Work:
+def _in_steps(steps: Steps, method: str, entry: Method, request: CallRequest, caller: Caller) -> Work:
     try:
         reply = yield from steps
     except Refused as refused:
@@ -229,9 +221,8 @@ def _refused(refused: Refused, method: str, entry: Method, caller: Caller) -> Ca
     denied = () if refused.missing is None else (Denied(caller.name, *refused.missing),)
     taken_by = refused.owner if isinstance(refused, AddressTaken) else None
     refusal = CallDenied(
-        caller.display_name, method, status, taken_by, refused.missing,
-        caller.name, caller.wildcard,
-    )  # fmt: skip
+        caller.display_name, method, status, taken_by, refused.missing, caller.name, caller.wildcard
+    )
     return CallOutcome([-1, status, entry.default], (refusal, *denied))
 
 
@@ -391,9 +382,7 @@ class RevokedCalls:
         return answer_revoked(self._statements, self._now(), method, params)
 
 
-def answer_revoked(
-    statements: TrustState, now: int, method: str, params: tuple[object, ...]
-) -> list[object]:
+def answer_revoked(statements: TrustState, now: int, method: str, params: tuple[object, ...]) -> list[object]:
     """Answer a call of a revoked identity."""
     match params:
         case (str(), *_) if method in _LIST_METHODS:

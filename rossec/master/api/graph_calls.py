@@ -42,9 +42,7 @@ class GraphCalls:
         aliases: what each subscriber of an alias is told.
     """
 
-    def __init__(
-        self, graph: Graph, access_control: AccessControl, aliases: AliasPublishers
-    ) -> None:
+    def __init__(self, graph: Graph, access_control: AccessControl, aliases: AliasPublishers) -> None:
         self._aliases = aliases
         self._graph = graph
         self._registry = graph.registry
@@ -109,9 +107,7 @@ class GraphCalls:
 
     def _unregister_service(self, request: CallRequest) -> Reply:
         caller, service, service_uri = request.caller, request.text(1), request.text(2)
-        done = self._registry.unregister_service(
-            service, caller.name, service_uri, caller.thumbprint
-        )
+        done = self._registry.unregister_service(service, caller.name, service_uri, caller.thumbprint)
         return Reply(done.removed, done.status)
 
     def _lookup_node(self, request: CallRequest) -> Reply:
@@ -207,9 +203,7 @@ class GraphCalls:
         )
         return self._types_reply(caller, within, "current topics")
 
-    def _types_reply(
-        self, caller: Caller, topics: Iterable[tuple[str, str] | None], status: str
-    ) -> Steps:
+    def _types_reply(self, caller: Caller, topics: Iterable[tuple[str, str] | None], status: str) -> Steps:
         return Reply((yield from self._visible_types(caller, topics)), status)
 
     def _visible_types(

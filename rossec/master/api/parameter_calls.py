@@ -71,8 +71,7 @@ def require_tree(caller: Caller, right: Right, key: str, *items: ParameterItem) 
     if not items or not has_right_on_all(caller, right, items):
         needs = f"{caller.display_name} needs the right {right.label} on {shown(key)}"
         raise Refused(
-            f"{needs}: no grant covers it and all below it ({caller.remedy(right, key)})",
-            (right, key),
+            f"{needs}: no grant covers it and all below it ({caller.remedy(right, key)})", (right, key)
         )
 
 
@@ -82,15 +81,10 @@ def has_right_on_all(caller: Caller, right: Right, items: Sequence[ParameterItem
         return caller.may(right, items[0][0])
     limit = min(MAX_NAMES_CHECKED, MAX_PATTERN_MATCHES // max(1, caller.patterns(right)))
     results = (decision for item in items for decision in decisions(caller, right, item))
-    return all(
-        count <= limit and decision.covered is not False
-        for count, decision in enumerate(results, 1)
-    )
+    return all(count <= limit and decision.covered is not False for count, decision in enumerate(results, 1))
 
 
-def decisions_across_turns(
-    caller: Caller, right: Right, item: ParameterItem
-) -> Iterator[TreeDecision]:
+def decisions_across_turns(caller: Caller, right: Right, item: ParameterItem) -> Iterator[TreeDecision]:
     """As `decisions`, for a tree that may change meanwhile."""
     return decisions(caller, right, item, lambda tree: tuple(tree.items()))
 
@@ -172,9 +166,7 @@ class ParameterCalls:
     def mirror(self, changes: Iterable[MirrorChange], now: int) -> tuple[ParameterChanged, ...]:
         """The updates for subscribers of mirrored parameters that have changed."""
         return tuple(
-            event
-            for change in changes
-            for event in self._updates(change.key, change.value, now, setter=None)
+            event for change in changes for event in self._updates(change.key, change.value, now, setter=None)
         )
 
     def _get(self, request: CallRequest) -> Reply:
@@ -229,9 +221,7 @@ class ParameterCalls:
     def _account(self, caller: Caller, before: int) -> None:
         # Count what a caller added since the size was `before`, at least 0 in total.
         key = caller.thumbprint
-        self._bytes_added[key] = (
-            min(self._bytes_added[key], before) + self._parameters.size - before
-        )
+        self._bytes_added[key] = min(self._bytes_added[key], before) + self._parameters.size - before
         if self._bytes_added[key] <= 0:
             del self._bytes_added[key]
 
@@ -308,9 +298,7 @@ class ParameterCalls:
         self._registry.unregister(Kind.PARAMETER, parameter_state.subscription_key(key), node)
         return Reply(1, f"Unsubscribe to parameter [{key}]")
 
-    def _updates(
-        self, key: str, value: object, now: int, setter: str | None
-    ) -> tuple[ParameterChanged, ...]:
+    def _updates(self, key: str, value: object, now: int, setter: str | None) -> tuple[ParameterChanged, ...]:
         subscriptions = self._registry.keys(Kind.PARAMETER)
         allowed: dict[tuple[bytes, str], bool] = {}  # by key: it may have many nodes
 

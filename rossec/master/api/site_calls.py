@@ -27,14 +27,7 @@ from rossec.master.rights.caller import Caller, Refused
 from rossec.master.rights.statements import TrustState
 from rossec.master.state.forwarded_ports import MASTER, NODE, Doors, Report
 from rossec.master.state.imports import MAX_WANTED
-from rossec.master.state.registry import (
-    ANY_TYPE,
-    Endpoint,
-    Kind,
-    Registry,
-    endpoint,
-    is_loopback_host,
-)
+from rossec.master.state.registry import ANY_TYPE, Endpoint, Kind, Registry, endpoint, is_loopback_host
 from rossec.ros.names import RELAY_DOORS, RELAY_TARGET
 
 FOLLOW: Final = "rossec.followSite"
@@ -143,8 +136,7 @@ def _wanted(value: object) -> Reach | None:
 
 _SHOWN: Final = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)
 _UNREACHABLE: Final = (
-    "a relay on another host than the master needs doors that others reach: "
-    "rossec relay --doors ADDRESS"
+    "a relay on another host than the master needs doors that others reach: rossec relay --doors ADDRESS"
 )
 _ANOTHER: Final = (
     "another relay with this name has come since: end one of them, "
@@ -164,9 +156,7 @@ class RelayCalls:
         statements: what foreign domains are shown.
     """
 
-    def __init__(
-        self, doors: Doors, registry: Registry, statements: TrustState, name: str, uri: str
-    ) -> None:
+    def __init__(self, doors: Doors, registry: Registry, statements: TrustState, name: str, uri: str) -> None:
         self._doors = doors
         self._registry = registry
         self._statements = statements
@@ -175,10 +165,7 @@ class RelayCalls:
     def methods(self) -> Methods:
         polled = (text("instance"), number("seen"), arg.doors("doors"), arg.ways("ways"))
         target = (text("domain"), arg.kind("kind"), arg.name("name"))
-        return {
-            RELAY_DOORS: Method(polled, {}, self._poll),
-            RELAY_TARGET: Method(target, [], self._target),
-        }
+        return {RELAY_DOORS: Method(polled, {}, self._poll), RELAY_TARGET: Method(target, [], self._target)}
 
     def _poll(self, request: CallRequest) -> Reply:
         report = _report(request)

@@ -79,12 +79,7 @@ class StatementCalls:
     """
 
     def __init__(
-        self,
-        statements: TrustState,
-        registry: Registry,
-        master: str,
-        started: int,
-        deposits: Deposits,
+        self, statements: TrustState, registry: Registry, master: str, started: int, deposits: Deposits
     ) -> None:
         self._statements = statements
         self._registry = registry
@@ -98,9 +93,7 @@ class StatementCalls:
         return {
             "rossec.presentGrants": Method((grants,), 0, self._present),
             "rossec.renewGrants": Method((renewed,), [], self._renew),
-            "rossec.updateDelegation": Method(
-                (arg.binary("delegation"),), 0, self._update_delegation
-            ),
+            "rossec.updateDelegation": Method((arg.binary("delegation"),), 0, self._update_delegation),
             "rossec.revocations": Method((), [], self._revocations),
             "rossec.revocationsSince": Method((arg.binary("digest"),), [], self._since),
             "rossec.updateRevocations": Method((arg.binary("list"),), 0, self._update),
@@ -108,9 +101,7 @@ class StatementCalls:
                 (arg.binary("tree"), arg.binary("entries")), 0, self._update_tree
             ),
             "rossec.revocationEntries": Method((), b"", self._entries),
-            "rossec.revocationProofs": Method(
-                (arg.binaries("entries", PROOF_LIMIT),), [], self._proofs
-            ),
+            "rossec.revocationProofs": Method((arg.binaries("entries", PROOF_LIMIT),), [], self._proofs),
             "rossec.trl": Method((arg.binary("query"),), b"", self._query),
         }
 
@@ -129,9 +120,7 @@ class StatementCalls:
         return Reply(presented.held, status, events=(event,))
 
     def _renew(self, request: CallRequest) -> Reply:
-        renewed = self._statements.renew(
-            request.caller, binaries(request.arguments[1]), request.now
-        )
+        renewed = self._statements.renew(request.caller, binaries(request.arguments[1]), request.now)
         refused = "; ".join(renewed.refused)
         status = f"grants renewed, but refused: {refused}" if refused else "grants renewed"
         event = GrantsPresented(request.caller.identity, renewed.refused)
@@ -151,9 +140,7 @@ class StatementCalls:
     def _since(self, request: CallRequest) -> Reply:
         # The list, unless the caller says that it holds the same.
         self._statements.held_lists.record(request.caller, request.binary(1), request.now)
-        return Reply(
-            list(self._statements.revocations_for(request.caller, request.now)), "revocations"
-        )
+        return Reply(list(self._statements.revocations_for(request.caller, request.now)), "revocations")
 
     def _update(self, request: CallRequest) -> Reply:
         with refusals_answered():
@@ -162,9 +149,7 @@ class StatementCalls:
 
     def _update_tree(self, request: CallRequest) -> Steps:
         with refusals_answered():
-            newer = yield from self._statements.take_tree(
-                request.binary(1), request.binary(2), request.now
-            )
+            newer = yield from self._statements.take_tree(request.binary(1), request.binary(2), request.now)
         return _update_reply(newer, request)
 
     def _entries(self, request: CallRequest) -> Reply:
@@ -281,12 +266,8 @@ class DepositCalls:
     def methods(self) -> Methods:
         known = arg.binary("known")
         return {
-            "rossec.depositGrants": Method(
-                (arg.binaries("grants", DEPOSIT_LIMIT),), [], self._deposit
-            ),
-            "rossec.deliveryStates": Method(
-                (arg.binaries("grants", STATES_LIMIT),), [], self._states
-            ),
+            "rossec.depositGrants": Method((arg.binaries("grants", DEPOSIT_LIMIT),), [], self._deposit),
+            "rossec.deliveryStates": Method((arg.binaries("grants", STATES_LIMIT),), [], self._states),
             "rossec.fetchGrants": Method((known,), {}, self._fetch),
             WATCH_GRANTS: Method((known,), {}, self._fetch),
         }
@@ -339,9 +320,7 @@ def is_empty(answer: object) -> bool:
 
 
 def _deposited(
-    request: CallRequest,
-    verified: Sequence[tuple[bytes, Grant | HintedError]],
-    reasons: list[str],
+    request: CallRequest, verified: Sequence[tuple[bytes, Grant | HintedError]], reasons: list[str]
 ) -> Reply:
     holders = [
         grant.holder
@@ -393,9 +372,7 @@ class RenewalCalls:
         settled = 0
         answers = request.arguments[1]
         for each in answers if isinstance(answers, list) else ():
-            settled += self._statements.identities.settle(
-                [each], request.now, self._statements.check
-            )
+            settled += self._statements.identities.settle([each], request.now, self._statements.check)
             yield
         done = Administered(request.caller.identity, f"renewed or refused {settled} identities")
         return Reply(settled, "settled", events=(done,) if settled else ())
@@ -418,9 +395,9 @@ def _settlements(value: object, _caller: str) -> list[Settlement]:
 
 def _settlement(value: object) -> Settlement:
     match value:
-        case [bytes() as digest, bytes() as bundle, str() as reason] if len(
-            digest
-        ) == _DIGEST and bool(bundle) is not bool(reason):
+        case [bytes() as digest, bytes() as bundle, str() as reason] if len(digest) == _DIGEST and bool(
+            bundle
+        ) is not bool(reason):
             return Settlement(digest, bundle, reason)
         case _:
             raise ArgumentRefused("ERROR: parameter [answers] has an entry of another form")
@@ -439,20 +416,14 @@ class AuthorityCalls:
     """
 
     def __init__(
-        self,
-        statements: TrustState,
-        denials: RecentDenials,
-        connected: Callable[[], Iterable[Peer]],
+        self, statements: TrustState, denials: RecentDenials, connected: Callable[[], Iterable[Peer]]
     ) -> None:
         self._statements = statements
         self._denials = denials
         self._connected = connected
 
     def methods(self) -> Methods:
-        return {
-            STANDING: Method((), {}, self._standing),
-            DENIALS: Method((), [], self._recent_denials),
-        }
+        return {STANDING: Method((), {}, self._standing), DENIALS: Method((), [], self._recent_denials)}
 
     def _standing(self, request: CallRequest) -> Reply:
         key = request.caller.thumbprint  # the authority has signed the list and needs none

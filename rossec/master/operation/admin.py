@@ -104,9 +104,7 @@ def denials_limited() -> Iterator[None]:
 
 DEADLINE: Final = 5.0
 _MAX_LINE: Final = 1024
-_HINTS: Final = {
-    "master": "is it running? rossec master --admin, or `admin: true` in its configuration"
-}
+_HINTS: Final = {"master": "is it running? rossec master --admin, or `admin: true` in its configuration"}
 _audit = logging.getLogger("rossec.audit")
 _denials = logging.getLogger(DENIALS)
 
@@ -143,9 +141,7 @@ class AdminPort:
 
     async def _handle(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
-            with suppress(
-                TimeoutError, OSError, ValueError, RecursionError, asyncio.IncompleteReadError
-            ):
+            with suppress(TimeoutError, OSError, ValueError, RecursionError, asyncio.IncompleteReadError):
                 async with asyncio.timeout(DEADLINE):
                     await self._answer(reader, writer)
         finally:

@@ -65,9 +65,14 @@ _LOGS: Final = ("text", "json")
 _PORT: Final = "a number from 0 to 65535, without quotes"
 _SWITCH: Final = "true or false (YAML 1.2: yes and on are texts)"
 _EXPECTED: Final = {
-    "port": _PORT, "metrics": _PORT, "log": "text or json", "audit": _SWITCH, "admin": _SWITCH,
-    "announce": _SWITCH, "complaints": "the path of a file",
-}  # fmt: skip
+    "port": _PORT,
+    "metrics": _PORT,
+    "log": "text or json",
+    "audit": _SWITCH,
+    "admin": _SWITCH,
+    "announce": _SWITCH,
+    "complaints": "the path of a file",
+}
 
 
 @dataclass(frozen=True)
@@ -120,11 +125,7 @@ def parse(text: str, name: str) -> Config:
 
 def _tree(text: str, name: str) -> "Part | None":
     from grants.errors import PolicyRefused  # noqa: PLC0415 - not loaded without a file
-    from grants.policy.source import (
-        Bounds,
-        Mistakes,
-        read_source,
-    )
+    from grants.policy.source import Bounds, Mistakes, read_source  # noqa: PLC0415
 
     mistakes = Mistakes(name)
     try:
@@ -133,9 +134,7 @@ def _tree(text: str, name: str) -> "Part | None":
     except PolicyRefused as error:
         first = mistakes.found[0]
         message = printable(first.message)
-        raise ConfigurationError(
-            f"{name}:{first.line}: {message}", printable(first.hint)
-        ) from error
+        raise ConfigurationError(f"{name}:{first.line}: {message}", printable(first.hint)) from error
     return tree
 
 

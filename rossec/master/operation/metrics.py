@@ -18,10 +18,7 @@ from rossec.net.limits import HalfOpen, HalfOpenCount, HalfOpenSlot
 ADDRESS: Final = "127.0.0.1"
 _LIMIT: Final = HalfOpen(per_address=8, total=16)
 DEADLINE: Final = 5.0  # seconds for the loop to answer
-_COUNTERS: Final = {
-    "calls": "Calls answered.",
-    "denials": "Calls refused for want of a right.",
-}
+_COUNTERS: Final = {"calls": "Calls answered.", "denials": "Calls refused for want of a right."}
 _GAUGES: Final = {
     "nodes": "Registered nodes.",
     "registrations": "Registrations of all kinds.",

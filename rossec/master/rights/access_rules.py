@@ -202,9 +202,7 @@ RULES: Final[Mapping[str, AccessRule]] = {
 }
 
 
-CLEANUP_METHODS: Final = frozenset(
-    {"unregisterPublisher", "unregisterSubscriber", "unregisterService"}
-)
+CLEANUP_METHODS: Final = frozenset({"unregisterPublisher", "unregisterSubscriber", "unregisterService"})
 """What an administrator may call as another node: `rosnode cleanup`, after it died."""
 
 
@@ -217,9 +215,7 @@ class AccessControl:
         is_door: whether a relay of this site has a door at a place: no node is there.
     """
 
-    def __init__(
-        self, graph: Graph, master: str, is_door: Callable[[Endpoint], bool] = nowhere
-    ) -> None:
+    def __init__(self, graph: Graph, master: str, is_door: Callable[[Endpoint], bool] = nowhere) -> None:
         self._graph = graph
         self._registry = graph.registry
         self._master = master
@@ -235,18 +231,10 @@ class AccessControl:
             return caller.acting_as(caller_id)
         except Refused:
             node = self._registry.node(caller_id)
-            if (
-                method not in CLEANUP_METHODS
-                or node is None
-                or not caller.may(Right.ADMIN, caller_id)
-            ):
+            if method not in CLEANUP_METHODS or node is None or not caller.may(Right.ADMIN, caller_id):
                 raise
             return replace(
-                caller,
-                name=node.name,
-                thumbprint=node.thumbprint,
-                wildcard=False,
-                certified=caller.name,
+                caller, name=node.name, thumbprint=node.thumbprint, wildcard=False, certified=caller.name
             )
 
     def check(
@@ -274,9 +262,7 @@ class AccessControl:
         if rule.scope is Scope.NAMED:
             self._require_no_door(rule, arguments)
         if rule.service is not None and caller.is_foreign:
-            _require_foreign_address(
-                self._registry, caller, str(arguments[rule.service]), is_local=is_local
-            )
+            _require_foreign_address(self._registry, caller, str(arguments[rule.service]), is_local=is_local)
 
     def _administers(self, caller: Caller, service: str) -> bool:
         providers = self._registry.registered_nodes(Kind.SERVICE, service)
@@ -384,9 +370,7 @@ def _require_free(registry: Registry, caller: Caller, uri: str) -> None:
         raise AddressTaken(node)
 
 
-def _require_foreign_address(
-    registry: Registry, caller: Caller, uri: str, *, is_local: bool
-) -> None:
+def _require_foreign_address(registry: Registry, caller: Caller, uri: str, *, is_local: bool) -> None:
     # Raise `Refused` for an address that a foreigner, slave API or service, cannot have.
     # One that is registered here as either, and one that a node of another network cannot have: a link-local
     # one names another machine in each network.
@@ -404,9 +388,6 @@ def require_capacity(registry: Registry, kind: Kind, key: str, node: NodeRef) ->
     if not registry.has_capacity(kind, key, node):
         if registry.is_current(node):
             raise Refused(
-                f"{node.name} has {REGISTRATIONS_LIMIT} registrations as {kind.value}, "
-                "the limit of a node"
+                f"{node.name} has {REGISTRATIONS_LIMIT} registrations as {kind.value}, the limit of a node"
             )
-        raise Refused(
-            f"the identity of {node.name} has {registry.nodes_limit} nodes, the limit of one key"
-        )
+        raise Refused(f"the identity of {node.name} has {registry.nodes_limit} nodes, the limit of one key")

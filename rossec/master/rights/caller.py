@@ -30,9 +30,7 @@ from grants.request import is_dispensable, own_form, remedy, rule_form
 from rossec.master.state.registry import NodeRef
 
 NAMES_PER_YIELD: Final = 64
-VISIBILITY_RIGHTS: Final = (
-    Right.PUBLISH | Right.SUBSCRIBE | Right.CALL | Right.PROVIDE | Right.GRAPH
-)
+VISIBILITY_RIGHTS: Final = Right.PUBLISH | Right.SUBSCRIBE | Right.CALL | Right.PROVIDE | Right.GRAPH
 OWN_DOMAIN: Final = ""  # what a site of the own domain has as domain of its label
 _AT_HOME: Final = Right.GRAPH | Right.ADMIN  # what own grants give on aliases
 _AT_ORIGIN: Final = Right.SUBSCRIBE | Right.CALL | Right.PARAM_GET | Right.GRAPH
@@ -155,9 +153,7 @@ class Caller:
             return self
         own = origin_of(self.name)  # a foreigner calls itself by its name at home
         if not names.covers(own, name, wildcard=self.wildcard):
-            raise Refused(
-                f"this connection belongs to {shown(self.name)}, it cannot act as another"
-            )
+            raise Refused(f"this connection belongs to {shown(self.name)}, it cannot act as another")
         if name == own:
             return self
         return replace(self, name=name, wildcard=False, certified=self.name)
@@ -214,9 +210,7 @@ class Caller:
             return GrantMissing(missing)
         domain = self.domain_of(found[0])
         if domain is None:
-            return NotAdmitted(
-                f"no domain is called {found[0]} here", "at the authority: rossec domain list"
-            )
+            return NotAdmitted(f"no domain is called {found[0]} here", "at the authority: rossec domain list")
         if domain == OWN_DOMAIN:
             return GrantMissing(missing)
         if domain not in self.elsewhere:

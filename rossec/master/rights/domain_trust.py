@@ -278,9 +278,7 @@ class DomainTrust:
 
     def keep_only(self, thumbprints: frozenset[bytes]) -> None:
         """Discard what is known of all other keys."""
-        self._stale_since = {
-            key: since for key, since in self._stale_since.items() if key in thumbprints
-        }
+        self._stale_since = {key: since for key, since in self._stale_since.items() if key in thumbprints}
 
     def next_end(self, now: int) -> int | None:
         """When the trust in a listed domain ends next; None: never."""

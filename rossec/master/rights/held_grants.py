@@ -105,9 +105,7 @@ class PresentedGrants:
     _valid_ids: tuple[bytes, ...] = ()
     _caller: Caller | None = None
 
-    def caller(
-        self, peer: Peer, context: EvaluationContext, judge: Judge, *, wildcard: bool
-    ) -> Caller:
+    def caller(self, peer: Peer, context: EvaluationContext, judge: Judge, *, wildcard: bool) -> Caller:
         caller = self._caller
         if self._evaluated_for != (context, self.version):
             self._evaluate(context, judge)
@@ -115,13 +113,18 @@ class PresentedGrants:
         if caller is None or caller.name != peer.name or caller.wildcard is not wildcard:
             refusal = partial(self._refuse, judge, peer.thumbprint, context.now)
             caller = Caller(
-                peer.name, peer.thumbprint, self._reach, partial(refusal, judge.domain), wildcard,
+                peer.name,
+                peer.thumbprint,
+                self._reach,
+                partial(refusal, judge.domain),
+                wildcard,
                 elsewhere={
                     domain: OriginRights(reach, partial(refusal, domain))
                     for domain, reach in self._elsewhere.items()
                 },
-                domain_of=judge.domain_of, exported=judge.exported,
-            )  # fmt: skip
+                domain_of=judge.domain_of,
+                exported=judge.exported,
+            )
             self._caller = caller
         return caller
 
@@ -253,8 +256,7 @@ def _refuse(data: bytes, now: int) -> Grant:
     raise GrantError(f"this master takes no deposits, also not of {len(data)} bytes at {now}")
 
 
-def _forget(changes: Sequence[DepositChange]) -> None:
-    ...
+def _forget(changes: Sequence[DepositChange]) -> None: ...
 
 
 class Deposits:

@@ -206,16 +206,12 @@ def topic_type(graph: Graph, caller: Caller, topic: str) -> str:
 def is_published(graph: Graph, caller: Caller, topic: str) -> bool:
     """Whether publishers of a topic are told; True of every topic that is not in slots."""
     slot = caller.slot(topic)
-    return not slot or bool(
-        graph.presence.at(topic, slot) or graph.imports.nodes_of(Kind.PUBLISHER, topic)
-    )
+    return not slot or bool(graph.presence.at(topic, slot) or graph.imports.nodes_of(Kind.PUBLISHER, topic))
 
 
 def is_shown(graph: Graph, caller: Caller, topic: str) -> bool:
     """Whether a topic that the caller may see is anything to it yet."""
-    return is_published(graph, caller, topic) or any(
-        graph.registry.registered_nodes(Kind.SUBSCRIBER, topic)
-    )
+    return is_published(graph, caller, topic) or any(graph.registry.registered_nodes(Kind.SUBSCRIBER, topic))
 
 
 def shown_nodes(graph: Graph, caller: Caller) -> Iterator[GraphNode | None]:
@@ -251,9 +247,7 @@ def _told(graph: Graph, topic: str, slot: int, found: tuple[str, ...]) -> tuple[
     return (*own, *(name for name in found if is_alias(name)))
 
 
-def shown_entries(
-    graph: Graph, caller: Caller, kind: Kind
-) -> Iterator[tuple[str, tuple[str, ...]]]:
+def shown_entries(graph: Graph, caller: Caller, kind: Kind) -> Iterator[tuple[str, tuple[str, ...]]]:
     """All names of one kind, each with its nodes; gateways only where the caller may see them."""
     found = graph.entries(kind)
     if kind is Kind.PUBLISHER and caller.has_slots:
@@ -285,9 +279,7 @@ def _answering(
 
 
 def _with_gateways(
-    caller: Caller,
-    found: Iterator[tuple[str, tuple[str, ...]]],
-    served: dict[str, tuple[str, ...]],
+    caller: Caller, found: Iterator[tuple[str, tuple[str, ...]]], served: dict[str, tuple[str, ...]]
 ) -> Iterator[tuple[str, tuple[str, ...]]]:
     # Consumes `served`; names that are not visible are yielded too, as each costs time.
     for key, nodes in found:

@@ -99,9 +99,7 @@ class Delegate:
         data = unpack(token).grant
         grant = verify(data, self._anchor.public_key, domain=self._anchor.domain)
         if grant.holder != holder:
-            raise GrantNotHeld(
-                "the grant is bound to another key", f"it was issued to {grant.subject}"
-            )
+            raise GrantNotHeld("the grant is bound to another key", f"it was issued to {grant.subject}")
         ticket = sign_ticket(self._signer, self._ticket(grant, self._held, now, seq))
         key = self._signer.public_key
         renewed = renewal.renew(grant, ticket, self._held, key, now=now, seq=seq, check=check)
@@ -290,9 +288,8 @@ class IdentityRenewals:
         held = renewal.identity
         pause = retry_delay(held.not_before, held.not_after, SPACING)
         self._entries[holder] = _Entry(
-            held.name, held.wildcard, renewal.request.thumbprint, request, now, now + MAX_AGE,
-            now + pause,
-        )  # fmt: skip
+            held.name, held.wildcard, renewal.request.thumbprint, request, now, now + MAX_AGE, now + pause
+        )
         self.on_asked()
         return self._later(now)
 
@@ -326,9 +323,7 @@ def _is_due(entry: _Entry, now: int) -> bool:
     return entry.offered_at is None or not 0 <= now - entry.offered_at < OFFERED_AGAIN
 
 
-def _ignore() -> None:
-    ...
+def _ignore() -> None: ...
 
 
-def _ignore_key(_holder: bytes) -> None:
-    ...
+def _ignore_key(_holder: bytes) -> None: ...

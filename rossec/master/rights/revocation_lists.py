@@ -83,9 +83,7 @@ class HeldLists:
             if now - at <= SILENT_AFTER:
                 speaking.setdefault(key, []).append((name, held == digest))
         identities = {peer.thumbprint: peer.name for peer in connected}
-        found = [
-            node for key, name in identities.items() for node in speaking.get(key, [(name, False)])
-        ]
+        found = [node for key, name in identities.items() for node in speaking.get(key, [(name, False)])]
         lacking = sorted(name for name, holds in found if not holds)
         return ListStanding(len(found), len(found) - len(lacking), tuple(lacking))
 
@@ -213,10 +211,7 @@ class ListInForce:
 
 
 def pertaining(
-    entries: frozenset[bytes],
-    grants: Iterable[Grant],
-    own: tuple[bytes, bytes | None],
-    names: Iterable[str],
+    entries: frozenset[bytes], grants: Iterable[Grant], own: tuple[bytes, bytes | None], names: Iterable[str]
 ) -> Generator[None, None, frozenset[bytes]]:
     """The `entries` that pertain to a caller that is registered for `names`.
 

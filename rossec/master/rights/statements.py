@@ -40,13 +40,7 @@ from rossec.master.rights.held_grants import (
     Renewed,
     check_holder,
 )
-from rossec.master.rights.renewals import (
-    Delegate,
-    IdentityRenewals,
-    RenewalAnswer,
-    Renewer,
-    discard,
-)
+from rossec.master.rights.renewals import Delegate, IdentityRenewals, RenewalAnswer, Renewer, discard
 from rossec.master.rights.revocation_lists import ListInForce, entries_of, pertaining
 from rossec.master.state.registry import Event, Kind, NodeRef, Registry
 
@@ -98,9 +92,7 @@ class TrustState(ListInForce):
         if not peer.certified:  # else a twin with the same key would take the place of an own node
             self._identity_keys[peer.thumbprint] = peer.keys
         if self._is_revoked(peer.keys):
-            raise Revoked(
-                f"the key of {shown(peer.name)} is revoked", "enroll the node with a new key"
-            )
+            raise Revoked(f"the key of {shown(peer.name)} is revoked", "enroll the node with a new key")
         if peer.certified:  # a foreigner
             return self._foreign_caller(peer, now)
         if not peer.wildcard and (held := self._held_by(peer)).has_tails:
@@ -177,9 +169,7 @@ class TrustState(ListInForce):
         held = self._held.get(holder)
         return held is not None and any(each.id == grant_id for each in held.grants.values())
 
-    def pertaining(
-        self, caller: Caller, names: Iterable[str]
-    ) -> Generator[None, None, frozenset[bytes]]:
+    def pertaining(self, caller: Caller, names: Iterable[str]) -> Generator[None, None, frozenset[bytes]]:
         own = caller.thumbprint, self._delegate.id
         return pertaining(self._revocations.entries, self._known_grants(), own, names)
 
@@ -247,14 +237,10 @@ class TrustState(ListInForce):
         """Discard the grants of all other keys, and the expired grants of these."""
         self._held = {key: held for key, held in self._held.items() if key in thumbprints}
         self.held_lists.keep_only(thumbprints)
-        self._identity_keys = {
-            key: keys for key, keys in self._identity_keys.items() if key in thumbprints
-        }
+        self._identity_keys = {key: keys for key, keys in self._identity_keys.items() if key in thumbprints}
         foreign = self._held_by_foreigners
         self._held_by_foreigners = {key: foreign[key] for key in foreign if key[1] in thumbprints}
-        self._foreigners = {
-            key: peer for key, peer in self._foreigners.items() if key[1] in thumbprints
-        }
+        self._foreigners = {key: peer for key, peer in self._foreigners.items() if key[1] in thumbprints}
         self.domains.keep_only(thumbprints)
         for held in (*self._held.values(), *self._held_by_foreigners.values()):
             held.drop_expired(now)
@@ -297,9 +283,7 @@ class TrustState(ListInForce):
         self._check_failures(held, now)
         _refuse_foreigner(caller)
         check = self._revocations.check
-        grant, renewed = self._delegate.renew(
-            token, caller.thumbprint, now, seq=self.number, check=check
-        )
+        grant, renewed = self._delegate.renew(token, caller.thumbprint, now, seq=self.number, check=check)
         check_holder(caller, grant, "")
         if not held.is_full_for(len(renewed)):  # else the node presents it later
             held.put(renewed, grant)
@@ -308,9 +292,7 @@ class TrustState(ListInForce):
     @staticmethod
     def _check_failures(held: PresentedGrants, now: int) -> None:
         if held.has_failed_too_often(now):
-            raise GrantError(
-                "too many grants of this node were refused", f"wait {FAILURE_WINDOW} s"
-            )
+            raise GrantError("too many grants of this node were refused", f"wait {FAILURE_WINDOW} s")
 
     def _verifier_of(self, token: bytes, caller: Caller) -> Verifier:
         # With the key of the domain the token says it is of; a foreigner has only own grants.
@@ -344,10 +326,7 @@ def _refuse_foreigner(caller: Caller) -> None:
         )
 
 
-_REQUIRED_RIGHTS: Final = {
-    Kind.PUBLISHER: Right.PUBLISH,
-    Kind.SERVICE: Right.PROVIDE,
-}
+_REQUIRED_RIGHTS: Final = {Kind.PUBLISHER: Right.PUBLISH, Kind.SERVICE: Right.PROVIDE}
 BATCH: Final = 64  # registrations checked in one step, which the loop waits for
 
 
@@ -370,12 +349,7 @@ def enforcement_steps(registry: Registry) -> list[EnforcementStep]:
     ]
 
 
-def enforce(
-    registry: Registry,
-    trust: TrustState,
-    step: EnforcementStep,
-    now: int,
-) -> list[Event]:
+def enforce(registry: Registry, trust: TrustState, step: EnforcementStep, now: int) -> list[Event]:
     """Remove the registrations of `step` that no right covers; returns the events to deliver."""
     if not registry.is_current(step.node):
         return []

@@ -145,13 +145,7 @@ class PendingCall(NamedTuple):
 class CallAnswers:
     """Answers calls with a `MasterApi`, which shares its state with `effects`."""
 
-    def __init__(
-        self,
-        api: MasterApi,
-        state: MasterState,
-        effects: Effects,
-        turns: Turns,
-    ) -> None:
+    def __init__(self, api: MasterApi, state: MasterState, effects: Effects, turns: Turns) -> None:
         self._api = api
         self._state = state
         self._effects = effects
@@ -164,9 +158,7 @@ class CallAnswers:
             RELAY_DOORS: self._relay_doors,
         }
 
-    def dispatch(
-        self, is_local: bool, method: str, params: tuple[object, ...], peer: Identity
-    ) -> object:
+    def dispatch(self, is_local: bool, method: str, params: tuple[object, ...], peer: Identity) -> object:
         call = PendingCall(is_local, method, params, peer)
         if method == MULTICALL:
             multicall = Multicall(params)
@@ -182,9 +174,7 @@ class CallAnswers:
         if not isinstance(begun, CallOutcome):
             return self._query(call, begun)
         match begun.events:
-            case [CallDenied(taken_by=NodeRef() as owner)] if (
-                owner not in self._effects.dialer.probed
-            ):
+            case [CallDenied(taken_by=NodeRef() as owner)] if owner not in self._effects.dialer.probed:
                 return self._probe_owner(owner, call)
         return self._effects.apply(begun)
 

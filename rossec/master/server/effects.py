@@ -246,11 +246,7 @@ class Effects:
     """
 
     def __init__(
-        self,
-        state: MasterState,
-        context: SecureContext[Identity],
-        on_denial: OnDenial,
-        max_clients: int,
+        self, state: MasterState, context: SecureContext[Identity], on_denial: OnDenial, max_clients: int
     ) -> None:
         self._state = state
         self._on_denial, self._denial_causes = on_denial, DenialCauses()
@@ -300,13 +296,7 @@ class Effects:
                 self._state.grant_changes.notify(holders)
             case Administered(by, what):
                 _audit.info("%s %s", by, printable(what))
-            case (
-                PersistParameter()
-                | Denied()
-                | GrantsPresented()
-                | CallDenied()
-                | TypeContradicted()
-            ):
+            case PersistParameter() | Denied() | GrantsPresented() | CallDenied() | TypeContradicted():
                 self._record(event)
             case StopMaster(reason):
                 _audit.warning("stopping: %s", printable(reason))
@@ -421,9 +411,7 @@ class Effects:
         for node in self._own_nodes(self._state.now()):
             self.updates.post(node, (DOMAINS_UPDATE, ""), self._state.name, data)
 
-    def take_foreign(
-        self, domain: str, revocations: bytes, timestamp: bytes, chain: Sequence[bytes]
-    ) -> None:
+    def take_foreign(self, domain: str, revocations: bytes, timestamp: bytes, chain: Sequence[bytes]) -> None:
         """Take what a foreign domain's master says; a newer list is enforced and sent at once.
 
         Raises:

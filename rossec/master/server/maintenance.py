@@ -176,9 +176,7 @@ class OwnIdentity:
         self.credentials.current = self._home.credentials()
         self._identity, self._csr = identity, b""
         self._next_attempt = self._next_warning = 0
-        _own_identity_log.info(
-            "the master's own identity is valid until %s", format_time(identity.not_after)
-        )
+        _own_identity_log.info("the master's own identity is valid until %s", format_time(identity.not_after))
 
     def _renew(self, now: int) -> None:
         own, held = self.credentials.current, self._identity

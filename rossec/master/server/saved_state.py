@@ -103,9 +103,7 @@ class DepositFile:
         data = self._read()
         changes, valid = journals.decode_deposits(data)
         if valid < len(data):
-            _deposit_file_log.warning(
-                "%s: the last %d bytes are damaged", self._path.name, len(data) - valid
-            )
+            _deposit_file_log.warning("%s: the last %d bytes are damaged", self._path.name, len(data) - valid)
             files.replace(self._path.with_suffix(".damaged"), data)
         self.deposits.restore(changes)
         self._rewrite()

@@ -33,12 +33,7 @@ from rossec.channel.records import ChannelLimits
 from rossec.clock import time as host_time
 from rossec.home import NodeHome
 from rossec.host.addresses import is_near
-from rossec.master.api.dispatch import (
-    CONNECTION_SECONDS,
-    MasterApi,
-    RevokedCalls,
-    RevokedConnections,
-)
+from rossec.master.api.dispatch import CONNECTION_SECONDS, MasterApi, RevokedCalls, RevokedConnections
 from rossec.master.api.methods import StopMaster, Turns
 from rossec.master.api.parameter_calls import ParameterCalls
 from rossec.master.operation.admin import DENIALS
@@ -142,17 +137,23 @@ class MasterServer:
             renews=Identity.renews,
         )
         self.state = state = MasterState(
-            name, clock, Registry(limits.nodes_per_identity), trust, parameter_file, deposit_file,
+            name,
+            clock,
+            Registry(limits.nodes_per_identity),
+            trust,
+            parameter_file,
+            deposit_file,
             grant_changes=GrantChanges(min(WAIT, limits.idle_seconds / 2)),
-        )  # fmt: skip
-        trust.domains.own_sites = state.imports.own_sites
-        self._effects = Effects(
-            state, self._context, on_denial, limits.nodes_per_identity + MAX_CLOSING
         )
+        trust.domains.own_sites = state.imports.own_sites
+        self._effects = Effects(state, self._context, on_denial, limits.nodes_per_identity + MAX_CLOSING)
         self._maintenance = Maintenance(
-            state, self._effects, timestamp_every, check_own_identity,
+            state,
+            self._effects,
+            timestamp_every,
+            check_own_identity,
             LocalAuthority(find_revocations, trust, find_domains),
-        )  # fmt: skip
+        )
         self._gateways = Gateways(state, self._effects)
         self._admission = Admission(state, limits)
         self._revoked_connections = RevokedConnections()
@@ -408,9 +409,15 @@ def _trust(
     if delegation is not None:
         _load_delegation(delegate, delegation)
     trust = TrustState(
-        anchor, signer, revocations, saved_list.save, delegate, saved_list.save_entries, renewer,
+        anchor,
+        signer,
+        revocations,
+        saved_list.save,
+        delegate,
+        saved_list.save_entries,
+        renewer,
         _domains(home, anchor, revocations, saved_list, now),
-    )  # fmt: skip
+    )
     _load_entries(trust, revocations, (entries, home.load_entries()), now)
     return trust
 

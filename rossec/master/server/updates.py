@@ -64,9 +64,7 @@ class SlaveDialer:
     """
 
     def __init__(
-        self,
-        context: SecureContext[Identity],
-        on_mismatch: Callable[[NodeRef, Identity], None],
+        self, context: SecureContext[Identity], on_mismatch: Callable[[NodeRef, Identity], None]
     ) -> None:
         self._context = context
         self._on_mismatch = on_mismatch
@@ -232,10 +230,7 @@ class Updates:
     def post(self, node: NodeRef, key: Key, *params: object) -> None:
         # Send an update to `node`, unless its key has too many clients.
         if node not in self._clients:
-            if (
-                sum(other.thumbprint == node.thumbprint for other in self._clients)
-                >= self._max_clients
-            ):
+            if sum(other.thumbprint == node.thumbprint for other in self._clients) >= self._max_clients:
                 _log.info("%s changes its address too often: no %s is sent", node.name, key[0])
                 return
             client = NodeClient(node, self._dial, on_taken=self._on_taken, deadline=self._deadline)
@@ -246,11 +241,7 @@ class Updates:
 
     def prune(self, registered: Collection[NodeRef]) -> None:
         # Disconnect from nodes that are not registered and have no pending update.
-        gone = [
-            node
-            for node, (client, _) in self._clients.items()
-            if node not in registered and client.idle
-        ]
+        gone = [node for node, (client, _) in self._clients.items() if node not in registered and client.idle]
         for node in gone:
             _, tasks = self._clients.pop(node)
             self._closing.spawn(tasks.close(), f"disconnecting from {node.name}")
@@ -395,9 +386,7 @@ class SitePolls:
         changed = self._waiting[follower] = asyncio.Event()
         return changed
 
-    async def wait(
-        self, follower: bytes, longest: float, expected: asyncio.Event | None = None
-    ) -> None:
+    async def wait(self, follower: bytes, longest: float, expected: asyncio.Event | None = None) -> None:
         # `expected`: of `expect`; without it changes count from the first step of this coroutine.
         changed = self.expect(follower) if expected is None else expected
         try:

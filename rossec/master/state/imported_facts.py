@@ -26,15 +26,7 @@ from itertools import islice
 from typing import Final, NamedTuple, TypeAlias
 
 from ca.errors import NameRefused
-from ca.names import (
-    alias_of,
-    check_label,
-    check_name,
-    is_alias,
-    is_gateway,
-    is_in_gateway,
-    split_alias,
-)
+from ca.names import alias_of, check_label, check_name, is_alias, is_gateway, is_in_gateway, split_alias
 from rossec.errors import ImportRefused
 from rossec.master.state.registry import (
     ANY_TYPE,

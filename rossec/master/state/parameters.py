@@ -281,9 +281,7 @@ def updates(subscriptions: Collection[str], key: str, value: object) -> list[Par
     if isinstance(value, dict):
         inside = dict(_descendants(changed, value))
         below = (name for name in subscriptions if name != changed and name.startswith(changed))
-        result += [
-            ParameterUpdate(name, name, inside.get(name, {}), to_setter=True) for name in below
-        ]
+        result += [ParameterUpdate(name, name, inside.get(name, {}), to_setter=True) for name in below]
     return result
 
 
@@ -421,9 +419,7 @@ def _root(parameters: Parameters) -> dict[str, object]:
     return root if isinstance(root, dict) else {}
 
 
-def _changes(
-    key: str, before: dict[str, object], after: dict[str, object]
-) -> Iterator[MirrorChange]:
+def _changes(key: str, before: dict[str, object], after: dict[str, object]) -> Iterator[MirrorChange]:
     for name in dict.fromkeys((*before, *after)):
         old, new, inner = before.get(name), after.get(name), f"{key}/{name}"
         if old == new:

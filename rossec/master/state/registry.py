@@ -194,9 +194,7 @@ class Registry:
 
     def register_service(self, service: str, service_uri: str, node: NodeRef) -> list[Event]:
         """Register a service; the last provider to register replaces the one before."""
-        for other in [
-            name for name in self._names[Kind.SERVICE].get(service, ()) if name != node.name
-        ]:
+        for other in [name for name in self._names[Kind.SERVICE].get(service, ()) if name != node.name]:
             self._discard(Kind.SERVICE, service, other)
         events = self._register(Kind.SERVICE, service, node)
         if self._service_uris.get(service) != service_uri:

@@ -109,8 +109,7 @@ _NOT_RUNNING: Final = (
 )
 _START_MASTER: Final = "start it: rossec master; or set ROS_MASTER_URI to where it runs"
 _PLAIN_MASTER: Final = (
-    "stop it, and start the other in its place: rossec master; or set ROS_MASTER_URI to where that"
-    " runs"
+    "stop it, and start the other in its place: rossec master; or set ROS_MASTER_URI to where that runs"
 )
 _OTHER_MASTER: Final = (
     "stop the master that runs there, or set ROS_MASTER_URI to where that of this authority runs;"
@@ -157,9 +156,7 @@ async def connect(
     return stream
 
 
-async def _handshake(
-    sock: socket.socket, core: Callable[[], Connection[PeerT]]
-) -> SecureStream[PeerT]:
+async def _handshake(sock: socket.socket, core: Callable[[], Connection[PeerT]]) -> SecureStream[PeerT]:
     try:
         connection, address = core(), sock.getpeername()[0]
         ready = authenticate(connection, partial(Transport, sock), address)
@@ -176,9 +173,7 @@ async def _handshake(
 
 
 def authenticate(
-    connection: Connection[PeerT],
-    transport: Callable[[TransportOwner], ByteTransport],
-    address: str,
+    connection: Connection[PeerT], transport: Callable[[TransportOwner], ByteTransport], address: str
 ) -> Awaitable[SecureStream[PeerT]]:
     """Begin the handshake over this transport; what is returned waits for its end.
 

@@ -35,10 +35,7 @@ class AcceptedStreams(Generic[PeerT]):
     """Connections and their handlers: the base of what listens, on a port or in a mailbox."""
 
     def __init__(
-        self,
-        handler: Handler[PeerT],
-        context: SecureContext[PeerT],
-        protocol: WireProtocol,
+        self, handler: Handler[PeerT], context: SecureContext[PeerT], protocol: WireProtocol
     ) -> None:
         self._handler = handler
         self._context = context
@@ -60,17 +57,12 @@ class AcceptedStreams(Generic[PeerT]):
             return slot
         self._refused += 1
         if self._loop.time() >= self._report_again:  # at most one line in `_REPORT_EVERY` seconds
-            _log.warning(
-                "too many unfinished handshakes: refused %d, last %s", self._refused, address
-            )
+            _log.warning("too many unfinished handshakes: refused %d, last %s", self._refused, address)
             self._refused, self._report_again = 0, self._loop.time() + _REPORT_EVERY
         return None
 
     def _begin(
-        self,
-        transport: Callable[[TransportOwner], ByteTransport],
-        address: str,
-        slot: HalfOpenSlot,
+        self, transport: Callable[[TransportOwner], ByteTransport], address: str, slot: HalfOpenSlot
     ) -> SecureStream[PeerT]:
         try:
             core = self._context.responder(self._protocol)
@@ -124,10 +116,7 @@ class AcceptedStreams(Generic[PeerT]):
         return self
 
     async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         await self.close()
 
@@ -141,10 +130,7 @@ class SecureServer(AcceptedStreams[PeerT]):
     """A listening port and its connections; made by `serve`."""
 
     def __init__(
-        self,
-        handler: Handler[PeerT],
-        context: SecureContext[PeerT],
-        protocol: WireProtocol,
+        self, handler: Handler[PeerT], context: SecureContext[PeerT], protocol: WireProtocol
     ) -> None:
         super().__init__(handler, context, protocol)
         self._listeners: list[socket.socket] = []
@@ -201,9 +187,7 @@ class SecureServer(AcceptedStreams[PeerT]):
         self._suspended = True
         for listener in self._listeners:
             self._loop.remove_reader(listener.fileno())
-            listener.setsockopt(
-                socket.SOL_SOCKET, socket.SO_REUSEADDR, 0
-            )  # no other socket may bind it
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)  # no other socket may bind it
             listener.shutdown(socket.SHUT_RDWR)
 
     def resume(self) -> None:
@@ -268,6 +252,4 @@ def bind(host: str | None, port: int) -> list[socket.socket]:
 
 
 def _bind_one(family: int, address: str, port: int, *, dual: bool = False) -> socket.socket:
-    return socket.create_server(
-        (address, port), family=family, backlog=_BACKLOG, dualstack_ipv6=dual
-    )
+    return socket.create_server((address, port), family=family, backlog=_BACKLOG, dualstack_ipv6=dual)

@@ -451,10 +451,7 @@ class SecureStream(Driver[PeerT]):
         return self
 
     async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if kind is None:
             await self.close()
@@ -472,8 +469,7 @@ def _size(pieces: Sequence[Bytes]) -> int:
 class UnitSource(Protocol):
     """Where the bytes come from."""
 
-    def receive(self) -> Awaitable[bytes]:
-        ...
+    def receive(self) -> Awaitable[bytes]: ...
 
 
 async def next_messages(source: UnitSource, framing: Framing) -> list[bytes]:

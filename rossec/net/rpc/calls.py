@@ -23,14 +23,7 @@ from collections.abc import Awaitable, Callable, Coroutine, Generator
 from time import monotonic
 from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
-from rossec.errors import (
-    ChannelError,
-    CompactRefused,
-    HangUp,
-    HttpRefused,
-    RossecError,
-    XmlRpcRefused,
-)
+from rossec.errors import ChannelError, CompactRefused, HangUp, HttpRefused, RossecError, XmlRpcRefused
 from rossec.net.limits import UNSHOWN_UNIT
 from rossec.net.rpc.time_slices import AT_ONCE, URGENT, TurnOwner, of_loop, source_of
 from rossec.ros import xmlrpc
@@ -54,8 +47,7 @@ class ServedStream(Protocol[PeerT_co]):
     """What is used of `rossec.net.aio.SecureStream`."""
 
     @property
-    def peer(self) -> PeerT_co:
-        ...
+    def peer(self) -> PeerT_co: ...
 
     def on_ready(
         self, callback: Callable[[], None] | None, take: Callable[[bytes], bool] | None = None
@@ -69,22 +61,18 @@ class ServedStream(Protocol[PeerT_co]):
         # Whether `next_unit` would return one.
         ...
 
-    def next_unit(self) -> bytes | None:
-        ...
+    def next_unit(self) -> bytes | None: ...
 
     @property
     def lags(self) -> bool:
         # Whether the peer does not read what was sent.
         ...
 
-    def write_nowait(self, data: bytes) -> bool:
-        ...
+    def write_nowait(self, data: bytes) -> bool: ...
 
-    async def send(self, *pieces: bytes) -> None:
-        ...
+    async def send(self, *pieces: bytes) -> None: ...
 
-    async def close(self) -> None:
-        ...
+    async def close(self) -> None: ...
 
 
 class Dispatch(Protocol[PeerT_contra]):
@@ -117,7 +105,7 @@ class CallLoop(Generic[PeerT]):
         "_turns",
         "_urgent",
         "_value",
-    )  # fmt: skip
+    )
 
     def __init__(
         self,
@@ -158,9 +146,7 @@ class CallLoop(Generic[PeerT]):
                         self._job = self._loop.create_future()
                         await job
                         self._answered()
-                        self._loop.call_soon(
-                            self._ready
-                        )  # for units that arrived meanwhile, or the end
+                        self._loop.call_soon(self._ready)  # for units that arrived meanwhile, or the end
         finally:
             self._close()
 
@@ -192,9 +178,7 @@ class CallLoop(Generic[PeerT]):
         return free
 
     def _is_free(self) -> bool:
-        return not (
-            self._busy or self._ended or self._job.cancelled()
-        )  # `run` was cancelled just now
+        return not (self._busy or self._ended or self._job.cancelled())  # `run` was cancelled just now
 
     def _is_early(self) -> bool:
         return self._calls.answering and self._stream.has_unit and not self._ended
@@ -240,11 +224,7 @@ class CallLoop(Generic[PeerT]):
 
     def _answer(self, request: bytes | Oversized) -> None:
         turns = self._turns
-        if (
-            isinstance(request, Oversized)
-            or len(request) > AT_ONCE
-            or not turns.has_time(self._source)
-        ):
+        if isinstance(request, Oversized) or len(request) > AT_ONCE or not turns.has_time(self._source):
             steps = self._answer_steps(request)
             self._wait_for(self._respond_later(turns.run(self._source(), steps)))
             return
@@ -261,9 +241,7 @@ class CallLoop(Generic[PeerT]):
         try:
             call = self._calls.load(request)
             value = self._dispatch(call.method, call.params, self._stream.peer)
-            if type(value) is not list and isinstance(
-                value, Awaitable
-            ):  # the isinstance check is slow
+            if type(value) is not list and isinstance(value, Awaitable):  # the isinstance check is slow
                 self._value = value
                 self._wait_for(self._respond_later(value))
                 return
@@ -355,14 +333,11 @@ CALL_DEADLINE: Final = 10.0
 class Stream(Protocol):
     """What a client uses of `rossec.net.aio.SecureStream`."""
 
-    async def send(self, *pieces: bytes) -> None:
-        ...
+    async def send(self, *pieces: bytes) -> None: ...
 
-    async def receive(self) -> bytes:
-        ...
+    async def receive(self) -> bytes: ...
 
-    async def close(self) -> None:
-        ...
+    async def close(self) -> None: ...
 
 
 class CallFailed(RossecError):
@@ -389,9 +364,15 @@ async def serve_calls(
     `urgent`: long calls of this peer precede those of others.
     """
     calls = CallLoop(
-        stream, dispatch, limit=limit, deadline=request_deadline, idle=idle_deadline,
-        compact=compact, bound=bound, urgent=urgent,
-    )  # fmt: skip
+        stream,
+        dispatch,
+        limit=limit,
+        deadline=request_deadline,
+        idle=idle_deadline,
+        compact=compact,
+        bound=bound,
+        urgent=urgent,
+    )
     try:
         await calls.run()
     finally:
@@ -471,9 +452,7 @@ class RpcClient:
             request = self._calls.request(method, params)
             if len(request) > BODY_LIMIT:
                 self._calls.take_back()
-                raise XmlRpcRefused(
-                    f"a call of {len(request)} bytes, at most {BODY_LIMIT} are sent"
-                )
+                raise XmlRpcRefused(f"a call of {len(request)} bytes, at most {BODY_LIMIT} are sent")
             try:
                 return await self._exchange(method, request)
             except ChannelError as error:

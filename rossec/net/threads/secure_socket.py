@@ -47,10 +47,7 @@ class Carrier(Generic[PeerT]):
     """What `SecureSocket` does below its methods; `end` is always the caller's deadline."""
 
     def __init__(
-        self,
-        sock: socket.socket,
-        core: Connection[PeerT],
-        on_released: Callable[[], None] = lambda: None,
+        self, sock: socket.socket, core: Connection[PeerT], on_released: Callable[[], None] = lambda: None
     ) -> None:
         self.peer: PeerT | None = None
         self._timeout = sock.gettimeout()
@@ -324,10 +321,7 @@ class SecureSocket(Carrier[PeerT]):
     """
 
     def __init__(
-        self,
-        sock: socket.socket,
-        core: Connection[PeerT],
-        on_released: Callable[[], None] = lambda: None,
+        self, sock: socket.socket, core: Connection[PeerT], on_released: Callable[[], None] = lambda: None
     ) -> None:
         super().__init__(sock, core, on_released)
         self._closed = False

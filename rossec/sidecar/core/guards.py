@@ -58,9 +58,7 @@ class ReplaceableGuard:
 class _LastMessage:
     """The last message that passed, and the connections that have not had it yet."""
 
-    def __init__(
-        self, message: bytes, mark: object, now: float, pending: set["SharedGuard"]
-    ) -> None:
+    def __init__(self, message: bytes, mark: object, now: float, pending: set["SharedGuard"]) -> None:
         self.message = message
         self.mark = mark
         self.at = now
@@ -107,9 +105,7 @@ class SharedGuard:
         return pieces
 
     def _is_copy(self, last: _LastMessage, message: bytes, now: float) -> bool:
-        return (
-            self in last.pending and int(now) - int(last.at) <= WINDOW and message == last.message
-        )
+        return self in last.pending and int(now) - int(last.at) <= WINDOW and message == last.message
 
 
 class CopyTracker:
@@ -157,9 +153,7 @@ class ProgramMemories(Generic[HolderT]):
         has_ended: whether a holder that was not released has ended.
     """
 
-    def __init__(
-        self, scope: MemoryScope, has_ended: Callable[[HolderT], bool] = lambda _: False
-    ) -> None:
+    def __init__(self, scope: MemoryScope, has_ended: Callable[[HolderT], bool] = lambda _: False) -> None:
         self._scope = scope
         self._has_ended = has_ended
         self._memories: list[_ProgramMemory[HolderT]] = []
@@ -226,9 +220,7 @@ class Replacing:
         renewed = self._rebuild(decision)
         if self._guard is None:
             if renewed is not None:
-                raise ConnectionHeaderRefused(
-                    "messages that are restricted now were passed on unread"
-                )
+                raise ConnectionHeaderRefused("messages that are restricted now were passed on unread")
             return None
         if renewed is None:
             return Guard(None, decision)  # lets everything pass until it expires

@@ -251,9 +251,7 @@ class ConnectPeer:
     fields: Mapping[str, bytes]
 
 
-Request = (
-    CallMaster | CallProgram | CallPeer | AuthenticatePeer | Probe | ConnectProgram | ConnectPeer
-)
+Request = CallMaster | CallProgram | CallPeer | AuthenticatePeer | Probe | ConnectProgram | ConnectPeer
 Command = OpenIngress | OpenEgress | Suspend | Request
 
 

@@ -315,8 +315,10 @@ def _not_covered(agent: AgentState, caller: str) -> str:
 
 
 _RIGHTS: Final = {
-    "registerPublisher": Right.PUBLISH, SUBSCRIBE: Right.SUBSCRIBE, "registerService": Right.PROVIDE
-}  # fmt: skip
+    "registerPublisher": Right.PUBLISH,
+    SUBSCRIBE: Right.SUBSCRIBE,
+    "registerService": Right.PROVIDE,
+}
 
 
 Holds: TypeAlias = Callable[[Right, str], bool]

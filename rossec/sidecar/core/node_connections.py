@@ -217,9 +217,7 @@ def _answer_for_peer(
             return [1, status, value]
 
 
-def _program_bus_info(
-    agent: AgentState, local: Endpoint, entries: list[object]
-) -> Layer[list[object]]:
+def _program_bus_info(agent: AgentState, local: Endpoint, entries: list[object]) -> Layer[list[object]]:
     rewritten: list[object] = []
     for entry in entries:
         match entry:
@@ -254,9 +252,7 @@ def handle_program_call(
         case RawResponse(body=body) if method in _UNPARSED:
             return Encoded(body)
         case Answered(value=[code, str() as status, value], peer=peer) if succeeded(code):
-            named = (
-                value if peer is None else answer_here(peer, agent.identity.domain, method, value)
-            )
+            named = value if peer is None else answer_here(peer, agent.identity.domain, method, value)
             return (yield from _answer_for_program(agent, remote, method, status, named))
         case Answered(value=value):
             return _refusal(value)
@@ -406,9 +402,8 @@ def admit_peer(
         kind = sender_definition(sent, decision, agent.known_types)
         answer |= {} if kind is sent else definition_fields(kind, decision)
     return AdmittedConnection(
-        {**answer, **own}, decision, guard_under(decision), service,
-        wishes=wishes, rebuild=guard_under,
-    )  # fmt: skip
+        {**answer, **own}, decision, guard_under(decision), service, wishes=wishes, rebuild=guard_under
+    )
 
 
 def _request_topic(
@@ -446,10 +441,7 @@ def _tcpros_answer_for_peer(
 ) -> dict[str, bytes]:
     if "error" in answer:
         raise ConnectionHeaderRefused(text(answer, "error"))
-    completed = {
-        **without_grants(answer),
-        _CALLER: _caller_name(agent, answer, peer.is_foreign),
-    }
+    completed = {**without_grants(answer), _CALLER: _caller_name(agent, answer, peer.is_foreign)}
     if "topic" in request:
         completed["topic"] = request["topic"]
     return completed
@@ -487,9 +479,7 @@ def connect_to_peer(
         request |= handshakes.caller_proof(wanted, agent.access, now)
         event = yield ConnectPeer(remote, request)
         arrived, peer = _from_peer(event)
-        decision = handshakes.admit_provider(
-            arrived.fields, peer, wanted, agent.access, arrived.now
-        )
+        decision = handshakes.admit_provider(arrived.fields, peer, wanted, agent.access, arrived.now)
         decision.require_unrestricted()
         answer = fields_here(without_grants(arrived.fields), peer)
         return AdmittedConnection(answer, decision, None, service)
@@ -512,9 +502,13 @@ def connect_to_peer(
 
     named = fields_here(without_grants(arrived.fields), peer, wanted)
     return AdmittedConnection(
-        named | definition_fields(kind, decision), decision, guard_under(decision), service,
-        size_of(reported_definition(kind, sent)), rebuild=guard_under,
-    )  # fmt: skip
+        named | definition_fields(kind, decision),
+        decision,
+        guard_under(decision),
+        service,
+        size_of(reported_definition(kind, sent)),
+        rebuild=guard_under,
+    )
 
 
 def _name_granted(

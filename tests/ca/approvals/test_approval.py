@@ -5,13 +5,7 @@ import pytest
 
 from ca.approvals.passkeys import Approval, ApprovalVerifier, Assertion
 from ca.approvals.statement import LIFETIME, Grant, Kind
-from ca.errors import (
-    ApprovalOutdated,
-    OtherChallenge,
-    PasskeyCloned,
-    PasskeyUnknown,
-    StatementRefused,
-)
+from ca.errors import ApprovalOutdated, OtherChallenge, PasskeyCloned, PasskeyUnknown, StatementRefused
 from tests.support import passkeys
 from tests.support.approving import NOW, WHATS, registered, state, touch
 

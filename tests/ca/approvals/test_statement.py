@@ -39,11 +39,7 @@ whats = st.one_of(
     st.builds(NewPasskey, st.binary(min_size=1, max_size=1023), digests, texts),
     st.builds(Invitation, texts, numbers, numbers, st.booleans()),
     st.builds(ForeignDomain, digests),
-    st.builds(
-        RevokeMaster,
-        st.one_of(texts, st.just("")),
-        st.sampled_from(["/master", "/master/kitchen"]),
-    ),
+    st.builds(RevokeMaster, st.one_of(texts, st.just("")), st.sampled_from(["/master", "/master/kitchen"])),
 )
 
 
@@ -53,9 +49,13 @@ def statements(draw: st.DrawFn) -> Statement:
     made = draw(st.integers(0, 1 << 40))
     until = made + draw(st.integers(1, LIFETIME))
     return state(what)._replace(
-        id=draw(ids), domain=draw(texts), made=made, until=until,
-        log_size=draw(numbers), log_root=draw(digests),
-    )  # fmt: skip
+        id=draw(ids),
+        domain=draw(texts),
+        made=made,
+        until=until,
+        log_size=draw(numbers),
+        log_root=draw(digests),
+    )
 
 
 def test_the_first_master_is_left_out_as_before_there_were_others() -> None:
@@ -65,9 +65,7 @@ def test_the_first_master_is_left_out_as_before_there_were_others() -> None:
     assert isinstance(head, list)
     assert head[-1] == ["stolen"]
     assert Statement.from_bytes(first).what == RevokeMaster("stolen", "/master")
-    others: tuple[list[Value], ...] = (
-        ["stolen", "/master"], ["stolen", "/robot"], ["stolen", ""], [],
-    )  # fmt: skip
+    others: tuple[list[Value], ...] = (["stolen", "/master"], ["stolen", "/robot"], ["stolen", ""], [])
     for fields in others:
         with pytest.raises(StatementRefused):
             Statement.from_bytes(encode([*head[:-1], fields]))
@@ -87,9 +85,7 @@ def test_no_two_statements_have_one_challenge(first: Statement, second: Statemen
 
 
 @given(statements(), st.data())
-def test_another_byte_is_another_challenge_or_no_statement(
-    statement: Statement, data: st.DataObject
-) -> None:
+def test_another_byte_is_another_challenge_or_no_statement(statement: Statement, data: st.DataObject) -> None:
     encoded = bytearray(statement.to_bytes())
     encoded[data.draw(st.integers(0, len(encoded) - 1))] ^= data.draw(st.integers(1, 255))
     try:
@@ -194,9 +190,7 @@ def test_what_is_no_statement_is_not_written(statement: Statement) -> None:
 def test_a_payload_is_the_one_of_the_digest(kind: Kind) -> None:
     payload = b"shown"
     digest = hashlib.sha256(payload).digest()
-    fields = {
-        Kind.ENROLL: "csr", Kind.GRANT: "payload", Kind.POLICY: "new", Kind.INTERMEDIATE: "csr",
-    }  # fmt: skip
+    fields = {Kind.ENROLL: "csr", Kind.GRANT: "payload", Kind.POLICY: "new", Kind.INTERMEDIATE: "csr"}
     what = WHATS[kind]
     if kind in fields:
         what = type(what)(**{**what._asdict(), fields[kind]: digest})

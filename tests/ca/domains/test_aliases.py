@@ -29,9 +29,7 @@ def test_an_alias_is_written_for_people_with_its_label() -> None:
         assert names.shown(other) == other
 
 
-@pytest.mark.parametrize(
-    "name", ["/remote", "/remote/hospital", "/remote/", "/remote//a", "/remote/a-b/c"]
-)
+@pytest.mark.parametrize("name", ["/remote", "/remote/hospital", "/remote/", "/remote//a", "/remote/a-b/c"])
 def test_what_is_below_remote_without_label_and_name_is_refused(name: str) -> None:
     assert names.is_alias(name)
     for function in (names.split_alias, names.origin_of):
@@ -66,8 +64,7 @@ def test_a_pattern_with_a_label_is_one_of_aliases() -> None:
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["*:/a", "hospital:*", "hospital:/a*", ":/a", "hospital:/remote/x/y", "x" * 33 + ":/a", ""],
+    "text", ["*:/a", "hospital:*", "hospital:/a*", ":/a", "hospital:/remote/x/y", "x" * 33 + ":/a", ""]
 )
 def test_text_that_is_no_pattern_of_names_is_refused(text: str) -> None:
     with pytest.raises(NameRefused):

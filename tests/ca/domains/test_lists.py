@@ -102,12 +102,18 @@ def test_what_a_list_may_have_at_most() -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"fresh": True}, {"until": True}, {"until": 1 << 53}, {"fresh": trust.LEAST_FRESH - 1},
-        {"admitted": ()}, {"label": "a b"}, {"domain": "office"}, {"exported": (("a", 1),)},
+        {"fresh": True},
+        {"until": True},
+        {"until": 1 << 53},
+        {"fresh": trust.LEAST_FRESH - 1},
+        {"admitted": ()},
+        {"label": "a b"},
+        {"domain": "office"},
+        {"exported": (("a", 1),)},
         {"imported": (("/a", True),)},
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_terms_that_are_not_in_form(change: dict[str, Any]) -> None:
     with pytest.raises((DomainsRefused, NameRefused)):
         dataclasses.replace(ENTRY, **change)

@@ -41,13 +41,26 @@ def test_what_is_a_served_name_has_exactly_one_alias(name: str) -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        "", "/", "/pose", "/gateway", "/gateway/", "/gateway/hospital", "/gateway/hospital/",
-        "/gateway//pose", "/gateway/9/pose", "/gateway/a-b/pose", "/gateways/hospital/pose",
-        "/gateway_1/hospital/pose", "/remote/hospital/gateway/hospital/pose", "gateway/a/b",
-        "/gateway/hospital/pose/", "/gateway/hospital/pose\n", f"/gateway/{'x' * 33}/pose",
+        "",
+        "/",
+        "/pose",
+        "/gateway",
+        "/gateway/",
+        "/gateway/hospital",
+        "/gateway/hospital/",
+        "/gateway//pose",
+        "/gateway/9/pose",
+        "/gateway/a-b/pose",
+        "/gateways/hospital/pose",
+        "/gateway_1/hospital/pose",
+        "/remote/hospital/gateway/hospital/pose",
+        "gateway/a/b",
+        "/gateway/hospital/pose/",
+        "/gateway/hospital/pose\n",
+        f"/gateway/{'x' * 33}/pose",
         f"/gateway/hospital/{'a' * 250}",
     ],
-)  # fmt: skip
+)
 def test_any_other_name_stands_for_no_alias(name: str) -> None:
     assert alias_of_served(name) is None
     assert not is_served(name)

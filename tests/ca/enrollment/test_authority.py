@@ -1,16 +1,7 @@
 import pytest
 
 from ca.enrollment import qr, sides
-from ca.enrollment.messages import (
-    Abort,
-    Acknowledgement,
-    Delivery,
-    Done,
-    Fetch,
-    Reason,
-    read,
-    write,
-)
+from ca.enrollment.messages import Abort, Acknowledgement, Delivery, Done, Fetch, Reason, read, write
 from ca.enrollment.sides import AUTHORITY_TABLE, AuthorityEnrollment, AuthorityState
 from ca.errors import (
     AcknowledgementRefused,
@@ -162,9 +153,7 @@ def test_the_last_word_before_the_answer_changes_nothing() -> None:
     (answer,) = node.receive(offer, NOW)
     node.confirm(node.pending.digits, NOW)
     (done,) = node.activated()
-    with pytest.raises(
-        EnrollmentMessageRefused, match="unexpected Done in state 'waiting for the ack"
-    ):
+    with pytest.raises(EnrollmentMessageRefused, match="unexpected Done in state 'waiting for the ack"):
         authority.receive(done, NOW)
     for message in (answer, answer, done, answer):
         authority.receive(message, NOW)
@@ -229,9 +218,7 @@ WITHOUT_MESSAGE = {AuthorityState.APPROVED, AuthorityState.OFFERED, AuthoritySta
 
 
 def test_the_table_names_methods_that_exist() -> None:
-    assert all(
-        callable(getattr(AuthorityEnrollment, method)) for method, _ in AUTHORITY_TABLE.values()
-    )
+    assert all(callable(getattr(AuthorityEnrollment, method)) for method, _ in AUTHORITY_TABLE.values())
     reached = {end for _, ends in AUTHORITY_TABLE.values() for end in ends}
     assert reached | WITHOUT_MESSAGE == set(AuthorityState) - {AuthorityState.FETCHING}
     assert isinstance(read(scanned(Robot().enrollment()).fetch()), Fetch)

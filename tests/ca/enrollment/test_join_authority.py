@@ -28,9 +28,15 @@ ID, NONCE, OWN = bytes(32), b"1" * 16, b"2" * 16
 SIGNER = new_signer()
 BUSY = Refused(RefuseReason.BUSY)
 MESSAGES: list[JoinMessage] = [
-    Hello(ID, NONCE), Welcome(NONCE, (b"c",), b"r", b"s"), Join("/a", b"csr", b"proof"),
-    Issued((b"c",)), Waiting(WaitReason.LOCKED), BUSY, Claim(b"<node/>", b"proof"), Named("/a"),
-]  # fmt: skip
+    Hello(ID, NONCE),
+    Welcome(NONCE, (b"c",), b"r", b"s"),
+    Join("/a", b"csr", b"proof"),
+    Issued((b"c",)),
+    Waiting(WaitReason.LOCKED),
+    BUSY,
+    Claim(b"<node/>", b"proof"),
+    Named("/a"),
+]
 
 
 def session(*messages: JoinMessage) -> AuthorityJoin:
@@ -107,9 +113,7 @@ def test_a_claim_is_handed_on_and_the_request_follows_it() -> None:
         core.name(Named("/a"))
     assert core.receive(write(MESSAGES[6])) is None
     assert core.state is AuthorityJoinState.NAMING
-    assert (core.claim.invitation, core.claim.metadata, core.claim.proof) == (
-        ID, b"<node/>", b"proof",
-    )  # fmt: skip
+    assert (core.claim.invitation, core.claim.metadata, core.claim.proof) == (ID, b"<node/>", b"proof")
     assert read(core.name(Named("/a"))) == Named("/a")
     core.receive(write(Join("/a", b"csr", b"proof", b"<node/>")))
     assert core.request.metadata == b"<node/>"

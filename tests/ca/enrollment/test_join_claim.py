@@ -2,13 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from ca.enrollment.invitation import (
-    MAX_CLAIM_SIZE,
-    InvitationCode,
-    JoinClaim,
-    sign_claim,
-    sign_proof,
-)
+from ca.enrollment.invitation import MAX_CLAIM_SIZE, InvitationCode, JoinClaim, sign_claim, sign_proof
 from ca.errors import EnrollmentMessageRefused, JoinRefused
 from tests.support.pki import NOW
 
@@ -57,8 +51,7 @@ def test_wrong_sizes(data: bytes) -> None:
 
 
 @pytest.mark.parametrize(
-    "change",
-    [{"metadata": b"<node/>"}, {"transcript": bytes(32)}, {"proof": b""}, {"proof": b"x"}],
+    "change", [{"metadata": b"<node/>"}, {"transcript": bytes(32)}, {"proof": b""}, {"proof": b"x"}]
 )
 def test_the_proof_is_about_every_part(change: dict[str, bytes]) -> None:
     with pytest.raises(JoinRefused):

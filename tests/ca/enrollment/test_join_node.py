@@ -59,9 +59,7 @@ CSR = build_request(NODE, "home", "/fleet/a")
 CODE = InvitationCode(sha256(HOME.root).digest(), bytes(16), NOW + 9, "10.0.0.1:1", "/fleet/*")
 
 
-def identity(
-    chain: bytes = CA_LEAF, signer: KeySigner = OWN, root: bytes = HOME.root
-) -> LiveIdentity:
+def identity(chain: bytes = CA_LEAF, signer: KeySigner = OWN, root: bytes = HOME.root) -> LiveIdentity:
     return LiveIdentity(signer, (chain,), root)
 
 
@@ -97,22 +95,20 @@ def impostors() -> dict[str, tuple[LiveIdentity, str]]:
     robot = new_signer()
     return {
         "another authority": (
-            identity(leaf("/ca", OWN, OTHER), root=OTHER.root), "another authority answers",
+            identity(leaf("/ca", OWN, OTHER), root=OTHER.root),
+            "another authority answers",
         ),
-        "the same root, its leaf of another": (
-            identity(leaf("/ca", OWN, OTHER)), "is not the authority",
-        ),
+        "the same root, its leaf of another": (identity(leaf("/ca", OWN, OTHER)), "is not the authority"),
         "an enrolled node": (
-            identity(leaf("/robot", robot), robot), "the peer is /robot, a node of this site",
+            identity(leaf("/robot", robot), robot),
+            "the peer is /robot, a node of this site",
         ),
         "a node with a name like it": (identity(leaf("/ca/ca", robot), robot), "is /ca/ca"),
         "the master": (identity(leaf("/master", robot), robot), "the peer is /master"),
-        "a copy of the certificate without its key": (
-            identity(CA_LEAF, robot), "does not have the key",
-        ),
+        "a copy of the certificate without its key": (identity(CA_LEAF, robot), "does not have the key"),
         "the root itself as the leaf": (identity(HOME.root, KeySigner(HOME.key)), "not the"),
         "rubbish": (identity(b"rubbish"), "is not the authority"),
-    }  # fmt: skip
+    }
 
 
 IMPOSTORS = impostors()
@@ -199,10 +195,15 @@ def test_a_refusal_is_raised(reason: RefuseReason, early: bool) -> None:
 
 
 MESSAGES: list[JoinMessage] = [
-    Hello(bytes(32), bytes(16)), Welcome(bytes(16), (b"c",), b"r", b"s"), Join("/a", b"", b""),
-    Issued((b"c",)), Waiting(WaitReason.LOCKED), Refused(RefuseReason.BUSY),
-    Claim(b"<node/>", b""), Named("/fleet/a"),
-]  # fmt: skip
+    Hello(bytes(32), bytes(16)),
+    Welcome(bytes(16), (b"c",), b"r", b"s"),
+    Join("/a", b"", b""),
+    Issued((b"c",)),
+    Waiting(WaitReason.LOCKED),
+    Refused(RefuseReason.BUSY),
+    Claim(b"<node/>", b""),
+    Named("/fleet/a"),
+]
 METADATA = b"<node><name>a</name></node>"
 
 
@@ -290,9 +291,7 @@ def test_metadata_may_come_with_the_request_alone() -> None:
 
 @pytest.mark.parametrize("state", NodeJoinState)
 @pytest.mark.parametrize("message", MESSAGES)
-def test_what_is_not_in_the_table_ends_the_session(
-    state: NodeJoinState, message: JoinMessage
-) -> None:
+def test_what_is_not_in_the_table_ends_the_session(state: NodeJoinState, message: JoinMessage) -> None:
     if (state, type(message)) in NODE_TABLE:
         return
     node = NodeJoin(CODE, fresh())
@@ -304,9 +303,12 @@ def test_what_is_not_in_the_table_ends_the_session(
 
 @pytest.mark.parametrize(
     "csr",
-    [b"rubbish", build_request(NODE, "elsewhere", "/fleet/a"),
-     build_request(NODE, "home", "/fleet/a", wildcard=True)],
-)  # fmt: skip
+    [
+        b"rubbish",
+        build_request(NODE, "elsewhere", "/fleet/a"),
+        build_request(NODE, "home", "/fleet/a", wildcard=True),
+    ],
+)
 def test_a_request_that_is_invalid_is_not_sent(csr: bytes) -> None:
     node = NodeJoin(CODE, fresh())
     node.receive(welcomed(node), NOW)

@@ -16,13 +16,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from ca.enrollment import qr, sides
 from ca.enrollment.messages import Offer, read, write
-from ca.enrollment.sides import (
-    AuthorityEnrollment,
-    AuthorityState,
-    NodeEnrollment,
-    NodeState,
-    Pending,
-)
+from ca.enrollment.sides import AuthorityEnrollment, AuthorityState, NodeEnrollment, NodeState, Pending
 from ca.errors import CAError
 from tests.support.enrolling import ADDRESS, Robot, fresh
 from tests.support.pki import NOW, Site
@@ -40,8 +34,10 @@ def test_the_states_are_those_of_the_specification() -> None:
     authority = text.partition("## 5.")[2].partition("## 6.")[0]
     for states, section in ((NodeState, node), (AuthorityState, authority)):
         assert {state.name for state in states} == set(re.findall(r"\b[A-Z]{4,}\b", section)) - {
-            "MUST", "SHOULD", "FALSE",
-        }  # fmt: skip
+            "MUST",
+            "SHOULD",
+            "FALSE",
+        }
 
 
 class Enrollments(RuleBasedStateMachine):

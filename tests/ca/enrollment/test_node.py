@@ -1,15 +1,7 @@
 import pytest
 
 from ca.enrollment import qr, sides
-from ca.enrollment.messages import (
-    Abort,
-    Acknowledgement,
-    Done,
-    Offer,
-    Reason,
-    read,
-    write,
-)
+from ca.enrollment.messages import Abort, Acknowledgement, Done, Offer, Reason, read, write
 from ca.enrollment.sides import MAX_BAD_DIGITS, MAX_BAD_TAGS, NODE_TABLE, NodeEnrollment, NodeState
 from ca.errors import (
     ConflictingOffer,
@@ -185,9 +177,7 @@ def test_an_identity_for_somebody_else() -> None:
         with pytest.raises(OfferRefused, match=message):
             node.receive(crafted(robot, (leaf,), SITE.root), NOW)
     elsewhere = Site.create("lab")
-    leaf = elsewhere.authority.issue(
-        build_request(robot.signer, "lab", robot.name), now=NOW, serial=3
-    )
+    leaf = elsewhere.authority.issue(build_request(robot.signer, "lab", robot.name), now=NOW, serial=3)
     with pytest.raises(OfferRefused, match="for another name"):
         node.receive(crafted(robot, (leaf,), elsewhere.root), NOW)
     assert node.state is NodeState.SHOWING
@@ -212,9 +202,12 @@ def test_certificates_that_do_not_hold() -> None:
     node = robot.enrollment(label=True)
     leaf = SITE.authority.issue(robot.csr, now=NOW, serial=3)
     for chain, root in (
-        ((leaf,), OTHER.root), ((leaf,), leaf), ((leaf,), b"x"), ((b"x",), SITE.root),
+        ((leaf,), OTHER.root),
+        ((leaf,), leaf),
+        ((leaf,), b"x"),
+        ((b"x",), SITE.root),
         ((SITE.root,), SITE.root),
-    ):  # fmt: skip
+    ):
         with pytest.raises(OfferRefused, match="invalid offer"):
             node.receive(crafted(robot, chain, root), NOW)
     expired = SITE.authority.issue(robot.csr, now=NOW, serial=3, lifetime=1)

@@ -30,9 +30,7 @@ def write(path: Path, data: bytes, mode: int = 0o600) -> Path:
 def test_generate_makes_new_p256_keys() -> None:
     first, second = private_keys.generate(), private_keys.generate()
     assert isinstance(first.curve, ec.SECP256R1)
-    assert private_keys.thumbprint(first.public_key()) != private_keys.thumbprint(
-        second.public_key()
-    )
+    assert private_keys.thumbprint(first.public_key()) != private_keys.thumbprint(second.public_key())
 
 
 def test_unencrypted_round_trip(tmp_path: Path) -> None:

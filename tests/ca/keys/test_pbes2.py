@@ -59,14 +59,10 @@ def asking(*costs: int, derivation: bytes = passphrases._OID_SCRYPT) -> bytes:
     salt = passphrases._der(passphrases._OCTETS, bytes(16))
     parameters = passphrases._der(passphrases._SEQUENCE, salt, *map(passphrases._integer, costs))
     encryption = passphrases._der(
-        passphrases._SEQUENCE,
-        passphrases._OID_AES256_CBC,
-        passphrases._der(passphrases._OCTETS, bytes(16)),
+        passphrases._SEQUENCE, passphrases._OID_AES256_CBC, passphrases._der(passphrases._OCTETS, bytes(16))
     )
     both = passphrases._der(
-        passphrases._SEQUENCE,
-        passphrases._der(passphrases._SEQUENCE, derivation, parameters),
-        encryption,
+        passphrases._SEQUENCE, passphrases._der(passphrases._SEQUENCE, derivation, parameters), encryption
     )
     algorithm = passphrases._der(passphrases._SEQUENCE, passphrases._OID_PBES2, both)
     return passphrases._der(
@@ -86,9 +82,16 @@ def test_what_rossec_and_openssl_write_costs_no_more_than_is_allowed() -> None:
 
 @pytest.mark.parametrize(
     "costs",
-    [(2**14, 8, 5000), (2**30, 8, 1), (2**14, 2**20, 1), (2**14, 8, 33), (2**64, 1, 1), (0, 8, 1),
-     (2**14, 8, -1)],
-)  # fmt: skip
+    [
+        (2**14, 8, 5000),
+        (2**30, 8, 1),
+        (2**14, 2**20, 1),
+        (2**14, 8, 33),
+        (2**64, 1, 1),
+        (0, 8, 1),
+        (2**14, 8, -1),
+    ],
+)
 def test_a_key_that_costs_too_much_is_refused(costs: tuple[int, ...]) -> None:
     with pytest.raises(KeyRefused, match="more work"):
         passphrases.check_cost(asking(*costs))

@@ -14,9 +14,7 @@ from ca.revocation.lists import (
     sign_tree,
 )
 from ca.revocation.trust_status import Revocations
-from tests.ca.revocation.signed_lists import (
-    SIGNER,
-)
+from tests.ca.revocation.signed_lists import SIGNER
 from tests.support.pki import NOW
 
 ENTRIES = frozenset(n.to_bytes(16) for n in range(1, 40, 3))

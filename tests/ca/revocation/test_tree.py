@@ -76,11 +76,18 @@ def proof_of(entry: bytes) -> list[Any]:
 @pytest.mark.parametrize(
     "broken",
     [
-        b"", encode({}), encode([]), encode([5]), encode([[True, b"x", []]]),
-        encode([[0, b"x", [5]]]), encode([[0, bytes(16), []]]), encode([[99, bytes(16), []]]),
-        encode([[0, b"x"]]), bytes(5000),
+        b"",
+        encode({}),
+        encode([]),
+        encode([5]),
+        encode([[True, b"x", []]]),
+        encode([[0, b"x", [5]]]),
+        encode([[0, bytes(16), []]]),
+        encode([[99, bytes(16), []]]),
+        encode([[0, b"x"]]),
+        bytes(5000),
     ],
-)  # fmt: skip
+)
 def test_an_invalid_proof_is_refused(broken: bytes) -> None:
     with pytest.raises(RevocationRefused):
         is_revoked(TREE_, bytes(16), broken)
@@ -115,10 +122,15 @@ def test_the_statement() -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"epoch": -1}, {"seq": 1 << 53}, {"issued": True}, {"expires": 1000}, {"size": 0},
-        {"size": MAX_LEAVES + 1}, {"root": bytes(31)},
+        {"epoch": -1},
+        {"seq": 1 << 53},
+        {"issued": True},
+        {"expires": 1000},
+        {"size": 0},
+        {"size": MAX_LEAVES + 1},
+        {"root": bytes(31)},
     ],
-)  # fmt: skip
+)
 def test_invalid_trees_are_refused(changes: Any) -> None:
     with pytest.raises(RevocationRefused):
         replace(TREE_, **changes)

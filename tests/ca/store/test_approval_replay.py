@@ -119,9 +119,7 @@ def test_an_approval_that_nobody_made_is_found(store: Store, forged: Forgery, me
         audited(store)
 
 
-@pytest.mark.parametrize(
-    "change", [{"cose_key": OTHER.cose_key}, {"name": "Eve"}, {"approval": b"x"}]
-)
+@pytest.mark.parametrize("change", [{"cose_key": OTHER.cose_key}, {"name": "Eve"}, {"approval": b"x"}])
 def test_a_passkey_that_nobody_approved_is_found(store: Store, change: dict[str, Any]) -> None:
     new = registered(passkeys.Passkey(), "Bob's phone")
     addition = approve(store, to_approve(new), device=DEVICE)
@@ -133,10 +131,7 @@ def test_a_passkey_that_nobody_approved_is_found(store: Store, change: dict[str,
 
 @pytest.mark.parametrize(
     ("what", "row"),
-    [
-        ("passkey ended", (b"unknown", "", NOW)),
-        ("approval ended", (b"x" * 16, "done", "", NOW)),
-    ],
+    [("passkey ended", (b"unknown", "", NOW)), ("approval ended", (b"x" * 16, "done", "", NOW))],
 )
 def test_an_end_of_what_never_was_is_found(store: Store, what: str, row: tuple[Any, ...]) -> None:
     write(store, what, row)

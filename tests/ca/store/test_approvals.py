@@ -48,9 +48,7 @@ def test_an_approval_is_recorded_as_given_and_waits(store: Store, device: passke
     assert store.approvals.state(approval.id) is ApprovalState.WAITING
     assert store.approvals.about(Kind.DELEGATE, statement.subject) == [approval]
     assert store.approvals.about(Kind.GRANT, statement.subject) == []
-    assert store.log.entries()[-1][2:5] == (
-        "approval", "Ann's phone", f"delegate {approval.id.hex()}",
-    )  # fmt: skip
+    assert store.log.entries()[-1][2:5] == ("approval", "Ann's phone", f"delegate {approval.id.hex()}")
     audited(store)
 
 
@@ -76,9 +74,7 @@ def test_a_passkey_that_does_not_count_approves_a_statement_once(store: Store) -
     audited(store)
 
 
-def test_the_counter_is_that_of_the_newest_assertion(
-    store: Store, device: passkeys.Passkey
-) -> None:
+def test_the_counter_is_that_of_the_newest_assertion(store: Store, device: passkeys.Passkey) -> None:
     assert store.approvals.counter(device.id) == 0
     clone = device.clone()
     store.approvals.add(approve(store, device=device))
@@ -120,9 +116,7 @@ def test_a_payload_is_the_approved_one(store: Store, device: passkeys.Passkey) -
     assert store.approvals.get(approval.id).payload == b"claims"
 
 
-def test_an_approval_is_about_this_record(
-    store: Store, device: passkeys.Passkey, tmp_path: Path
-) -> None:
+def test_an_approval_is_about_this_record(store: Store, device: passkeys.Passkey, tmp_path: Path) -> None:
     with closing(Store.create(tmp_path / "other.db")) as other:
         other.log_event("elsewhere", "", "", NOW)
         with pytest.raises(ApprovalOutdated, match="restored or replaced"):
@@ -133,9 +127,7 @@ def test_an_approval_is_about_this_record(
     store.approvals.add(touch(state(WHATS[Kind.DELEGATE], store=store), device=device))
 
 
-def test_an_approval_from_before_a_restore_is_refused(
-    store: Store, device: passkeys.Passkey
-) -> None:
+def test_an_approval_from_before_a_restore_is_refused(store: Store, device: passkeys.Passkey) -> None:
     before = approve(store, device=device)
     store.log_event(RESTORED, "record", "", NOW)
     with pytest.raises(ApprovalOutdated, match="restored or replaced"):
@@ -149,9 +141,7 @@ def test_an_approval_ends_once(store: Store, device: passkeys.Passkey) -> None:
     store.approvals.add(approval)
     store.approvals.end(approval.id, ApprovalState.DONE, "list 1.2", NOW + 1)
     assert store.approvals.state(approval.id) is ApprovalState.DONE
-    assert store.approvals.ends() == {
-        approval.id: ApprovalEnd(approval.id, "done", "list 1.2", NOW + 1)
-    }
+    assert store.approvals.ends() == {approval.id: ApprovalEnd(approval.id, "done", "list 1.2", NOW + 1)}
     assert store.approvals.waiting() == []
     with pytest.raises(ApprovalOver, match="this approval has ended: done"):
         store.approvals.end(approval.id, ApprovalState.FAILED, "", NOW)

@@ -65,9 +65,7 @@ def test_names_stay_inside(name: str, tmp_path: Path) -> None:
 def forged(value: Value, monkeypatch: pytest.MonkeyPatch) -> bytes:
     """What a stranger who knows the passphrase could seal."""
     with monkeypatch.context() as patched:
-        patched.setattr(
-            passphrases, "encode", lambda _: value if isinstance(value, bytes) else encode(value)
-        )
+        patched.setattr(passphrases, "encode", lambda _: value if isinstance(value, bytes) else encode(value))
         patched.setattr(passphrases, "_check_names", lambda _: None)
         return sealed()
 

@@ -95,12 +95,17 @@ def test_heads_of_another_authority_are_refused() -> None:
 @pytest.mark.parametrize(
     "payload",
     [
-        {}, [], {6: NOW, -70011: 1}, {6: NOW, -70011: 1, -70012: b"r" * 31},
-        {6: NOW, -70011: -1, -70012: b"r" * 32}, {6: NOW, -70011: True, -70012: b"r" * 32},
-        {6: 1 << 53, -70011: 1, -70012: b"r" * 32}, {6: NOW, -70011: 1, -70012: "r" * 32},
+        {},
+        [],
+        {6: NOW, -70011: 1},
+        {6: NOW, -70011: 1, -70012: b"r" * 31},
+        {6: NOW, -70011: -1, -70012: b"r" * 32},
+        {6: NOW, -70011: True, -70012: b"r" * 32},
+        {6: 1 << 53, -70011: 1, -70012: b"r" * 32},
+        {6: NOW, -70011: 1, -70012: "r" * 32},
         {6: NOW, -70011: 1, -70012: b"r" * 32, 7: 1},
     ],
-)  # fmt: skip
+)
 def test_unknown_or_missing_fields_are_refused(payload: Value) -> None:
     with pytest.raises(LogDamaged, match="missing or unknown fields"):
         open_head(values.HEAD_PROFILE.sign(KEY, payload), KEY.public_key)

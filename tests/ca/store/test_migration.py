@@ -29,9 +29,7 @@ def new(tmp_path: Path) -> Iterator[sqlite3.Connection]:
 
 
 def shape(db: sqlite3.Connection) -> list[tuple[str, str]]:
-    return db.execute(
-        "SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY name"
-    ).fetchall()
+    return db.execute("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY name").fetchall()
 
 
 def test_an_old_record_is_brought_up_without_loss(old: Path) -> None:
@@ -42,12 +40,7 @@ def test_an_old_record_is_brought_up_without_loss(old: Path) -> None:
         assert store.revoked_entries() == {key[:16] for key in oldstore.KEYS}
         assert store.next_number() == (1, count + 1)
         entries = store.log.entries()
-        assert [entry.what for entry in entries[:4]] == [
-            "certificate",
-            "grant",
-            "revocation",
-            "list",
-        ]
+        assert [entry.what for entry in entries[:4]] == ["certificate", "grant", "revocation", "list"]
         assert [entry.number for entry in entries] == list(range(4 * count + 5))
         assert entries[0][1:5] == (oldstore.NOW, "certificate", "/node0", oldstore.KEYS[0].hex())
         assert [(e.what, e.detail) for e in entries[-5:]] == [

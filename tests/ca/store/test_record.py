@@ -66,12 +66,7 @@ def test_everything_is_there_after_reopening(store: Store, path: Path) -> None:
     assert again.grants() == [grant()]
     assert again.revoked_entries() == {OTHER}
     assert again.newest_list() == b"list"
-    assert [entry.what for entry in again.log.entries()] == [
-        "certificate",
-        "grant",
-        "revocation",
-        "list",
-    ]
+    assert [entry.what for entry in again.log.entries()] == ["certificate", "grant", "revocation", "list"]
     again.close()
 
 

@@ -25,9 +25,8 @@ def test_a_row_covers_what_its_certificate_does() -> None:
 
 def test_the_issuer_of_a_row_is_the_intermediate_whose_key_signed_it() -> None:
     der = SITE.authority.issue_intermediate(
-        build_intermediate_request(HOST, "home"),
-        now=NOW, serial=2, may_enroll=True, lifetime=DAY,
-    )  # fmt: skip
+        build_intermediate_request(HOST, "home"), now=NOW, serial=2, may_enroll=True, lifetime=DAY
+    )
     row = CertificateRow(2, "intermediate/x", thumbprint(HOST.public_key), der, NOW, NOW + DAY)
     csr = build_request(new_signer(), "home", "/below")
     leaf = Authority(HOST, SITE.root, der).issue(csr, now=NOW, serial=3)

@@ -24,9 +24,7 @@ def new(tmp_path: Path) -> Iterator[sqlite3.Connection]:
 
 
 def insert(db: sqlite3.Connection, state: str) -> None:
-    db.execute(
-        "INSERT INTO csr VALUES (x'01', '/a', x'02', x'03', '', 0, ?, '', 0, 0, 0)", (state,)
-    )
+    db.execute("INSERT INTO csr VALUES (x'01', '/a', x'02', x'03', '', 0, ?, '', 0, 0, 0)", (state,))
 
 
 @pytest.mark.parametrize("old_state", sorted(RequestState))
@@ -71,9 +69,7 @@ def test_a_record_of_ours_is_ours(record: sqlite3.Connection) -> None:
 def moves(record: sqlite3.Connection, ways: Iterable[str]) -> None:
     """Let the record's requests go these ways."""
     listed = ", ".join(f"'{way}'" for way in ways)
-    record.executescript(
-        "DROP TRIGGER csr_moves;" + database._REQUEST_TRANSITIONS.format(allowed=listed)
-    )
+    record.executescript("DROP TRIGGER csr_moves;" + database._REQUEST_TRANSITIONS.format(allowed=listed))
 
 
 WAYS = [f"{old}>{new}" for old, following in TRANSITIONS.items() for new in following]
@@ -100,11 +96,14 @@ def test_every_process_makes_the_same_record() -> None:
     )
     made = {
         subprocess.run(
-            (sys.executable, "-c", script), env={**os.environ, "PYTHONHASHSEED": seed},
-            capture_output=True, check=True, timeout=300,
+            (sys.executable, "-c", script),
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            capture_output=True,
+            check=True,
+            timeout=300,
         ).stdout
         for seed in "12345678"
-    }  # fmt: skip
+    }
     assert len(made) == 1
 
 
@@ -135,9 +134,7 @@ def test_tables_of_another_form_hold_nothing_that_counts(tmp_path: Path) -> None
         db.execute("DROP TABLE head")
         db.execute("CREATE TABLE head (data, at)")
         db.execute("INSERT INTO head VALUES (-1, 'never')")
-    with pytest.raises(
-        StoreError, match="the table head of the record differs from rossec's schema"
-    ):
+    with pytest.raises(StoreError, match="the table head of the record differs from rossec's schema"):
         Store.open(path)
 
 

@@ -74,13 +74,16 @@ def a_second_router_for_a_name(store: Store) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        by_another_key, of_another_kind, another_id, another_name, another_time,
-        a_second_name_for_a_key, a_second_router_for_a_name,
+        by_another_key,
+        of_another_kind,
+        another_id,
+        another_name,
+        another_time,
+        a_second_name_for_a_key,
+        a_second_router_for_a_name,
     ],
-)  # fmt: skip
-def test_what_could_not_have_been_signed_is_found(
-    store: Store, change: Callable[[Store], None]
-) -> None:
+)
+def test_what_could_not_have_been_signed_is_found(store: Store, change: Callable[[Store], None]) -> None:
     add_thing(store, LAMP)
     change(store)
     with pytest.raises(LogDamaged, match="log entry 1") as caught:

@@ -30,8 +30,9 @@ def test_a_statement_is_recorded_and_in_the_log(store: Store) -> None:
     assert [row.name for row in store.things.of_border(BORDER, NOW)] == [LAMP.name, FAN.name]
     assert store.things.of_border("/attic", NOW) == []
     assert [(e.what, e.subject, e.detail) for e in store.log.entries()] == [
-        ("thing", LAMP.name, LAMP.id.hex()), ("thing", FAN.name, FAN.id.hex()),
-    ]  # fmt: skip
+        ("thing", LAMP.name, LAMP.id.hex()),
+        ("thing", FAN.name, FAN.id.hex()),
+    ]
     with pytest.raises(StoreError):
         add_thing(store, LAMP)
 
@@ -71,29 +72,32 @@ def row_of_data(store: Store) -> object:
         (elsewhere(LAMP, 3), "in force with another border router", "--replace /things/lamp"),
         (
             again(LAMP, 3, name="/things/light"),
-            "this key is that of /things/lamp", "renamed: --replace /things/lamp",
+            "this key is that of /things/lamp",
+            "renamed: --replace /things/lamp",
         ),
         (
             replace(FAN, credential=replace(LAMP.credential, kid=b"\x99"), serial=b"k" * 16),
-            "this key is that of /things/lamp", "--replace /things/lamp",
+            "this key is that of /things/lamp",
+            "--replace /things/lamp",
         ),
         (
             replace(FAN, credential=ThingKey.of(OTHER.public_key, LAMP.credential.kid)),
-            "/things/lamp has the same kid 2b", "another kid",
+            "/things/lamp has the same kid 2b",
+            "another kid",
         ),
         (
             replace(FAN, credential=ThingSecret.of(SECRET, LAMP.credential.kid)),
-            "/things/lamp has the same kid 2b", "another kid",
+            "/things/lamp has the same kid 2b",
+            "another kid",
         ),
         (
             replace(LAMP, credential=replace(LAMP.credential, kid=b"\x99"), serial=b"k" * 16),
-            "another border router", "--replace",
+            "another border router",
+            "--replace",
         ),
     ],
-)  # fmt: skip
-def test_what_must_name_what_it_replaces(
-    store: Store, new: ThingStatement, message: str, hint: str
-) -> None:
+)
+def test_what_must_name_what_it_replaces(store: Store, new: ThingStatement, message: str, hint: str) -> None:
     add_thing(store, LAMP)
     with pytest.raises(ThingChanged, match=message) as caught:
         add_thing(store, new)

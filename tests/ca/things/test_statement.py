@@ -106,9 +106,12 @@ def test_the_class_of_a_thing() -> None:
 
 def test_the_largest_statement_is_within_the_limit() -> None:
     large = dataclasses.replace(
-        LAMP, name="/" + "a" * 254, domain="d" * 255, expires=(1 << 53) - 1,
+        LAMP,
+        name="/" + "a" * 254,
+        domain="d" * 255,
+        expires=(1 << 53) - 1,
         credential=dataclasses.replace(KEY, kid=bytes(8), subject="ü" * 32),
-    )  # fmt: skip
+    )
     data = sign_statement(HOME, large)
     assert len(data) < module.MAX_STATEMENT
     assert open_statement(data, CA_KEY, NOW, domain=large.domain) == large
@@ -117,10 +120,16 @@ def test_the_largest_statement_is_within_the_limit() -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"domain": "Home"}, {"name": "lamp"}, {"name": "/relay"}, {"border": b""},
-        {"not_before": NOW + 2**40}, {"expires": 1 << 53}, {"serial": b""}, {"expires": 1.5},
+        {"domain": "Home"},
+        {"name": "lamp"},
+        {"name": "/relay"},
+        {"border": b""},
+        {"not_before": NOW + 2**40},
+        {"expires": 1 << 53},
+        {"serial": b""},
+        {"expires": 1.5},
     ],
-)  # fmt: skip
+)
 def test_none_is_made_that_would_be_refused(changes: dict[str, Any]) -> None:
     with pytest.raises(CAError):
         dataclasses.replace(LAMP, **changes)

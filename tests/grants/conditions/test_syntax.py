@@ -25,9 +25,7 @@ TREES = {
     "-1 - -1.5": Binary("-", Unary("-", Literal(1)), Unary("-", Literal(1.5))),
     "msg.a in ['x', \"y\"]": Membership(A, (Literal("x"), Literal("y"))),
     "msg.a in []": Membership(A, ()),
-    "now.getHours('UTC') >= 8": Binary(
-        ">=", FunctionCall(Now(), "getHours", (Literal("UTC"),)), Literal(8)
-    ),
+    "now.getHours('UTC') >= 8": Binary(">=", FunctionCall(Now(), "getHours", (Literal("UTC"),)), Literal(8)),
     "timestamp('x')": FunctionCall(None, "timestamp", (Literal("x"),)),
     "msg.a.contains(msg.b)": FunctionCall(A, "contains", (B,)),
     "f(1, 2)": FunctionCall(None, "f", (Literal(1), Literal(2))),

@@ -172,10 +172,7 @@ def test_unsuitable_types_and_parameters_are_refused(number: int) -> None:
 
 
 def test_unknown_operators_have_a_hint() -> None:
-    for operator, hint in (
-        ("cleer", "did you mean 'clear'?"),
-        ("?", "expected one of clear, round"),
-    ):
+    for operator, hint in (("cleer", "did you mean 'clear'?"), ("?", "expected one of clear, round")):
         with pytest.raises(FilterRefused) as refused:
             treatment_for(FilterRule("x", operator))
         assert refused.value.hint.startswith(hint)

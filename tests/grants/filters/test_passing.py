@@ -60,10 +60,16 @@ def test_rooms_are_as_wide_as_the_narrowest_line() -> None:
 @pytest.mark.parametrize(
     ("steps", "size"),
     [
-        ([], 0), ([2], 2), ([2, 2], 2), ([2, 4], 4), ([4, 2, 8], 8), ([2, 3], 2), ([0.1, 0.3], 0.3),
+        ([], 0),
+        ([2], 2),
+        ([2, 2], 2),
+        ([2, 4], 4),
+        ([4, 2, 8], 8),
+        ([2, 3], 2),
+        ([0.1, 0.3], 0.3),
         ([0.1, 0.2], 0.1),
     ],
-)  # fmt: skip
+)
 def test_steps_on_steps(steps: list[float], size: float) -> None:
     for given in (steps, steps[::-1]):
         assert size_of(Passing(Through.STEPS, each) for each in given) == size

@@ -132,9 +132,7 @@ def test_hysteresis_of_integers() -> None:
 
 
 @given(x=st.floats(-1e6, 1e6), step=st.sampled_from([0.5, 1, 2, 4]), odd=st.sampled_from([3, 5, 7]))
-def test_cells_nest_where_one_step_is_an_odd_multiple_of_the_other(
-    x: float, step: float, odd: int
-) -> None:
+def test_cells_nest_where_one_step_is_an_odd_multiple_of_the_other(x: float, step: float, odd: int) -> None:
     """The coarse cell follows from the fine one: it tells a second receiver nothing more."""
     fine, _ = round_floats(PRIMITIVES["float64"], step)
     coarse, _ = round_floats(PRIMITIVES["float64"], step * odd)

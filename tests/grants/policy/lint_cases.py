@@ -42,9 +42,7 @@ HEADER = "rossec: 1\nrobot: test\ndefaults: {lifetime: 7d}\n"
 def text_of(*lines: str, head: str = "", types: dict[str, str] | None = None) -> str:
     """A policy of these rules; what is the same in most of them is added."""
     rules = "".join(f"  - {{{_rule(line)}}}\n" for line in lines)
-    named = {
-        topic: kind for topic, kind in TYPES.items() if re.search(rf"(?<![\w*}}]){topic}\b", rules)
-    }
+    named = {topic: kind for topic, kind in TYPES.items() if re.search(rf"(?<![\w*}}]){topic}\b", rules)}
     listed = json.dumps(named | (types or {}))
     return f"{HEADER}{head}types: {listed}\nrules:\n{rules}"
 
@@ -114,8 +112,7 @@ def _write_filters(rule: dict[str, Any], read: Policy) -> None:
     [meant] = [each for each in read.rules if each.id == rule["id"]]
     rule["filter"] = {
         clause.pattern: {
-            item.path: {item.operator: dict(item.parameters) or True}
-            for item in clause.restriction.filters
+            item.path: {item.operator: dict(item.parameters) or True} for item in clause.restriction.filters
         }
         for clause in meant.clauses
         if clause.right is Right.SUBSCRIBE and clause.restriction and clause.restriction.filters

@@ -236,13 +236,16 @@ tests:
 @pytest.mark.parametrize(
     ("name", "asked", "holds"),
     [
-        ("/safety/max_speed", "/safety", False), ("/safety/a/b", "/safety", False),
-        ("/safety", "/safety/max_speed", False), ("/**", "/safety", False),
-        ("/safety", "/safety", False), ("/safetyx", "/safety", True),
+        ("/safety/max_speed", "/safety", False),
+        ("/safety/a/b", "/safety", False),
+        ("/safety", "/safety/max_speed", False),
+        ("/**", "/safety", False),
+        ("/safety", "/safety", False),
+        ("/safetyx", "/safety", True),
         ("/other/safety", "/safety", True),
         ("'{node}/p'", "/a", False),
     ],
-)  # fmt: skip
+)
 def test_a_parameter_that_may_not_be_set_is_so_in_all_its_parts(
     right: str, name: str, asked: str, *, holds: bool
 ) -> None:

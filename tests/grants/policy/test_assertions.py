@@ -57,8 +57,9 @@ def test_nodes_and_identities_are_subjects() -> None:
 def test_a_group_is_each_of_its_members() -> None:
     found = read("  - {who: robots, may: {call: /s}}")
     assert [each.subject for each in found] == [
-        Subject("/robot1", bytes(32)), Subject("/heating", HEATING_KEY),
-    ]  # fmt: skip
+        Subject("/robot1", bytes(32)),
+        Subject("/heating", HEATING_KEY),
+    ]
 
 
 def test_a_policy_needs_no_tests() -> None:

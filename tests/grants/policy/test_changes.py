@@ -70,11 +70,13 @@ def test_validities_are_compared(lifetime: int, renew: int, kind: Kind) -> None:
 def test_a_new_right_has_its_rule_and_its_restrictions() -> None:
     change = change_of(X, wanted((ROUND, SLOW), renew=30 * DAY))
     assert change == Change(
-        Kind.NEW, X, Right.SUBSCRIBE, "/pose",
-        ("at most 1 message a second", "pose.position: round step 2.0",
-         "valid 1d, renewed until 30d"),
+        Kind.NEW,
+        X,
+        Right.SUBSCRIBE,
+        "/pose",
+        ("at most 1 message a second", "pose.position: round step 2.0", "valid 1d, renewed until 30d"),
         (RULE,),
-    )  # fmt: skip
+    )
 
 
 def test_a_changed_right_shows_what_it_was() -> None:

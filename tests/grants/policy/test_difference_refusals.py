@@ -5,13 +5,7 @@ from typing import Final
 
 from grants.model import Draft, Grant, Right
 from grants.policy.decision import Decider
-from grants.policy.difference import (
-    MAX_PRESENTED,
-    Moment,
-    NodeDifference,
-    RecordedGrant,
-    difference,
-)
+from grants.policy.difference import MAX_PRESENTED, Moment, NodeDifference, RecordedGrant, difference
 from grants.policy.model import Policy
 from grants.policy.wanted import WantedState, drafts, rule_ids
 from tests.grants.policy.policies import node, rules

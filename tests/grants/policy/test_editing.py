@@ -25,9 +25,13 @@ rules:
 
 def rule(**changes: object) -> NewRule:
     usual: dict[str, object] = {
-        "id": "two", "why": "because", "who": "/b", "effect": "allow",
-        "rights": {"publish": ["/c"]}, "types": {"/c": "std_msgs/String"},
-    }  # fmt: skip
+        "id": "two",
+        "why": "because",
+        "who": "/b",
+        "effect": "allow",
+        "rights": {"publish": ["/c"]},
+        "types": {"/c": "std_msgs/String"},
+    }
     return NewRule(**{**usual, **changes})  # type: ignore[arg-type]
 
 
@@ -35,9 +39,7 @@ def test_comments_and_quotes_stay() -> None:
     text = add_rules(TEXT, [rule()])
     for line in ("# The flat.", "robot: r   # an old one", "# What holds.", '- id: "one"'):
         assert line in text
-    assert text.endswith(
-        "  - id: two\n    why: because\n    who: /b\n    allow:\n      publish: [/c]\n"
-    )
+    assert text.endswith("  - id: two\n    why: because\n    who: /b\n    allow:\n      publish: [/c]\n")
     read = policy(text)
     assert [item.id for item in read.rules] == ["one", "two"]
     assert read.types == {"/c": "std_msgs/String", "/scan": "sensor_msgs/LaserScan"}
@@ -47,8 +49,10 @@ def test_an_existing_rule_is_extended() -> None:
     more = rule(id="one", rights={"subscribe": ["/scan", "/d"], "call": ["/e"]}, types={})
     read = policy(add_rules(TEXT, [more, more]))
     assert [(c.right.label, c.pattern) for c in read.rules[0].clauses] == [
-        ("subscribe", "/scan"), ("subscribe", "/d"), ("call", "/e"),
-    ]  # fmt: skip
+        ("subscribe", "/scan"),
+        ("subscribe", "/d"),
+        ("call", "/e"),
+    ]
 
 
 def test_an_existing_type_is_not_changed() -> None:

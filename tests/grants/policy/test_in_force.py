@@ -36,11 +36,8 @@ def test_a_revoked_grant_is_not_in_force(what: str) -> None:
 
 @pytest.mark.parametrize(
     ("pattern", "right", "name"),
-    [
-        ("/a/**", SUBSCRIBE, "/a/b"), ("/a/b", SUBSCRIBE, "/a/**"), ("/a", SET, "/a/b/c"),
-        ("/a/b", SET, "/a"),
-    ],
-)  # fmt: skip
+    [("/a/**", SUBSCRIBE, "/a/b"), ("/a/b", SUBSCRIBE, "/a/**"), ("/a", SET, "/a/b/c"), ("/a/b", SET, "/a")],
+)
 def test_a_part_counts(pattern: str, right: Right, name: str) -> None:
     assert found(granted(Permission(pattern, right)), right, name)
 

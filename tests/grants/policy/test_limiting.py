@@ -55,6 +55,4 @@ def test_a_mistake_is_said(text: str, message: str) -> None:
 
 
 def test_there_must_be_something_to_limit() -> None:
-    assert read("{slot: 30}", [])[1] == [
-        ("rule a: nothing to limit", "add a subscribe or publish right")
-    ]
+    assert read("{slot: 30}", [])[1] == [("rule a: nothing to limit", "add a subscribe or publish right")]

@@ -134,8 +134,11 @@ def test_no_level_gets_advice() -> None:
 
 
 def test_the_same_advice_is_given_once_and_in_the_order_of_the_file() -> None:
-    found = findings(text_of(*(line for leak in LEAKS[:3] for line in leak.rules), types={})
-                     .replace("id: a", "id: b", 1).replace("id: a", "id: c", 1))  # fmt: skip
+    found = findings(
+        text_of(*(line for leak in LEAKS[:3] for line in leak.rules), types={})
+        .replace("id: a", "id: b", 1)
+        .replace("id: a", "id: c", 1)
+    )
     assert [item.line for item in found] == sorted(item.line for item in found)
     assert len({(item.code, item.message) for item in found}) == len(found)
 

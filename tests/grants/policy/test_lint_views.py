@@ -29,8 +29,9 @@ def view(*lines: str, topic: str = "/pose") -> View:
 
 
 def test_a_sample_for_each_subject() -> None:
-    of = policy(text_of("id: a, who: [/x, '/y/**', '*'], allow: {call: /b}",
-                        "id: n, who: /no, deny: {call: /b}"))  # fmt: skip
+    of = policy(
+        text_of("id: a, who: [/x, '/y/**', '*'], allow: {call: /b}", "id: n, who: /no, deny: {call: /b}")
+    )
     assert [each.subject.name for each in receivers(of)] == ["/x", "/y/x"]
     assert sample_subject(SubjectPattern("i", None, bytes(range(32)))).key == bytes(range(32))
 
@@ -39,13 +40,16 @@ def test_a_sample_for_each_key_that_is_pinned() -> None:
     head = f"identities: {{i: {{node: '/*', key: '{KEY}'}}}}\n"
     found = scene("id: a, who: [/y, i], allow: {call: /b}", head=head).views
     assert {(each.subject.name, any(each.subject.key)) for each in found} == {
-        ("/y", False), ("/y", True), ("/x", True),
-    }  # fmt: skip
+        ("/y", False),
+        ("/y", True),
+        ("/x", True),
+    }
 
 
 def test_topics_below_a_pattern() -> None:
-    [views] = scene("id: a, who: /x, allow: {subscribe: ['/**']}",
-                    types={"/my/pose": "geometry_msgs/Pose"}).views.values()  # fmt: skip
+    [views] = scene(
+        "id: a, who: /x, allow: {subscribe: ['/**']}", types={"/my/pose": "geometry_msgs/Pose"}
+    ).views.values()
     topics = {each.topic: each for each in views}
     assert {"/**", "/tf", "/my/pose"} < topics.keys()
     assert topics["/tf"].is_below_pattern
@@ -80,9 +84,7 @@ def test_the_strictest_of_all_rules_counts() -> None:
     assert view(filtered("/pose", "pose: {clear: true}, header: {clear: true}")).is_empty
 
 
-@pytest.mark.parametrize(
-    "treatment", ["{clamp: [0, 5]}", "{round: 0.001}", "{clamp: {low: -1, high: 1}}"]
-)
+@pytest.mark.parametrize("treatment", ["{clamp: [0, 5]}", "{round: 0.001}", "{clamp: {low: -1, high: 1}}"])
 def test_what_leaves_a_value_as_it_is(treatment: str) -> None:
     assert view(pose(treatment)).left("pose.position.x") is Precision.EXACT
     assert view(pose(treatment)).shows(Aspect.POSITION)

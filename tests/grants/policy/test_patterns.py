@@ -17,20 +17,24 @@ tails = st.sampled_from(["/a~", "/a~/b", "/a~/**", "/a_b~", "/b/a~", "/a~/*"])
 patterns = plain | tails
 # Names that show any difference: segments that only wildcards match, and that only tails do.
 NAMES = [
-    "/" + "/".join(parts)
-    for n in range(1, 5)
-    for parts in product(("a", "b", "z", "a_z", "a_b_z"), repeat=n)
+    "/" + "/".join(parts) for n in range(1, 5) for parts in product(("a", "b", "z", "a_z", "a_b_z"), repeat=n)
 ] + ["/" + "/".join(parts) for n in (5, 6) for parts in product("abz", repeat=n)]
 
 
 @pytest.mark.parametrize(
     ("outer", "inner", "expected"),
     [
-        ("/a/**", "/a/b", True), ("/a/**", "/a", False), ("/a", "/ab", False),
-        ("/**", "/a/*/b", True), ("/*", "/**", False), ("/a/*", "/*/a", False),
-        ("/**/a", "/a", False), ("/**", "/**", True), ("/**/*", "/*/**", True),
+        ("/a/**", "/a/b", True),
+        ("/a/**", "/a", False),
+        ("/a", "/ab", False),
+        ("/**", "/a/*/b", True),
+        ("/*", "/**", False),
+        ("/a/*", "/*/a", False),
+        ("/**/a", "/a", False),
+        ("/**", "/**", True),
+        ("/**/*", "/*/**", True),
     ],
-)  # fmt: skip
+)
 def test_includes(outer: str, inner: str, expected: bool) -> None:
     assert includes(outer, inner) is expected
 

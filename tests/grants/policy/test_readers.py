@@ -52,8 +52,9 @@ def test_unknown_and_missing_keys(mistakes: Mistakes) -> None:
     source.check_keys(MAPPING, "x", ("a",), ("a",), mistakes)
     source.check_keys(MAPPING, "x", ("b", "aa"), (), mistakes)
     assert (mistakes.found[1].message, mistakes.found[1].hint) == (
-        "unknown key 'a' in x", "did you mean 'aa'?",
-    )  # fmt: skip
+        "unknown key 'a' in x",
+        "did you mean 'aa'?",
+    )
 
 
 def test_items_of_a_sequence_or_one() -> None:
@@ -61,9 +62,7 @@ def test_items_of_a_sequence_or_one() -> None:
     assert source.items(MAPPING) == (MAPPING,)
 
 
-@pytest.mark.parametrize(
-    "part", [scalar(""), scalar(5), scalar(True), scalar("x" * 1001), SEQUENCE]
-)
+@pytest.mark.parametrize("part", [scalar(""), scalar(5), scalar(True), scalar("x" * 1001), SEQUENCE])
 def test_texts(part: Part, mistakes: Mistakes) -> None:
     assert source.text(scalar("fine"), "x", mistakes) == "fine"
     assert source.text(part, "x", mistakes) is None
@@ -71,16 +70,13 @@ def test_texts(part: Part, mistakes: Mistakes) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "seconds"),
-    [("30s", 30), ("15m", 900), ("8h", 28800), ("7d", 604800), ("4w", 2419200)],
+    ("text", "seconds"), [("30s", 30), ("15m", 900), ("8h", 28800), ("7d", 604800), ("4w", 2419200)]
 )
 def test_durations(text: str, seconds: int, mistakes: Mistakes) -> None:
     assert source.duration(scalar(text), "x", mistakes) == seconds
 
 
-@pytest.mark.parametrize(
-    "value", ["never", "7", 7, "0s", "-1d", "1000000d", "7d ", "\u0667d", True]
-)
+@pytest.mark.parametrize("value", ["never", "7", 7, "0s", "-1d", "1000000d", "7d ", "\u0667d", True])
 def test_invalid_durations(value: object, mistakes: Mistakes) -> None:
     assert source.duration(scalar(value), "x", mistakes) is None
     assert only(mistakes)[1] == "write 30s, 15m, 8h, 7d or 4w"
@@ -138,18 +134,14 @@ def test_an_own_pattern_is_of_names_of_this_domain(mistakes: Mistakes) -> None:
         ("/remote/hospital/robot/pose", Right.SUBSCRIBE),
     ],
 )
-def test_a_right_on_names_of_others_is_their_authoritys(
-    text: str, right: Right, mistakes: Mistakes
-) -> None:
+def test_a_right_on_names_of_others_is_their_authoritys(text: str, right: Right, mistakes: Mistakes) -> None:
     assert source.own_pattern(scalar(text), "x", right, mistakes) is None
     assert "is a name of another domain" in only(mistakes)[0]
 
 
 def test_a_subject_of_another_domain_is_written_with_its_label(mistakes: Mistakes) -> None:
     assert source.subject(scalar("/robot/*"), "x", mistakes) == "/robot/*"
-    assert (
-        source.subject(scalar("hospital:/rounds/*"), "x", mistakes) == "/remote/hospital/rounds/*"
-    )
+    assert source.subject(scalar("hospital:/rounds/*"), "x", mistakes) == "/remote/hospital/rounds/*"
     assert source.subject(None, "x", mistakes) is None
     assert mistakes.found == []
 

@@ -43,12 +43,19 @@ def signed(policy: Policy, asking: Subject) -> list[Grant]:
     wanted = WantedState(Decider(policy)).of(asking).rights
     return [
         Grant(
-            domain="home", subject=asking.name, holder=asking.key, not_before=NOW,
-            expires=NOW + each.lifetime, cap=NOW + each.lifetime, serial=bytes(16),
-            permissions=each.permissions, id=at.to_bytes(16, "big"), issuer=bytes(32),
+            domain="home",
+            subject=asking.name,
+            holder=asking.key,
+            not_before=NOW,
+            expires=NOW + each.lifetime,
+            cap=NOW + each.lifetime,
+            serial=bytes(16),
+            permissions=each.permissions,
+            id=at.to_bytes(16, "big"),
+            issuer=bytes(32),
         )
         for at, each in enumerate(wanted)
-    ]  # fmt: skip
+    ]
 
 
 def never(_id: bytes, _now: int) -> None:

@@ -13,11 +13,7 @@ POSE = layout_of("geometry_msgs/PoseStamped")
 
 
 def test_values_are_read_back() -> None:
-    values: dict[str, Value] = {
-        "header.frame_id": "map",
-        "header.stamp": 12.5,
-        "pose.position.x": -3.25,
-    }
+    values: dict[str, Value] = {"header.frame_id": "map", "header.stamp": 12.5, "pose.position.x": -3.25}
     read = read_back(POSE, serialize(POSE, values))
     assert {path: value for path, value in read.items() if value} == values
 

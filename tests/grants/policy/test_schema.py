@@ -16,15 +16,7 @@ from tests.grants.policy.test_seeds import GOOD, SEEDS
 FILE = Path(read.__file__).with_name("policy.schema.json")
 EXAMPLES = sorted((Path(__file__).parents[3] / "examples" / "policies").glob("*.yaml"))
 # Mistakes that need the identities, the types and the operators' parameters.
-NOT_DETECTED = {
-    "field": 7,
-    "operator": 0,
-    "identity": 7,
-    "key": 0,
-    "duration": 0,
-    "pattern": 1,
-    "type": 6,
-}
+NOT_DETECTED = {"field": 7, "operator": 0, "identity": 7, "key": 0, "duration": 0, "pattern": 1, "type": 6}
 
 
 def check(text: str) -> list[str]:
@@ -85,11 +77,20 @@ def test_basics_and_tests(more: str, *, is_valid: bool) -> None:
 @pytest.mark.parametrize(
     ("name", "valid"),
     [
-        ("{node}", True), ("{node}/pose", True), ("~/pose", True), ("~/**", True), ("/a/*", True),
-        ("~", False), ("~pose", False), ("{nod}/x", False), ("/a/{node}", False), ("~/", False),
-        ("{node}x", False), ("/a~/b", False),
+        ("{node}", True),
+        ("{node}/pose", True),
+        ("~/pose", True),
+        ("~/**", True),
+        ("/a/*", True),
+        ("~", False),
+        ("~pose", False),
+        ("{nod}/x", False),
+        ("/a/{node}", False),
+        ("~/", False),
+        ("{node}x", False),
+        ("/a~/b", False),
     ],
-)  # fmt: skip
+)
 def test_own_names_stand_first(name: str, valid: bool) -> None:
     rule = {"id": "a", "who": "robots", "allow": {"call": name}}
     policy = {"rossec": 1, "robot": "r", "groups": {"robots": ["/a", "b"]}, "rules": [rule]}

@@ -170,9 +170,15 @@ def test_a_field_that_a_condition_reads_is_neither_hidden_nor_coarse() -> None:
 
 
 NUMBERS = {
-    "std_msgs/Float64": "d", "std_msgs/Float32": "f", "std_msgs/Int8": "b", "std_msgs/UInt8": "B",
-    "std_msgs/Int16": "h", "std_msgs/UInt32": "I", "std_msgs/Int64": "q", "std_msgs/UInt64": "Q",
-}  # fmt: skip
+    "std_msgs/Float64": "d",
+    "std_msgs/Float32": "f",
+    "std_msgs/Int8": "b",
+    "std_msgs/UInt8": "B",
+    "std_msgs/Int16": "h",
+    "std_msgs/UInt32": "I",
+    "std_msgs/Int64": "q",
+    "std_msgs/UInt64": "Q",
+}
 
 
 def _limits(code: str) -> tuple[int, int]:
@@ -192,11 +198,7 @@ def chains(draw: st.DrawFn) -> tuple[str, list[dict[str, object]], list[float]]:
         st.floats(width=width) if floats else st.integers(int(low), int(high))
     )  # NaN and infinities among them
     bound = st.floats(low, high, width=width) if floats else any_value
-    step = (
-        st.floats(0.015625, 1e6, width=32)
-        if floats
-        else st.integers(1, min(_limits(code)[1], 10**9))
-    )
+    step = st.floats(0.015625, 1e6, width=32) if floats else st.integers(1, min(_limits(code)[1], 10**9))
     rules: list[dict[str, object]] = []
     near: list[float] = []
     for _ in range(draw(st.integers(0, 3))):

@@ -31,8 +31,10 @@ def test_a_type_says_words_and_contents() -> None:
     assert mistakes == []
     described = found.describe(BED)
     assert [field.content for field in described.fields] == [
-        Content.NAME, Content.READING, Content.UNCERTAINTY,
-    ]  # fmt: skip
+        Content.NAME,
+        Content.READING,
+        Content.UNCERTAINTY,
+    ]
     assert described.words == (DataWord.POSITION, DataWord.IDENTITY, DataWord.HOME)
 
 
@@ -102,9 +104,11 @@ def test_a_word_alone_is_shown_in_no_part() -> None:
 
 
 LAMPS = {
-    "/a/x": "std_msgs/Float64", "/*/x": "std_msgs/Float64", "/a/*": "std_msgs/Float64",
+    "/a/x": "std_msgs/Float64",
+    "/*/x": "std_msgs/Float64",
+    "/a/*": "std_msgs/Float64",
     "/b/x": "std_msgs/Float64",
-}  # fmt: skip
+}
 VALUE = parse("std_msgs/Float64", definition("std_msgs/Float64"))
 
 

@@ -11,16 +11,7 @@ import pytest
 
 from grants.errors import FilterRefused
 from grants.guard import Guard
-from grants.vocabulary.contents import (
-    FRAMES,
-    LEVELS,
-    MEANINGS,
-    TIMES,
-    TYPES,
-    Content,
-    DataWord,
-    describe,
-)
+from grants.vocabulary.contents import FRAMES, LEVELS, MEANINGS, TIMES, TYPES, Content, DataWord, describe
 from grants.vocabulary.levels import resolve
 from rossec.participant.host_types import layout_of
 from rossec.participant.message_types import type_names

@@ -103,25 +103,14 @@ def test_a_record_that_never_had_domains_signs_no_list(
     assert (done.ended_domains, done.home.domain_list()) == (0, None)
 
 
-def test_the_command_says_what_is_trusted_no_more(
-    empty: Shell, trusting: Trusting, tmp_path: Path
-) -> None:
+def test_the_command_says_what_is_trusted_no_more(empty: Shell, trusting: Trusting, tmp_path: Path) -> None:
     file, newest = tmp_path / "b", tmp_path / "domains.cose"
     file.write_bytes(trusting.backup)
     newest.write_bytes(trusting.list())
     said = empty.unlocked("ca", "restore", str(file), "--without-list")
     assert "2 domains are trusted no more: see rossec domain list --all" in said.err
     assert len(empty("domain", "list", "--all").out.splitlines()) == 2
-    again = (
-        "ca",
-        "restore",
-        str(file),
-        "--without-list",
-        "--over",
-        "home",
-        "--domains",
-        str(newest),
-    )
+    again = ("ca", "restore", str(file), "--without-list", "--over", "home", "--domains", str(newest))
     lost = len(empty("ca", "log").out.splitlines()) - trusting_entries(trusting)
     said = empty.unlocked(*again, "--forget", str(lost))
     assert said.code == 0, said

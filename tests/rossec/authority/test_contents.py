@@ -7,16 +7,38 @@ from rossec.authority import backup
 from rossec.authority.keyservice import messages
 
 KEPT = [
-    "ca.key", "ca.uri", "ca.pem", "ca.db", "revocations.entries", "intermediate.pem",
-    "intermediate.csr", "policy.yaml", "inbox/ab12.request", "outgoing/ab12.grant",
-    "delegations/ab12.cose", "node/node.key", "node/node.csr", "node/node.pem", "node/ca.pem",
-    "node/revocations.cose", "node/domains.cose", "node/foreign/hospital.example.cose",
+    "ca.key",
+    "ca.uri",
+    "ca.pem",
+    "ca.db",
+    "revocations.entries",
+    "intermediate.pem",
+    "intermediate.csr",
+    "policy.yaml",
+    "inbox/ab12.request",
+    "outgoing/ab12.grant",
+    "delegations/ab12.cose",
+    "node/node.key",
+    "node/node.csr",
+    "node/node.pem",
+    "node/ca.pem",
+    "node/revocations.cose",
+    "node/domains.cose",
+    "node/foreign/hospital.example.cose",
     "node/filters/ward.key",
-]  # fmt: skip
+]
 NOT_KEPT = [
-    "ca.db-wal", "ca.db-shm", "audit.log", "audit.log.1.gz", "service.lock", "console/lock",
-    "console/address", "console/tls.key", "console/tls.pem", "node/grants/ab12.grant",
-]  # fmt: skip
+    "ca.db-wal",
+    "ca.db-shm",
+    "audit.log",
+    "audit.log.1.gz",
+    "service.lock",
+    "console/lock",
+    "console/address",
+    "console/tls.key",
+    "console/tls.pem",
+    "node/grants/ab12.grant",
+]
 
 
 def filled(directory: Path, *names: str) -> Path:
@@ -76,9 +98,11 @@ def test_a_link_is_followed_for_the_policy_alone(tmp_path: Path) -> None:
 def test_what_an_older_one_would_undo_stays(tmp_path: Path) -> None:
     filled(tmp_path, *KEPT)
     assert set(backup.staying(tmp_path)) == {
-        "policy.yaml", "node/revocations.cose", "node/domains.cose",
+        "policy.yaml",
+        "node/revocations.cose",
+        "node/domains.cose",
         "node/foreign/hospital.example.cose",
-    }  # fmt: skip
+    }
 
 
 def test_sockets_are_no_files(tmp_path: Path) -> None:

@@ -66,9 +66,7 @@ def test_a_second_master_makes_a_list_of_the_keys_of_both(home: Site) -> None:
     home.authority.store.log.audit(home.anchor.public_key)
 
 
-def test_the_keys_of_masters_that_are_revoked_or_over_leave_the_list(
-    home: Site, clock: Clock
-) -> None:
+def test_the_keys_of_masters_that_are_revoked_or_over_leave_the_list(home: Site, clock: Clock) -> None:
     home.enroll("/master", 10 * DAY)
     home.enroll("/master/attic", 10 * DAY)
     home.enroll("/master/kitchen", 2 * DAY)

@@ -61,9 +61,15 @@ class Office:
         authority = self.service.unlock()
         robot = SomeNode(self.site, "/rounds/robot3").identity
         draft = Draft(
-            "home", name, robot.thumbprint, self.now, self.now + lifetime, self.now + lifetime,
-            secrets.token_bytes(16), (Permission("/pose", Right.SUBSCRIBE),),
-        )  # fmt: skip
+            "home",
+            name,
+            robot.thumbprint,
+            self.now,
+            self.now + lifetime,
+            self.now + lifetime,
+            secrets.token_bytes(16),
+            (Permission("/pose", Right.SUBSCRIBE),),
+        )
         return document.grant_id(authority.issue_grant(draft, self.now))
 
 
@@ -106,10 +112,7 @@ def test_the_newest_list_is_delivered(office: Office) -> None:
     data, _ = office.home.domain_list() or (b"", None)
     assert (call.method, call.statement) == ("rossec.updateDomains", (data,))
     office.service.publish()
-    assert [call.method for call in office.calls[1:]] == [
-        "rossec.updateRevocations",
-        "rossec.updateDomains",
-    ]
+    assert [call.method for call in office.calls[1:]] == ["rossec.updateRevocations", "rossec.updateDomains"]
     office.reachable = False
     with pytest.raises(NotDelivered) as caught:
         office.service.publish_domains()
@@ -137,20 +140,13 @@ def test_without_domains_refresh_signs_no_list_of_them(office: Office) -> None:
 
 @pytest.mark.parametrize(
     ("change", "error"),
-    [
-        ({"domain": "home"}, DomainsRefused),
-        ({"admitted": ()}, DomainsRefused),
-        ({"until": NOW - 1}, None),
-    ],
+    [({"domain": "home"}, DomainsRefused), ({"admitted": ()}, DomainsRefused), ({"until": NOW - 1}, None)],
 )
 def test_what_is_refused_changes_nothing(
     office: Office, change: dict[str, Any], error: type[Exception] | None
 ) -> None:
     if error is None:
-        assert (
-            office.service.accept_domain(dataclasses.replace(office.hospital, **change)).domains
-            == ()
-        )
+        assert office.service.accept_domain(dataclasses.replace(office.hospital, **change)).domains == ()
         return
     with pytest.raises(error):
         office.service.accept_domain(dataclasses.replace(office.hospital, **change))

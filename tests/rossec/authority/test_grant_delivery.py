@@ -125,22 +125,24 @@ def test_grants_are_deposited_in_calls_that_the_master_takes(
     assert office.calls == []
 
 
-def test_states_are_asked_of_the_grants_in_force(
-    office: Delivering, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_states_are_asked_of_the_grants_in_force(office: Delivering, monkeypatch: pytest.MonkeyPatch) -> None:
     office.enroll("/lost")
     held, ended, renewable, revoked, lost = (
-        office.grant(), office.grant(lifetime=60), office.grant(lifetime=60, renewal=DAY),
-        office.grant(), office.grant("/lost"),
-    )  # fmt: skip
+        office.grant(),
+        office.grant(lifetime=60),
+        office.grant(lifetime=60, renewal=DAY),
+        office.grant(),
+        office.grant("/lost"),
+    )
     office.service.revoke_grant(document.grant_id(revoked).hex(), "a test")
     office.service.revoke_identity("/lost", "a test")
     office.now += 60
     office.states = {document.grant_id(held): "held"}
     monkeypatch.setattr(module, "STATES_LIMIT", 1)
     assert office.service.delivery_states() == {
-        document.grant_id(held): "held", document.grant_id(renewable): "",
-    }  # fmt: skip
+        document.grant_id(held): "held",
+        document.grant_id(renewable): "",
+    }
     holder = document.peek(held).holder
     assert office.made("rossec.deliveryStates") == [
         [document.grant_id(data) + holder] for data in (held, renewable)
@@ -155,9 +157,7 @@ def test_what_the_master_does_not_have_is_deposited(office: Delivering) -> None:
     office.refuses = {three: "too many"}
     count, (refused,) = office.service.deposit_missing()
     assert count == 1
-    assert refused._replace(hint="") == RefusedDeposit(
-        document.grant_id(three), "/robot", "too many"
-    )
+    assert refused._replace(hint="") == RefusedDeposit(document.grant_id(three), "/robot", "too many")
     assert refused.hint.endswith("rossec grant deliver")
     assert office.made("rossec.depositGrants") == [[two, three]]
     office.refuses = {}
@@ -206,18 +206,14 @@ def test_a_master_that_lacks_the_list_is_given_it_and_asked_again(office: Delive
     (refused,) = office.service.deposit([data, other])
     assert (refused.node, refused.reason) == ("/camera", "no room")
     assert office.states == {document.grant_id(data): "waiting"}
-    assert office.methods() == [
-        "depositGrants", "revocationStanding", "updateRevocations", "depositGrants",
-    ]  # fmt: skip
+    assert office.methods() == ["depositGrants", "revocationStanding", "updateRevocations", "depositGrants"]
     office.calls.clear()
     assert len(office.service.deposit([other])) == 1
     assert "updateRevocations" not in office.methods(), "it has the list: that is not the reason"
 
 
 @pytest.mark.parametrize("said", [{}, {"list": 5}, "1.1", [], {"list": "1.1 "}])
-def test_an_unclear_answer_about_the_list_is_answered_with_it(
-    office: Delivering, said: object
-) -> None:
+def test_an_unclear_answer_about_the_list_is_answered_with_it(office: Delivering, said: object) -> None:
     data = office.grant()
     office.lacks, office.standing = True, said
     assert office.service.deposit([data]) == []

@@ -48,11 +48,7 @@ def test_a_second_one_in_the_same_place_is_refused(home: AuthorityHome) -> None:
 
 @pytest.mark.parametrize(
     "step",
-    [
-        "ca.store.record.Store.create",
-        "ca.keys.private_keys.write_private",
-        "rossec.files.commit_directory",
-    ],
+    ["ca.store.record.Store.create", "ca.keys.private_keys.write_private", "rossec.files.commit_directory"],
 )
 def test_an_interrupted_beginning_never_was(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
@@ -148,9 +144,7 @@ def test_the_entries_of_a_tree_are_in_the_record_or_beside_it(
     assert copy.newest_statement()[1] == entries
 
 
-def test_grants_are_renewed_while_each_master_has_confirmed_to_have_the_leave(
-    tmp_path: Path,
-) -> None:
+def test_grants_are_renewed_while_each_master_has_confirmed_to_have_the_leave(tmp_path: Path) -> None:
     """What was only signed, is another key's or is revoked renews nothing."""
     site = RunningSite(tmp_path, clock=lambda: NOW)
     (tmp_path / "ca.pem").write_bytes(to_pem(site.anchor.certificate))

@@ -23,9 +23,7 @@ def signed(site: Site, request: Path, *, may_enroll: bool = True) -> bytes:
     return sign_intermediate(site.authority, request.read_bytes(), NOW, may_enroll=may_enroll)[1]
 
 
-def test_an_intermediate_is_an_authority_once_the_root_has_signed(
-    site: Site, tmp_path: Path
-) -> None:
+def test_an_intermediate_is_an_authority_once_the_root_has_signed(site: Site, tmp_path: Path) -> None:
     request = renewals.begin(tmp_path, "home", PASSPHRASE)
     with pytest.raises(ConfigurationError, match="there is no authority in"):
         AuthorityHome.at(tmp_path)
@@ -39,9 +37,7 @@ def test_an_intermediate_is_an_authority_once_the_root_has_signed(
         renewals.begin(tmp_path, "home", PASSPHRASE)
 
 
-def test_a_newer_certificate_for_the_same_key_replaces_the_older(
-    site: Site, tmp_path: Path
-) -> None:
+def test_a_newer_certificate_for_the_same_key_replaces_the_older(site: Site, tmp_path: Path) -> None:
     request = renewals.begin(tmp_path, "home", PASSPHRASE)
     for may_enroll in (True, False):
         bundle = signed(site, request, may_enroll=may_enroll)

@@ -207,9 +207,7 @@ def test_while_the_authority_is_locked(home: JoinSite) -> None:
     assert join_locked(home.store, request, NOW + HOUR + 1) == LOCKED
 
 
-def test_metadata_are_looked_at_for_who_proves_an_invitation_that_is_open_or_was_used(
-    home: JoinSite,
-) -> None:
+def test_metadata_are_looked_at_for_who_proves_an_invitation_that_is_open_or_was_used(home: JoinSite) -> None:
     code, store = home.invite(uses=2), home.store
     request = home.request(code, asked("/fleet/a"))
     assert allowed_pattern(store, request, NOW) == "/fleet/*"

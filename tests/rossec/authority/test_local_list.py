@@ -66,9 +66,7 @@ def test_a_tree_comes_with_its_entries(shell: Shell, monkeypatch: pytest.MonkeyP
     TreeEntries.read(found[1]).check(open_tree(found[0], key))
 
 
-def test_what_could_not_be_read_is_read_again(
-    shell: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_could_not_be_read_is_read_again(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     """Else who fills the disk for a moment keeps a revocation from the master for good."""
     local_list = LocalList(shell.root)
     local_list.newest()

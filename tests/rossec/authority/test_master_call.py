@@ -6,12 +6,8 @@ from rossec.authority.grant_operations import MasterCall
 from rossec.home import NodeHome
 
 
-def test_a_call_has_the_usual_deadlines_and_no_note_unless_it_says_otherwise(
-    tmp_path: Path,
-) -> None:
+def test_a_call_has_the_usual_deadlines_and_no_note_unless_it_says_otherwise(tmp_path: Path) -> None:
     node = NodeHome(tmp_path, "/ca")
     call = MasterCall(node, "rossec.updateRevocations", (b"list",), "the list", "publish it")
-    assert (call.node, call.method, call.statement) == (
-        node, "rossec.updateRevocations", (b"list",)
-    )  # fmt: skip
+    assert (call.node, call.method, call.statement) == (node, "rossec.updateRevocations", (b"list",))
     assert (call.note, call.within) == ("", None)

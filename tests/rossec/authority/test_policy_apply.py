@@ -158,9 +158,7 @@ def test_a_node_for_which_nothing_can_be_signed_keeps_none_of_the_others(
     assert left.revoke == ()
 
 
-def test_refusals_about_the_key_are_of_all(
-    applied: Applied, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_refusals_about_the_key_are_of_all(applied: Applied, monkeypatch: pytest.MonkeyPatch) -> None:
     def locked(*_: object) -> NoReturn:
         raise AuthorityLocked("the key is locked")
 

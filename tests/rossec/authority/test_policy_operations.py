@@ -118,9 +118,7 @@ def test_new_grants_are_delivered_before_the_old_are_revoked(office: Office) -> 
     office.calls.clear()
     office.write(CHANGED)
     assert office.apply() == ["signed: 2", "revoked: 2 (list 2)", "the master has the new list"]
-    assert office.calls == [
-        "rossec.deliveryStates", "rossec.depositGrants", "rossec.updateRevocations",
-    ]  # fmt: skip
+    assert office.calls == ["rossec.deliveryStates", "rossec.depositGrants", "rossec.updateRevocations"]
     assert len(office.known) == 5
 
 
@@ -134,9 +132,7 @@ def test_without_a_master_all_is_signed_and_revoked_here(office: Office) -> None
     assert office.is_done()
     office.reachable = True
     office.service.complete_policy()
-    assert office.calls == [
-        "rossec.deliveryStates", "rossec.depositGrants", "rossec.updateRevocations",
-    ]  # fmt: skip
+    assert office.calls == ["rossec.deliveryStates", "rossec.depositGrants", "rossec.updateRevocations"]
     assert len(office.known) == 3
 
 
@@ -210,9 +206,7 @@ def test_a_new_identity_gets_nothing_by_a_policy_whose_tests_do_not_hold(office:
     assert len(office.service.grant_outright("/there")) == 1
 
 
-def test_what_a_new_identity_gets_is_in_the_policy_that_was_given(
-    office: Office, tmp_path: Path
-) -> None:
+def test_what_a_new_identity_gets_is_in_the_policy_that_was_given(office: Office, tmp_path: Path) -> None:
     (tmp_path / "given.yaml").write_text("rossec: 1\nrobot: r\nrules: []\n")
     assert office.service.grant_outright("/there", place=tmp_path / "given.yaml") == []
     assert office.service.grant_outright("/there", place=tmp_path / "none.yaml") == []

@@ -30,9 +30,7 @@ def test_a_grant_that_the_master_refuses_is_reported(office: Office) -> None:
     office.service.complete_policy()
 
 
-def test_what_the_master_had_no_room_for_is_deposited_after_the_revocation(
-    office: Office,
-) -> None:
+def test_what_the_master_had_no_room_for_is_deposited_after_the_revocation(office: Office) -> None:
     office.apply()
     office.write(CHANGED)
 

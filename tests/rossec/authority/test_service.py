@@ -73,9 +73,7 @@ class Office:
         return node.request()
 
     def issue(self, csr: bytes, replace_key: str | None = None) -> bytes:
-        return self.service.issue(
-            csr, DAY, replace_key=replace_key, wildcard=False, source="a test"
-        )
+        return self.service.issue(csr, DAY, replace_key=replace_key, wildcard=False, source="a test")
 
     def enroll(self, name: str) -> NodeHome:
         node = NodeHome.of(self.root, name)
@@ -223,9 +221,7 @@ def test_a_revocation_is_recorded_and_then_published(office: Office) -> None:
         office.issue(office.robot.request())
 
 
-def test_a_tree_is_published_with_its_entries(
-    office: Office, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_tree_is_published_with_its_entries(office: Office, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
     office.service.revoke_identity("/robot", "stolen")
     office.service.publish()

@@ -29,9 +29,7 @@ def test_a_thing_is_stated_for_one_border_router(office: Office) -> None:
     assert (found.name, found.border) == (LAMP, office.thumbprint(BORDER))
     assert found.expires == office.now + DAY
     assert (signed.bundle, signed.revoked) == (b"", 0)
-    assert [(each.row.name, each.state) for each in office.service.things()] == [
-        (LAMP, signing.IN_FORCE)
-    ]
+    assert [(each.row.name, each.state) for each in office.service.things()] == [(LAMP, signing.IN_FORCE)]
     office.service.unlock().store.log.audit(key)
 
 
@@ -185,9 +183,7 @@ def test_what_cannot_be_stated(office: Office) -> None:
         office.sign()
 
 
-def test_an_intermediate_says_nothing_about_things(
-    office: Office, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_intermediate_says_nothing_about_things(office: Office, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(type(office.service.unlock().authority), "is_root", property(lambda _: 0))
     with pytest.raises(ConfigurationError, match="an intermediate cannot say what a thing is"):
         office.service.sign_thing(ThingOrder(LAMP, BORDER, office.key(b"1"), DAY))

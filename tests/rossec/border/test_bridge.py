@@ -85,9 +85,7 @@ async def test_a_state_is_published(bridge: tuple[ThingBridge, Played], site: Si
         Answer(codes.NOT_FOUND, None, b""),
     ],
 )
-async def test_what_is_no_state_is_dropped(
-    bridge: tuple[ThingBridge, Played], answer: Answer
-) -> None:
+async def test_what_is_no_state_is_dropped(bridge: tuple[ThingBridge, Played], answer: Answer) -> None:
     made, played = bridge
     played.observed(answer)
     assert (made.received, made.refused) == (0, 1)

@@ -26,18 +26,40 @@ def context(sender: bytes, recipient: bytes, **changes: Any) -> OscoreContext:
 @pytest.mark.parametrize(
     ("sender", "recipient", "changes", "sender_key", "recipient_key", "common_iv"),
     [
-        (b"", b"\x01", {}, "f0910ed7295e6ad4b54fc793154302ff",
-         "ffb14e093c94c9cac9471648b4f98710", "4622d4dd6d944168eefb54987c"),
-        (b"\0", b"\x01", {"salt": b""}, "321b26943253c7ffb6003b0b64d74041",
-         "e57b5635815177cd679ab4bcec9d7dda", "be35ae297d2dace910c52e99f9"),
-        (b"", b"\x01", {"id_context": ID_CONTEXT}, "af2a1300a5e95788b356336eeecd2b92",
-         "e39a0c7c77b43f03b4b39ab9a268699f", "2ca58fb85ff1b81c0b7181b85e"),
+        (
+            b"",
+            b"\x01",
+            {},
+            "f0910ed7295e6ad4b54fc793154302ff",
+            "ffb14e093c94c9cac9471648b4f98710",
+            "4622d4dd6d944168eefb54987c",
+        ),
+        (
+            b"\0",
+            b"\x01",
+            {"salt": b""},
+            "321b26943253c7ffb6003b0b64d74041",
+            "e57b5635815177cd679ab4bcec9d7dda",
+            "be35ae297d2dace910c52e99f9",
+        ),
+        (
+            b"",
+            b"\x01",
+            {"id_context": ID_CONTEXT},
+            "af2a1300a5e95788b356336eeecd2b92",
+            "e39a0c7c77b43f03b4b39ab9a268699f",
+            "2ca58fb85ff1b81c0b7181b85e",
+        ),
     ],
-)  # fmt: skip
+)
 def test_derivation_of_keys(
-    sender: bytes, recipient: bytes, changes: dict[str, Any], sender_key: str, recipient_key: str,
+    sender: bytes,
+    recipient: bytes,
+    changes: dict[str, Any],
+    sender_key: str,
+    recipient_key: str,
     common_iv: str,
-) -> None:  # fmt: skip
+) -> None:
     """C.1, C.2 and C.3, on both sides."""
     client, server = context(sender, recipient, **changes), context(recipient, sender, **changes)
     assert client.sender_key.hex() == server.recipient_key.hex() == sender_key
@@ -48,17 +70,22 @@ def test_derivation_of_keys(
 @pytest.mark.parametrize(
     ("sender", "recipient", "changes", "expected"),
     [
-        (b"", b"\x01", {}, ("44025d1f00003974396c6f63616c686f7374620914ff"
-         "612f1092f1776f1c1668b3825e")),
-        (b"\0", b"\x01", {"salt": b""}, ("44025d1f00003974396c6f63616c686f737463091400ff"
-         "4ed339a5a379b0b8bc731fffb0")),
-        (b"", b"\x01", {"id_context": ID_CONTEXT}, ("44025d1f00003974396c6f63616c686f73746b"
-         "19140837cbf3210017a2d3ff72cd7273fd331ac45cffbe55c3")),
+        (b"", b"\x01", {}, ("44025d1f00003974396c6f63616c686f7374620914ff612f1092f1776f1c1668b3825e")),
+        (
+            b"\0",
+            b"\x01",
+            {"salt": b""},
+            ("44025d1f00003974396c6f63616c686f737463091400ff4ed339a5a379b0b8bc731fffb0"),
+        ),
+        (
+            b"",
+            b"\x01",
+            {"id_context": ID_CONTEXT},
+            ("44025d1f00003974396c6f63616c686f73746b19140837cbf3210017a2d3ff72cd7273fd331ac45cffbe55c3"),
+        ),
     ],
-)  # fmt: skip
-def test_a_protected_request(
-    sender: bytes, recipient: bytes, changes: dict[str, Any], expected: str
-) -> None:
+)
+def test_a_protected_request(sender: bytes, recipient: bytes, changes: dict[str, Any], expected: str) -> None:
     """C.4, C.5 and C.6; the last names its context as `rederivation` does."""
     client, server = context(sender, recipient, **changes), context(recipient, sender, **changes)
     client.sender_sequence_number = 20

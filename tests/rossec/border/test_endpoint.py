@@ -90,9 +90,14 @@ class Router:
         return self.lamp.message_3(answer.payload)
 
     def ask(
-        self, context: OscoreContext, code: Any = codes.POST, path: str = "rd",
-        message_3: bytes = b"", kid_context: bytes = b"", source: Any = HERE,
-    ) -> tuple[Any, bytes, Any]:  # fmt: skip
+        self,
+        context: OscoreContext,
+        code: Any = codes.POST,
+        path: str = "rd",
+        message_3: bytes = b"",
+        kid_context: bytes = b"",
+        source: Any = HERE,
+    ) -> tuple[Any, bytes, Any]:
         """A protected request of a thing; the answer opened, its bytes, and what binds it."""
         sealed, identifier = context.seal(aiocoap.Message(code=code, uri_path=(path,)))
         if kid_context:
@@ -254,16 +259,12 @@ def test_the_router_asks_a_thing_in_the_same_context(router: Router) -> None:
     conversation = router.endpoint.conversations.of(LAMP)
     assert conversation is not None
     answers: list[Any] = []
-    router.endpoint.requests.start(
-        conversation, Request(codes.GET, ("t",)), answers.append, router.now
-    )
+    router.endpoint.requests.start(conversation, Request(codes.GET, ("t",)), answers.append, router.now)
     sealed = router.answer
     opened, identifier = router.lamp.context.open(messages.read(router.sent[-1][0]))
     assert (opened.code, opened.opt.uri_path) == (codes.GET, ("t",))
     assert unprotected(sealed)[0] == router.lamp._own_id
-    answer, _ = router.lamp.context.seal(
-        aiocoap.Message(code=codes.CONTENT, payload=b"20"), identifier
-    )
+    answer, _ = router.lamp.context.seal(aiocoap.Message(code=codes.CONTENT, payload=b"20"), identifier)
     answer.token, answer.mtype, answer.mid = sealed.token, messages.CON, 77
     router.endpoint.receive(messages.write(answer), HERE, router.now)
     assert [each.body for each in answers] == [b"20"]

@@ -24,9 +24,7 @@ def test_forged_resets_end_no_request(router: Router) -> None:
     conversation = router.endpoint.conversations.of(LAMP)
     assert conversation is not None
     answers: list[Any] = []
-    router.endpoint.requests.start(
-        conversation, Request(codes.POST, ("open",)), answers.append, router.now
-    )
+    router.endpoint.requests.start(conversation, Request(codes.POST, ("open",)), answers.append, router.now)
     asked = router.sent[-1][0]
     for mid in range(0x10000):
         router.endpoint.receive(messages.empty(messages.RST, mid), HERE, router.now)
@@ -47,8 +45,9 @@ def test_a_stranger_learns_no_message_id_of_others(router: Router) -> None:
     assert conversation is not None
     told: set[int] = set()
     for number in range(30):
-        first = aiocoap.Message(code=codes.POST, uri_path=HANDSHAKE_PATH,
-                                payload=b"\xf5" + Initiator().message_1())  # fmt: skip
+        first = aiocoap.Message(
+            code=codes.POST, uri_path=HANDSHAKE_PATH, payload=b"\xf5" + Initiator().message_1()
+        )
         router.send(first, (f"{number + 1:x}::1", 9, 0, 0), messages.NON)
         told.add(router.answer.mid)
     gaps = {abs(a - b) for a in told for b in told if a != b}

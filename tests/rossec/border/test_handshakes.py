@@ -161,9 +161,7 @@ def test_the_routers_credential_is_small_and_of_its_key() -> None:
     assert OWN.credential.subject == ""
 
 
-def test_a_point_that_is_not_on_the_curve_does_not_reach_lakers(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+def test_a_point_that_is_not_on_the_curve_does_not_reach_lakers(capfd: pytest.CaptureFixture[str]) -> None:
     """A panic there writes a stack trace to stderr, and anybody can send this."""
     message_1 = Initiator().message_1()
     at = message_1.index(b"\x58\x20") + 2

@@ -27,9 +27,7 @@ async def test_calls_at_a_time_share_a_connection(site: Site) -> None:
             await visits.call("registerPublisher", "/x", "std_msgs/String", "http://127.0.0.1:1/")
 
 
-async def test_a_connection_in_use_is_not_closed(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_connection_in_use_is_not_closed(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(constrained_node, "IDLE", 0.01)
     async with thing_node(site) as node:
         visits = node._visits

@@ -30,9 +30,17 @@ def test_a_value_is_in_a_kid_context_as_a_byte_string() -> None:
 
 @pytest.mark.parametrize(
     "kid_context",
-    [b"", b"abc", encode("12345678"), encode(1), wrapped(bytes(NONCE_SIZE - 1)),
-     wrapped(bytes(MAX_ID1 + 1)), wrapped(bytes(8)) + b"\0", b"\x58\x08" + bytes(8)],
-)  # fmt: skip
+    [
+        b"",
+        b"abc",
+        encode("12345678"),
+        encode(1),
+        wrapped(bytes(NONCE_SIZE - 1)),
+        wrapped(bytes(MAX_ID1 + 1)),
+        wrapped(bytes(8)) + b"\0",
+        b"\x58\x08" + bytes(8),
+    ],
+)
 def test_other_kid_contexts_are_refused(kid_context: bytes) -> None:
     with pytest.raises(DatagramRefused, match="kid context"):
         unwrapped(kid_context)

@@ -26,9 +26,7 @@ class Line:
         send = Transmissions(lambda data, _: self.sent.append(data), self.timers, lambda: 0.0)
         self.open = Requests(send, self.timers, os.urandom)
         self.thing = OscoreContext(bytes(16), b"", b"t", b"")
-        self.conversation = Conversation(
-            "/things/lamp", OscoreContext(bytes(16), b"", b"", b"t"), THING
-        )
+        self.conversation = Conversation("/things/lamp", OscoreContext(bytes(16), b"", b"", b"t"), THING)
         self.answers: list[Answer | ThingUnreachable] = []
         self.opened: dict[bytes, tuple[aiocoap.Message, aiocoap.Message, Any]] = {}
         self.now = 0.0
@@ -45,9 +43,13 @@ class Line:
         return self.opened[data]
 
     def seal(
-        self, sealed: aiocoap.Message, identifier: Any, code: Any = codes.CONTENT,
-        payload: bytes = b"", **options: Any,
-    ) -> aiocoap.Message:  # fmt: skip
+        self,
+        sealed: aiocoap.Message,
+        identifier: Any,
+        code: Any = codes.CONTENT,
+        payload: bytes = b"",
+        **options: Any,
+    ) -> aiocoap.Message:
         """An answer of the thing, as it arrives."""
         message = aiocoap.Message(code=code, payload=payload)
         for name, value in options.items():

@@ -22,11 +22,7 @@ def test_a_message_is_written_and_read() -> None:
     assert data == b"B\x01\x00\x05ab\xb1t"
     found = messages.read(data)
     assert (found.code, found.mtype, found.token) == (aiocoap.GET, messages.CON, b"ab")
-    assert (found.opt.uri_path, messages.number_of(found), messages.is_empty(found)) == (
-        ("t",),
-        5,
-        False,
-    )
+    assert (found.opt.uri_path, messages.number_of(found), messages.is_empty(found)) == (("t",), 5, False)
 
 
 @given(st.binary(max_size=64))

@@ -14,16 +14,7 @@ from rossec.errors import (
     RecordForged,
 )
 from rossec.peer_limits import STEP, WINDOW
-from tests.support.wire import (
-    NOW,
-    End,
-    Wire,
-    alice,
-    bob,
-    joined,
-    peers,
-    wire,
-)
+from tests.support.wire import NOW, End, Wire, alice, bob, joined, peers, wire
 
 
 @pytest.mark.parametrize("step", [0, 1, 7])

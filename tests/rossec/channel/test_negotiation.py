@@ -9,24 +9,8 @@ from rossec.channel.edhoc.messages import encode_error
 from rossec.channel.negotiation import ConnectionState
 from rossec.channel.opening import REFUSAL, WireProtocol, tcpros_refusal
 from rossec.channel.records import Frame, frame
-from rossec.errors import (
-    HandshakeFailed,
-    IdentityRefused,
-    PeerRefused,
-    PlainPeer,
-    ProtocolViolation,
-)
-from tests.support.wire import (
-    ALICE,
-    NOW,
-    STRANGER,
-    FakeIdentity,
-    alice,
-    bob,
-    dice,
-    peers,
-    wire,
-)
+from rossec.errors import HandshakeFailed, IdentityRefused, PeerRefused, PlainPeer, ProtocolViolation
+from tests.support.wire import ALICE, NOW, STRANGER, FakeIdentity, alice, bob, dice, peers, wire
 
 
 def test_the_responder_refuses_an_unknown_peer_without_a_reason() -> None:

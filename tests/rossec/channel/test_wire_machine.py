@@ -61,11 +61,7 @@ class TwoConnections(RuleBasedStateMachine):
         for _ in range(len(self.flying[side]) + 1):
             self.carry(side, 0)
 
-    @rule(
-        side=SIDES,
-        what=st.sampled_from(["drop", "repeat", "swap", "cut", "flip"]),
-        at=st.floats(0, 0.999),
-    )
+    @rule(side=SIDES, what=st.sampled_from(["drop", "repeat", "swap", "cut", "flip"]), at=st.floats(0, 0.999))
     @precondition(lambda self: any(self.flying.values()))
     def lie(self, side: str, what: str, at: float) -> None:
         flying = self.flying[side]

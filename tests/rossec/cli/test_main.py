@@ -29,9 +29,18 @@ heavy = {"numpy", "cryptography", "asyncio", "rosbags", "sqlite3", "ruamel", "cb
 print(sorted(heavy & (sys.modules.keys() - held)))
 """
 GROUPS = (
-    "ca", "ca intermediate", "ca log", "grant", "master", "node", "param", "policy", "privacy",
-    "service", "topic",
-)  # fmt: skip
+    "ca",
+    "ca intermediate",
+    "ca log",
+    "grant",
+    "master",
+    "node",
+    "param",
+    "policy",
+    "privacy",
+    "service",
+    "topic",
+)
 
 
 def test_listing_commands_imports_none_of_them() -> None:

@@ -14,11 +14,7 @@ from tests.support.consolepages import ORIGIN, Browser
 
 @pytest.mark.parametrize(
     ("error", "status"),
-    [
-        (HttpRefused("a", status=404), 404),
-        (KeyServiceFailed("a"), 503),
-        (AuthorityLocked("a"), 422),
-    ],
+    [(HttpRefused("a", status=404), 404), (KeyServiceFailed("a"), 503), (AuthorityLocked("a"), 422)],
 )
 def test_a_refusal_has_a_status(error: HintedError, status: int) -> None:
     assert status_of(error) == status

@@ -17,9 +17,7 @@ QUESTION = "q" * 22
 KITCHEN = "/master/kitchen"
 TYPED = {"name": "/master", "master": "/master"}
 QUESTION_ID = base64.urlsafe_b64decode(QUESTION + "==")
-WAITS = IdentityRequestView(
-    b"\1" * 32, "/arm", b"k", "invitation", 0, 9, "pending", False, False, b"csr"
-)
+WAITS = IdentityRequestView(b"\1" * 32, "/arm", b"k", "invitation", 0, 9, "pending", False, False, b"csr")
 KNOWN = WAITS._replace(id=b"\2" * 32, is_other_key=True)
 
 
@@ -87,27 +85,35 @@ GIVEN: list[tuple[str, dict[str, str], list[object], str]] = [
     ("enroll", {"request": "AQEB" * 10 + "AQE"}, [*JOIN, False], "/approved/{id}"),
     ("enroll", {"request": "AgIC" * 10 + "AgI", "name": "/arm"}, [*JOIN, True], "/approved/{id}"),
     (
-        "grant", {"question": QUESTION, "coarse": "room", "duration": "week"},
-        [QUESTION_ID, "room", 7 * DAY], "/approved/{id}",
+        "grant",
+        {"question": QUESTION, "coarse": "room", "duration": "week"},
+        [QUESTION_ID, "room", 7 * DAY],
+        "/approved/{id}",
     ),
     (
-        "grant", {"question": QUESTION, "coarse": "", "duration": "open"},
-        [QUESTION_ID, "", 0], "/approved/{id}",
+        "grant",
+        {"question": QUESTION, "coarse": "", "duration": "open"},
+        [QUESTION_ID, "", 0],
+        "/approved/{id}",
     ),
     ("policy", {"digest": "A" * 43}, [bytes(32)], "/approved/{id}"),
     ("delegate", {"days": "90", "ticket": "eight-hours"}, [90 * DAY, 8 * 3600], "/approved/{id}"),
     (
-        "intermediate", {"csr": DIGITS, "may": "enroll", "days": "1"},
-        [b"request", True, DAY], "/approved/{id}",
+        "intermediate",
+        {"csr": DIGITS, "may": "enroll", "days": "1"},
+        [b"request", True, DAY],
+        "/approved/{id}",
     ),
     ("passkey", {"proposal": "Cg"}, [b"\n"], "/phones"),
     ("invitation", INVITATION, ["/cam/*", 3, 3600, False], "/invited/{id}"),
     ("invitation", INVITATION | {"anonymous": "on"}, ["/cam/*", 3, 3600, True], "/invited/{id}"),
     (
-        "revoke-master", {"reason": "lost", "name": KITCHEN, "master": KITCHEN}, ["lost", KITCHEN],
+        "revoke-master",
+        {"reason": "lost", "name": KITCHEN, "master": KITCHEN},
+        ["lost", KITCHEN],
         "/revoked/0/0?node=/master/kitchen",
     ),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("kind", "form", "arguments", "following"), GIVEN)
@@ -167,14 +173,11 @@ REFUSED: list[tuple[str, dict[str, str], type[HintedError], str]] = [
     ("invitation", INVITATION | {"uses": "\N{FULLWIDTH DIGIT ONE}"}, FormRefused, "a number"),
     ("invitation", INVITATION | {"lasts": "year"}, FormRefused, "lasts is one of"),
     ("invitation", INVITATION | {"anonymous": "yes"}, FormRefused, "not a tick"),
-    (
-        "invitation", INVITATION | {"pattern": "/master", "anonymous": "on"}, NameRefused,
-        "a single node",
-    ),
+    ("invitation", INVITATION | {"pattern": "/master", "anonymous": "on"}, NameRefused, "a single node"),
     ("revoke-master", {"reason": "a\nb"} | TYPED, FormRefused, "one line"),
     ("revoke-master", TYPED | {"reason": "", "name": KITCHEN}, FormRefused, "the name is /master"),
     ("revoke-master", {"reason": "", "name": "/a", "master": "/a"}, FormRefused, "no master"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("kind", "form", "error", "text"), REFUSED)

@@ -33,21 +33,23 @@ SENDS = [FactView("publisher", "/pose", "/robot"), FactView("type", "/pose", POS
         ((right("/pose"),), SENDS, "/heating wants to see where /robot is"),
         ((right("/pose"),), [], "/heating wants to see /pose"),
         (
-            (right("/pose"),), [*SENDS, FactView("publisher", "/pose", "/other")],
+            (right("/pose"),),
+            [*SENDS, FactView("publisher", "/pose", "/other")],
             "/heating wants to see /pose",
         ),
         ((right("/pose", "std_msgs/String"),), SENDS, "/heating wants to see /pose"),
         (
-            (right("/lift", "", Right.CALL), right("/led", "", Right.PUBLISH)), [],
+            (right("/lift", "", Right.CALL), right("/led", "", Right.PUBLISH)),
+            [],
             "/heating wants to use /lift and to send /led",
         ),
         (
-            tuple(right(f"/t{number}") for number in range(6)), [],
-            ("/heating wants to see /t0 and to see /t1 and to see /t2 and to see /t3 "
-            "and 2 more things"),
+            tuple(right(f"/t{number}") for number in range(6)),
+            [],
+            ("/heating wants to see /t0 and to see /t1 and to see /t2 and to see /t3 and 2 more things"),
         ),
     ],
-)  # fmt: skip
+)
 def test_the_sentence(rights: tuple[AskedRight, ...], facts: list[FactView], said: str) -> None:
     assert told(approvals.sentence(question(*rights), facts)) == said
 
@@ -104,9 +106,7 @@ def test_what_a_node_would_do_is_told_apart_from_what_it_would_see() -> None:
         (right("/x", "my_msgs/Own"), (), "fits messages of my_msgs/Own"),
     ],
 )
-def test_why_there_is_no_coarser_choice_is_said(
-    of: AskedRight, coarse: tuple[str, ...], why: str
-) -> None:
+def test_why_there_is_no_coarser_choice_is_said(of: AskedRight, coarse: tuple[str, ...], why: str) -> None:
     assert why in approvals.why_no_coarser(question(of)._replace(coarse=coarse))
     assert bool(approvals.why_no_coarser(question(of)._replace(coarse=coarse))) is bool(why)
 

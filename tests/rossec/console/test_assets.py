@@ -20,9 +20,11 @@ def test_a_file_is_served_under_its_digest(name: str) -> None:
     assert answer.headers["cache-control"] == IMMUTABLE
     kind = answer.headers["content-type"].partition(";")[0]
     expected = {
-        ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml",
+        ".css": "text/css",
+        ".js": "text/javascript",
+        ".svg": "image/svg+xml",
         ".webmanifest": "application/manifest+json",
-    }  # fmt: skip
+    }
     assert kind == expected[(STATIC_FOLDER / name).suffix]
 
 

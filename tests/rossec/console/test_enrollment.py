@@ -84,9 +84,7 @@ def waiting() -> Outcome:
 
 def node(key: bytes, **changes: int) -> NodeView:
     times = {"not_before": 0, "not_after": clock() + 60, "revoked_at": 0} | changes
-    return NodeView(
-        NAME, key, times["not_before"], times["not_after"], False, times["revoked_at"], ""
-    )
+    return NodeView(NAME, key, times["not_before"], times["not_after"], False, times["revoked_at"], "")
 
 
 @pytest.mark.parametrize("label", [False, True])
@@ -98,9 +96,7 @@ async def test_a_node_is_enrolled_when_it_says_so_itself(label: bool) -> None:
         outcome = adding.signed()
         adding.found.approve(outcome)
         await adding.found.deliver(outcome)
-    assert adding.stages == [
-        Stage.COMPARED, Stage.DELIVERING, Stage.DELIVERING, Stage.DIGITS, Stage.ENROLLED,
-    ]  # fmt: skip
+    assert adding.stages == [Stage.COMPARED, Stage.DELIVERING, Stage.DELIVERING, Stage.DIGITS, Stage.ENROLLED]
     assert [pending.digits for pending in robot.trusted] == [adding.found.core.digits]
     assert adding.found.is_over
     assert adding.found.error is None
@@ -115,9 +111,7 @@ async def test_a_node_with_a_tail_of_anonymous_nodes_can_be_added() -> None:
     assert adding.found.stage is Stage.ENROLLED
 
 
-async def test_the_identity_is_delivered_when_the_key_is_unlocked(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_the_identity_is_delivered_when_the_key_is_unlocked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rossec.console.enrollments.POLL", 0.0)
     with WaitingRobot(Robot()) as robot:
         adding = Adding(robot, Service())
@@ -126,9 +120,7 @@ async def test_the_identity_is_delivered_when_the_key_is_unlocked(
         adding.service.answers = [waiting(), away, waiting(), adding.signed()]
         adding.found.approve(waiting())
         await adding.found.deliver(waiting())
-    assert adding.stages[1:] == [
-        Stage.WAITING, Stage.DELIVERING, Stage.DIGITS, Stage.ENROLLED,
-    ]  # fmt: skip
+    assert adding.stages[1:] == [Stage.WAITING, Stage.DELIVERING, Stage.DIGITS, Stage.ENROLLED]
 
 
 async def test_a_key_that_stays_locked_for_longer_than_the_node_waits() -> None:
@@ -201,9 +193,7 @@ async def test_what_could_not_be_revoked_is_kept_as_the_reason() -> None:
     assert str(adding.found.error) == "the service does not run"
 
 
-async def test_a_node_that_never_answers_is_not_waited_for_forever(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_node_that_never_answers_is_not_waited_for_forever(monkeypatch: pytest.MonkeyPatch) -> None:
     async def never(*_: object) -> None:
         raise TimeoutError
 
@@ -240,9 +230,7 @@ async def test_a_rejected_request_is_denied_in_the_record_too() -> None:
         (b"", {}, Known.SAME_KEY),
     ],
 )
-async def test_what_the_record_says_of_the_name(
-    key: bytes, changes: dict[str, int], known: Known
-) -> None:
+async def test_what_the_record_says_of_the_name(key: bytes, changes: dict[str, int], known: Known) -> None:
     robot = Robot()
     with WaitingRobot(robot) as there:
         adding = Adding(there, Service())

@@ -9,15 +9,7 @@ from ca.enrollment import qr
 from ca.errors import CodeExpired, CodeRefused, EnrollmentOver
 from rossec.authority.console import messages
 from rossec.authority.console.messages import Outcome
-from rossec.console.enrollments import (
-    MAX_KEPT,
-    MAX_RUNNING,
-    WAITING,
-    Enrollment,
-    Enrollments,
-    Known,
-    Stage,
-)
+from rossec.console.enrollments import MAX_KEPT, MAX_RUNNING, WAITING, Enrollment, Enrollments, Known, Stage
 from rossec.errors import ConfigurationError, EnrollmentUnknown, TooManyEnrollments
 from tests.rossec.console.test_enrollment import Service
 from tests.support.enrolling import NAME, Robot, WaitingRobot, clock
@@ -145,9 +137,7 @@ async def test_a_rejected_node_is_not_approved_afterwards(table: Table) -> None:
         await enrollments.reject("0" * 32)
 
 
-async def test_digits_that_differ_end_the_listening(
-    table: Table, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_digits_that_differ_end_the_listening(table: Table, monkeypatch: pytest.MonkeyPatch) -> None:
     enrollments, changes = table
 
     async def listens(*_: object) -> None:

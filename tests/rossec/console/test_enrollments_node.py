@@ -34,9 +34,13 @@ class Node:
 
     def _start(self, *words: str) -> subprocess.Popen[str]:
         return subprocess.Popen(
-            [ROSSEC, *words], env=self.environ, text=True, stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        )  # fmt: skip
+            [ROSSEC, *words],
+            env=self.environ,
+            text=True,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+        )
 
     def code(self) -> str:
         """The text below the code on its terminal."""

@@ -31,9 +31,7 @@ def service() -> Service:
     return Service()
 
 
-async def test_a_phone_that_is_there_counts_and_is_not_asked_for_all_the_time(
-    service: Service,
-) -> None:
+async def test_a_phone_that_is_there_counts_and_is_not_asked_for_all_the_time(service: Service) -> None:
     ann = session()
     for _ in range(3):
         assert await service.known.counts(ann)
@@ -67,9 +65,7 @@ async def test_a_session_by_a_code_has_no_phone(service: Service) -> None:
     assert service.asked == 0
 
 
-async def test_no_session_counts_while_the_service_does_not_answer(
-    service: Service,
-) -> None:
+async def test_no_session_counts_while_the_service_does_not_answer(service: Service) -> None:
     assert await service.known.counts(session())
     service.elapsed += KEPT
     service.is_there = False

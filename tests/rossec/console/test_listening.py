@@ -73,10 +73,7 @@ def test_a_socket_that_nobody_listens_at_is_replaced(tmp_path: Path) -> None:
 
 def test_a_socket_in_use_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "console.sock"
-    with (
-        listen_for_proxy(path, shared=False),
-        pytest.raises(ConfigurationError, match="another program"),
-    ):
+    with listen_for_proxy(path, shared=False), pytest.raises(ConfigurationError, match="another program"):
         listen_for_proxy(path, shared=False)
 
 

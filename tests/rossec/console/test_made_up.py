@@ -46,7 +46,8 @@ def test_where_one_receiver_has_slots_it_takes_ten_minutes() -> None:
     assert (short.messages[-1][0], found.messages[-1][0]) == (59.75, 599.0)
     assert len(found.messages) <= MAX_MESSAGES, "all of it is drawn"
     seen = see(found, "/lamp", [slots])
-    places = {(each.fields["pose"]["position"]["x"], each.fields["pose"]["position"]["y"])
-              for each in seen.samples}  # fmt: skip
+    places = {
+        (each.fields["pose"]["position"]["x"], each.fields["pose"]["position"]["y"]) for each in seen.samples
+    }
     assert len(seen.samples) >= 15
     assert len(places) > 2

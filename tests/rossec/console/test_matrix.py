@@ -14,11 +14,7 @@ def cell(home: FakeHome, receiver: str, topic: str) -> Cell:
 def test_the_demo_has_all_four_states() -> None:
     home = demo()
     assert home.matrix.receivers == ("/doctor", "/heating")
-    assert [row.topic for row in home.matrix.rows] == [
-        "/robot/camera",
-        "/robot/pose",
-        "/robot/scan",
-    ]
+    assert [row.topic for row in home.matrix.rows] == ["/robot/camera", "/robot/pose", "/robot/scan"]
     assert all(row.publishers == ("/robot",) for row in home.matrix.rows)
     whole = cell(home, "/doctor", "/robot/pose")
     assert (whole.access, whole.label, whole.term) == (Access.ALL, "all of it", "23 hours left")
@@ -143,9 +139,7 @@ def test_a_window_is_a_part_and_the_busiest_come_first() -> None:
     home.grant("/heating", sees("/a_topic"), revoked_at=NOW - 9)
     busy = home.matrix.busiest_first()
     assert busy.receivers[0] == "/doctor"
-    assert [row.topic for row in busy.rows] == [
-        "/robot/pose", "/robot/scan", "/a_topic", "/robot/camera",
-    ]  # fmt: skip
+    assert [row.topic for row in busy.rows] == ["/robot/pose", "/robot/scan", "/a_topic", "/robot/camera"]
     assert [each.receiver for each in busy.rows[0].cells] == list(busy.receivers)
     part = busy.window(slice(0, 1), slice(1, 2))
     assert part.receivers == ("/heating",)
@@ -157,9 +151,7 @@ def test_what_was_ended_is_ending_until_every_node_has_heard() -> None:
     home = demo()
     home.heard = Heard(NOW - 1800)  # in the second in which it was ended: that may be before it
     found = cell(home, "/doctor", "/robot/camera")
-    assert (found.access, found.label, found.words) == (
-        Access.ENDING, "ending", "the visit is over",
-    )  # fmt: skip
+    assert (found.access, found.label, found.words) == (Access.ENDING, "ending", "the visit is over")
     assert "until every node has heard" in found.term
     row = home.matrix.row("/robot/camera")
     assert row is not None
@@ -173,8 +165,9 @@ def test_a_grant_whose_time_is_over_is_ended_whoever_has_heard() -> None:
     home.heard = Heard()
     home.grant("/heating", sees("/over"), at=NOW - 2 * HOUR, last=HOUR, revoked_at=NOW - HOUR)
     assert cell(home, "/heating", "/over").access is Access.ENDED
-    home.grant("/heating", sees("/renewed"), at=NOW - 2 * HOUR, last=HOUR, cap=NOW + HOUR,
-               revoked_at=NOW - HOUR)  # fmt: skip
+    home.grant(
+        "/heating", sees("/renewed"), at=NOW - 2 * HOUR, last=HOUR, cap=NOW + HOUR, revoked_at=NOW - HOUR
+    )
     assert cell(home, "/heating", "/renewed").access is Access.ENDING
 
 

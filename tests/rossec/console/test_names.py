@@ -47,14 +47,10 @@ def page(path: str) -> str:
     return str(made.log_in().get(path).text)
 
 
-@pytest.mark.parametrize(
-    "path", ["/", "/who", "/way", "/log", "/see/robot/pose", "/node/doctor", "/privacy"]
-)
+@pytest.mark.parametrize("path", ["/", "/who", "/way", "/log", "/see/robot/pose", "/node/doctor", "/privacy"])
 def test_every_page_shows_titles_with_the_name_beside_them(path: str) -> None:
     text = page(path)
-    titled = re.findall(
-        r'<b class="title"><bdi>([^<]*)</bdi></b> (<[^>]*>(?:<bdi>)?)([^<]*)<', text
-    )
+    titled = re.findall(r'<b class="title"><bdi>([^<]*)</bdi></b> (<[^>]*>(?:<bdi>)?)([^<]*)<', text)
     assert len(titled) == text.count('class="title"'), "a title without its name"
     assert DOCTOR in {title for title, *_ in titled}
     for title, tag, name in titled:

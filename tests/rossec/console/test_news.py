@@ -98,9 +98,7 @@ async def test_a_service_that_is_away_is_asked_again() -> None:
     await news.close()
 
 
-async def test_a_service_that_stops_answering_is_told_to_pages(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_service_that_stops_answering_is_told_to_pages(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also one that hangs: then no question comes back, and none fails."""
     monkeypatch.setattr("rossec.console.context.BEAT", 3 * PERIOD)
     service = Service()

@@ -64,9 +64,17 @@ def test_an_origin_is_written_as_browsers_write_it(given: str, found: str) -> No
 
 @pytest.mark.parametrize(
     "origin",
-    ["", "ca.example.org", "https://", "https://ca.example.org/console", "https://a@b.example",
-     "ftp://ca.example.org", "https://ca.example.org:x", "https://ca.example.org?x"],
-)  # fmt: skip
+    [
+        "",
+        "ca.example.org",
+        "https://",
+        "https://ca.example.org/console",
+        "https://a@b.example",
+        "ftp://ca.example.org",
+        "https://ca.example.org:x",
+        "https://ca.example.org?x",
+    ],
+)
 def test_what_is_no_origin_is_refused(origin: str) -> None:
     with pytest.raises(ConfigurationError, match=r"is not an? (origin|DNS name)"):
         read(unix_path=SOCKET, origin=origin)
@@ -91,9 +99,23 @@ def test_an_origin_with_an_address_is_refused_with_the_reason() -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["", "local", "a..b", ".local", "rossec.local.", "-a.local", "a-.local", "ros_sec.local",
-     "a" * 64 + ".local", ".".join(["a" * 60] * 5), "rössec.local", "192.168.1", "a.b.1", "a b"],
-)  # fmt: skip
+    [
+        "",
+        "local",
+        "a..b",
+        ".local",
+        "rossec.local.",
+        "-a.local",
+        "a-.local",
+        "ros_sec.local",
+        "a" * 64 + ".local",
+        ".".join(["a" * 60] * 5),
+        "rössec.local",
+        "192.168.1",
+        "a.b.1",
+        "a b",
+    ],
+)
 def test_what_is_no_name_is_refused(name: str) -> None:
     with pytest.raises(ConfigurationError, match="is not a DNS name"):
         check_name(name)
@@ -143,6 +165,9 @@ def test_passkeys_of_another_origin_stop_the_start() -> None:
 
 
 def test_what_is_only_for_looking_stays_so() -> None:
-    assert [read(read_only=True).read_only, read(lan=True, read_only=True).read_only,
-            read(unix_path=SOCKET, origin="https://a.example", read_only=True).read_only,
-            read().read_only] == [True, True, True, False]  # fmt: skip
+    assert [
+        read(read_only=True).read_only,
+        read(lan=True, read_only=True).read_only,
+        read(unix_path=SOCKET, origin="https://a.example", read_only=True).read_only,
+        read().read_only,
+    ] == [True, True, True, False]

@@ -21,9 +21,12 @@ FIXED = Page("/a/b", ("GET",), nothing)
 def test_a_page_is_found_by_its_path_and_method() -> None:
     table = PageTable((FIXED, GET, POST))
     for path, method, page in (
-        ("/a/c", "GET", GET), ("/a/c", "HEAD", GET), ("/a/c", "POST", POST), ("/a/b", "GET", FIXED),
+        ("/a/c", "GET", GET),
+        ("/a/c", "HEAD", GET),
+        ("/a/c", "POST", POST),
+        ("/a/b", "GET", FIXED),
         ("/a/c", "PUT", None),
-    ):  # fmt: skip
+    ):
         found = table.find(path, method)
         assert found is not None
         assert found.page is page

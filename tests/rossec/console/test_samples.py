@@ -38,9 +38,7 @@ def test_the_conditions_hold_for_real_messages_and_are_left_out_of_made_up_ones(
 
 
 def test_a_pseudonym_needs_no_key_of_the_publisher() -> None:
-    hashed = Restriction(
-        POSE, (), filter_rules({"header.frame_id": {"hash": {"key": "k", "length": 8}}})
-    )
+    hashed = Restriction(POSE, (), filter_rules({"header.frame_id": {"hash": {"key": "k", "length": 8}}}))
     shown = see(recorded(), "/a", [hashed]).samples[0].fields["header"]["frame_id"]
     assert len(shown) == 8
     assert shown != "map"

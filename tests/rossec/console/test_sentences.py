@@ -155,8 +155,10 @@ def test_a_right_that_is_none_is_said_as_it_is() -> None:
 
 def test_a_permission_in_words() -> None:
     assert [part.text for part in permission(sees("/a/**", COARSE))] == [
-        "see", "everything below /a", "(coarse)",
-    ]  # fmt: skip
+        "see",
+        "everything below /a",
+        "(coarse)",
+    ]
 
 
 def test_a_hostile_text_is_one_bounded_line() -> None:

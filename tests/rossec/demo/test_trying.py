@@ -36,8 +36,11 @@ async def test_a_lamp_asks(tmp_path: Path) -> None:
     await ask(demo_in(tmp_path, commands))
     assert (tmp_path / "ca" / "policy.yaml").read_text() == POLICY
     assert [each[:2] for each in commands] == [
-        ["node", "request"], ["ca", "sign"], ["node", "install"], ["grant", "request"],
-    ]  # fmt: skip
+        ["node", "request"],
+        ["ca", "sign"],
+        ["node", "install"],
+        ["grant", "request"],
+    ]
     assert commands[-1][2:5] == ["/lamp", "--subscribe", "/robot/pose"]
 
 

@@ -19,9 +19,7 @@ async def test_announcements_are_counted_and_survive_links_that_go_down(
     monkeypatch.setattr(Link, "takes", 0)
     credentials = home.enroll("/master").credentials()
     uri = "http://192.0.2.7:11311/"
-    speaking = asyncio.ensure_future(
-        local_links.announce(credentials, uri, version=lambda: 7, period=0.01)
-    )
+    speaking = asyncio.ensure_future(local_links.announce(credentials, uri, version=lambda: 7, period=0.01))
     await until(lambda: said)
     Link.takes = 1
     await until(lambda: len(said) > 3)

@@ -69,9 +69,7 @@ async def test_a_uri_that_is_set_is_kept(home: Site) -> None:
     assert await local_links.discover_master(environ, None) == environ
 
 
-async def test_the_best_master_that_answers_is_chosen(
-    home: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_the_best_master_that_answers_is_chosen(home: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[object] = []
     announced = Announcement("192.0.2.7", 11311, b"instance", 0, 0)
     source = DatagramSource("fe80::1", 1)

@@ -82,9 +82,7 @@ def test_a_program_is_started_with_the_master_that_was_found(
     assert done.stdout.startswith("http://10.99.0.1:")
 
 
-def test_commands_find_the_master(
-    hosts: Hosts, home: Site, master: subprocess.Popen[str]
-) -> None:  # fmt: skip
+def test_commands_find_the_master(hosts: Hosts, home: Site, master: subprocess.Popen[str]) -> None:
     discover = {"ROS_MASTER_URI": "discover:", "ROS_IP": hosts.far.ipv4}
     home.publish("/robot", "/x")
     checked = run(home, hosts.far, "doctor", "/robot", **discover)

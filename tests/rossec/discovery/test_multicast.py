@@ -33,9 +33,7 @@ def test_a_datagram_of_the_link_is_received(group: local_links.MulticastSocket) 
     assert received(group, b"announcement") == [b"announcement"]
 
 
-def test_a_datagram_that_was_routed_or_is_too_long_is_dropped(
-    group: local_links.MulticastSocket,
-) -> None:
+def test_a_datagram_that_was_routed_or_is_too_long_is_dropped(group: local_links.MulticastSocket) -> None:
     assert received(group, b"announcement", hops=254) == []
     assert received(group, bytes(2049)) == []
     assert received(group, bytes(2048)) == [bytes(2048)]

@@ -26,10 +26,27 @@ def test_what_people_type(text: str, host: str, port: int) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["", ":9", "robot:", "robot:0", "robot:65536", "robot:9999999999", "robot:x", "robot:\u0661",
-     "[::1]9x", "[]:9", "robot:-1", "a..b", "a\x00b", "-x", "a b", "../x", "a" * 64,
-     "[::1%\x1b]:1"],
-)  # fmt: skip
+    [
+        "",
+        ":9",
+        "robot:",
+        "robot:0",
+        "robot:65536",
+        "robot:9999999999",
+        "robot:x",
+        "robot:\u0661",
+        "[::1]9x",
+        "[]:9",
+        "robot:-1",
+        "a..b",
+        "a\x00b",
+        "-x",
+        "a b",
+        "../x",
+        "a" * 64,
+        "[::1%\x1b]:1",
+    ],
+)
 def test_invalid_addresses_are_refused(text: str) -> None:
     with pytest.raises(ConfigurationError, match="is not an address of a node") as caught:
         addresses.split(text)

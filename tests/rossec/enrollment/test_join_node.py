@@ -7,15 +7,7 @@ from pathlib import Path
 import pytest
 
 from ca.enrollment.invitation import InvitationCode, JoinClaim, JoinRequest
-from ca.enrollment.join import (
-    JoinAnswer,
-    NameAnswer,
-    Named,
-    Refused,
-    RefuseReason,
-    Waiting,
-    WaitReason,
-)
+from ca.enrollment.join import JoinAnswer, NameAnswer, Named, Refused, RefuseReason, Waiting, WaitReason
 from ca.errors import JoinBusy, JoinRefused, JoinWaiting, NotTheAuthority
 from rossec.enrollment import join
 from rossec.enrollment.join import JoinServer

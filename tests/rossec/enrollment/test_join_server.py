@@ -164,9 +164,7 @@ class Gate:
         return LOCKED
 
 
-async def test_the_decisions_of_one_invitation_are_bounded_and_the_others_wait(
-    home: JoinSite,
-) -> None:
+async def test_the_decisions_of_one_invitation_are_bounded_and_the_others_wait(home: JoinSite) -> None:
     gate, code = Gate(), home.invite(uses=99)
 
     async def ask(server: JoinServer, by: InvitationCode) -> JoinMessage:
@@ -188,9 +186,7 @@ async def test_the_decisions_of_one_invitation_are_bounded_and_the_others_wait(
     assert [task.result() for task in (*tasks, other)] == [LOCKED] * (len(tasks) + 1)
 
 
-async def test_a_decision_that_takes_too_long(
-    home: JoinSite, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_decision_that_takes_too_long(home: JoinSite, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rossec.enrollment.join.DECISION", 0.05)
     server = JoinServer(home.identity, Gate().admit)
     async with home.serving(server), connected(server) as peer:

@@ -6,20 +6,8 @@ import pytest
 
 from ca.enrollment import qr
 from ca.enrollment.messages import Abort, Fetch, Message, Reason, frame, read, write
-from ca.enrollment.sides import (
-    AuthorityEnrollment,
-    AuthorityState,
-    NodeEnrollment,
-    NodeState,
-    Pending,
-)
-from ca.errors import (
-    ConflictingOffer,
-    DigitsRefused,
-    EnrollmentExpired,
-    EnrollmentLocked,
-    EnrollmentOver,
-)
+from ca.enrollment.sides import AuthorityEnrollment, AuthorityState, NodeEnrollment, NodeState, Pending
+from ca.errors import ConflictingOffer, DigitsRefused, EnrollmentExpired, EnrollmentLocked, EnrollmentOver
 from rossec.enrollment import sessions
 from rossec.enrollment.enroll import WaitingNode
 from tests.support.enrolling import WINDOW, Robot, fresh
@@ -188,11 +176,7 @@ async def test_offers_without_the_secret_lock_the_code() -> None:
 
 async def test_garbage_ends_its_connection_only() -> None:
     async with waiting() as stage:
-        for garbage in (
-            b"GET / HTTP/1.1\r\n\r\n",
-            frame(b"\xff"),
-            frame(write(Abort(Reason.OVER))),
-        ):
+        for garbage in (b"GET / HTTP/1.1\r\n\r\n", frame(b"\xff"), frame(write(Abort(Reason.OVER)))):
             stranger = await stage.caller()
             stranger.writer.write(garbage)
             assert await stranger.read_until() == Abort(Reason.REFUSED)

@@ -60,9 +60,7 @@ def test_data_that_is_not_a_picture_is_refused(monkeypatch: pytest.MonkeyPatch) 
         enroll.code_in(picture(qr.png(TEXT)))
 
 
-@pytest.mark.parametrize(
-    "program", ["raise SystemExit(1)", "print('{')", "import time; time.sleep(60)"]
-)
+@pytest.mark.parametrize("program", ["raise SystemExit(1)", "print('{')", "import time; time.sleep(60)"])
 def test_a_reader_that_fails_or_hangs(monkeypatch: pytest.MonkeyPatch, program: str) -> None:
     monkeypatch.setattr(enroll, "SCANNER", (sys.executable, "-I", "-c", program))
     monkeypatch.setattr(enroll, "SECONDS", 1)

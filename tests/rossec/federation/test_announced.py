@@ -27,18 +27,11 @@ def candidates(site: Site) -> Candidates:
 @pytest.fixture
 def hear(site: Site, candidates: Candidates) -> Hear:
     def heard(
-        name: str,
-        seq: int,
-        *,
-        port: int = 11311,
-        instance: bytes = b"instance",
-        reached: bool = True,
+        name: str, seq: int, *, port: int = 11311, instance: bytes = b"instance", reached: bool = True
     ) -> None:
         own = site.enroll(name).credentials()
         said = Announcement("10.0.0.7", port, instance, seq, site.now(), version=seq)
-        found = candidates.heard(
-            sign(own.signer, own.chain, said), LINK, site.now(), time.monotonic()
-        )
+        found = candidates.heard(sign(own.signer, own.chain, said), LINK, site.now(), time.monotonic())
         assert found is not None
         if reached:
             candidates.probed(found, ("10.0.0.7", port), 0.001)
@@ -61,9 +54,7 @@ def test_every_other_master_that_answers(site: Site, candidates: Candidates, hea
     assert masters.take_returned() == set()
 
 
-def test_one_that_was_restarted_is_dialled_at_once(
-    site: Site, candidates: Candidates, hear: Hear
-) -> None:
+def test_one_that_was_restarted_is_dialled_at_once(site: Site, candidates: Candidates, hear: Hear) -> None:
     masters = AnnouncedMasters(site.enroll("/master/hall"), candidates)
     hear("/master", 0)
     masters.sites()

@@ -13,9 +13,17 @@ TYPE = ["type", "/pose", "p/T"]
 
 def answer(**changed: Any) -> dict[str, Any]:
     return {
-        "instance": "a", "version": 1, "cursor": 1, "whole": False, "more": False,
-        "added": [], "removed": [], "revocations": bytes(32), "domains": b"", **changed,
-    }  # fmt: skip
+        "instance": "a",
+        "version": 1,
+        "cursor": 1,
+        "whole": False,
+        "more": False,
+        "added": [],
+        "removed": [],
+        "revocations": bytes(32),
+        "domains": b"",
+        **changed,
+    }
 
 
 def test_an_answer_is_taken_and_asked_for_again_from_there() -> None:
@@ -78,12 +86,21 @@ def test_a_master_without_a_list_says_so_with_nothing() -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        None, [], {}, answer(version="1"), answer(cursor=None), answer(whole=1, more="no"),
-        answer(added=[["node", "/a"]]), answer(added=[["node", "/a", 1]]), answer(removed="x"),
-        answer(revocations=b"short"), answer(domains=5), answer(instance=b"a"),
+        None,
+        [],
+        {},
+        answer(version="1"),
+        answer(cursor=None),
+        answer(whole=1, more="no"),
+        answer(added=[["node", "/a"]]),
+        answer(added=[["node", "/a", 1]]),
+        answer(removed="x"),
+        answer(revocations=b"short"),
+        answer(domains=5),
+        answer(instance=b"a"),
     ],
     ids=lambda each: "answer",
-)  # fmt: skip
+)
 def test_anything_else_is_refused(wrong: object) -> None:
     with pytest.raises(AnswerMalformed):
         SiteCursor().take(wrong)

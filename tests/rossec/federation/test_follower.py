@@ -63,9 +63,7 @@ async def test_a_restarted_master_is_followed_again(pair: list[Master]) -> None:
     assert hall.imported("/pose") == [], "what the new run does not know is gone"
 
 
-async def test_the_facts_of_a_lost_master_go(
-    pair: list[Master], monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_the_facts_of_a_lost_master_go(pair: list[Master], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(site_state, "LOST_FOR", 1.5)
     hall, kitchen = pair
     await kitchen.register("/robot", "/pose", 4711)
@@ -163,9 +161,7 @@ async def test_a_site_with_more_facts_than_the_limit_is_not_followed(pair: list[
     assert hall.state_of("kitchen")["facts"] == 0
 
 
-async def test_a_site_whose_parameters_are_mirrored_is_shown_the_own_grants(
-    pair: list[Master],
-) -> None:
+async def test_a_site_whose_parameters_are_mirrored_is_shown_the_own_grants(pair: list[Master]) -> None:
     hall, kitchen = pair
     hall.site.grant("/master", Right.PARAM_GET, "/robot/**")
     await kitchen.register("/robot", "/pose", 4711)

@@ -120,8 +120,9 @@ async def test_a_master_that_was_named_and_is_heard_too_is_no_contradiction(
     finally:
         running.cancel()
     assert [(s["label"], s["source"]) for s in mesh.status()["sites"]] == [
-        ("attic", "announced"), ("galley", "configuration"),
-    ]  # fmt: skip
+        ("attic", "announced"),
+        ("galley", "configuration"),
+    ]
     assert mesh.status()["problems"] == {}
 
 

@@ -91,28 +91,19 @@ class OtherMaster(RpcClient):
 
 def own_of(master: Master) -> OwnMaster:
     server = master.server
-    return OwnMaster(
-        server.state, server.effects, server.context, server.mirror, server.drop_mirror
-    )
+    return OwnMaster(server.state, server.effects, server.context, server.mirror, server.drop_mirror)
 
 
 @pytest.mark.parametrize(
-    "answers",
-    [
-        (7,), (["/a"], 7), (["/a"], []), (["/a", "/a/b"], [[[1, "", 1]], [[1, "", 1]]]),
-    ],
-)  # fmt: skip
-async def test_a_malformed_answer_is_an_error(
-    pair: list[Master], answers: tuple[object, ...]
-) -> None:
+    "answers", [(7,), (["/a"], 7), (["/a"], []), (["/a", "/a/b"], [[[1, "", 1]], [[1, "", 1]]])]
+)
+async def test_a_malformed_answer_is_an_error(pair: list[Master], answers: tuple[object, ...]) -> None:
     reading = exchange.Mirroring(own_of(pair[0]), pair[1].as_site("kitchen", "", "/**"))
     with pytest.raises(AnswerMalformed):
         await reading.keep(OtherMaster(*answers))
 
 
-async def test_too_many_parameters_are_refused(
-    pair: list[Master], monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_too_many_parameters_are_refused(pair: list[Master], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(exchange, "MAX_NAMES", 1)
     reading = exchange.Mirroring(own_of(pair[0]), pair[1].as_site("kitchen", "", "/**"))
     with pytest.raises(AnswerRefused, match="has 2 parameters"):

@@ -23,9 +23,7 @@ class Dialled:
     def __init__(self, hall: Master, kitchen: Master) -> None:
         self.hall, self.kitchen = hall, kitchen
         server = hall.server
-        self.own = OwnMaster(
-            server.state, server.effects, server.context, server.mirror, server.drop_mirror
-        )
+        self.own = OwnMaster(server.state, server.effects, server.context, server.mirror, server.drop_mirror)
 
     def connections(self, settings: SiteSettings) -> SiteConnections:
         doors = None
@@ -77,9 +75,7 @@ async def test_a_revoked_one_is_refused(dialled: Dialled) -> None:
             pass
 
 
-async def test_a_site_is_reached_at_its_door(
-    dialled: Dialled, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_site_is_reached_at_its_door(dialled: Dialled, monkeypatch: pytest.MonkeyPatch) -> None:
     here, there = StraightRelay(dialled.hall), StraightRelay(dialled.kitchen, "/relay/kitchen")
     here.meet("kitchen", there)
     settings = SiteSettings("kitchen", "", "/master/kitchen", via="kitchen")

@@ -17,10 +17,18 @@ def followed() -> SiteState:
 
 def test_a_site_without_facts() -> None:
     assert site_status(OFFICE, SiteState(), Imports(Registry()), 5.0) == {
-        "label": "office", "uri": "", "via": "ward", "master": "/master/office", "domain": "",
-        "state": "idle", "facts": 0, "lost_s": None, "parameters": ["/robot/**"], "topics": [],
+        "label": "office",
+        "uri": "",
+        "via": "ward",
+        "master": "/master/office",
+        "domain": "",
+        "state": "idle",
+        "facts": 0,
+        "lost_s": None,
+        "parameters": ["/robot/**"],
+        "topics": [],
         "topics_count": 0,
-    }  # fmt: skip
+    }
 
 
 def test_topics_and_how_long_it_is_lost() -> None:

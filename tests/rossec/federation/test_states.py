@@ -1,15 +1,7 @@
 import pytest
 
 from rossec.errors import FederationError
-from rossec.federation.site_state import (
-    LONGEST_PAUSE,
-    LOST_FOR,
-    TABLE,
-    Effect,
-    Event,
-    Phase,
-    SiteState,
-)
+from rossec.federation.site_state import LONGEST_PAUSE, LOST_FOR, TABLE, Effect, Event, Phase, SiteState
 
 
 def followed() -> SiteState:

@@ -27,9 +27,7 @@ AT = Door("127.0.0.1", 7001)
 MASTER_THERE = Target("office", MASTER, "/master/office")
 ROBOT = Target("office", NODE, "/robot")
 WAY = Way("up", 1.5, 2, "tls/r:7447", 3)
-FACTS = frozenset({
-    ("node", "/robot", "http://10.0.0.2:4711/"), ("publisher", "/pose", "/robot"),
-})  # fmt: skip
+FACTS = frozenset({("node", "/robot", "http://10.0.0.2:4711/"), ("publisher", "/pose", "/robot")})
 
 
 class Pair:
@@ -206,9 +204,7 @@ async def test_a_relay_that_opens_no_door_is_named(monkeypatch: pytest.MonkeyPat
         await doorless.site.address()
 
 
-async def test_facts_are_shown_without_doors_that_do_not_come(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_facts_are_shown_without_doors_that_do_not_come(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(follower, "NODES_WAIT", 0.01)
     doorless = Doorless()
     doorless.report()

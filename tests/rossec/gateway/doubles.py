@@ -116,9 +116,7 @@ class Topics:
         publisher.cut("no longer published")
         del self.publishers[publisher.topic]
 
-    async def subscribe_raw(
-        self, topic: str, receiver: RawReceiver, *, wishes: Wishes
-    ) -> OriginSubscription:
+    async def subscribe_raw(self, topic: str, receiver: RawReceiver, *, wishes: Wishes) -> OriginSubscription:
         await asyncio.sleep(0)
         if topic in self.refuses:
             raise AnswerRefused(f"no right to subscribe {topic}")

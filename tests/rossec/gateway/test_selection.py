@@ -30,10 +30,14 @@ def published(label: str, name: str, kind: str = "std_msgs/String") -> Iterator[
 
 def test_a_topic_of_its_origin_that_a_rule_covers_is_a_candidate() -> None:
     facts = [
-        *published("ada", "/robot/pose"), *published("ada", "/kitchen"), *published("ben", "/x"),
-        *published("eve", "/robot/pose"), ("subscriber", "/remote/ada/robot/no", "/viewer"),
-        ("publisher", "/robot/own", "/robot"), ("service", "/remote/ada/robot/s", "/remote/ada/n"),
-    ]  # fmt: skip
+        *published("ada", "/robot/pose"),
+        *published("ada", "/kitchen"),
+        *published("ben", "/x"),
+        *published("eve", "/robot/pose"),
+        ("subscriber", "/remote/ada/robot/no", "/viewer"),
+        ("publisher", "/robot/own", "/robot"),
+        ("service", "/remote/ada/robot/s", "/remote/ada/n"),
+    ]
     found = observed(facts, RULES).candidates
     assert found == {
         "/remote/ada/robot/pose": Candidate(
@@ -70,8 +74,7 @@ def test_a_topic_whose_served_name_would_be_too_long_is_left_out() -> None:
 def some(label: str, count: int) -> list[Candidate]:
     given = TopicRule(label, "/**")
     return [
-        Candidate(f"/remote/{label}/t{n:04}", f"/gateway/{label}/t{n:04}", given, "*")
-        for n in range(count)
+        Candidate(f"/remote/{label}/t{n:04}", f"/gateway/{label}/t{n:04}", given, "*") for n in range(count)
     ]
 
 
@@ -91,9 +94,7 @@ def test_a_new_topic_replaces_none_that_is_served() -> None:
 
 @given(st.lists(st.integers(0, 40), max_size=6), st.integers(0, 60))
 def test_the_room_is_used_and_shared(counts: list[int], most: int) -> None:
-    found = chosen(
-        [each for n, count in enumerate(counts) for each in some(f"d{n}", count)], (), most
-    )
+    found = chosen([each for n, count in enumerate(counts) for each in some(f"d{n}", count)], (), most)
     got = Counter(each.rule.label for each in found)
     assert len(found) == min(most, sum(counts))
     for number, count in enumerate(counts):

@@ -64,6 +64,4 @@ def test_types_of_one_checksum_and_other_arrays_are_not_the_same() -> None:
 
     md5 = layout.parse("a/T", one.definition).md5
     assert md5 == layout.parse("a/T", two.definition).md5
-    assert not same_type(
-        Definition("a/T", md5, one.definition), Definition("a/T", md5, two.definition)
-    )
+    assert not same_type(Definition("a/T", md5, one.definition), Definition("a/T", md5, two.definition))

@@ -1,16 +1,7 @@
 import pytest
 
 from rossec.errors import GatewayError
-from rossec.gateway.rules import (
-    FIRST_PAUSE,
-    LINGER,
-    LONGEST_PAUSE,
-    TABLE,
-    Action,
-    Event,
-    Phase,
-    TopicState,
-)
+from rossec.gateway.rules import FIRST_PAUSE, LINGER, LONGEST_PAUSE, TABLE, Action, Event, Phase, TopicState
 
 
 def test_the_origin_is_subscribed_while_somebody_is_and_a_little_longer() -> None:

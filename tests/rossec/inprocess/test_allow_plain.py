@@ -142,12 +142,15 @@ async def exhaust(api: str, port: int) -> None:
 async def test_named_entries_stay_plain_with_a_warning(tmp_path: Path) -> None:
     async with Site(tmp_path / "site").running() as site, stock.rosmaster(tmp_path) as uri:
         entitle(
-            site, "/robot",
+            site,
+            "/robot",
             {
-                Right.PUBLISH: ("/robot/open", "/robot/closed"), Right.PROVIDE: ("/robot/ask",),
-                Right.SUBSCRIBE: ("/plain/*",), Right.CALL: ("/plain/work",),
+                Right.PUBLISH: ("/robot/open", "/robot/closed"),
+                Right.PROVIDE: ("/robot/ask",),
+                Right.SUBSCRIBE: ("/plain/*",),
+                Right.CALL: ("/plain/work",),
             },
-        )  # fmt: skip
+        )
         async with (
             program(stock.environment(uri, tmp_path), STOCK) as plain,
             program(environment(site, tmp_path), SECURED) as robot,

@@ -55,9 +55,7 @@ async def test_an_unknown_name_or_another_type_is_refused(victim: Victim) -> Non
     assert await refusal(victim, service="/robot/none", md5sum="*") == (
         "rossec: /robot does not provide /robot/none"
     )
-    assert "types do not match" in await refusal(
-        victim, topic=STATE, md5sum="0" * 32, type="std_msgs/Int32"
-    )
+    assert "types do not match" in await refusal(victim, topic=STATE, md5sum="0" * 32, type="std_msgs/Int32")
     assert "md5sums do not match" in await refusal(victim, service=SERVICE, md5sum="0" * 32)
     assert "has no 'topic'" in await refusal(victim, **any_type)
 
@@ -68,12 +66,7 @@ async def test_a_restriction_for_another_type_is_refused(victim: Victim) -> None
     answer = await send_header(victim.port, own, fields_for("/misfit", STATE, [grant]))
     assert "restricted for messages of type geometry_msgs/PoseStamped" in answer.error
     grant = victim.site.grant("/misfit", Right.CALL, SERVICE, restriction=coarse())
-    fields: Fields = {
-        "callerid": "/misfit",
-        "service": SERVICE,
-        "md5sum": "*",
-        FIELD: encode([grant]),
-    }
+    fields: Fields = {"callerid": "/misfit", "service": SERVICE, "md5sum": "*", FIELD: encode([grant])}
     answer = await send_header(victim.port, own, fields)
     assert "restricted for messages of type geometry_msgs/PoseStamped" in answer.error
 
@@ -102,9 +95,7 @@ async def test_a_service_is_probed_and_called_on_a_persistent_connection(victim:
     for request in (b"", bytes(30_000)):  # rospy ignores bytes after a request
         await stream.send(tcpros.frame(request))
         assert (await stream.receive())[0] == 1
-    await stream.send(
-        tcpros.frame(bytes(300_000))
-    )  # rossec does not, where all requests have one size
+    await stream.send(tcpros.frame(bytes(300_000)))  # rossec does not, where all requests have one size
     with pytest.raises(ChannelError):
         await stream.receive()
     victim.program.said = victim.said.replace("RESET", "")

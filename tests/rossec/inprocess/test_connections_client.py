@@ -102,16 +102,12 @@ async def register(site: Site, service: PlainService) -> None:
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def porter(
-    tmp_path_factory: pytest.TempPathFactory, plain: PlainService
-) -> AsyncIterator[Program]:
+async def porter(tmp_path_factory: pytest.TempPathFactory, plain: PlainService) -> AsyncIterator[Program]:
     directory: Path = tmp_path_factory.mktemp("porter")
     async with Site(directory / "site").running() as site:
         entitle(site, NAME, {Right.PUBLISH: ("/porter/*",), Right.CALL: ("/plain/*", "/lamp/on")})
         site.grant(NAME, Right.CALL, "/lamp/odd", restriction=coarse())
-        site.grant(
-            "/lamp", Right.PROVIDE, "/lamp/*", restriction=only("SetBoolRequest", "!msg.data")
-        )
+        site.grant("/lamp", Right.PROVIDE, "/lamp/*", restriction=only("SetBoolRequest", "!msg.data"))
         await register(site, plain)
         env = environment(site, directory)
         async with site.node("/lamp") as lamp, program(env, PORTER, told=True) as running:
@@ -141,9 +137,7 @@ async def test_the_refusal_of_a_provider_is_reported(porter: Program) -> None:
     assert "restricted for messages of type" in await said(porter, "/lamp/odd")
 
 
-async def test_only_a_named_service_is_called_in_plain(
-    porter: Program, plain: PlainService
-) -> None:
+async def test_only_a_named_service_is_called_in_plain(porter: Program, plain: PlainService) -> None:
     assert await said(porter, OPEN) == "ANSWER in clear"
     assert FIELD.encode() not in b"".join(plain.headers), "grants are secret"
     plain.headers.clear()
@@ -164,7 +158,8 @@ def answer_to_plain(porter: Program, topic: str) -> bytes:
 async def test_only_a_named_topic_is_served_in_plain(porter: Program) -> None:
     await said(porter, "/lamp/on")
     for topic, expected in (
-        (OPEN_TOPIC, b"message_definition"), ("/porter/none", b"no such topic"),
+        (OPEN_TOPIC, b"message_definition"),
+        ("/porter/none", b"no such topic"),
         ("/porter/closed", REFUSAL.encode()),
-    ):  # fmt: skip
+    ):
         assert expected in await asyncio.to_thread(answer_to_plain, porter, topic)

@@ -75,8 +75,5 @@ def test_a_node_does_not_reach_itself_at_another_address(robot: LocalIdentity) -
 
 def refuse(listener: socket.socket, connector: Connector) -> None:
     """Serve one caller that ends the handshake."""
-    with (
-        connector.respond(listener.accept()[0], WireProtocol.TCPROS) as stream,
-        pytest.raises(ChannelError),
-    ):
+    with connector.respond(listener.accept()[0], WireProtocol.TCPROS) as stream, pytest.raises(ChannelError):
         stream.do_handshake()

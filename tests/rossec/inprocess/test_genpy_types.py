@@ -5,12 +5,7 @@ from geometry_msgs.msg import Twist
 from rospy import AnyMsg
 from std_msgs.msg import String
 
-from rossec.inprocess.connections import (
-    definition_of,
-    installed_definition,
-    max_message_size,
-    max_unit_size,
-)
+from rossec.inprocess.connections import definition_of, installed_definition, max_message_size, max_unit_size
 from rossec.net.limits import BATCH_LIMIT
 from rossec.participant.message_types import message_type
 from rossec.ros.tcpros import HEADER_LIMIT, MESSAGE_LIMIT

@@ -69,9 +69,7 @@ def test_a_publisher_counts_while_it_may_be_named_again() -> None:
     registrations.record(*SUBSCRIBE, [1, "", ["http://a/", 7, "http://b/"]])
     registrations.publishers.session_opened()
     registrations.record(*SUBSCRIBE, [1, "", ["http://b/"]])
-    assert [registrations.is_publisher("/t", f"http://{name}/") for name in "abc"] == [
-        True, True, False,
-    ]  # fmt: skip
+    assert [registrations.is_publisher("/t", f"http://{name}/") for name in "abc"] == [True, True, False]
     registrations.set_publishers("/t", [])
     assert not registrations.is_publisher("/t", "http://b/"), "it was removed"
     now += GRACE

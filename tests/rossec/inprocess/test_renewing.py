@@ -8,9 +8,7 @@ from rossec.inprocess.sockets import RosSocket
 from tests.rossec.inprocess.socket_pair import connected
 
 
-def test_grants_are_presented_and_heard(
-    local_identity: LocalIdentity, listening: RosSocket
-) -> None:
+def test_grants_are_presented_and_heard(local_identity: LocalIdentity, listening: RosSocket) -> None:
     left, right = connected(local_identity, listening)
     heard: list[Any] = []
     right.on_renewal(heard.append)

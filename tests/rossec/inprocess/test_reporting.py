@@ -64,9 +64,7 @@ def test_unauthenticated_peers_cannot_flood_the_log() -> None:
     reporter.close()
     assert len(written) == 61
     assert written.count("rossec: too many different warnings; some are suppressed") == 1
-    assert [sum(name in line for line in written) for name in ("/eve", "/mallory", "/robot")] == [
-        10, 10, 1,
-    ]  # fmt: skip
+    assert [sum(name in line for line in written) for name in ("/eve", "/mallory", "/robot")] == [10, 10, 1]
 
 
 def test_threads_may_warn_and_forget_at_once() -> None:

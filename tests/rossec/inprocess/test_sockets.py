@@ -22,9 +22,7 @@ from tests.support.secure_sockets import background
 from tests.support.site import Site
 
 
-def test_a_socket_connects_sends_and_receives(
-    local_identity: LocalIdentity, listening: RosSocket
-) -> None:
+def test_a_socket_connects_sends_and_receives(local_identity: LocalIdentity, listening: RosSocket) -> None:
     left, right = connected(local_identity, listening)
     assert (left.peer.name, right.peer.name, left.is_plain) == ("/viewer", "/robot", False)
     assert left.fileno() > 0
@@ -72,9 +70,7 @@ def test_a_message_that_has_begun_must_make_progress(
     right.sendall(b"\x09\0\0\0half")
     assert framing.feed(left.receive_before_deadline(framing, lambda: left.recv(100)), 0) == []
     right.sendall(b", and")
-    assert framing.feed(left.receive_before_deadline(framing, lambda: left.recv(100)), 0) == [
-        b"half, and"
-    ]
+    assert framing.feed(left.receive_before_deadline(framing, lambda: left.recv(100)), 0) == [b"half, and"]
     right.sendall(b"\x09\0\0\0half")
     framing.feed(left.receive_before_deadline(framing, lambda: left.recv(100)), 0)
     with pytest.raises(LimitExceeded):
@@ -140,9 +136,7 @@ def test_a_host_without_descriptors_pauses_accepting(
     local_identity: LocalIdentity, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sockets, "ACCEPT_PAUSE", 0.0)
-    answers: list[Any] = [
-        OSError(errno.EMFILE, "too many"), OSError(errno.EBADF, "closed"),
-    ]  # fmt: skip
+    answers: list[Any] = [OSError(errno.EMFILE, "too many"), OSError(errno.EBADF, "closed")]
 
     def accept() -> None:
         raise answers.pop(0)
@@ -185,9 +179,7 @@ def test_a_plain_peer_is_refused(local_identity: LocalIdentity, stock: tuple[str
     sock.close()
 
 
-def test_a_plain_peer_that_is_allowed(
-    local_identity: LocalIdentity, stock: tuple[str, int]
-) -> None:
+def test_a_plain_peer_that_is_allowed(local_identity: LocalIdentity, stock: tuple[str, int]) -> None:
     sock = RosSocket(owner(local_identity, PlainPeers(["/x"])), socket.socket())
     sock.connect(stock)
     assert sock.is_plain
@@ -258,9 +250,7 @@ def test_peek_does_not_wait_for_a_silent_caller(monkeypatch: pytest.MonkeyPatch)
                 sock.close()
 
 
-def test_an_aborted_socket_receives_nothing_more(
-    local_identity: LocalIdentity, listening: RosSocket
-) -> None:
+def test_an_aborted_socket_receives_nothing_more(local_identity: LocalIdentity, listening: RosSocket) -> None:
     left, right = connected(local_identity, listening)
     right.sendall(b"before")
     left.abort()

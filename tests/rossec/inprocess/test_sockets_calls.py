@@ -70,9 +70,7 @@ def test_calls_pass_the_filter_before_the_program_reads_them(
         sock.close()
 
 
-def test_a_refused_call_is_answered_and_not_read(
-    local_identity: LocalIdentity, listening: RosSocket
-) -> None:
+def test_a_refused_call_is_answered_and_not_read(local_identity: LocalIdentity, listening: RosSocket) -> None:
     left, right = connected(local_identity, listening)
     calls = Calls()
     right.service_filter, calls.refused = calls, True

@@ -35,10 +35,7 @@ def sent(made: Any) -> bytes:
 
 
 def test_only_a_subscriber_with_wishes_has_such_a_queue() -> None:
-    for wishes, kind in (
-        (NO_WISHES, send_queue.SendQueue),
-        (Wishes(5), wish_queue.WishQueue),
-    ):
+    for wishes, kind in ((NO_WISHES, send_queue.SendQueue), (Wishes(5), wish_queue.WishQueue)):
         made = connection(wishes)
         queue = wish_queue.queue_for(made, 3)
         made.close()
@@ -82,9 +79,7 @@ async def test_of_what_waits_only_the_newest_is_sent(newest: bool) -> None:
 
 
 @pytest.mark.parametrize("size", [0, 10, 1000, LARGE - 2])
-async def test_a_message_is_deflated_once_for_all(
-    size: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_message_is_deflated_once_for_all(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
 
     def count(pieces: Any) -> bytes:

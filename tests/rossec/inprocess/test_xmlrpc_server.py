@@ -24,8 +24,7 @@ def test_of_those_with_one_turn_one_is_parsed_at_a_time() -> None:
     done: list[str] = []
     turn = Lock()
     threads = [
-        Thread(target=lambda each=each: done.append(in_steps(steps(seen, each), turn)))
-        for each in "abc"
+        Thread(target=lambda each=each: done.append(in_steps(steps(seen, each), turn))) for each in "abc"
     ]
     for thread in threads:
         thread.start()

@@ -18,9 +18,7 @@ from rossec.master.rights.statements import TrustState
 ALL = Right(255)
 
 
-def caller(
-    name: str, rights: Mapping[str, Right] | None = None, *, wildcard: bool = False
-) -> Caller:
+def caller(name: str, rights: Mapping[str, Right] | None = None, *, wildcard: bool = False) -> Caller:
     """A caller with rights on exact names and below `/ns/**`."""
     held = Reach(Permission(pattern, right) for pattern, right in (rights or {}).items())
     return Caller(name, name.encode(), held, refuse, wildcard)
@@ -57,13 +55,7 @@ def run_to_end(work: Work) -> CallOutcome:
 
 
 def call_api(
-    api: MasterApi,
-    method: str,
-    params: Sequence[object],
-    who: Caller,
-    now: int,
-    *,
-    is_local: bool = True,
+    api: MasterApi, method: str, params: Sequence[object], who: Caller, now: int, *, is_local: bool = True
 ) -> CallOutcome:
     """Answer one call to its end, as the server does in turns."""
     if method != MULTICALL:
@@ -112,9 +104,7 @@ class FakeStatements(TrustState):
     def revoked(self) -> frozenset[bytes]:
         return frozenset({b"one", b"two"})
 
-    def pertaining(
-        self, caller: Caller, names: Iterable[str]
-    ) -> Generator[None, None, frozenset[bytes]]:
+    def pertaining(self, caller: Caller, names: Iterable[str]) -> Generator[None, None, frozenset[bytes]]:
         yield
         return frozenset({b"one"}) if "/t" in names else frozenset()
 

@@ -9,9 +9,7 @@ from tests.rossec.master.world import SlaveNode, T, until
 
 ALIAS, SERVED = "/remote/hospital/pose", "/gateway/hospital/pose"
 ORIGIN = "http://10.0.0.2:1/"
-POSE = [
-    ("node", "/robot", ORIGIN), ("publisher", "/pose", "/robot"), ("type", "/pose", T)
-]  # fmt: skip
+POSE = [("node", "/robot", ORIGIN), ("publisher", "/pose", "/robot"), ("type", "/pose", T)]
 SERVES = {"/gateway/hospital/**": Right.PUBLISH}
 MAY_BE_SERVED = {SERVED: Right.SUBSCRIBE}
 NOTHING = {"/nothing": Right.SUBSCRIBE}

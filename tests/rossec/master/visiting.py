@@ -26,13 +26,14 @@ class Hospital:
     def entry(self, label: str = LABEL, **changes: Any) -> ForeignDomain:
         """An entry of a list for all of its nodes, fresh for an hour, for a day."""
         fields: dict[str, Any] = {
-            "admitted": ("/**",), "fresh": 3600, "until": self.site.now + DAY, **changes,
-        }  # fmt: skip
+            "admitted": ("/**",),
+            "fresh": 3600,
+            "until": self.site.now + DAY,
+            **changes,
+        }
         return ForeignDomain(self.site.domain, label, self.site.anchor.certificate, **fields)
 
-    def word(
-        self, *revoked: bytes | EnrolledNode, age: int = 0
-    ) -> tuple[bytes, bytes, tuple[bytes, ...]]:
+    def word(self, *revoked: bytes | EnrolledNode, age: int = 0) -> tuple[bytes, bytes, tuple[bytes, ...]]:
         """Its next list, a timestamp of it, and the chain of its master."""
         data = self.site.revoke(*revoked)
         seq = open_list(data, self.site.anchor.public_key).seq
@@ -68,9 +69,7 @@ class VisitWorld(World):
         self.trust.domains.take(HOSPITAL, *self.hospital.word(), self.site.now)
         self.robot = self.hospital.site.enroll("/rounds/robot3")
 
-    async def visitor(
-        self, rights: dict[str, Right], member: EnrolledNode | None = None
-    ) -> SlaveNode:
+    async def visitor(self, rights: dict[str, Right], member: EnrolledNode | None = None) -> SlaveNode:
         """A node of the hospital with grants of the home."""
         node = SlaveNode(self, member or self.robot)
         await node.start(rights)

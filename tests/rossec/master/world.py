@@ -66,10 +66,7 @@ class World:
         self.site = Site()
         self.master = self.site.enroll("/master")
         self.trust = TrustState(
-            self.site.anchor,
-            self.master.credentials.signer,
-            self.site.revocations(),
-            lambda _: None,
+            self.site.anchor, self.master.credentials.signer, self.site.revocations(), lambda _: None
         )
         self.trust.update(self.site.revoke(), self.site.now)
 
@@ -94,10 +91,7 @@ class World:
     async def call_as(self, member: EnrolledNode) -> RpcClient:
         host, port = parse_uri(self.server.uri)
         stream = await connect(
-            host,
-            port,
-            unlimited(member.credentials, self.site.anchor.verify),
-            WireProtocol.HTTP,
+            host, port, unlimited(member.credentials, self.site.anchor.verify), WireProtocol.HTTP
         )
         client = RpcClient(stream)
         self.exit.push_async_callback(client.close)

@@ -51,9 +51,7 @@ def test_what_is_empty_and_what_is_nested() -> None:
     (found,) = scan(data).nodes
     first, second = (data[e.whole.start : e.whole.end].decode() for e in found.elements)
     assert first + second == text
-    assert found.metadata() == (
-        b"<node><name>lamp</name><group></group><x><y>1 &amp; 2</y></x></node>"
-    )
+    assert found.metadata() == (b"<node><name>lamp</name><group></group><x><y>1 &amp; 2</y></x></node>")
 
 
 def test_what_is_no_launch_file_is_refused() -> None:

@@ -122,10 +122,7 @@ async def test_slow_metadata_of_one_caller_delay_no_other(parameters: Parameters
     mallory, others = caller("/mallory"), [caller(f"/robot{number}") for number in range(3)]
     async with RuleRunner(SLOW, children=CHILDREN, seconds=30) as runner:
         names = TopicNames(runner, parameters.get)
-        asked = [
-            asyncio.ensure_future(names.answer(asks("a", BOMB), mallory))
-            for _ in range(WAITING + 4)
-        ]
+        asked = [asyncio.ensure_future(names.answer(asks("a", BOMB), mallory)) for _ in range(WAITING + 4)]
         await asyncio.sleep(0)
         for other in others:
             assert await names.answer(asks("a", "<node/>"), other) == {"topicname": "/fast"}

@@ -23,8 +23,12 @@ NAME = "/smartphones/schneider/htc_desire"
 def test_it_says_that_it_is_ready_and_answers_until_there_are_no_more_requests() -> None:
     done = subprocess.run(
         [sys.executable, "-I", "-m", "rossec.naming.child"],
-        input=2 * requests.frame(BODY), capture_output=True, check=True, timeout=60, env={},
-    )  # fmt: skip
+        input=2 * requests.frame(BODY),
+        capture_output=True,
+        check=True,
+        timeout=60,
+        env={},
+    )
     answer = requests.frame(requests.write_names([NAME]))
     assert done.stdout == requests.frame(requests.READY) + 2 * answer
     assert done.stderr == b""
@@ -33,8 +37,12 @@ def test_it_says_that_it_is_ready_and_answers_until_there_are_no_more_requests()
 def test_a_frame_that_is_too_long_ends_it() -> None:
     done = subprocess.run(
         [sys.executable, "-I", "-m", "rossec.naming.child"],
-        input=b"\xff\xff\xff\xff" + b"a" * 99, capture_output=True, check=False, timeout=60, env={},
-    )  # fmt: skip
+        input=b"\xff\xff\xff\xff" + b"a" * 99,
+        capture_output=True,
+        check=False,
+        timeout=60,
+        env={},
+    )
     assert (done.returncode, done.stderr) == (1, b"")
 
 
@@ -47,9 +55,7 @@ def test_a_request_that_is_malformed_is_an_error() -> None:
         requests.read_names(bytes(child.ask(bytearray(b"\0"))), 1)
 
 
-def keeping(
-    kept: list[bytearray], ask: Callable[[bytearray], bytearray]
-) -> Callable[[bytearray], bytearray]:
+def keeping(kept: list[bytearray], ask: Callable[[bytearray], bytearray]) -> Callable[[bytearray], bytearray]:
     def asked(body: bytearray) -> bytearray:
         kept.extend((body, ask(body)))
         return kept[-1]
@@ -171,8 +177,10 @@ def test_what_it_is_restricted_to(monkeypatch: pytest.MonkeyPatch) -> None:
     child.restrict(7, os.getppid())
     assert closed == [(0, 7), (8, child.FILES)]
     assert limits == {
-        resource.RLIMIT_CPU: (2, 2), resource.RLIMIT_NPROC: (0, 0), resource.RLIMIT_NOFILE: (0, 0),
-    }  # fmt: skip
+        resource.RLIMIT_CPU: (2, 2),
+        resource.RLIMIT_NPROC: (0, 0),
+        resource.RLIMIT_NOFILE: (0, 0),
+    }
     assert sandbox.FORK not in calls
     assert not {"kill", "prctl", "prlimit64", "readv", "wait4"} & set(calls)
     calls.clear()
@@ -211,9 +219,7 @@ def said(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
     return written
 
 
-def test_it_says_why_it_cannot_be_confined(
-    monkeypatch: pytest.MonkeyPatch, said: list[bytes]
-) -> None:
+def test_it_says_why_it_cannot_be_confined(monkeypatch: pytest.MonkeyPatch, said: list[bytes]) -> None:
     def confine() -> None:
         raise OSError("no filter of system calls is known for armv7l")
 
@@ -225,9 +231,7 @@ def test_it_says_why_it_cannot_be_confined(
     assert "x86_64 or aarch64" in caught.value.hint
 
 
-def test_it_is_ready_once_it_is_confined(
-    monkeypatch: pytest.MonkeyPatch, said: list[bytes]
-) -> None:
+def test_it_is_ready_once_it_is_confined(monkeypatch: pytest.MonkeyPatch, said: list[bytes]) -> None:
     done: list[str] = []
     monkeypatch.setattr(child, "confine", lambda: done.append("confined"))
     child.main()

@@ -64,10 +64,7 @@ def test_an_encoding_that_could_hide_something_is_refused(data: bytes, encoding:
 def test_an_encoding_that_parsers_guess_is_refused(encoding: str) -> None:
     """EBCDIC without a NUL or a mark: libxml2 knows it by its first four bytes."""
     text = '<?xml version="1.0" encoding="EBCDIC-CP-US"?><!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>'
-    for refusal, check in (
-        (MetadataRefused, requests.check_document),
-        (RulesRefused, requests.check_rules),
-    ):
+    for refusal, check in ((MetadataRefused, requests.check_document), (RulesRefused, requests.check_rules)):
         with pytest.raises(refusal, match="that begin with no element"):
             check(text.encode(encoding))
 

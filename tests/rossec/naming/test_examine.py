@@ -41,9 +41,7 @@ async def test_the_shipped_rules_and_metadata_have_no_findings() -> None:
 
 async def test_collisions_and_illegal_names_are_found_with_their_lines() -> None:
     report, found = await examined(RULES, PHONE, LAMP)
-    assert found == [
-        ("1.xml", 3, "collision"), ("1.xml", 5, "illegal"), ("1.xml", 6, "illegal"),
-    ]  # fmt: skip
+    assert found == [("1.xml", 3, "collision"), ("1.xml", 5, "illegal"), ("1.xml", 6, "illegal")]
     assert str(report.findings[0]) == (
         "1.xml:3: the topic temperature: /building1/room3/sensors/temperature is also the topic"
         " temperature in 0.xml:13"
@@ -113,8 +111,7 @@ async def test_names_that_nothing_covers_are_found() -> None:
     report, found = await examined(RULES, PHONE, covered=covered)
     assert found == [("0.xml", 13, "uncovered")]
     assert str(report.findings[0]).endswith(
-        "no grant or rule covers /building1/room3/sensors/temperature for"
-        " /smartphones/schneider/htc_desire"
+        "no grant or rule covers /building1/room3/sensors/temperature for /smartphones/schneider/htc_desire"
     )
     assert {node for node, _, _ in asked} == {"/smartphones/schneider/htc_desire"}
 

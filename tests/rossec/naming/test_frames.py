@@ -17,9 +17,7 @@ from rossec.errors import (
 from rossec.naming import requests
 from rossec.naming.requests import MAX_ENTRIES, MAX_INPUT, MAX_WHICH, Kind, NameRequest
 
-REQUEST = NameRequest(
-    b"rules", b"document", ((Kind.NODE, ""), (Kind.TOPIC, "a")), thesis_defaults=True
-)
+REQUEST = NameRequest(b"rules", b"document", ((Kind.NODE, ""), (Kind.TOPIC, "a")), thesis_defaults=True)
 ERRORS = (RulesRefused, MetadataRefused, NameUndefined, RulesExceeded, RulesNotConfined)
 
 
@@ -45,10 +43,14 @@ def test_a_request_cut_anywhere_or_longer_is_refused() -> None:
 @pytest.mark.parametrize(
     "value",
     [
-        [], [b"", b"", []], [b"", "", [], False], [b"", b"", [["node"]], False],
-        [b"", b"", [["robot", ""]], False], [b"", b"", [["node", b""]], False],
+        [],
+        [b"", b"", []],
+        [b"", "", [], False],
+        [b"", b"", [["node"]], False],
+        [b"", b"", [["robot", ""]], False],
+        [b"", b"", [["node", b""]], False],
     ],
-)  # fmt: skip
+)
 def test_a_request_of_another_form_is_refused(value: list[object]) -> None:
     with pytest.raises(EncodingError):
         requests.read_request(encode(value))  # type: ignore[arg-type]
@@ -68,11 +70,21 @@ def test_names_and_errors_are_read_as_they_were_written(kind: type[RossecError])
 @pytest.mark.parametrize(
     "body",
     [
-        b"", b"\0", encode([0]), encode([0, []]), encode([0, ["/a"]]), encode([0, [[0, b"/a"]]]),
-        encode([9, "a", "b"]), encode([0, "a", "b"]), encode([-1, "a", "b"]), encode([1, "a"]),
-        encode([0, [[0, "a"], [0, "b"]]]), encode({1: 2}), encode([0, "a"]),
+        b"",
+        b"\0",
+        encode([0]),
+        encode([0, []]),
+        encode([0, ["/a"]]),
+        encode([0, [[0, b"/a"]]]),
+        encode([9, "a", "b"]),
+        encode([0, "a", "b"]),
+        encode([-1, "a", "b"]),
+        encode([1, "a"]),
+        encode([0, [[0, "a"], [0, "b"]]]),
+        encode({1: 2}),
+        encode([0, "a"]),
     ],
-)  # fmt: skip
+)
 def test_an_answer_of_another_form_is_an_error(body: bytes) -> None:
     try:
         (found,) = requests.read_names(body, 1)

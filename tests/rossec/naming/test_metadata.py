@@ -9,12 +9,14 @@ from rossec.naming.requests import MAX_ENTRIES, Entry, Kind, Metadata, check_que
 
 def test_the_metadata_of_the_thesis_are_read() -> None:
     assert read(rule_runner.shipped_example("phone.xml")) == Metadata(
-        "schneider", "htc_desire", "smartphones",
+        "schneider",
+        "htc_desire",
+        "smartphones",
         (
             Entry(Kind.TOPIC, "accelerometer", "sensor", None, mobile=True),
             Entry(Kind.TOPIC, "temperature", "sensor", "building1/room3"),
         ),
-    )  # fmt: skip
+    )
 
 
 def test_the_lines_of_topics_and_services_are_known() -> None:
@@ -24,16 +26,16 @@ def test_the_lines_of_topics_and_services_are_known() -> None:
 
 def test_everything_may_be_missing_and_others_may_stand_beside() -> None:
     assert read(b"<node/>") == Metadata()
-    text = (
-        b"<node><room>3</room><name> a </name><owner/><service><name>b</name><x/></service></node>"
-    )
+    text = b"<node><room>3</room><name> a </name><owner/><service><name>b</name><x/></service></node>"
     assert read(text) == Metadata(None, "a", None, (Entry(Kind.SERVICE, "b"),))
 
 
 def test_a_name_can_be_asked_for_the_node_and_everything_it_has() -> None:
     assert list(read(rule_runner.shipped_example("phone.xml")).queries()) == [
-        (Kind.NODE, ""), (Kind.TOPIC, "accelerometer"), (Kind.TOPIC, "temperature"),
-    ]  # fmt: skip
+        (Kind.NODE, ""),
+        (Kind.TOPIC, "accelerometer"),
+        (Kind.TOPIC, "temperature"),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -54,10 +56,7 @@ def test_a_name_can_be_asked_for_the_node_and_everything_it_has() -> None:
             "<node><topic><name>a</name><mobile>>true</mobile></topic></node>",
             "line 1: <mobile> is true or false, not '>true'",
         ),
-        (
-            "<node>" + 2 * "<topic><name>a</name></topic>" + "</node>",
-            "two topics with the name 'a'",
-        ),
+        ("<node>" + 2 * "<topic><name>a</name></topic>" + "</node>", "two topics with the name 'a'"),
     ],
 )
 def test_what_is_not_metadata_is_refused(text: str, message: str) -> None:

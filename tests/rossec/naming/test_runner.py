@@ -64,9 +64,7 @@ async def test_the_names_of_the_thesis() -> None:
         assert await rules.name(PHONE, Kind.TOPIC, "accelerometer") == (
             "/smartphones/schneider/htc_desire/sensors/accelerometer"
         )
-        assert await rules.name(PHONE, Kind.TOPIC, "temperature") == (
-            "/building1/room3/sensors/temperature"
-        )
+        assert await rules.name(PHONE, Kind.TOPIC, "temperature") == ("/building1/room3/sensors/temperature")
 
 
 async def test_a_process_is_kept_for_the_next_request_and_ended_at_the_end() -> None:

@@ -14,9 +14,7 @@ from tests.rossec.naming.stylesheets import NODE, RULES
 
 TEXT = st.text(st.characters(codec="utf-8"), max_size=20)
 WORD = st.sampled_from(["a", "robot1", "/remote", "..", "a/b", "master", "-", "é", "a" * 300, ""])
-FIELDS = st.lists(
-    st.tuples(st.sampled_from(["owner", "name", "group", "x"]), WORD | TEXT), max_size=4
-)
+FIELDS = st.lists(st.tuples(st.sampled_from(["owner", "name", "group", "x"]), WORD | TEXT), max_size=4)
 TOPICS = st.lists(st.tuples(WORD | TEXT, WORD | TEXT, WORD), max_size=3)
 
 

@@ -59,7 +59,7 @@ def test_harmless_rules_pass(rules: bytes) -> None:
         (sheet("", top="<xsl:key name='k' match='a' use='document(b)'/>"), "the function document"),
         (sheet("", attributes='extension-element-prefixes="xsl"'), "the attribute extension"),
     ],
-)  # fmt: skip
+)
 def test_what_rules_may_not_use_is_refused(rules: bytes, what: str) -> None:
     with pytest.raises(RulesRefused, match=r"^line \d: rules may not use ") as caught:
         scan(etree.fromstring(rules))

@@ -48,9 +48,7 @@ def test_the_limits() -> None:
 
 def test_the_short_form_is_what_the_text_shows() -> None:
     shown = SPEC.partition("```xml\n<xsl:variable")[2].partition("```")[0]
-    by_text = etree.fromstring(
-        sheet(f"<xsl:variable{shown}"), etree.XMLParser(remove_blank_text=True)
-    )
+    by_text = etree.fromstring(sheet(f"<xsl:variable{shown}"), etree.XMLParser(remove_blank_text=True))
     root = etree.fromstring(sheet('<parameter name="N" path="P" default="D"/>'))
     expand(root)
     made, written = (next(each.iter(f"{{{XSLT}}}variable")) for each in (root, by_text))
@@ -59,11 +57,5 @@ def test_the_short_form_is_what_the_text_shows() -> None:
 
 def test_the_example_is_metadata() -> None:
     text = SPEC.partition("```xml\n")[2].partition("```")[0]
-    assert [entry.name for entry in requests.read(text.encode()).entries] == [
-        "accelerometer",
-        "reset",
-    ]
-    assert (
-        requests.read(rule_runner.shipped_example("phone.xml")).owner
-        == requests.read(text.encode()).owner
-    )
+    assert [entry.name for entry in requests.read(text.encode()).entries] == ["accelerometer", "reset"]
+    assert requests.read(rule_runner.shipped_example("phone.xml")).owner == requests.read(text.encode()).owner

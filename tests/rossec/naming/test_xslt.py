@@ -4,13 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.errors import (
-    MetadataRefused,
-    NameUndefined,
-    RossecError,
-    RulesExceeded,
-    RulesRefused,
-)
+from rossec.errors import MetadataRefused, NameUndefined, RossecError, RulesExceeded, RulesRefused
 from rossec.naming import requests, rule_runner, xslt
 from rossec.naming.requests import Kind, NameRequest
 from tests.rossec.naming.stylesheets import NODE, PHONE, RULES, gives, request, sheet
@@ -22,9 +16,7 @@ def only(asked: NameRequest) -> requests.Result:
     return result
 
 
-def names(
-    document: bytes, *queries: tuple[Kind, str], rules: bytes = RULES
-) -> list[requests.Result]:
+def names(document: bytes, *queries: tuple[Kind, str], rules: bytes = RULES) -> list[requests.Result]:
     body = xslt.answer(NameRequest(rules, document, queries))
     return requests.read_names(body, len(queries))
 
@@ -89,13 +81,16 @@ def test_a_value_is_text_and_never_an_expression() -> None:
         (sheet("<nom>/a</nom>"), RulesRefused, "give <nom> for the node, not one <name>"),
         (sheet("<name><a/></name>"), RulesRefused, "give <name> for the node, not one <name>"),
         (gives("concat(a, 1, 2)", top=""), str, "12"),
-        (gives("string(str:padding(2000, 'a'))", attributes='xmlns:str="http://exslt.org/strings"'),
-         RulesExceeded, "a name of 2000 characters"),
+        (
+            gives("string(str:padding(2000, 'a'))", attributes='xmlns:str="http://exslt.org/strings"'),
+            RulesExceeded,
+            "a name of 2000 characters",
+        ),
         (gives("$missing"), RulesRefused, "the rules failed"),
         (sheet('<xsl:call-template name="nobody"/>'), RulesRefused, "the rules failed"),
         (sheet('<xsl:message terminate="yes">no group</xsl:message>'), RulesRefused, "no group"),
     ],
-)  # fmt: skip
+)
 def test_what_the_rules_give(rules: bytes, error: type[object], message: str) -> None:
     found = only(request(rules))
     assert isinstance(found, error)
@@ -170,6 +165,4 @@ def test_nothing_is_opened_even_by_rules_that_were_not_scanned(
 
 
 def test_the_shipped_example_is_the_print() -> None:
-    assert rule_runner.shipped_example("phone.xml").startswith(
-        b'<?xml version="1.0" encoding="ISO-8859-1"?>'
-    )
+    assert rule_runner.shipped_example("phone.xml").startswith(b'<?xml version="1.0" encoding="ISO-8859-1"?>')

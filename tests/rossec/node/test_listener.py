@@ -89,9 +89,7 @@ async def test_an_authorized_subscriber_is_told_that_a_topic_is_not_published(
     (grant,) = site.enroll("/viewer").grants()
     fields = {"rossec_grants": (b"\x81\x59" + len(grant).to_bytes(2) + grant)}
     answer = await request(
-        site,
-        robot,
-        tcpros.encode({**tcpros.decode(subscriber_header(topic="/robot/none")[4:]), **fields}),
+        site, robot, tcpros.encode({**tcpros.decode(subscriber_header(topic="/robot/none")[4:]), **fields})
     )
     assert answer["error"] == b"rossec: /robot does not publish /robot/none"
 
@@ -186,9 +184,7 @@ async def test_a_caller_that_stays_is_disconnected(
     await ended(await connect("127.0.0.1", port, unlimited(*dial), WireProtocol.HTTP))
 
 
-async def test_the_graph_right_allows_queries_and_the_admin_right_shutdown(
-    site: Site, robot: Node
-) -> None:
+async def test_the_graph_right_allows_queries_and_the_admin_right_shutdown(site: Site, robot: Node) -> None:
     """`rosnode ping`, `info` and `kill`; no grant allows to control the node."""
     sees = site.grant("/operator", Right.GRAPH, "/robot")
     ends = site.grant("/operator", Right.ADMIN, "/robot")
@@ -196,9 +192,7 @@ async def test_the_graph_right_allows_queries_and_the_admin_right_shutdown(
     stolen = site.grant("/viewer", Right.GRAPH | Right.ADMIN, "/robot")
     credentials = site.enroll("/operator").credentials()
     host, port = parse_uri(robot.uri)
-    stream = await connect(
-        host, port, unlimited(credentials, site.anchor.verify), WireProtocol.HTTP
-    )
+    stream = await connect(host, port, unlimited(credentials, site.anchor.verify), WireProtocol.HTTP)
     client = RpcClient(stream)
 
     async def ask(method: str, *params: object) -> object:
@@ -227,9 +221,7 @@ async def test_a_subscriber_with_a_grant_is_answered(site: Site, robot: Node) ->
     grant = site.subscribe("/viewer", "/robot/*")
     fields = fields_for("/viewer", "/robot/pose", [grant])
     credentials = site.enroll("/viewer").credentials()
-    stream = await connect(
-        "127.0.0.1", robot.topic_endpoint()[1], unlimited(credentials, site.anchor.verify)
-    )
+    stream = await connect("127.0.0.1", robot.topic_endpoint()[1], unlimited(credentials, site.anchor.verify))
     await stream.send(tcpros.encode(fields))
     (answer,) = tcpros.FrameReader().feed(await stream.receive())
     assert tcpros.decode(answer)["type"] == POSE.encode()

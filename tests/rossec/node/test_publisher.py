@@ -71,9 +71,7 @@ def decision(seconds: int = 99) -> Any:
 
 
 async def serve(topic: Publisher, stream: Any, guard: Any, seconds: int = 99) -> asyncio.Task[None]:
-    task = asyncio.get_running_loop().create_task(
-        topic.serve(stream, decision(seconds), guard, b"")
-    )
+    task = asyncio.get_running_loop().create_task(topic.serve(stream, decision(seconds), guard, b""))
     await asyncio.sleep(0)
     return task
 
@@ -132,9 +130,7 @@ async def test_subscribers_with_equal_filters_share_the_filtered_message() -> No
     await asyncio.gather(*tasks, return_exceptions=True)
 
 
-async def test_a_message_that_cannot_be_evaluated_is_withheld(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_a_message_that_cannot_be_evaluated_is_withheld(caplog: pytest.LogCaptureFixture) -> None:
     def refuse(_: object) -> None:
         raise MessageRefused("not its layout")
 

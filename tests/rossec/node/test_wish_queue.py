@@ -105,9 +105,7 @@ async def test_messages_are_deflated(size: int) -> None:
     assert stream.sent == [framed(deflated([bytes(size)]))]
 
 
-async def test_a_message_that_is_replaced_is_never_deflated(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_message_that_is_replaced_is_never_deflated(monkeypatch: pytest.MonkeyPatch) -> None:
     seen = []
 
     def count(pieces: Any) -> bytes:

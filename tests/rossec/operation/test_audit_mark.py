@@ -54,10 +54,17 @@ def test_a_line_of_another_key(signer: KeySigner) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"before": "cd" * 32}, {"at": 2.0}, {"text": "the audit begins"}, {"key": "zz"}, {"key": 5},
-        {"key": "04" + "00" * 64}, {"signature": "00" * 64}, {"signature": ""}, {"signature": None},
+        {"before": "cd" * 32},
+        {"at": 2.0},
+        {"text": "the audit begins"},
+        {"key": "zz"},
+        {"key": 5},
+        {"key": "04" + "00" * 64},
+        {"signature": "00" * 64},
+        {"signature": ""},
+        {"signature": None},
     ],
-)  # fmt: skip
+)
 def test_a_forged_line(signer: KeySigner, change: Entry) -> None:
     assert "is forged" in str(refusal({**mark(signer, BEFORE, 1.0), **change}))
 

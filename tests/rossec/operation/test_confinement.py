@@ -33,9 +33,8 @@ for start in (os.fork, threading.Thread(target=print).start):
 
 def test_it_can_start_no_process() -> None:
     done = subprocess.run(
-        [sys.executable, "-c", CONFINED],
-        env=UNMEASURED, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        [sys.executable, "-c", CONFINED], env=UNMEASURED, capture_output=True, text=True, check=False
+    )
     assert (done.returncode, done.stderr) == (0, "")
 
 
@@ -87,8 +86,11 @@ def test_it_reads_no_file_beside_its_own(tmp_path: Path) -> None:
         (tmp_path / name).write_text("something")
     done = subprocess.run(
         [sys.executable, "-c", FILES, str(tmp_path / "own")],
-        env=UNMEASURED, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        env=UNMEASURED,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     if "can read the files of its user" in done.stderr:
         pytest.skip("NOT RUN: this kernel has no Landlock")
     assert (done.returncode, done.stderr) == (0, "")

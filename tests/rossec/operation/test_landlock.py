@@ -47,8 +47,11 @@ def test_it_reads_what_is_allowed_and_nothing_else(tmp_path: Path) -> None:
     arguments = [str(tmp_path / "allowed"), str(tmp_path / "secret")]
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM, *arguments],
-        capture_output=True, text=True, check=False, env=UNMEASURED,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        env=UNMEASURED,
+    )
     if "Landlock: Function not implemented" in done.stderr or "not supported" in done.stderr:
         pytest.skip("NOT RUN: this kernel has no Landlock")
     assert (done.returncode, done.stderr) == (0, "")

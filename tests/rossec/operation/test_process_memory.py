@@ -23,10 +23,7 @@ PTRACE_SEIZE = 0x4206
 def test_a_protected_process_is_not_read_by_its_user() -> None:
     other_user = 65534 if os.getuid() == 0 else None
     with subprocess.Popen(
-        [sys.executable, "-c", PROGRAM],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        user=other_user,
+        [sys.executable, "-c", PROGRAM], stdin=subprocess.PIPE, stdout=subprocess.PIPE, user=other_user
     ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == b"ready\n"

@@ -14,9 +14,21 @@ KILL, ALLOW, REFUSE = 0x80000000, 0x7FFF0000, 0x00050001
 X86_64, AARCH64 = 0xC000003E, 0xC00000B7
 FORK = 0x01200011
 NEEDED = (
-    "brk", "close", "exit_group", "fstat", "futex", "getrandom", "lseek", "madvise", "mmap",
-    "munmap", "read", "rt_sigaction", "rt_sigprocmask", "write",
-)  # fmt: skip
+    "brk",
+    "close",
+    "exit_group",
+    "fstat",
+    "futex",
+    "getrandom",
+    "lseek",
+    "madvise",
+    "mmap",
+    "munmap",
+    "read",
+    "rt_sigaction",
+    "rt_sigprocmask",
+    "write",
+)
 
 
 def judged(code: bytes, architecture: int, number: int, first: int = 0) -> int:
@@ -51,9 +63,7 @@ def test_another_architecture_ends_the_process() -> None:
 
 def test_arm_has_its_own_numbers() -> None:
     code = sandbox.program(["read", "write", sandbox.FORK], "aarch64")
-    assert [judged(code, AARCH64, number) for number in (63, 64, 0, 1)] == [
-        ALLOW, ALLOW, REFUSE, REFUSE,
-    ]  # fmt: skip
+    assert [judged(code, AARCH64, number) for number in (63, 64, 0, 1)] == [ALLOW, ALLOW, REFUSE, REFUSE]
     assert judged(code, AARCH64, 220, FORK) == ALLOW
     assert judged(code, AARCH64, 221) == REFUSE
 
@@ -110,11 +120,7 @@ os._exit(0)
 def test_the_kernel_refuses_root_too() -> None:
     """Opening, sockets, processes, threads, signals: everything but what computes."""
     done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, *NEEDED],
-        capture_output=True,
-        check=False,
-        timeout=60,
-        env={},
+        [sys.executable, "-c", PROGRAM, *NEEDED], capture_output=True, check=False, timeout=60, env={}
     )
     assert done.stderr == b""
     first, *others = eval(done.stdout)

@@ -142,9 +142,7 @@ async def test_the_idle_door_asked_for_least_recently_makes_room() -> None:
         second.close()
 
 
-async def test_a_connection_that_cannot_be_carried_is_logged(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_a_connection_that_cannot_be_carried_is_logged(caplog: pytest.LogCaptureFixture) -> None:
     carrier = Carrier()
     carrier.error = StreamRefused("no link to it", "rossec relay status")
     async with doors(carrier) as (found, _):
@@ -156,9 +154,7 @@ async def test_a_connection_that_cannot_be_carried_is_logged(
     ]
 
 
-async def test_all_that_find_no_room_are_one_line_of_the_log(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_all_that_find_no_room_are_one_line_of_the_log(caplog: pytest.LogCaptureFixture) -> None:
     carrier = Carrier()
     async with doors(carrier) as (found, _):
         for door in (ROBOT, CLOCK, ROBOT):

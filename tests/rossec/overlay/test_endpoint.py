@@ -9,23 +9,11 @@ from typing import Any
 import pytest
 
 from rossec.channel.records import ChannelLimits
-from rossec.errors import (
-    ChannelClosed,
-    ConnectionTruncated,
-    HandshakeTimeout,
-    IdentityRefused,
-    PeerRefused,
-)
+from rossec.errors import ChannelClosed, ConnectionTruncated, HandshakeTimeout, IdentityRefused, PeerRefused
 from rossec.net.aio import serve
 from rossec.net.limits import HalfOpen, HalfOpenCount
 from rossec.overlay import endpoint as endpoint_module
-from rossec.overlay.endpoint import (
-    OPENS_PER_SECOND,
-    LinkListener,
-    dial_link,
-    idle_round_trip,
-    stats_of,
-)
+from rossec.overlay.endpoint import OPENS_PER_SECOND, LinkListener, dial_link, idle_round_trip, stats_of
 from rossec.overlay.link_frames import (
     HEAD,
     OPEN_SIZE,
@@ -168,9 +156,7 @@ async def test_closing_the_listener_ends_its_links_at_once() -> None:
         await stream.receive()
 
 
-async def test_so_many_frames_of_strangers_are_looked_at_a_second(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_so_many_frames_of_strangers_are_looked_at_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
     async with listening() as (memory, listener):
         now = asyncio.get_running_loop().time()
         monkeypatch.setattr(endpoint_module, "_now", lambda: now)
@@ -187,9 +173,7 @@ async def test_so_many_frames_of_strangers_are_looked_at_a_second(
             assert await stream.receive() == b"x"
 
 
-async def test_unfinished_handshakes_of_a_mailbox_are_limited(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_unfinished_handshakes_of_a_mailbox_are_limited(caplog: pytest.LogCaptureFixture) -> None:
     caps = HalfOpenCount(HalfOpen(per_address=3))
     async with listening(half_open=caps) as (memory, listener):
         good = await dial(memory)
@@ -286,9 +270,10 @@ async def test_a_slow_receiver_leaves_other_links_at_their_pace() -> None:
 
     with router() as locator:
         async with (
-            carrier(locator) as mine, carrier(locator) as theirs,
+            carrier(locator) as mine,
+            carrier(locator) as theirs,
             LinkListener(theirs, KEY, context(BOB), slow_or_echo),
-        ):  # fmt: skip
+        ):
             slow, quick = [await dial_link(mine, KEY, "open", context(ALICE)) for _ in range(2)]
             await slow.send(b"slow")
             flooding = asyncio.get_running_loop().create_task(flood(slow))

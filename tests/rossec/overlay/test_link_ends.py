@@ -109,11 +109,15 @@ def test_an_answer_to_a_link_that_was_not_opened_is_refused() -> None:
         link.receive(frame(Kind.ACK), 0.0)
 
 
-@pytest.mark.parametrize("first", [
-    frame(Kind.DATA, body=b"x"),
-    frame(Kind.OPEN, offset=1, body=link_frames.return_address(REPLY, 600)),
-    frame(Kind.OPEN, body=link_frames.return_address("rossec/1/open/*", 600)),
-], ids=["data", "offset", "wildcard"])  # fmt: skip
+@pytest.mark.parametrize(
+    "first",
+    [
+        frame(Kind.DATA, body=b"x"),
+        frame(Kind.OPEN, offset=1, body=link_frames.return_address(REPLY, 600)),
+        frame(Kind.OPEN, body=link_frames.return_address("rossec/1/open/*", 600)),
+    ],
+    ids=["data", "offset", "wildcard"],
+)
 def test_a_link_begins_with_an_open_in_form(first: bytes) -> None:
     with pytest.raises(LinkEnded):
         Link.accept(first, 0.0)

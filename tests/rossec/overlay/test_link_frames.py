@@ -22,18 +22,14 @@ KINDS = sorted(BODIES)
 
 
 def written(kind: int, body: bytes | None = None, offset: int = 50) -> bytes:
-    return frames.head(Kind(kind), ID, offset, 10, 99) + (
-        BODIES[Kind(kind)] if body is None else body
-    )
+    return frames.head(Kind(kind), ID, offset, 10, 99) + (BODIES[Kind(kind)] if body is None else body)
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
 def test_a_frame_is_read_as_it_was_written(kind: Kind) -> None:
     data = written(kind)
     frame = frames.read(data)
-    assert (frame.kind, frame.link, frame.offset, frame.received, frame.limit) == (
-        kind, ID, 50, 10, 99,
-    )  # fmt: skip
+    assert (frame.kind, frame.link, frame.offset, frame.received, frame.limit) == (kind, ID, 50, 10, 99)
     assert frame.body == BODIES[kind]
     assert frames.link_of(data) == ID
     assert frames.kind_of(data) == kind
@@ -60,11 +56,15 @@ def test_what_is_too_long_is_no_frame() -> None:
 @pytest.mark.parametrize(
     ("kind", "size"),
     [
-        (Kind.OPEN, OPEN_SIZE - HEAD - 1), (Kind.DATA, 0), (Kind.ACK, 16 * MAX_RANGES + 16),
-        (Kind.RESET, 1), (Kind.END, 1), (Kind.PROBE, OPEN_SIZE + 1),
+        (Kind.OPEN, OPEN_SIZE - HEAD - 1),
+        (Kind.DATA, 0),
+        (Kind.ACK, 16 * MAX_RANGES + 16),
+        (Kind.RESET, 1),
+        (Kind.END, 1),
+        (Kind.PROBE, OPEN_SIZE + 1),
     ],
     ids=["OPEN", "DATA", "ACK", "RESET", "END", "PROBE"],
-)  # fmt: skip
+)
 def test_a_body_has_a_length_of_its_kind(kind: Kind, size: int) -> None:
     with pytest.raises(LinkEnded, match="length that its kind cannot have"):
         frames.read(written(kind, bytes(size)))
@@ -145,10 +145,7 @@ def test_half_a_range_is_refused() -> None:
 
 
 def test_a_frame_is_joined_of_pieces() -> None:
-    assert (
-        frames.joined(b"head", [b"one", bytearray(b"two"), memoryview(b"three")])
-        == b"headonetwothree"
-    )
+    assert frames.joined(b"head", [b"one", bytearray(b"two"), memoryview(b"three")]) == b"headonetwothree"
 
 
 SPECIFICATION = Path(__file__).parents[3] / "docs" / "spec" / "overlay.md"

@@ -277,9 +277,7 @@ async def test_a_session_in_which_others_are_heard_is_kept(
     assert pair.carrier.reopened == 0
 
 
-async def test_a_link_without_progress_is_given_up(
-    pair: Pair, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_link_without_progress_is_given_up(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
     pair.carrier.fate = lambda _key, _frame: 0
     pair.a.write(b"x")
     loop = asyncio.get_running_loop()
@@ -292,9 +290,7 @@ async def test_a_link_without_progress_is_given_up(
     await until(lambda: "lost" in pair.alice.events)
 
 
-async def test_a_crash_of_the_link_passes_nothing_more(
-    pair: Pair, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_crash_of_the_link_passes_nothing_more(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
     def crash(*_: object) -> None:
         raise ValueError("a bug")
 

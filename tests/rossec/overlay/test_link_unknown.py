@@ -75,9 +75,16 @@ def test_a_probe_of_an_unknown_link_is_refused_where_it_says() -> None:
         link.receive(reset, moment)
 
 
-@pytest.mark.parametrize("unknown", [
-    frame(Kind.DATA, body=b"x"), frame(Kind.ACK), frame(Kind.RESET), frame(Kind.PROBE),
-    frame(Kind.PROBE, body=link_frames.return_address("rossec/**", 0)),
-], ids=["data", "ack", "reset", "probe", "wildcard"])  # fmt: skip
+@pytest.mark.parametrize(
+    "unknown",
+    [
+        frame(Kind.DATA, body=b"x"),
+        frame(Kind.ACK),
+        frame(Kind.RESET),
+        frame(Kind.PROBE),
+        frame(Kind.PROBE, body=link_frames.return_address("rossec/**", 0)),
+    ],
+    ids=["data", "ack", "reset", "probe", "wildcard"],
+)
 def test_nothing_else_of_an_unknown_link_is_answered(unknown: bytes) -> None:
     assert refusal(unknown) is None

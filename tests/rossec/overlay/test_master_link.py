@@ -137,9 +137,7 @@ async def test_a_door_of_a_peer_that_was_removed_and_is_back_is_opened_again(
     await until(lambda: doors.door(ROBOT) == Door("127.0.0.1", 8006))
 
 
-async def test_the_connection_is_made_again_and_doors_are_told_anew(
-    relay: Relay, tasks: TaskSet
-) -> None:
+async def test_the_connection_is_made_again_and_doors_are_told_anew(relay: Relay, tasks: TaskSet) -> None:
     doors = relay.world.server.state.doors
     tasks.spawn(relay.link.run(), "link")
     doors.want("office", [ROBOT])
@@ -173,9 +171,7 @@ async def test_targets_are_asked_for(relay: Relay) -> None:
     assert relay.dialled == 1
 
 
-async def test_targets_are_asked_for_on_a_new_connection_when_the_old_one_has_ended(
-    relay: Relay,
-) -> None:
+async def test_targets_are_asked_for_on_a_new_connection_when_the_old_one_has_ended(relay: Relay) -> None:
     found = await relay.link.target("", "master", "/master")
     await next(iter(relay.world.server.state.streams)).close()
     assert await relay.link.target("", "master", "/master") == found

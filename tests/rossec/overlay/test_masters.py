@@ -40,9 +40,9 @@ async def mesh(tmp_path: Path) -> AsyncIterator[Mesh]:
     site = Site(tmp_path)
     site.enroll("/relay")
     async with masters(site, "/master", KITCHEN) as (hall, kitchen):
-        member = RelayMember("/relay", {
-            "ROSSEC_HOME": str(tmp_path), "ROS_MASTER_URI": hall.server.uri, "ROS_IP": "127.0.0.1",
-        })  # fmt: skip
+        member = RelayMember(
+            "/relay", {"ROSSEC_HOME": str(tmp_path), "ROS_MASTER_URI": hall.server.uri, "ROS_IP": "127.0.0.1"}
+        )
         member.start()
         await until(lambda: member.is_connected)
         table = DoorTable(OpenDoors("127.0.0.1"), carry, lambda: WAYS)

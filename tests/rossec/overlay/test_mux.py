@@ -130,10 +130,16 @@ def test_a_peer_may_give_more_credit_up_to_a_link() -> None:
         end_unit(0) + data_head(0, 1) + b"x",
     ],
     ids=[
-        "a number again", "a number left out", "data before the opening", "credit", "end", "reset",
-        "two ends", "data after the end",
+        "a number again",
+        "a number left out",
+        "data before the opening",
+        "credit",
+        "end",
+        "reset",
+        "two ends",
+        "data after the end",
     ],
-)  # fmt: skip
+)
 def test_the_caller_may_not(unit: bytes) -> None:
     _, called = opened()
     with pytest.raises(StreamRefused):
@@ -148,9 +154,7 @@ def test_the_caller_may_not_send_beyond_its_credit() -> None:
         called.receive(data_head(0, MAX_DATA) + bytes(MAX_DATA), 0)
 
 
-@pytest.mark.parametrize(
-    "unit", [open_unit(1, ROBOT), data_head(1, 1) + b"x"], ids=["open", "data"]
-)
+@pytest.mark.parametrize("unit", [open_unit(1, ROBOT), data_head(1, 1) + b"x"], ids=["open", "data"])
 def test_the_called_side_may_not(unit: bytes) -> None:
     caller, _ = opened()
     with pytest.raises(StreamRefused):

@@ -55,11 +55,7 @@ class BothSides(RuleBasedStateMachine):
         self.opened += 1
 
     @precondition(lambda self: self.opened)
-    @rule(
-        side=st.sampled_from(["called", "caller"]),
-        pick=st.integers(0),
-        size=st.integers(1, MAX_DATA),
-    )
+    @rule(side=st.sampled_from(["called", "caller"]), pick=st.integers(0), size=st.integers(1, MAX_DATA))
     def send(self, side: str, pick: int, size: int) -> None:
         stream = pick % self.opened
         mux = self.sides[side]

@@ -45,9 +45,7 @@ class FarRelay:
 
 
 @contextlib.asynccontextmanager
-async def linked(
-    clock: Callable[[], float] | None = None,
-) -> AsyncIterator[tuple[PeerLink, FarRelay]]:
+async def linked(clock: Callable[[], float] | None = None) -> AsyncIterator[tuple[PeerLink, FarRelay]]:
     stack = contextlib.AsyncExitStack()
     far = FarRelay(await stack.enter_async_context(program(echo)))
     server = serve(far.serve, "127.0.0.1", 0, context(BOB), WireProtocol.HTTP)
@@ -73,9 +71,7 @@ async def linked(
         await asyncio.sleep(0)
 
 
-async def used(
-    link: PeerLink, far: FarRelay
-) -> tuple[asyncio.StreamReader, asyncio.StreamWriter, Any]:
+async def used(link: PeerLink, far: FarRelay) -> tuple[asyncio.StreamReader, asyncio.StreamWriter, Any]:
     """A connection that the link carries."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         program_end = socket.create_connection(listener.getsockname())
@@ -111,9 +107,7 @@ async def test_it_is_dialled_with_the_first_connection_and_carries_the_others() 
     ],
     ids=["silent", "network", "mailbox", "refused"],
 )
-async def test_a_failure_is_told_to_all_and_not_tried_again_at_once(
-    failure: Exception, error: str
-) -> None:
+async def test_a_failure_is_told_to_all_and_not_tried_again_at_once(failure: Exception, error: str) -> None:
     now = [0.0]
     async with linked(lambda: now[0]) as (link, far):
         far.failure = failure

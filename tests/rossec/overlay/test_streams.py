@@ -13,17 +13,7 @@ from rossec.overlay import streams as module
 from rossec.overlay.mux import FIRST as WINDOW
 from rossec.overlay.mux import SERVICE, YOUNG, Role, StreamTarget, data_head, end_unit, open_unit
 from rossec.overlay.streams import Pump, Streams
-from tests.support.relays import (
-    ROBOT,
-    Ends,
-    carried,
-    echo,
-    linked,
-    program,
-    secure_pair,
-    tcp_pair,
-    to_port,
-)
+from tests.support.relays import ROBOT, Ends, carried, echo, linked, program, secure_pair, tcp_pair, to_port
 
 
 async def ask(ends: Ends, data: bytes) -> bytes:
@@ -62,11 +52,7 @@ async def test_a_reset_is_passed_on_as_a_reset() -> None:
         except Exception as error:  # noqa: BLE001 - the test looks at it
             seen.set_result(error)
 
-    async with (
-        program(wait) as port,
-        linked(to_port(port)) as link,
-        carried(link.caller) as (_, writer),
-    ):
+    async with program(wait) as port, linked(to_port(port)) as link, carried(link.caller) as (_, writer):
         writer.write(b"x")
         await asyncio.sleep(0.05)
         sock = writer.get_extra_info("socket")
@@ -90,9 +76,7 @@ async def test_a_target_that_cannot_be_reached_resets_the_connection(
     assert "node /robot: refused home: nobody is at node /robot" in caplog.text
 
 
-async def test_a_crash_of_the_called_side_ends_its_stream_alone(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_a_crash_of_the_called_side_ends_its_stream_alone(caplog: pytest.LogCaptureFixture) -> None:
     async with program(echo) as port:
         reach = to_port(port)
 
@@ -173,14 +157,9 @@ async def test_a_link_that_lags_is_shared_in_turns() -> None:
             ends[1].write(bytes(1 << 16))
             await ends[1].drain()
 
-    async with (
-        program(swallow) as port,
-        linked(to_port(port)) as link,
-        contextlib.AsyncExitStack() as stack,
-    ):
+    async with program(swallow) as port, linked(to_port(port)) as link, contextlib.AsyncExitStack() as stack:
         pouring = [
-            asyncio.ensure_future(pour(await stack.enter_async_context(carried(link.caller)), n))
-            for n in got
+            asyncio.ensure_future(pour(await stack.enter_async_context(carried(link.caller)), n)) for n in got
         ]
         async with asyncio.timeout(30):
             await enough.wait()
@@ -207,18 +186,11 @@ async def test_the_end_of_the_link_resets_every_connection() -> None:
 
 async def test_connections_wait_for_room_and_give_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "CONNECT_SECONDS", 0.2)
-    async with (
-        program(echo) as port,
-        linked(to_port(port)) as link,
-        contextlib.AsyncExitStack() as stack,
-    ):
+    async with program(echo) as port, linked(to_port(port)) as link, contextlib.AsyncExitStack() as stack:
         many = [await stack.enter_async_context(carried(link.caller)) for _ in range(YOUNG)]
         await ask(many[-1], b"x")  # all are open, and none has answered twice
         mine, theirs = await tcp_pair()
-        with (
-            mine,
-            pytest.raises(LinkCrowded, match=f"no room.*: {YOUNG} streams are new") as caught,
-        ):
+        with mine, pytest.raises(LinkCrowded, match=f"no room.*: {YOUNG} streams are new") as caught:
             await link.caller.carry(ROBOT, theirs)
         assert "256 connections" in caught.value.hint
         for each in many[:2]:

@@ -121,14 +121,18 @@ async def test_the_first_bytes_say_which_port(
         (StreamTarget(SERVICE, "/database"), first_bytes(TCPROS)),
     ],
     ids=[
-        "master by TCPROS", "service by HTTP", "plain XML-RPC", "plain TCPROS", "another protocol",
-        "what the master refuses", "another node at the address", "its topics",
+        "master by TCPROS",
+        "service by HTTP",
+        "plain XML-RPC",
+        "plain TCPROS",
+        "another protocol",
+        "what the master refuses",
+        "another node at the address",
+        "its topics",
         "a service where no node is",
     ],
-)  # fmt: skip
-async def test_nothing_is_connected_for(
-    site: SiteOfTargets, target: StreamTarget, opening: bytes
-) -> None:
+)
+async def test_nothing_is_connected_for(site: SiteOfTargets, target: StreamTarget, opening: bytes) -> None:
     with pytest.raises(ConnectionResetError):
         await site.reach(target, opening)
     assert site.forgotten == []
@@ -136,10 +140,13 @@ async def test_nothing_is_connected_for(
 
 @pytest.mark.parametrize(
     ("target", "protocol"),
-    [(StreamTarget(NODE, "/robot"), HTTP), (StreamTarget(NODE, "/robot"), TCPROS),
-     (StreamTarget(SERVICE, "/clock"), TCPROS)],
+    [
+        (StreamTarget(NODE, "/robot"), HTTP),
+        (StreamTarget(NODE, "/robot"), TCPROS),
+        (StreamTarget(SERVICE, "/clock"), TCPROS),
+    ],
     ids=["slave API", "topics", "service"],
-)  # fmt: skip
+)
 async def test_a_host_is_resolved_once_and_then_it_is_connected_where_the_node_was(
     site: SiteOfTargets, target: StreamTarget, protocol: WireProtocol
 ) -> None:
@@ -168,9 +175,7 @@ async def test_a_target_on_this_host_sees_by_whom_it_is_reached(listen: str, hos
     assert is_relayed(where[0])
 
 
-async def test_an_address_that_turns_out_to_be_this_host_is_dropped(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_an_address_that_turns_out_to_be_this_host_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     """For example a name that is resolved to another address the second time."""
 
     async def dial(_host: str, port: int, _within: float) -> socket.socket:

@@ -26,9 +26,7 @@ class Robot:
         self.answer: object = [1, "", [4711]]
         self.calls: list[tuple[object, ...]] = []
         context = SecureContext(home.credentials(), site.anchor.verify)
-        self.api: SecureServer[Identity] = serve(
-            self._serve, "127.0.0.1", 0, context, WireProtocol.HTTP
-        )
+        self.api: SecureServer[Identity] = serve(self._serve, "127.0.0.1", 0, context, WireProtocol.HTTP)
 
     async def _serve(self, stream: SecureStream[Identity]) -> None:
         await serve_calls(stream, self._dispatch)

@@ -8,14 +8,7 @@ from ca.encoding import Value, encode
 from ca.errors import CAError, RevocationsStale, Revoked
 from ca.revocation.lists import Timestamp, digest, sign_timestamp
 from ca.revocation.trust_status import Revocations
-from grants.errors import (
-    GrantExpired,
-    GrantForged,
-    GrantMalformed,
-    GrantMissing,
-    GrantNotHeld,
-    GrantRevoked,
-)
+from grants.errors import GrantExpired, GrantForged, GrantMalformed, GrantMissing, GrantNotHeld, GrantRevoked
 from grants.model import Right
 from rossec.participant import access
 from rossec.participant.access import Access
@@ -187,9 +180,7 @@ def test_a_list_without_a_timestamp_makes_revocations_stale(site: Site) -> None:
     held.check_fresh(NOW)
     signed = site.revoke(bytes(32))
     for data in (signed, signed):  # also when the list is not new
-        with pytest.raises(
-            RevocationsStale, match="the revocation list without a timestamp"
-        ) as stale:
+        with pytest.raises(RevocationsStale, match="the revocation list without a timestamp") as stale:
             own.update_revocations(data, b"", master, NOW, saved.append)
         assert "enroll the node anew" in stale.value.hint
         assert (held.data, held.fresh_until) == (signed, 0)
@@ -207,8 +198,7 @@ def test_stale_revocations_do_not_hide_a_revoked_intermediate(site: Site) -> Non
     with pytest.raises(Revoked):
         own.check_peer(master, NOW)
     timestamp = sign_timestamp(
-        site.enroll("/master").credentials().signer,
-        Timestamp(held.floor[1], digest(held.data), NOW, 30),
+        site.enroll("/master").credentials().signer, Timestamp(held.floor[1], digest(held.data), NOW, 30)
     )
     with pytest.raises(Revoked):
         own.update_revocations(b"", timestamp, master, NOW, list[bytes]().append)

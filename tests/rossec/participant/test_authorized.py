@@ -47,9 +47,7 @@ def decision(
 
 
 def connection(made: Any, **options: Any) -> AuthorizedConnection[Any, str]:
-    peer = SimpleNamespace(
-        name="/viewer", keys=(KEY,), not_after=NOW + 50, domain="home", is_foreign=False
-    )
+    peer = SimpleNamespace(name="/viewer", keys=(KEY,), not_after=NOW + 50, domain="home", is_foreign=False)
     padded: list[int] = []
     stream = SimpleNamespace(peer=peer, padded=padded, pad_units=padded.append)
     return AuthorizedConnection(stream, made, "first", **options)

@@ -81,7 +81,7 @@ def test_a_size_above_the_limit_is_refused_before_anything_is_inflated(
         (b"\1" + struct.pack("<I", 400) + b"\xff" * 99, "cannot be inflated"),
         (b"\1" + struct.pack("<I", len(TEXT)) + zlib.compress(TEXT), "cannot be inflated"),
     ],
-)  # fmt: skip
+)
 def test_what_is_not_what_it_says_is_refused(packed: bytes, said: str) -> None:
     with pytest.raises(FrameRefused, match=said):
         inflated(packed, LIMIT)

@@ -57,12 +57,15 @@ class Robot:
     def grant(self, begin: int = -60, lifetime: int = DAY, **changes: Any) -> bytes:
         now = self.site.now()
         draft = Draft(
-            domain=changes.get("domain", "home"), subject="/robot",
+            domain=changes.get("domain", "home"),
+            subject="/robot",
             holder=changes.get("holder", self.loaded.identity.thumbprint),
-            not_before=now + begin, expires=now + begin + lifetime,
+            not_before=now + begin,
+            expires=now + begin + lifetime,
             cap=now + begin + lifetime + changes.get("more", 0),
-            serial=secrets.token_bytes(16), permissions=(Permission("/p", Right.PUBLISH),),
-        )  # fmt: skip
+            serial=secrets.token_bytes(16),
+            permissions=(Permission("/p", Right.PUBLISH),),
+        )
         return document.sign(changes.get("signer", self.site.authority.signer), draft)
 
     async def call(self, method: str, *params: object) -> object:

@@ -17,14 +17,7 @@ from grants.renewal import MIN_TICKET, Delegation, sign_delegation
 from rossec.errors import AnswerMalformed
 from rossec.master.rights.renewals import Delegate
 from rossec.participant.access import Access
-from rossec.participant.renewals import (
-    GRANT_RETRY,
-    MAX_GRANTS_PER_CALL,
-    MasterCall,
-    Renewals,
-    due_at,
-    renew,
-)
+from rossec.participant.renewals import GRANT_RETRY, MAX_GRANTS_PER_CALL, MasterCall, Renewals, due_at, renew
 from tests.support.authority import DAY, EnrolledNode, Site
 from tests.support.domains import alone
 
@@ -62,9 +55,7 @@ class World:
         self.access.update_revocations(data, stamp, master.identity, now, lambda _: None)
         return now
 
-    def hold(
-        self, lifetime: int = HOUR, cap: int = DAY, holder: EnrolledNode | None = None
-    ) -> bytes:
+    def hold(self, lifetime: int = HOUR, cap: int = DAY, holder: EnrolledNode | None = None) -> bytes:
         data = self.site.grant(holder or self.node, P, lifetime=lifetime, cap=cap)
         self.access.hold(data)
         return data
@@ -163,9 +154,7 @@ def test_a_call_renews_a_limited_number_of_grants_the_first_to_expire_first(worl
     for n in range(MAX_GRANTS_PER_CALL + 1):
         world.hold(lifetime=HOUR + n)
     due = world.renewals.due(world.now + 2 * HOUR)
-    assert [held.grant.expires - world.now for held in due] == [
-        HOUR + n for n in range(MAX_GRANTS_PER_CALL)
-    ]
+    assert [held.grant.expires - world.now for held in due] == [HOUR + n for n in range(MAX_GRANTS_PER_CALL)]
     assert len(world.renewals.due(world.now + 2 * HOUR)) == 1
 
 
@@ -181,11 +170,7 @@ async def test_an_expired_grant_is_renewed(world: World) -> None:
     assert (held.original, held.since) == (data, now)
     assert await renew(world.answer, world.renewals, now + GRANT_RETRY) == 0
     decision = world.access.authorize(
-        world.node.identity,
-        world.access.present(Right.PUBLISH, "/t", now),
-        Right.PUBLISH,
-        "/t",
-        now,
+        world.node.identity, world.access.present(Right.PUBLISH, "/t", now), Right.PUBLISH, "/t", now
     )
     assert decision.expires == held.grant.expires
 
@@ -228,9 +213,7 @@ def test_tokens_of_a_revoked_delegation_are_refused(world: World) -> None:
     with pytest.raises(GrantError, match="delegation"):
         world.access.hold_renewed(token, world.now)
     with pytest.raises(RevocationRefused):
-        world.access.update_revocations(
-            b"", b"no stamp", world.master.identity, world.now, lambda _: None
-        )
+        world.access.update_revocations(b"", b"no stamp", world.master.identity, world.now, lambda _: None)
 
 
 def test_a_timestamp_of_a_revoked_master_is_refused(world: World) -> None:

@@ -90,9 +90,7 @@ async def test_a_new_identity_is_on_the_disk_and_in_use(site: Site) -> None:
 
 async def test_a_request_with_a_lost_answer_is_repeated(site: Site) -> None:
     _, credentials, asks = renewal(site)
-    answers = [
-        renew(site.authority, asks.request(at) or b"", at) for at in (NOW, NOW + IDENTITY_RETRY)
-    ]
+    answers = [renew(site.authority, asks.request(at) or b"", at) for at in (NOW, NOW + IDENTITY_RETRY)]
     assert answers[0] == answers[1]
     assert await renew_identity(answering(answers[1]), asks, NOW + 2 * IDENTITY_RETRY)
     assert credentials.current.chain[0] == from_pem(answers[0])[0]
@@ -137,9 +135,7 @@ async def test_a_malformed_identity_changes_nothing(
         asks.take(5, NOW)
 
 
-async def test_a_refusal_of_the_master_is_logged(
-    site: Site, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_refusal_of_the_master_is_logged(site: Site, caplog: pytest.LogCaptureFixture) -> None:
     async def call(method: str, *params: object) -> object:
         raise AnswerRefused("rossec: this master renews no identities")
 
@@ -171,8 +167,7 @@ async def test_what_is_not_there_yet_is_asked_for_again_soon(
     warned = [record for record in caplog.records if record.levelname == "WARNING"]
     assert len(warned) == 1, "an hour has not passed"
     assert warned[0].getMessage() == (
-        "/robot: the identity ends in 4d 23h and is not renewed yet:"
-        " rossec: the authority's key is locked"
+        "/robot: the identity ends in 4d 23h and is not renewed yet: rossec: the authority's key is locked"
     )
     await renew_identity(call, asks, NOW + 3700)
     assert sum(record.levelname == "WARNING" for record in caplog.records) == 2
@@ -249,6 +244,4 @@ async def test_nodes_work_with_identities_signed_by_the_master(site: Site) -> No
             subscriber = await viewer.subscriber("/robot/pose", POSE)
             await first(subscriber, within=20)
             [connection] = subscriber.links
-            assert connection.stream.peer.issuers == (
-                site.intermediate.authority.issuer.thumbprint,
-            )
+            assert connection.stream.peer.issuers == (site.intermediate.authority.issuer.thumbprint,)

@@ -142,17 +142,13 @@ async def test_grants_are_presented_before_registrations_on_each_connection(site
 
 async def test_a_grant_that_expired_while_the_node_was_off_is_renewed_first(site: Site) -> None:
     site.delegate()
-    site.grant(
-        "/robot", Right.PUBLISH, TOPIC, begin=site.now() - HOUR, lifetime=-60, cap=DAY
-    )  # fmt: skip
+    site.grant("/robot", Right.PUBLISH, TOPIC, begin=site.now() - HOUR, lifetime=-60, cap=DAY)
     async with site.running(), Form(site).running() as form:
         assert "refused" not in form.calls
 
 
 async def test_a_master_that_renews_nothing_has_a_session_all_the_same(site: Site) -> None:
-    site.grant(
-        "/robot", Right.PUBLISH, TOPIC, begin=site.now() - HOUR, lifetime=-60, cap=DAY
-    )  # fmt: skip
+    site.grant("/robot", Right.PUBLISH, TOPIC, begin=site.now() - HOUR, lifetime=-60, cap=DAY)
     async with site.running(), Form(site).running() as form:
         assert form.calls == ["close", "restore", "refused"]
 

@@ -75,9 +75,12 @@ async def test_the_master_pushes_what_is_signed(site: Site, tmp_path: Path) -> N
     take(names.REVOCATION_UPDATE, (data, timestamp(site, data)), master)
     assert form.loaded.revocations.data == data
     for method, params in (
-        ("shutdown", ("now",)), (names.DOMAINS_UPDATE, ()), (names.DOMAINS_UPDATE, ("text",)),
-        (names.FOREIGN_UPDATE, word), (names.REVOCATION_UPDATE, (data,)),
-    ):  # fmt: skip
+        ("shutdown", ("now",)),
+        (names.DOMAINS_UPDATE, ()),
+        (names.DOMAINS_UPDATE, ("text",)),
+        (names.FOREIGN_UPDATE, word),
+        (names.REVOCATION_UPDATE, (data,)),
+    ):
         with pytest.raises(CallRefused):
             take(method, params, master)
 

@@ -1,14 +1,7 @@
 """Tokens that are shown at once: in number and bytes what the other side reads."""
 
 from ca.encoding import Value, encode
-from rossec.participant.access import (
-    MAX_CALL,
-    MAX_CALL_BYTES,
-    MAX_GRANTS,
-    MAX_PRESENTED,
-    batches,
-    fitting,
-)
+from rossec.participant.access import MAX_CALL, MAX_CALL_BYTES, MAX_GRANTS, MAX_PRESENTED, batches, fitting
 
 
 def test_a_header_field_holds_what_its_reader_accepts() -> None:

@@ -76,9 +76,7 @@ def test_a_program_knows_a_foreign_caller_by_its_alias(own: Identity, foreigner:
     assert handshakes.caller_here(own, "/robot_17") == "/robot_17"
 
 
-def test_a_foreigner_gets_the_certified_name_without_a_tail(
-    own: Identity, foreigner: Identity
-) -> None:
+def test_a_foreigner_gets_the_certified_name_without_a_tail(own: Identity, foreigner: Identity) -> None:
     assert handshakes.caller_for(own, "/rviz_1", "/rviz") == "/rviz_1"
     assert handshakes.caller_for(foreigner, "/rviz_1", "/rviz") == "/rviz"
 
@@ -110,13 +108,12 @@ def test_what_a_foreign_node_says_of_itself_is_read_in_local_names(foreigner: Id
     ]
 
 
-def test_a_foreign_node_is_told_no_names_of_third_domains(
-    own: Identity, foreigner: Identity
-) -> None:
+def test_a_foreign_node_is_told_no_names_of_third_domains(own: Identity, foreigner: Identity) -> None:
     rows = [[POSE, "p/T"], [ALIAS, "p/T"], ["/remote/clinic/x", "p/T"], ["malformed"]]
     assert handshakes.answer_for(foreigner, "getSubscriptions", rows) == [
-        [POSE, "p/T"], [f"hospital:{POSE}", "p/T"],
-    ]  # fmt: skip
+        [POSE, "p/T"],
+        [f"hospital:{POSE}", "p/T"],
+    ]
     assert handshakes.answer_for(own, "getSubscriptions", rows) == rows
     stats = [[[ALIAS, 7, []]], [], []]
     assert handshakes.answer_for(foreigner, "getBusStats", stats) == [[], [], []]

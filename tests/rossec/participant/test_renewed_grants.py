@@ -124,9 +124,7 @@ def test_what_is_refused_leaves_the_decision_and_is_judged_again(
     assert made.guard == "guard of new"
 
 
-def test_it_is_judged_once_more_when_the_connection_would_end(
-    grants: RenewedGrants, access: Access
-) -> None:
+def test_it_is_judged_once_more_when_the_connection_would_end(grants: RenewedGrants, access: Access) -> None:
     made, never = opened(grants), opened(grants)
     made.stream.tell(GrantsPresented(b"later"))
     assert not grants.continues(made, NOW + 10)
@@ -227,9 +225,7 @@ def test_a_renewed_identity_moves_the_end(grants: RenewedGrants) -> None:
     assert (made.ends, made.stream.reasons) == (NOW + 3000, ["identity"])
 
 
-def test_a_refused_certificate_is_logged(
-    grants: RenewedGrants, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_refused_certificate_is_logged(grants: RenewedGrants, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     opened(grants).stream.tell(RenewalRefused(IdentityRefused("of another node")))
     assert "/viewer (/word) presents a certificate that is refused: of another node" in caplog.text

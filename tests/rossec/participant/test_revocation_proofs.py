@@ -81,9 +81,7 @@ async def test_a_malformed_answer_is_refused(held: Revocations, said: object) ->
 
 
 @pytest.mark.parametrize("said", [[], [b"", 5], [b"x", b"y"]])
-async def test_an_entry_without_a_valid_proof_stays_unknown(
-    held: Revocations, said: object
-) -> None:
+async def test_an_entry_without_a_valid_proof_stays_unknown(held: Revocations, said: object) -> None:
     assert await prove(answering(said), held) == 0
     with pytest.raises(RevocationsStale):
         held.check(ABSENT, int(time.time()))

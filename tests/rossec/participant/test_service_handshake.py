@@ -28,10 +28,7 @@ class Pair:
         site.grant("/door", Right.PROVIDE, SERVICE)
         site.grant("/hall", Right.CALL, SERVICE)
         self.door, self.hall = site.identity("/door"), site.identity("/hall")
-        self.door_access, self.hall_access = (
-            self._access(site, "/door"),
-            self._access(site, "/hall"),
-        )
+        self.door_access, self.hall_access = (self._access(site, "/door"), self._access(site, "/hall"))
 
     def _access(self, site: Site, name: str) -> Access:
         held = Revocations(site.anchor.public_key)
@@ -46,10 +43,7 @@ class Pair:
         return {"callerid": b"/hall", "service": SERVICE.encode(), **proof}
 
     def answer(self) -> Fields:
-        return {
-            "callerid": b"/door",
-            **handshakes.provider_proof(SERVICE, self.door_access, NOW),
-        }
+        return {"callerid": b"/door", **handshakes.provider_proof(SERVICE, self.door_access, NOW)}
 
     def admit_hall(self, fields: Fields, peer: Identity | None = None) -> None:
         handshakes.admit_caller(fields, peer or self.hall, self.door_access, NOW)
@@ -118,17 +112,14 @@ def test_headers_of_client_and_server(pair: Pair) -> None:
 
 
 def test_a_probe_matches_any_type(pair: Pair) -> None:
-    asked = handshakes.client_header(
-        "/hall", SERVICE, handshakes.ANY, pair.hall_access, NOW, probe=True
-    )
+    asked = handshakes.client_header("/hall", SERVICE, handshakes.ANY, pair.hall_access, NOW, probe=True)
     assert handshakes.is_set(asked, "probe")
     assert asked["md5sum"] == b"*"
     handshakes.check_md5(asked, SERVICE, "0" * 32)
 
 
 @pytest.mark.parametrize(
-    ("value", "means"),
-    [(b"1", True), (b"true", True), (b"True", True), (b"0", False), (b"", False)],
+    ("value", "means"), [(b"1", True), (b"true", True), (b"True", True), (b"0", False), (b"", False)]
 )
 def test_flags_are_read_as_stock_clients_write_them(value: bytes, means: bool) -> None:
     assert handshakes.is_set({"probe": value}, "probe") is means
@@ -137,9 +128,7 @@ def test_flags_are_read_as_stock_clients_write_them(value: bytes, means: bool) -
 
 def test_md5sums_must_agree() -> None:
     handshakes.check_md5({"md5sum": b"a"}, SERVICE, "*")
-    with pytest.raises(
-        ConnectionHeaderRefused, match="/door/open has the md5sum b here, a at the peer"
-    ):
+    with pytest.raises(ConnectionHeaderRefused, match="/door/open has the md5sum b here, a at the peer"):
         handshakes.check_md5({"md5sum": b"a"}, SERVICE, "b")
     with pytest.raises(ConnectionHeaderRefused, match="has no 'md5sum'"):
         handshakes.check_md5({}, SERVICE, "b")

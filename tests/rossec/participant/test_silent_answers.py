@@ -45,6 +45,4 @@ def test_an_empty_graph_is_noticed(method: str, answer: object, is_nothing: bool
 
 
 def test_the_command_that_shows_it_is_said() -> None:
-    assert nothing_shown("/r") == (
-        "nothing that /r may see; all of it needs: rossec grant sign /r --graph"
-    )
+    assert nothing_shown("/r") == ("nothing that /r may see; all of it needs: rossec grant sign /r --graph")

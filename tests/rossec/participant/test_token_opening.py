@@ -53,9 +53,7 @@ def renewed(site: Site, master: SomeNode) -> bytes:
 
 def test_a_token_is_of_the_domain_that_is_asked_for(pair: Pair) -> None:
     opener = TokenOpener(pair.standing)
-    ours, theirs = (
-        grant(site, HOLDER, Right.SUBSCRIBE, "/x") for site in (pair.home, pair.hospital)
-    )
+    ours, theirs = (grant(site, HOLDER, Right.SUBSCRIBE, "/x") for site in (pair.home, pair.hospital))
     assert opener.open(ours, "home", NOW).domain == "home"
     assert opener.open(theirs, DOMAIN, NOW).domain == DOMAIN
     for token, domain in ((ours, DOMAIN), (theirs, "home")):
@@ -117,9 +115,7 @@ def test_an_entry_is_checked_on_each_list_that_counts(pair: Pair) -> None:
             opener.check_of(DOMAIN)(entry, NOW)
 
 
-def test_a_token_is_verified_once_and_few_are_remembered(
-    pair: Pair, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_token_is_verified_once_and_few_are_remembered(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(access, "CACHE_SIZE", 2)
     opener, peer = TokenOpener(pair.standing), pair.own_master.identity
     opened: list[bytes] = []
@@ -145,9 +141,7 @@ def test_a_tail_pattern_opens_for_the_tail_alone_also_when_it_was_opened_before(
         found, refused = opener.open_all(encode([token]), "home", who, NOW)
         assert [len(found), len(refused)] == ([1, 0] if opens else [0, 1])
         assert all(isinstance(error, GrantNotHeld) for error in refused)
-    theirs = grant(
-        pair.hospital, HOLDER, Right.PROVIDE, "/rounds/robot3~/a", subject="/rounds/robot3"
-    )
+    theirs = grant(pair.hospital, HOLDER, Right.PROVIDE, "/rounds/robot3~/a", subject="/rounds/robot3")
     found, (error,) = opener.open_all(encode([theirs]), DOMAIN, pair.peer(), NOW)
     assert found == []
     assert isinstance(error, GrantNotHeld)

@@ -59,10 +59,7 @@ def test_a_definition_of_another_type_or_md5sum_is_refused(setup: AgentSetup) ->
     restricted = decision(setup, Restriction("std_msgs/String", ("true",)))
     with pytest.raises(ConnectionHeaderRefused, match="does not have the md5sum"):
         guard_for(
-            Definition(WORD.name, WORD.md5sum, "int32 data"),
-            restricted,
-            keyed,
-            memory_scope("/viewer"),
+            Definition(WORD.name, WORD.md5sum, "int32 data"), restricted, keyed, memory_scope("/viewer")
         )
     text = Definition("std_msgs/Text", WORD.md5sum, WORD.definition)
     with pytest.raises(RestrictionMismatch, match="these are std_msgs/Text"):

@@ -44,9 +44,7 @@ class Pair:
         return handshakes.subscriber_header("/viewer", ENDPOINT, self.viewer_access, NOW)
 
     def answer(self) -> Fields:
-        return handshakes.publisher_header(
-            "/robot", ENDPOINT, self.robot_access, NOW, latching=False
-        )
+        return handshakes.publisher_header("/robot", ENDPOINT, self.robot_access, NOW, latching=False)
 
     def admit_viewer(self, fields: Fields, peer: Identity | None = None) -> None:
         handshakes.admit_subscriber(fields, peer or self.viewer, self.robot_access, NOW)
@@ -91,12 +89,9 @@ def test_a_callerid_must_match_the_certificate_of_the_peer(pair: Pair) -> None:
 
 @pytest.mark.parametrize("key", ["callerid", "topic"])
 @pytest.mark.parametrize(
-    ("value", "said"),
-    [(None, "has no"), (b"\xff\xfe", "is not text"), (b"/a\n/b", "control characters")],
+    ("value", "said"), [(None, "has no"), (b"\xff\xfe", "is not text"), (b"/a\n/b", "control characters")]
 )
-def test_a_malformed_header_is_refused(
-    pair: Pair, key: str, value: bytes | None, said: str
-) -> None:
+def test_a_malformed_header_is_refused(pair: Pair, key: str, value: bytes | None, said: str) -> None:
     fields = pair.request()
     del fields[key]
     if value is not None:

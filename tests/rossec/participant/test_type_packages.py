@@ -47,6 +47,4 @@ def test_who_names_an_unknown_type_is_told_so() -> None:
     assert caught.value.hint.endswith("apt install ros-map-msgs")
     with pytest.raises(MessageError) as caught:
         service_type("topic_tools/MuxSelect")
-    assert "apt install ros-topic-tools-srvs; then add it with register_service_type()" in (
-        caught.value.hint
-    )
+    assert "apt install ros-topic-tools-srvs; then add it with register_service_type()" in (caught.value.hint)

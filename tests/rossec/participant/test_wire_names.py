@@ -34,8 +34,7 @@ def test_a_gateway_is_asked_for_what_it_serves(robot: Identity, name: str) -> No
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["/robot", "/gatewayx", "/gateway/a/b", "/gateway_1", "/Gateway", "/my/gateway", "/master"],
+    "name", ["/robot", "/gatewayx", "/gateway/a/b", "/gateway_1", "/Gateway", "/my/gateway", "/master"]
 )
 def test_every_other_node_is_asked_by_the_origins_name(robot: Identity, name: str) -> None:
     peer = replace(robot, name=name)

@@ -52,12 +52,32 @@ def test_an_absurd_rate_cannot_be_wished(rate: float) -> None:
 @pytest.mark.parametrize(
     "value",
     [
-        b"", b"0", b"0.000", b"-1", b"+1", b"1e3", b"nan", b"inf", b"1_0", b" 1", b"1 ", b"1\n",
-        b"1,5", b".5", b"1.", b"0.0001", b"10000.001", b"99999", b"9" * 48_000, b"1\0", b"0x1",
-        "\uff11".encode(), b"\xff",
+        b"",
+        b"0",
+        b"0.000",
+        b"-1",
+        b"+1",
+        b"1e3",
+        b"nan",
+        b"inf",
+        b"1_0",
+        b" 1",
+        b"1 ",
+        b"1\n",
+        b"1,5",
+        b".5",
+        b"1.",
+        b"0.0001",
+        b"10000.001",
+        b"99999",
+        b"9" * 48_000,
+        b"1\0",
+        b"0x1",
+        "\uff11".encode(),
+        b"\xff",
     ],
     ids=repr,
-)  # fmt: skip
+)
 def test_a_rate_that_is_none_is_refused(value: bytes) -> None:
     with pytest.raises(ConnectionHeaderRefused, match="'rossec_rate' is no rate"):
         requested_wishes({"rossec_rate": value})
@@ -87,9 +107,7 @@ def test_a_publisher_may_take_some_of_them() -> None:
         (Restriction("std_msgs/String", (), filter_rules({"data": {"clear": True}})), False),
     ],
 )
-def test_what_is_filtered_or_withheld_is_not_deflated(
-    restriction: Restriction, deflates: bool
-) -> None:
+def test_what_is_filtered_or_withheld_is_not_deflated(restriction: Restriction, deflates: bool) -> None:
     decision: Any = SimpleNamespace(restrictions=(Restriction(rate=2.0), restriction))
     assert carried_out(ALL, decision) == Wishes(2.5, newest=True, deflate=deflates)
     assert carried_out(ALL, SimpleNamespace(restrictions=())) == ALL  # type: ignore[arg-type]

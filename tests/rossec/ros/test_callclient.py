@@ -7,9 +7,7 @@ from rossec.ros import calls, xmlrpc
 from rossec.ros.calls import CallClient, body_of, value_in
 from rossec.ros.xmlrpc import Encoded, Fault
 
-SWITCH = (
-    b"HTTP/1.1 101 Switching Protocols\r\nConnection: Upgrade\r\nUpgrade: rossec-cbor/1\r\n\r\n"
-)
+SWITCH = b"HTTP/1.1 101 Switching Protocols\r\nConnection: Upgrade\r\nUpgrade: rossec-cbor/1\r\n\r\n"
 
 
 def response(value: object) -> bytes:

@@ -20,9 +20,7 @@ def test_the_program_writes_this_file() -> None:
     assert len(VECTORS) > 60
 
 
-@pytest.mark.parametrize(
-    "vector", VECTORS, ids=lambda vector: f"{vector['kind']}: {vector['name']}"
-)
+@pytest.mark.parametrize("vector", VECTORS, ids=lambda vector: f"{vector['kind']}: {vector['name']}")
 def test_a_vector(vector: dict[str, Any]) -> None:
     unit = bytes.fromhex(vector["data"])
     if "xml" not in vector:

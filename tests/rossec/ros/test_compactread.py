@@ -101,7 +101,7 @@ REFUSED = {
     "an array cut off": "8201",
     "a map cut off": "a16161",
     "two values": "0101",
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("written", REFUSED.values(), ids=REFUSED)
@@ -144,9 +144,7 @@ def test_times_delay_the_reader_no_longer_than_in_xml() -> None:
     unit = b"\x99" + (50_000).to_bytes(2) + encoded(when) * 50_000
     body = dump_call("setParam", [[when] * 14_000])
     assert len(body) < LIMIT
-    assert min(seconds(at_once, unit) for _ in range(3)) < min(
-        seconds(load_call, body) for _ in range(3)
-    )
+    assert min(seconds(at_once, unit) for _ in range(3)) < min(seconds(load_call, body) for _ in range(3))
 
 
 def seconds(load: Callable[[bytes], object], data: bytes) -> float:

@@ -9,12 +9,7 @@ from hypothesis import strategies as st
 from rossec.errors import FrameRefused, HeaderRefused
 from rossec.ros import tcpros
 
-FIELDS = {
-    "callerid": b"/robot1/camera",
-    "topic": b"/image",
-    "md5sum": b"*",
-    "note": b"a=b=\x00\xff",
-}
+FIELDS = {"callerid": b"/robot1/camera", "topic": b"/image", "md5sum": b"*", "note": b"a=b=\x00\xff"}
 
 
 def field(raw: bytes) -> bytes:
@@ -127,10 +122,7 @@ def test_length_is_refused_before_its_content_comes_and_for_ever() -> None:
 
 def test_header_and_messages_in_one_unit_have_their_own_limits() -> None:
     reader = tcpros.FrameReader(1000, first=20)
-    assert reader.feed(tcpros.frame(b"h" * 20) + tcpros.frame(b"m" * 1000)) == [
-        b"h" * 20,
-        b"m" * 1000,
-    ]
+    assert reader.feed(tcpros.frame(b"h" * 20) + tcpros.frame(b"m" * 1000)) == [b"h" * 20, b"m" * 1000]
     with pytest.raises(FrameRefused):
         tcpros.FrameReader(1000, first=20).feed(tcpros.frame(b"h" * 21))
 

@@ -59,9 +59,7 @@ def test_a_body_is_not_read_for_ever_to_be_refused() -> None:
     assert refused.value.status == 413
 
 
-@pytest.mark.parametrize(
-    ("data", "status"), [(b"\x16\x03", 400), (b"P" * (HEADERS_LIMIT + 1), 431)]
-)
+@pytest.mark.parametrize(("data", "status"), [(b"\x16\x03", 400), (b"P" * (HEADERS_LIMIT + 1), 431)])
 def test_a_head_is_one_and_short(data: bytes, status: int) -> None:
     reader = Reader(10)
     reader.feed(data)

@@ -48,10 +48,7 @@ def test_join(prefix: str, name: str, expected: str) -> None:
 
 
 @pytest.mark.ros
-@given(
-    st.text("ab/~", max_size=6),
-    st.lists(st.text("ab", min_size=1, max_size=2), min_size=1, max_size=3),
-)
+@given(st.text("ab/~", max_size=6), st.lists(st.text("ab", min_size=1, max_size=2), min_size=1, max_size=3))
 def test_equal_to_rosgraph(name: str, parts: list[str]) -> None:
     rosgraph = pytest.importorskip("rosgraph.names")
     node = "/" + "/".join(parts)

@@ -41,9 +41,7 @@ class Program:
     definition = b"string data\n"
     latching = False
 
-    def __init__(
-        self, name: str, sidecar: Sidecar, published: Collection[str] | None = None
-    ) -> None:
+    def __init__(self, name: str, sidecar: Sidecar, published: Collection[str] | None = None) -> None:
         self.published = published
         self.name = name
         self.master_uri = sidecar.uri
@@ -116,9 +114,12 @@ class Program:
         fields, _ = await split_header(stream)
         self.headers.append(fields)
         answer = {
-            "type": self.kind, "md5sum": self.md5sum, "message_definition": self.definition,
-            "callerid": self.name.encode(), **({"latching": b"1"} if self.latching else {}),
-        }  # fmt: skip
+            "type": self.kind,
+            "md5sum": self.md5sum,
+            "message_definition": self.definition,
+            "callerid": self.name.encode(),
+            **({"latching": b"1"} if self.latching else {}),
+        }
         await stream.send(tcpros.encode(answer))
         self.connections.append(stream)
         self.connected.set()
@@ -134,9 +135,7 @@ class Program:
 
 
 @contextlib.asynccontextmanager
-async def sidecar(
-    site: Site, *, each: bool = True, identity: str | None = None
-) -> AsyncIterator[Sidecar]:
+async def sidecar(site: Site, *, each: bool = True, identity: str | None = None) -> AsyncIterator[Sidecar]:
     """A sidecar of `site` in this process."""
     settings = read((), site.environ, default_name="/sidecar")
     running = Sidecar(site.root, settings, ANY_CALLER, each=each, identity=identity)

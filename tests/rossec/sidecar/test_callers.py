@@ -21,10 +21,7 @@ def connecting(port: int) -> "subprocess.Popen[bytes]":
 
 
 async def test_a_child_is_allowed_and_other_processes_are_refused() -> None:
-    with (
-        socket.create_server(("127.0.0.1", 0)) as server,
-        connecting(server.getsockname()[1]) as child,
-    ):
+    with socket.create_server(("127.0.0.1", 0)) as server, connecting(server.getsockname()[1]) as child:
         accepted, _ = server.accept()
         with accepted:
             await Callers({os.getuid()}).check(accepted)
@@ -80,10 +77,7 @@ async def test_only_the_listener_of_the_same_address_is_checked() -> None:
 async def test_users_of_another_user_namespace_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """They all appear as one user, even if that is the allowed one."""
     monkeypatch.setattr(local_sockets, "is_known", lambda user: user != os.getuid())
-    with (
-        socket.create_server(("127.0.0.1", 0)) as server,
-        pytest.raises(PeerUserRefused),
-    ):
+    with socket.create_server(("127.0.0.1", 0)) as server, pytest.raises(PeerUserRefused):
         await Callers({os.getuid()}).check_listener(server.getsockname()[1])
 
 

@@ -44,9 +44,7 @@ async def test_an_older_connection_is_closed() -> None:
     await cache.close()
 
 
-async def test_a_cached_connection_is_closed_after_its_lifetime(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_cached_connection_is_closed_after_its_lifetime(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "LIFETIME", 0.0)
     cache, one, other = ConnectionCache(), FakeClient(), FakeClient()
     cache.put(ENDPOINT, _as(one))

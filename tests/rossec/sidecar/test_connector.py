@@ -58,15 +58,11 @@ async def test_a_revoked_peer_is_refused_before_anything_is_sent(
         await server.close()
 
 
-async def test_another_port_is_bound_if_one_is_taken(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_another_port_is_bound_if_one_is_taken(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     """Another port is tried; if none is free, the error is raised."""
     with socket.create_server(("127.0.0.1", 0)) as taken:
         ports = [taken.getsockname()[1]]
-        monkeypatch.setattr(
-            loopback_port, "free_port", lambda: ports.pop() if ports else free_port()
-        )
+        monkeypatch.setattr(loopback_port, "free_port", lambda: ports.pop() if ports else free_port())
         async with sidecar(site) as running:
             robot = running._agent_for("/robot")._connector
             server = robot.listen(ignore, "127.0.0.1", WireProtocol.HTTP)

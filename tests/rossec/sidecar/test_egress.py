@@ -32,9 +32,7 @@ async def provide(pair: SidecarPair) -> Endpoint:
     return endpoint
 
 
-async def test_messages_of_a_restricted_publisher_are_filtered_on_receipt(
-    pair: SidecarPair,
-) -> None:
+async def test_messages_of_a_restricted_publisher_are_filtered_on_receipt(pair: SidecarPair) -> None:
     """Its own sidecar sends everything; the subscriber's sidecar applies the restriction."""
     for file in pair.site.enroll("/talker").path.glob("grants/*"):
         file.unlink()
@@ -92,9 +90,7 @@ async def test_a_program_without_a_header_in_time_is_disconnected(
     assert "a connection to " in caplog.text
 
 
-async def test_a_peer_that_is_gone_hangs_up(
-    pair: SidecarPair, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_peer_that_is_gone_hangs_up(pair: SidecarPair, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     endpoint = await provide(pair)
     await pair.talker_sidecar.close()

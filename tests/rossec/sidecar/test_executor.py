@@ -158,9 +158,7 @@ async def test_a_program_that_does_not_listen_is_dead() -> None:
     assert event.dead
 
 
-async def test_a_master_that_does_not_answer_in_time_is_no_answer(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_master_that_does_not_answer_in_time_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(executor_module, "DEADLINE", 0.01)
     services = FakeServices()
     services.answer = asyncio.Event().wait
@@ -216,9 +214,7 @@ async def test_a_program_that_changed_while_connecting_is_not_used(
         raise ConnectionRefusedError("another program listens there now")
 
     monkeypatch.setattr(type(ANY_CALLER), "check_unchanged", changed)
-    event = await outcome(
-        FakeServices(), Probe(local_endpoint(WireProtocol.HTTP, program.slave.port))
-    )
+    event = await outcome(FakeServices(), Probe(local_endpoint(WireProtocol.HTTP, program.slave.port)))
     assert event == NoAnswer("another program listens there now", dead=True)
 
 

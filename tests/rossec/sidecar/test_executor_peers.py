@@ -22,13 +22,7 @@ from rossec.sidecar.core.layers import (
     Suspend,
 )
 from rossec.sidecar.executor import run_layer
-from tests.rossec.sidecar.test_executor import (
-    PEER,
-    FakeServices,
-    PeerNode,
-    check_answered,
-    outcome,
-)
+from tests.rossec.sidecar.test_executor import PEER, FakeServices, PeerNode, check_answered, outcome
 from tests.support.contexts import context
 from tests.support.wire import BOB
 
@@ -56,9 +50,7 @@ async def test_a_peer_is_authenticated_on_the_connection_of_the_call(peer: PeerN
 async def test_a_peer_that_cannot_be_authenticated_is_no_answer(peer: PeerNode) -> None:
     peer.refused = PeerUnreachable("its identity has expired")
     assert await outcome(peer, AuthenticatePeer(PEER)) == NoAnswer("its identity has expired")
-    event = await outcome(
-        FakeServices(), AuthenticatePeer(replace(PEER, protocol=WireProtocol.TCPROS))
-    )
+    event = await outcome(FakeServices(), AuthenticatePeer(replace(PEER, protocol=WireProtocol.TCPROS)))
     assert isinstance(event, NoAnswer)
 
 

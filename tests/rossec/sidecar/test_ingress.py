@@ -106,9 +106,7 @@ async def ingress_endpoint(pair: SidecarPair, protocol: WireProtocol) -> tuple[A
     """The listener's agent, and the endpoint at which peers reach the talker."""
     await connect(pair)
     ports = pair.talker_sidecar._agent_for("/talker")._ingress.ports
-    (port,) = (
-        server.port for endpoint, server in ports._ports.items() if endpoint.protocol is protocol
-    )
+    (port,) = (server.port for endpoint, server in ports._ports.items() if endpoint.protocol is protocol)
     return pair.listener_sidecar._agent_for("/listener"), Endpoint(protocol, "127.0.0.1", port)
 
 
@@ -189,9 +187,7 @@ async def test_a_port_that_another_program_has_now_leads_nowhere(pair: SidecarPa
         await second.close()
 
 
-async def test_a_reused_port_of_the_same_identity_gets_another_network_port(
-    pair: SidecarPair,
-) -> None:
+async def test_a_reused_port_of_the_same_identity_gets_another_network_port(pair: SidecarPair) -> None:
     pair.site.enroll("/crew", wildcard=True)
     pair.site.publish("/crew", "/a")
     async with sidecar(pair.site, each=False, identity="/crew") as running:

@@ -20,15 +20,7 @@ from rossec.net.aio import connect, serve
 from rossec.ros import tcpros
 from rossec.sidecar.core.guards import CopyTracker
 from rossec.sidecar.loopback_port import PlainStream
-from rossec.sidecar.pump import (
-    exchange,
-    log_end,
-    outgoing,
-    publish,
-    send_filtered,
-    split_header,
-    subscribe,
-)
+from rossec.sidecar.pump import exchange, log_end, outgoing, publish, send_filtered, split_header, subscribe
 from tests.rossec.sidecar.test_plain_stream import pair
 from tests.support.contexts import context
 from tests.support.secure_streams import Stream
@@ -106,9 +98,7 @@ async def received_by_peer(guard: FakeGuard, *messages: bytes) -> bytes:
     raise AssertionError
 
 
-async def test_messages_that_cannot_be_checked_are_withheld(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_messages_that_cannot_be_checked_are_withheld(caplog: pytest.LogCaptureFixture) -> None:
     received = await received_by_peer(FakeGuard(), b"one", *[b"x-rated"] * 9, b"-silent", b"two")
     assert received == tcpros.frame(b"one") + tcpros.frame(b"two")
     assert caplog.text.count("/viewer: withheld a message: it cannot be checked") == 1

@@ -46,9 +46,7 @@ async def test_waiting_callers_share_a_search(
             end.close()
 
 
-async def test_the_socket_of_another_program_is_not_found(
-    owners: SocketOwners,
-) -> None:
+async def test_the_socket_of_another_program_is_not_found(owners: SocketOwners) -> None:
     with programs() as one, one.connection(0) as end:
         inode = local_sockets.holder_of(end).inode
         assert not await SocketOwners(one.running[0].pid).holds(inode)  # it is not its own child
@@ -57,9 +55,7 @@ async def test_the_socket_of_another_program_is_not_found(
         assert not await owners.holds(0)
 
 
-async def test_a_cached_location_is_verified_again(
-    owners: SocketOwners, searches: list[None]
-) -> None:
+async def test_a_cached_location_is_verified_again(owners: SocketOwners, searches: list[None]) -> None:
     """The next connection takes the descriptor of one that was closed."""
     with programs() as one:
         with one.connection(0) as end:
@@ -72,9 +68,7 @@ async def test_a_cached_location_is_verified_again(
     assert len(searches) == 3
 
 
-async def test_a_reused_pid_is_not_accepted(
-    owners: SocketOwners, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_reused_pid_is_not_accepted(owners: SocketOwners, monkeypatch: pytest.MonkeyPatch) -> None:
     with programs() as one, one.connection(0) as end:
         inode = local_sockets.holder_of(end).inode
         assert await owners.holds(inode)

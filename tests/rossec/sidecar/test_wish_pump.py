@@ -59,9 +59,7 @@ class Peer:
         self.line.set()
 
 
-async def everything(
-    peer: Any, wishes: Wishes, *messages: bytes, guard: MessageGuard | None = None
-) -> None:
+async def everything(peer: Any, wishes: Wishes, *messages: bytes, guard: MessageGuard | None = None) -> None:
     """Forward what a program sends that then closes."""
     left, right = pair()
 
@@ -201,9 +199,7 @@ async def test_the_end_of_a_grant_ends_it(caplog: pytest.LogCaptureFixture) -> N
     guard: Any = FakeGuard(expired=True)
     with log_end("/viewer"):
         await everything(peer, Wishes(newest=True), b"one", guard=guard)
-    assert f"the connection with /viewer ended: {GrantExpired('the grant has expired')}" in (
-        caplog.messages
-    )
+    assert f"the connection with /viewer ended: {GrantExpired('the grant has expired')}" in (caplog.messages)
     assert peer.received == []
 
 

@@ -38,11 +38,7 @@ def challenge(access: Access, operation: str, *arguments: Value) -> LoginChallen
 
 
 def add(
-    access: Access,
-    phone: Passkey,
-    name: str,
-    code: str | None = None,
-    operation: str = "add-passkey",
+    access: Access, phone: Passkey, name: str, code: str | None = None, operation: str = "add-passkey"
 ) -> Value:
     asked = challenge(access, "new-passkey", phone.origin, phone.rp_id)
     given = access.phone_code("a test") if code is None else code

@@ -23,10 +23,7 @@ def test_a_challenge_is_used_once_and_for_its_purpose() -> None:
     assert challenges.open(Purpose.LOGIN, challenge.id) == challenge
     assert challenge.until == NOW + CHALLENGE_LIFETIME
     challenges.use(challenge)
-    for again in (
-        lambda: challenges.open(Purpose.LOGIN, challenge.id),
-        partial(challenges.use, challenge),
-    ):
+    for again in (lambda: challenges.open(Purpose.LOGIN, challenge.id), partial(challenges.use, challenge)):
         with pytest.raises(OtherChallenge, match="answered before"):
             again()
 

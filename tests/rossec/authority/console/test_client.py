@@ -142,8 +142,7 @@ async def test_a_service_that_hangs_is_given_up(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "answer",
-    [b"\xff\xff\xff\xff", b"\0\0\0\0", b"\0\0\0\2\x82\0", b"\0\0\0\3\x82\0\7", b"\0\0\0\1\xff"],
+    "answer", [b"\xff\xff\xff\xff", b"\0\0\0\0", b"\0\0\0\2\x82\0", b"\0\0\0\3\x82\0\7", b"\0\0\0\1\xff"]
 )
 async def test_an_answer_that_makes_no_sense_is_refused(path: Path, answer: bytes) -> None:
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

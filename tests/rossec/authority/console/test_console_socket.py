@@ -8,13 +8,7 @@ import pytest
 
 from rossec.authority.console import messages
 from rossec.authority.console.client import ConsoleClient
-from rossec.authority.console.serving import (
-    ConsolePeers,
-    ConsolePlace,
-    ConsoleService,
-    ConsoleSocket,
-    place,
-)
+from rossec.authority.console.serving import ConsolePeers, ConsolePlace, ConsoleService, ConsoleSocket, place
 from rossec.errors import ConfigurationError, PeerUserRefused
 from rossec.host.local_sockets import UnixPeer
 from tests.support.consoleservice import FakeHome

@@ -44,8 +44,9 @@ def test_grants_are_signed_as_they_were_shown(acts: Acts) -> None:
     acts.pass_time(200)
     outcome = acts.touch(prepared)
     assert (outcome.state, outcome.result) == (
-        "done", "/map may subscribe /pose, until 2027-01-15 09:00:00 UTC",
-    )  # fmt: skip
+        "done",
+        "/map may subscribe /pose, until 2027-01-15 09:00:00 UTC",
+    )
     (data,) = signed(acts)
     assert GRANT.peek_body(data) == shown.grants[0][0]
     grant = document.peek(data)
@@ -102,8 +103,10 @@ def test_each_right_of_a_request_is_approved_by_itself(acts: Acts) -> None:
     (data,) = signed(acts)
     assert [each.pattern for each in document.peek(data).permissions] == ["/pose"]
     with acts.store() as store:
-        told = {(each.stored.requested.pattern, each.answer)
-                for each in GrantRequestStore(store.database).answers()}  # fmt: skip
+        told = {
+            (each.stored.requested.pattern, each.answer)
+            for each in GrantRequestStore(store.database).answers()
+        }
     assert told == {("/pose", "granted"), ("/odom", "denied")}
 
 
@@ -203,10 +206,15 @@ def test_an_intermediate_and_wrong_arguments_are_refused(acts: Acts) -> None:
 @pytest.mark.parametrize(
     "value",
     [
-        5, [], [SHA, []], [SHA, [["a", 1]], []], [SHA, [[1, "/a"]], [[1, ""]]], [SHA, [], [[b"x"]]],
+        5,
+        [],
+        [SHA, []],
+        [SHA, [["a", 1]], []],
+        [SHA, [[1, "/a"]], [[1, ""]]],
+        [SHA, [], [[b"x"]]],
         ["x", [], []],
     ],
-)  # fmt: skip
+)
 def test_a_payload_of_another_form_is_refused(value: Value) -> None:
     with pytest.raises(ConfigurationError, match="malformed"):
         Answer.from_bytes(encode(value))

@@ -22,9 +22,7 @@ def csr(name: str) -> bytes:
 
 
 @pytest.mark.attack("looker-floods")
-def test_whoever_only_looks_fills_no_record(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_whoever_only_looks_fills_no_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(approving, "MAX_REQUESTS", 2)
     home = AuthorityHome.create(tmp_path / "home", "home", PASSPHRASE, NOW)
     requests = LookersRequests()

@@ -46,9 +46,14 @@ class Master:
 
     def _answer(self, added: list[Any], *, whole: bool, more: bool = False) -> object:
         return {
-            "instance": "i", "version": 1, "cursor": len(self.calls), "whole": whole,
-            "more": more, "added": added, "removed": [],
-        }  # fmt: skip
+            "instance": "i",
+            "version": 1,
+            "cursor": len(self.calls),
+            "whole": whole,
+            "more": more,
+            "added": added,
+            "removed": [],
+        }
 
     def asked(self, method: str) -> int:
         return sum(call.method == method for call in self.calls)
@@ -203,10 +208,13 @@ def test_zeros_ask_for_all_that_was_revoked_until_now(looking: Looking) -> None:
 @pytest.mark.parametrize(
     "answer",
     [
-        None, 5, {"list": "1.1"}, {"list": "1.1", "nodes": 1, "holding": 2},
+        None,
+        5,
+        {"list": "1.1"},
+        {"list": "1.1", "nodes": 1, "holding": 2},
         {"list": 1, "nodes": 1, "holding": 1},
     ],
-)  # fmt: skip
+)
 def test_without_an_answer_what_was_published_is_known(looking: Looking, answer: object) -> None:
     acts = looking.acts
     acts.enroll("/lamp")

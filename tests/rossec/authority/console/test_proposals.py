@@ -4,12 +4,7 @@ import pytest
 
 from ca.approvals.passkeys import Passkey
 from ca.errors import PasskeyUnknown
-from rossec.authority.console.phone_codes import (
-    MAX_PROPOSALS,
-    PROPOSAL_LIFETIME,
-    Proposals,
-    digits_of,
-)
+from rossec.authority.console.phone_codes import MAX_PROPOSALS, PROPOSAL_LIFETIME, Proposals, digits_of
 from rossec.errors import KeyServiceRefused
 
 NOW = 1_800_000_000
@@ -53,8 +48,10 @@ def test_proposals_are_bounded() -> None:
 def test_digits_of_differ_with_everything_they_are_made_of() -> None:
     base = passkey("Ann's")
     found = {
-        digits_of(b"1", base), digits_of(b"2", base), digits_of(b"1", base._replace(id=b"other")),
+        digits_of(b"1", base),
+        digits_of(b"2", base),
+        digits_of(b"1", base._replace(id=b"other")),
         digits_of(b"1", base._replace(cose_key=b"other")),
-    }  # fmt: skip
+    }
     assert len(found) == 4
     assert digits_of(b"1", base) == digits_of(b"1", base._replace(name="Eve's"))

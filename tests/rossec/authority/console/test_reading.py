@@ -66,8 +66,9 @@ def test_grants_are_those_in_force_and_ended_of_late(site: ConsoleWork) -> None:
     reading = Reading(site.work, never, lambda: {long: "held"})
     found = many(GrantView, ask(reading, "grants"))
     assert [(each.id, each.rules, each.delivery) for each in found] == [
-        (long, "rule 3", "held"), (short, "", ""),
-    ]  # fmt: skip
+        (long, "rule 3", "held"),
+        (short, "", ""),
+    ]
     assert (found[1].at, found[1].expires, found[1].cap) == (NOW, NOW + 60, NOW + 60)
     assert peek(found[0].data).id == long
     site.wait(KEPT + 61)
@@ -97,14 +98,13 @@ def test_requests_for_identities_are_those_that_wait(site: ConsoleWork) -> None:
             asked = node.create_request("home")
             service.add_request(asked, node.request(), "a code")
     found = many(IdentityRequestView, ask(reading, "identity-requests"))
-    assert {(each.name, each.is_other_key) for each in found} == {
-        ("/lamp", False),
-        ("/robot", True),
-    }
+    assert {(each.name, each.is_other_key) for each in found} == {("/lamp", False), ("/robot", True)}
     lamp = next(each for each in found if each.name == "/lamp")
     assert (lamp.state, lamp.source, lamp.csr) == (
-        "pending", "a code", NodeHome.of(site.root / "other", "/lamp").request(),
-    )  # fmt: skip
+        "pending",
+        "a code",
+        NodeHome.of(site.root / "other", "/lamp").request(),
+    )
     site.home.store().requests.deny(lamp.id, NOW)
     site.wait(2 * 86400)
     assert ask(reading, "identity-requests") == []

@@ -138,6 +138,10 @@ def test_a_reason_is_bounded(acts: Acts) -> None:
 
 def test_each_operation_that_takes_away_has_a_handler(acts: Acts) -> None:
     assert sorted(acts.removals.handlers()) == [
-        "deny-question", "deny-request", "end-invitation", "remove-phone", "revoke-grant",
+        "deny-question",
+        "deny-request",
+        "end-invitation",
+        "remove-phone",
+        "revoke-grant",
         "revoke-node",
-    ]  # fmt: skip
+    ]

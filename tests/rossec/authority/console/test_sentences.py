@@ -23,9 +23,7 @@ def test_a_sentence_about_a_grant_names_its_node() -> None:
     grant = peek(FakeHome().grants[1].data)
     payload = encode([b"", [], [[encode(from_draft(grant, grant.issuer)), ""]]])
     asked = state(Grant(b"r" * 16, b"d" * 32))
-    assert sentence(asked, payload) == (
-        f"/doctor may subscribe /robot/pose, until {format_time(grant.cap)}"
-    )
+    assert sentence(asked, payload) == (f"/doctor may subscribe /robot/pose, until {format_time(grant.cap)}")
     for malformed in (b"", b"\xff", encode([]), encode([b"", [], [[b"x", ""]]])):
         assert sentence(asked, malformed) == "a right of a node"
 

@@ -64,9 +64,10 @@ def test_an_operation_has_one_handler_and_is_in_the_table(operation: str) -> Non
 async def test_what_changes_something_is_audited_with_who_asked_before_it_is_done() -> None:
     lines: list[str] = []
     handlers: dict[str, Callable[..., Value]] = {
-        "revoke-node": lambda *_: len(lines), "deny-request": lambda *_: len(lines),
+        "revoke-node": lambda *_: len(lines),
+        "deny-request": lambda *_: len(lines),
         "status": lambda: len(lines),
-    }  # fmt: skip
+    }
     service = ConsoleService(Part(**handlers), audit=lines.append)
     assert await service.carry_out(Request("status"), CALLER) == 0
     assert await service.carry_out(Request("revoke-node", ("/a\n/b", "why")), CALLER) == 1

@@ -24,9 +24,7 @@ def statements(time: Time) -> Statements:
     return Statements(lambda: time.elapsed)
 
 
-def add(
-    statements: Statements, number: int = 1, kind: Kind = Kind.ENROLL, owner: str = ""
-) -> Statement:
+def add(statements: Statements, number: int = 1, kind: Kind = Kind.ENROLL, owner: str = "") -> Statement:
     statement = state(WHATS[kind], id=number.to_bytes(16))
     statements.add(PreparedStatement(statement, b"payload", ("arguments",)), owner)
     return statement

@@ -55,9 +55,7 @@ def test_without_a_service_there_is_no_signer(home: AuthorityHome) -> None:
     assert KeyServiceClient.find(home.path / ("x" * 108)) is None
 
 
-def test_a_locked_service_is_a_refusal_with_a_hint(
-    home: AuthorityHome, service: RunningService
-) -> None:
+def test_a_locked_service_is_a_refusal_with_a_hint(home: AuthorityHome, service: RunningService) -> None:
     with pytest.raises(AuthorityLocked, match="service is locked") as caught:
         running_signer(home)
     assert "rossec ca unlock" in caught.value.hint
@@ -184,9 +182,7 @@ def test_a_code_that_is_no_text_is_refused(home: AuthorityHome) -> None:
     impostor.thread.join()
 
 
-def test_a_service_that_hangs_is_given_up(
-    home: AuthorityHome, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_service_that_hangs_is_given_up(home: AuthorityHome, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "TIMEOUT", 0.05)
     with socket.socket(socket.AF_UNIX) as server:
         server.bind(str(home.path / SOCKET))

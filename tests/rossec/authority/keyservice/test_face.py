@@ -39,8 +39,11 @@ class Served:
         self.answer: Value = write(Refused(RefuseReason.ENDED))
         self.requests: list[Value] = []
         handlers: Mapping[str, Handler] = {
-            "ready": self.say, "failed": self.say, "join": self.join, "name": self.join
-        }  # fmt: skip
+            "ready": self.say,
+            "failed": self.say,
+            "join": self.join,
+            "name": self.join,
+        }
         self.channel = InnerChannel(ours, handlers, 100_000)
         self._face = face
 

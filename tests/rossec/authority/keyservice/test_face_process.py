@@ -71,9 +71,7 @@ async def test_it_listens_and_is_refused_at_the_socket(home: AuthorityHome) -> N
         await face.call("getPid", [], 2)
 
 
-async def test_one_that_dies_is_started_again(
-    home: AuthorityHome, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_one_that_dies_is_started_again(home: AuthorityHome, caplog: pytest.LogCaptureFixture) -> None:
     before = children()
     face = face_at(home, f"127.0.0.1:{free_port()}")
     async with running(face):
@@ -111,9 +109,7 @@ def test_one_that_was_never_connected_is_ended(home: AuthorityHome) -> None:
     assert not children() - before
 
 
-async def test_one_that_lingers_after_its_connection_is_refused_until_it_is_dead(
-    home: AuthorityHome,
-) -> None:
+async def test_one_that_lingers_after_its_connection_is_refused_until_it_is_dead(home: AuthorityHome) -> None:
     answer, before = home.path / "answer", children()
     options = FaceOptions(str(home.path), str(answer))
     face = FaceProcess(home, options, os.environ, module="tests.support.takenface")

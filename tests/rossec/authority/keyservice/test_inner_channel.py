@@ -63,9 +63,7 @@ async def test_a_refusal_comes_back_with_its_hint() -> None:
         assert await face.call("join", b"ab", within=10) == b"ba", "after one that was given up"
 
 
-async def test_a_request_that_crashes_is_answered_and_logged(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_a_request_that_crashes_is_answered_and_logged(caplog: pytest.LogCaptureFixture) -> None:
     async def crash(_: bytes) -> Value:
         raise ZeroDivisionError
 
@@ -98,10 +96,13 @@ async def test_the_end_of_one_side_ends_the_calls_of_the_other() -> None:
 @pytest.mark.parametrize(
     "data",
     [
-        b"\0\0\0\1\xff", b"\0\0\0\0", b"\xff\xff\xff\xff", (LIMIT + 1).to_bytes(4),
+        b"\0\0\0\1\xff",
+        b"\0\0\0\0",
+        b"\xff\xff\xff\xff",
+        (LIMIT + 1).to_bytes(4),
         messages.write(InnerRequest(1, "call", ("m", [], 1))),
     ],
-)  # fmt: skip
+)
 async def test_a_side_that_breaks_the_protocol_is_cut_off(data: bytes) -> None:
     one, other = socket.socketpair()
     service = InnerChannel(one, HANDLERS, LIMIT)

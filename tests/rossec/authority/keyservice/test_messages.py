@@ -44,11 +44,22 @@ def test_a_request_is_read_as_it_was_written(request_: Request) -> None:
 @pytest.mark.parametrize(
     "value",
     [
-        [], {}, [1], [2, "status"], [1, "format"], [1, "status", 1], [1, "unlock", 1],
-        [1, "unlock", "1", "x"], [1, "unlock", True, "x"], [1, "sign", "text"], ["status"],
-        [1, b"status"], 1, [True, "status", 5],
+        [],
+        {},
+        [1],
+        [2, "status"],
+        [1, "format"],
+        [1, "status", 1],
+        [1, "unlock", 1],
+        [1, "unlock", "1", "x"],
+        [1, "unlock", True, "x"],
+        [1, "sign", "text"],
+        ["status"],
+        [1, b"status"],
+        1,
+        [True, "status", 5],
     ],
-)  # fmt: skip
+)
 def test_a_request_outside_the_table_is_refused(value: Value) -> None:
     with pytest.raises(KeyMessageRefused):
         read_request(encode(value))

@@ -56,15 +56,12 @@ class Playing:
         (self.working.home.path / "policy.yaml").write_text(POLICY)
         self.face = PlayedFace()
         self.network = NetworkWork(
-            root, self.working.operations, cast("FaceProcess", self.face), applies=applies,
-            rules=rules,
-        )  # fmt: skip
+            root, self.working.operations, cast("FaceProcess", self.face), applies=applies, rules=rules
+        )
 
 
 @pytest.mark.parametrize("applies", [True, False])
-async def test_a_node_that_joins_gets_what_the_policy_gives_it(
-    tmp_path: Path, applies: bool
-) -> None:
+async def test_a_node_that_joins_gets_what_the_policy_gives_it(tmp_path: Path, applies: bool) -> None:
     playing = Playing(tmp_path, applies=applies)
     working, face = playing.working, playing.face
     request = working.request(working.invite())

@@ -13,13 +13,7 @@ from rossec.authority.home import AUDIT_FILE, AuthorityHome
 from rossec.authority.keyservice import process as module
 from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.authority.keyservice.operations import KeyOperations
-from rossec.authority.keyservice.process import (
-    Caller,
-    KeyServiceProcess,
-    admit_all,
-    audit_to,
-    operations_of,
-)
+from rossec.authority.keyservice.process import Caller, KeyServiceProcess, admit_all, audit_to, operations_of
 from rossec.errors import KeyServiceRefused
 from rossec.host.audit import audit_written
 from tests.support.commands import PASSPHRASE
@@ -69,9 +63,7 @@ async def test_codes_for_a_phone_are_made_where_there_is_a_console(home: Authori
         return "a code"
 
     for phone_code in (make, None):
-        process = KeyServiceProcess(
-            home, operations_of(home, lambda _: None), admit_all, phone_code
-        )
+        process = KeyServiceProcess(home, operations_of(home, lambda _: None), admit_all, phone_code)
         await process.start()
         client = await asyncio.to_thread(KeyServiceClient.find, home.path)
         assert client is not None
@@ -102,10 +94,7 @@ class Clocked:
 
 @pytest.mark.parametrize("is_full", [False, True])
 async def test_the_key_is_dropped_when_its_time_is_over(
-    home: AuthorityHome,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-    is_full: bool,
+    home: AuthorityHome, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, is_full: bool
 ) -> None:
     monkeypatch.setattr(module, "TICK", 0.01)
     clocked = Clocked(home)

@@ -67,9 +67,15 @@ def intermediate(recorder: Recorder) -> None:
 
 def grant(recorder: Recorder) -> None:
     draft = Draft(
-        domain="home", subject="/robot", holder=b"h" * 32, not_before=NOW, expires=NOW + 60,
-        cap=NOW + 60, serial=b"s" * 16, permissions=(Permission("/p", Right.PUBLISH),),
-    )  # fmt: skip
+        domain="home",
+        subject="/robot",
+        holder=b"h" * 32,
+        not_before=NOW,
+        expires=NOW + 60,
+        cap=NOW + 60,
+        serial=b"s" * 16,
+        permissions=(Permission("/p", Right.PUBLISH),),
+    )
     document.sign(recorder, draft)
 
 
@@ -140,8 +146,7 @@ def test_what_others_sign_is_refused(profile: Profile) -> None:
 
 
 @pytest.mark.parametrize(
-    "message",
-    [b"", b"0", b"\x84", b"a challenge of another protocol", encode(["Signature1", b"", b"", b""])],
+    "message", [b"", b"0", b"\x84", b"a challenge of another protocol", encode(["Signature1", b"", b"", b""])]
 )
 def test_other_bytes_are_refused(message: bytes) -> None:
     with pytest.raises(SigningRefused, match="nothing that an authority signs"):

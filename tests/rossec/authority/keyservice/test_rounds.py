@@ -54,9 +54,7 @@ async def test_a_reason_begins_a_round_at_once_also_during_another() -> None:
     await ended(running)
 
 
-async def test_a_task_that_crashes_keeps_no_other_from_being_done(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_a_task_that_crashes_keeps_no_other_from_being_done(caplog: pytest.LogCaptureFixture) -> None:
     done: list[int] = []
     rounds = Rounds(in_thread)
     rounds.add(lambda: done.append(1 // 0))

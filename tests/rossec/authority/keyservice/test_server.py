@@ -76,13 +76,15 @@ async def test_a_refusal_does_not_end_the_connection(path: Path) -> None:
 @pytest.mark.parametrize(
     "data",
     [
-        b"\0\0\0\1\xff", b"\0\0\0\0", b"\xff\xff\xff\xff", b"GET / HTTP/1.0\r\n\r\n",
-        messages.frame([1, "format"]), messages.frame([9, "status"]),
+        b"\0\0\0\1\xff",
+        b"\0\0\0\0",
+        b"\xff\xff\xff\xff",
+        b"GET / HTTP/1.0\r\n\r\n",
+        messages.frame([1, "format"]),
+        messages.frame([9, "status"]),
     ],
-)  # fmt: skip
-async def test_what_is_malformed_is_refused_and_ends_the_connection(
-    path: Path, data: bytes
-) -> None:
+)
+async def test_what_is_malformed_is_refused_and_ends_the_connection(path: Path, data: bytes) -> None:
     reader, writer = await asyncio.open_unix_connection(path)
     writer.write(data)
     with pytest.raises(KeyMessageRefused):
@@ -99,9 +101,7 @@ async def test_a_crash_ends_one_connection(path: Path, caplog: pytest.LogCapture
     assert await exchange(path, STATUS)
 
 
-async def test_a_slow_or_silent_caller_is_dropped(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_slow_or_silent_caller_is_dropped(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "DEADLINE", 0.05)
     monkeypatch.setattr(module, "IDLE", 0.05)
     for beginning in (b"", STATUS[:1], STATUS[:-1]):
@@ -111,9 +111,7 @@ async def test_a_slow_or_silent_caller_is_dropped(
         writer.close()
 
 
-async def test_one_who_reads_no_answers_is_dropped(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_one_who_reads_no_answers_is_dropped(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "DEADLINE", 0.2)
     _, writer = await asyncio.open_unix_connection(path, limit=1)
     data = STATUS * 1000

@@ -126,9 +126,7 @@ def test_what_is_no_request_changes_nothing(working: Working) -> None:
     with pytest.raises(EnrollmentMessageRefused):
         working.work.join(b"x" * 10)
     request = JoinRequest.from_bytes(working.request(working.invite()))
-    forged = JoinRequest(
-        request.invitation, b"t" * 32, request.name, request.csr, request.proof
-    ).to_bytes()
+    forged = JoinRequest(request.invitation, b"t" * 32, request.name, request.csr, request.proof).to_bytes()
     answer, name = working.work.join(forged)
     assert (read(answer), name) == (Refused(RefuseReason.REFUSED), None)
     assert len(working.audit) == lines, "nothing was signed"
@@ -210,17 +208,13 @@ def test_grants_are_renewed_at_two_thirds(working: Working) -> None:
     assert working.grants() == 2
 
 
-def test_a_policy_that_cannot_be_used_is_logged(
-    working: Working, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_policy_that_cannot_be_used_is_logged(working: Working, caplog: pytest.LogCaptureFixture) -> None:
     working.work.apply()
     assert "the policy is not applied: " in caplog.text
     assert working.grants() == 0
 
 
-def test_while_it_is_locked_nothing_is_tried(
-    working: Working, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_while_it_is_locked_nothing_is_tried(working: Working, caplog: pytest.LogCaptureFixture) -> None:
     working.operations.held.lock()
     working.work.apply()
     working.work.maintain()
@@ -236,9 +230,7 @@ def test_its_own_identity_and_list_are_renewed_long_before_they_expire(working: 
     assert any(line.endswith(", for its own maintenance") for line in working.audit)
 
 
-def test_a_master_out_of_reach_is_tried_again(
-    working: Working, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_master_out_of_reach_is_tried_again(working: Working, caplog: pytest.LogCaptureFixture) -> None:
     (working.home.path / "policy.yaml").write_text(POLICY)
     working.work.join(working.request(working.invite()))
     working.reachable = False
@@ -320,9 +312,7 @@ def test_a_round_plans_only_when_something_changed_or_may_be_due(
     assert len(rounds) == 4
 
 
-def test_a_round_while_it_is_locked_is_made_up_for(
-    working: Working, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_round_while_it_is_locked_is_made_up_for(working: Working, monkeypatch: pytest.MonkeyPatch) -> None:
     (working.home.path / "policy.yaml").write_text(POLICY)
     working.work.join(working.request(working.invite()))
     working.operations.held.lock()
@@ -333,9 +323,7 @@ def test_a_round_while_it_is_locked_is_made_up_for(
     assert working.grants() == 1
 
 
-def test_a_round_without_a_policy_is_logged(
-    working: Working, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_round_without_a_policy_is_logged(working: Working, caplog: pytest.LogCaptureFixture) -> None:
     working.work.apply_if_changed()
     assert "the policy is not applied: " in caplog.text
 

@@ -48,7 +48,4 @@ def test_a_request_that_crashes_holds_no_other_back(
 
     monkeypatch.setattr("rossec.authority.renewals.renew_recorded", renew)
     given = working.work.renew_identities([b"poison", b"good", b"full", b"later"])
-    assert [(bundle, bool(reason)) for _, bundle, reason in given] == [
-        (b"", True),
-        (b"bundle", False),
-    ]
+    assert [(bundle, bool(reason)) for _, bundle, reason in given] == [(b"", True), (b"bundle", False)]

@@ -60,9 +60,7 @@ def trace_config(own: str, secret: str) -> EdhocConfig[TraceIdentity]:
         lambda chain, _: next(c.identity for c in credentials if c.certificate == chain[0]),
         lambda _: value(secret),
         suites=(0,),
-        find_chain=lambda id_cred: next(
-            (c.certificate,) for c in credentials if c.id_cred == id_cred
-        ),
+        find_chain=lambda id_cred: next((c.certificate,) for c in credentials if c.id_cred == id_cred),
         c_i=value("Connection identifier chosen by Initiator / C_I (Raw"),
         c_r=value("Connection identifier chosen by Responder / C_R (Raw"),
     )

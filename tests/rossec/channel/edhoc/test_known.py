@@ -17,9 +17,7 @@ def test_a_reference_finds_a_cached_chain() -> None:
     assert memory.find({33: b"by value"}) == (b"by value",)
 
 
-@pytest.mark.parametrize(
-    "bad", [{34: [-16, bytes(32)]}, {34: b"x" * 8}, {34: [-15, b""], 1: 1}, {}]
-)
+@pytest.mark.parametrize("bad", [{34: [-16, bytes(32)]}, {34: b"x" * 8}, {34: [-15, b""], 1: 1}, {}])
 def test_other_references_are_refused(bad: dict[int | str, object]) -> None:
     with pytest.raises(HandshakeFailed):
         KnownCertificates().find(bad)  # type: ignore[arg-type]  # a narrower map is a Value

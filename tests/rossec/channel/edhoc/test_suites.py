@@ -68,9 +68,7 @@ def test_a_signature_is_of_the_suites_kind_and_the_message() -> None:
     eddsa = edwards.sign(b"message")
     SUITES[6].verify(p256.public_key(), es256, b"message")
     SUITES[4].verify(edwards.public_key(), eddsa, b"message")
-    for number, key, signature in (
-        (6, p256.public_key(), es256), (4, edwards.public_key(), eddsa),
-    ):  # fmt: skip
+    for number, key, signature in ((6, p256.public_key(), es256), (4, edwards.public_key(), eddsa)):
         with pytest.raises(HandshakeFailed, match="signature does not verify"):
             SUITES[number].verify(key, signature, b"another message")
     for wrong in (edwards.public_key(), other.public_key()):

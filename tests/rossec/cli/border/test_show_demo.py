@@ -9,9 +9,7 @@ from rossec.demo.environment import DemoEnvironment
 from tests.support.commands import Shell, refused
 
 
-def test_it_has_a_home_of_its_own_and_leaves_nothing(
-    empty: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_has_a_home_of_its_own_and_leaves_nothing(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     roots: list[Path] = []
 
     async def run_steps(demo: DemoEnvironment) -> None:

@@ -25,13 +25,21 @@ def router(empty: Shell) -> Shell:
     home = site.enroll("/border")
     files, now = ThingFiles(home), site.now()
     lamp = ThingStatement(
-        "home", LAMP, ThingKey.of(new_signer().public_key, b"\x2b"),
-        home.identity(now).thumbprint, now - 60, now + 600, bytes(16),
-    )  # fmt: skip
+        "home",
+        LAMP,
+        ThingKey.of(new_signer().public_key, b"\x2b"),
+        home.identity(now).thumbprint,
+        now - 60,
+        now + 600,
+        bytes(16),
+    )
     fan = replace(
-        lamp, name="/things/fan", not_before=0, expires=now - 1,
+        lamp,
+        name="/things/fan",
+        not_before=0,
+        expires=now - 1,
         credential=ThingSecret.of(files.create_secret("/things/fan"), b"\x07"),
-    )  # fmt: skip
+    )
     for each in (lamp, fan):
         files.install(sign_statement(site.authority.signer, each))
     return empty
@@ -43,8 +51,9 @@ def test_the_things_are_listed(router: Shell) -> None:
     assert lines[1].startswith("/things/lamp  key 2b  until ")
     found = json.loads(router("border", "list", "--json").out)["things"]
     assert [(each["name"], each["kind"], each["kid"]) for each in found] == [
-        ("/things/fan", "psk", "07"), (LAMP, "edhoc", "2b"),
-    ]  # fmt: skip
+        ("/things/fan", "psk", "07"),
+        (LAMP, "edhoc", "2b"),
+    ]
 
 
 def test_a_file_that_is_no_statement_is_named(router: Shell) -> None:
@@ -66,15 +75,21 @@ def test_a_thing_is_forgotten(router: Shell) -> None:
 
 def test_what_a_running_router_does(router: Shell) -> None:
     refused(router("border", "status"), "no border router runs here", "rossec border")
-    there = {"there": True, "offered": 1, "resources": 2, "received": 9, "refused": 1,
-             "over_rate": 3}  # fmt: skip
-    border_router.write_status(router.node("/border"), {
-        "at": clock.now(), "address": ["::", 5683],
-        "counts": {"datagrams": 20, "refused": 2, "over_budget": 0, "handshakes": 1,
-                   "derivations": 2},
-        "things": {LAMP: there, "/a": {**there, "there": False}, "/b": {"there": True},
-                   "/c": {"there": False}},
-    })  # fmt: skip
+    there = {"there": True, "offered": 1, "resources": 2, "received": 9, "refused": 1, "over_rate": 3}
+    border_router.write_status(
+        router.node("/border"),
+        {
+            "at": clock.now(),
+            "address": ["::", 5683],
+            "counts": {"datagrams": 20, "refused": 2, "over_budget": 0, "handshakes": 1, "derivations": 2},
+            "things": {
+                LAMP: there,
+                "/a": {**there, "there": False},
+                "/b": {"there": True},
+                "/c": {"there": False},
+            },
+        },
+    )
     lines = router("border", "status").out.splitlines()
     assert lines == [
         "at :: port 5683: 3 times a thing came, 2 of 20 datagrams refused",

@@ -6,9 +6,7 @@ from tests.rossec.cli.tables import check_table
 from tests.support.commands import Shell, refused
 
 
-@pytest.mark.parametrize(
-    "group", [ca, intermediate, invitations, log], ids=lambda group: group.name
-)
+@pytest.mark.parametrize("group", [ca, intermediate, invitations, log], ids=lambda group: group.name)
 def test_each_listed_command_exists_and_has_this_help_line(group: click.Command) -> None:
     check_table(group)
 

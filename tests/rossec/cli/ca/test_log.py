@@ -15,9 +15,7 @@ def test_the_log_shows_every_entry(shell: Shell) -> None:
     shell.enroll("/robot")
     entries = json.loads(shell("ca", "log", "--json").out)
     assert [entry["number"] for entry in entries] == list(range(len(entries)))
-    assert [entry["what"] for entry in entries[-4:]] == [
-        "pending", "approved", "issued", "certificate"
-    ]  # fmt: skip
+    assert [entry["what"] for entry in entries[-4:]] == ["pending", "approved", "issued", "certificate"]
     lines = shell("ca", "log").out.splitlines()
     assert len(lines) == len(entries)
     assert lines[-1].startswith(f"{len(entries) - 1}  20")

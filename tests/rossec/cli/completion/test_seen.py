@@ -29,8 +29,7 @@ def test_those_of_another_master_are_not_offered(home: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "content",
-    ["", "[]", "{", '{"master": "M", "names": []}', '{"master": "M", "names": {"topic": 1}}'],
+    "content", ["", "[]", "{", '{"master": "M", "names": []}', '{"master": "M", "names": {"topic": 1}}']
 )
 def test_what_is_damaged_has_no_names(home: Path, content: str) -> None:
     (home / values.NAME).write_text(content)

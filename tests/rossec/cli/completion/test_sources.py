@@ -41,9 +41,7 @@ def test_the_record_gives_what_is_valid_now(shell: Shell) -> None:
     assert granted[:8] in set(found.held_grants())
 
 
-@pytest.mark.parametrize(
-    "kind", ["domain", "grant request", "invitation", "phone", "request", "thing"]
-)
+@pytest.mark.parametrize("kind", ["domain", "grant request", "invitation", "phone", "request", "thing"])
 def test_every_kind_of_the_record_can_be_asked(shell: Shell, kind: str) -> None:
     assert list(sources(shell).recorded(kind)) == []
 

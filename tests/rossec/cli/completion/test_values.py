@@ -49,9 +49,7 @@ def kinds(place: str) -> dict[str, str]:
 
 def test_arguments_and_options_get_theirs() -> None:
     found = kinds("ros.topic:echo")
-    assert [found[name] for name in ("name", "type_name", "--as")] == [
-        "topic", "message type", "own node",
-    ]  # fmt: skip
+    assert [found[name] for name in ("name", "type_name", "--as")] == ["topic", "message type", "own node"]
     assert found["--count"] == FREE
     assert [kinds("relay.sites:add_relay")[name] for name in ("label", "file")] == [FREE, FREE]
 

@@ -51,9 +51,7 @@ def test_it_waits_until_a_phone_is_set_up(
     def add() -> None:
         time.sleep(0.3)
         store = home.store()
-        store.passkeys.add(
-            Passkey(b"id", "Anna's phone", b"key", bytes(16), "localhost", ORIGIN, b"", 1)
-        )
+        store.passkeys.add(Passkey(b"id", "Anna's phone", b"key", bytes(16), "localhost", ORIGIN, b"", 1))
         store.close()
 
     monkeypatch.setattr(module, "LIFETIME", 20)

@@ -130,8 +130,11 @@ def test_the_terminal_tells_what_to_compare_and_where(service: ServiceProcess) -
     command = ["console", "--lan", "--name", NAME, "--port", str(port), "--hand-out", "--log=json"]
     process = subprocess.Popen(
         [sys.executable, "-I", "-m", "rossec", *command],
-        env=service.environ, text=True, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-    )  # fmt: skip
+        env=service.environ,
+        text=True,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+    )
     try:
         assert process.stdout is not None
         said = ""
@@ -194,14 +197,16 @@ def test_behind_a_proxy_its_headers_decide_nothing(service: ServiceProcess, tmp_
             assert ask(connection, origin, "/login").status == 200
         forwarded = {"X-Forwarded-Host": "ca.example.org", "Forwarded": "host=ca.example.org"}
         with closing(ProxyConnection(path)) as connection:
-            assert (
-                ask(connection, "https://evil.example", "/login", None, **forwarded).status == 421
-            )
+            assert ask(connection, "https://evil.example", "/login", None, **forwarded).status == 421
         with closing(ProxyConnection(path)) as connection:
             answer = ask(
-                connection, origin, "/login", {"code": running.code},
-                Origin="https://evil.example", Forwarded="host=ca.example.org",
-            )  # fmt: skip
+                connection,
+                origin,
+                "/login",
+                {"code": running.code},
+                Origin="https://evil.example",
+                Forwarded="host=ca.example.org",
+            )
             assert answer.status == 403
         with closing(ProxyConnection(path)) as connection:
             assert ask(connection, origin, "/login", {"code": running.code}).status == 303
@@ -258,15 +263,21 @@ def test_a_screen_on_the_wall_has_nothing_but_looking(service: ServiceProcess) -
             answer = ask(connection, origin, "/", Cookie=cookie)
             assert answer.status == 200
             assert b'method="post"' not in answer.read()
-        for path in ("/prepare/grant", "/add", "/phones/link", "/login/new", "/login/phone",
-                     "/revoke/node//master", "/invite/AA/end", "/propose"):  # fmt: skip
+        for path in (
+            "/prepare/grant",
+            "/add",
+            "/phones/link",
+            "/login/new",
+            "/login/phone",
+            "/revoke/node//master",
+            "/invite/AA/end",
+            "/propose",
+        ):
             assert post(path, {"reason": "x"}, cookie) in {404, 405}
         assert not (service.directory / "console" / "address").exists()
 
 
-def test_phones_of_another_address_stop_the_start(
-    shell: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_phones_of_another_address_stop_the_start(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(serve, "_origins_of_phones", lambda _: {"http://localhost:7411"})
     refused(shell("console", "--port", "7412"), "cannot approve at http://localhost:7412")
     refused(shell("console", "--port", "7412", "--rename"), "the authority's service does not run")

@@ -40,9 +40,7 @@ def play(monkeypatch: pytest.MonkeyPatch, ends: bool) -> list[Path]:
     return roots
 
 
-def test_it_prints_the_link_and_ends_with_ctrl_c(
-    empty: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_prints_the_link_and_ends_with_ctrl_c(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     roots = play(monkeypatch, ends=False)
     said = empty("console", "--demo", "--port", "7499")
     assert said.code == 0, said
@@ -65,9 +63,7 @@ def test_it_takes_a_port_and_nothing_else(empty: Shell) -> None:
     refused(empty("console", "--demo", "--read-only"), "--demo is for localhost", "--port")
 
 
-def test_a_port_in_use_is_said_before_the_story_begins(
-    empty: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_port_in_use_is_said_before_the_story_begins(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     roots = play(monkeypatch, ends=False)
     with socket.create_server(("127.0.0.1", 0)) as used:
         port = str(used.getsockname()[1])

@@ -10,10 +10,7 @@ from tests.support.commands import Shell
 
 @pytest.fixture
 def sites(
-    empty: Shell,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    empty: Shell, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> Neighbours:
     """Two authorities; the hospital's card is made."""
     monkeypatch.setattr("ca.keys.passphrases._N", 16)  # the passphrase is not under test

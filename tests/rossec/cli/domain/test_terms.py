@@ -79,7 +79,5 @@ def test_the_options_of_a_command() -> None:
 
     done = CliRunner().invoke(command, ["--admit", "/a", "--export", "x", "--import", "y"])
     assert done.exit_code == 0
-    assert seen == {
-        "admit": ("/a",), "fresh": 3600, "lifetime": None, "exported": ("x",), "imported": ("y",),
-    }  # fmt: skip
+    assert seen == {"admit": ("/a",), "fresh": 3600, "lifetime": None, "exported": ("x",), "imported": ("y",)}
     assert CliRunner().invoke(command, ["--fresh", "8d"]).exit_code == 2

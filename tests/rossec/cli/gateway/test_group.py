@@ -34,9 +34,7 @@ def test_without_a_verb_it_runs(empty: Shell) -> None:
         (("--from", "ada", "/x", "--json", "status"), "only --name stands before a verb"),
     ],
 )
-def test_what_stands_in_the_wrong_place_is_refused(
-    empty: Shell, words: tuple[str, ...], says: str
-) -> None:
+def test_what_stands_in_the_wrong_place_is_refused(empty: Shell, words: tuple[str, ...], says: str) -> None:
     refused(empty("gateway", *words), says, "see: rossec gateway --help", code=2)
 
 

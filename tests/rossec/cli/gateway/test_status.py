@@ -17,12 +17,20 @@ from tests.support.commands import Shell, refused
 from tests.support.site import Site
 
 TOPIC = {
-    "topic": "ada:/robot/pose", "served": "/gateway/ada/robot/pose", "type": "std_msgs/String",
-    "state": "subscribed", "subscribers": 3, "publishers": 1, "messages": 7, "octets": 70,
+    "topic": "ada:/robot/pose",
+    "served": "/gateway/ada/robot/pose",
+    "type": "std_msgs/String",
+    "state": "subscribed",
+    "subscribers": 3,
+    "publishers": 1,
+    "messages": 7,
+    "octets": 70,
     "problem": "",
-}  # fmt: skip
+}
 TOLD: dict[str, Any] = {
-    "gateway": "/gateway", "problem": "", "topics": [TOPIC, {**TOPIC, "problem": "a reason"}],
+    "gateway": "/gateway",
+    "problem": "",
+    "topics": [TOPIC, {**TOPIC, "problem": "a reason"}],
     "rules": [
         {"from": "ada", "pattern": "/robot/**", "rate": 2.5, "newest": True, "compress": True},
         {"from": "ben", "pattern": "/x", "rate": None, "newest": False, "compress": False},
@@ -32,7 +40,7 @@ TOLD: dict[str, Any] = {
         {"topic": "ada:/b", "why": "/gateway/attic serves it", "hint": ""},
     ],
     "skipped_count": 5,
-}  # fmt: skip
+}
 
 
 @contextlib.contextmanager

@@ -10,10 +10,7 @@ from tests.support.commands import Shell
 
 @pytest.fixture
 def visit(
-    empty: Shell,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    empty: Shell, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> Neighbours:
     """The hospital's `/rounds/robot3` is enrolled there; the home admits `/rounds/*`."""
     monkeypatch.setattr("ca.keys.passphrases._N", 16)  # the passphrase is not under test

@@ -10,15 +10,7 @@ from ca.errors import PatternRefused
 from grants.errors import FilterRefused
 from grants.filters.compile import PRESETS
 from grants.model import Permission, Restriction, Right, filter_rules
-from rossec.cli.grant.sign import (
-    for_node,
-    own_pattern,
-    permissions,
-    read,
-    restrictions,
-    rules,
-    wishes,
-)
+from rossec.cli.grant.sign import for_node, own_pattern, permissions, read, restrictions, rules, wishes
 from rossec.cli.main import run
 from rossec.errors import ConfigurationError
 
@@ -90,9 +82,18 @@ def test_wishes_are_options_and_read_says_what_they_mean() -> None:
         found.append(read(said))
 
     options = (
-        "--subscribe", "/pose", "--type", POSE, "--round", "pose.position=0.5", "--rate", "2",
-        "--clear", "header.frame_id", "--graph",
-    )  # fmt: skip
+        "--subscribe",
+        "/pose",
+        "--type",
+        POSE,
+        "--round",
+        "pose.position=0.5",
+        "--rate",
+        "2",
+        "--clear",
+        "header.frame_id",
+        "--graph",
+    )
     assert CliRunner().invoke(ask, options, catch_exceptions=False).exit_code == 0
     [[seen, *graph]] = found
     assert (seen.pattern, seen.rights) == ("/pose", Right.SUBSCRIBE)
@@ -148,9 +149,12 @@ def test_of_two_filters_for_one_field_none_is_lost(
 @pytest.mark.attack("two-spellings")
 @pytest.mark.parametrize(
     "said",
-    [("--rate", "1", "--rate", "50"), ("--preset", "coarse-position", "--preset", [*PRESETS][-1]),
-     ("--type", POSE, "--type", "std_msgs/String")],
-)  # fmt: skip
+    [
+        ("--rate", "1", "--rate", "50"),
+        ("--preset", "coarse-position", "--preset", [*PRESETS][-1]),
+        ("--type", POSE, "--type", "std_msgs/String"),
+    ],
+)
 def test_a_restriction_is_not_replaced_by_a_second_one(said: tuple[str, ...]) -> None:
     @click.command()
     @wishes

@@ -20,13 +20,15 @@ def test_characters_are_printed_as_themselves(tmp_path: object) -> None:
     if shutil.which("man") is None:
         pytest.skip("NOT RUN: no man on this machine")
     text = "a\\b -x --long `c` 'd' \"e\" ~f ^g .h é → 100%"
-    page = "\n".join(
-        [pages.title("t", "s"), pages.section("NAME"), *pages.verbatim([text, ".x", ""])]
-    )
+    page = "\n".join([pages.title("t", "s"), pages.section("NAME"), *pages.verbatim([text, ".x", ""])])
     found = subprocess.run(
-        ["man", "--warnings", "-l", "-"], input=page, text=True, capture_output=True, check=True,
+        ["man", "--warnings", "-l", "-"],
+        input=page,
+        text=True,
+        capture_output=True,
+        check=True,
         env={"LC_ALL": "C.UTF-8", "PATH": "/usr/bin:/bin", "MANWIDTH": "100"},
-    )  # fmt: skip
+    )
     assert found.stderr == ""
     assert text in found.stdout
     assert "\n           .x\n" in found.stdout

@@ -33,9 +33,15 @@ def test_a_master_is_a_line_of_json(empty: Shell, found: Candidate) -> None:
     row = json.loads(empty("discover", "--json").out)
     assert row.pop("age_s") < 60
     assert row == {
-        "uri": "http://robot:11311", "name": "/master", "rtt_ms": 2.0, "loss": 0.5, "heard": 2,
-        "sent": 4, "link": "lo", "key": "00" * 32,
-    }  # fmt: skip
+        "uri": "http://robot:11311",
+        "name": "/master",
+        "rtt_ms": 2.0,
+        "loss": 0.5,
+        "heard": 2,
+        "sent": 4,
+        "link": "lo",
+        "key": "00" * 32,
+    }
 
 
 def test_without_an_enrolled_node_no_master_is_trusted(empty: Shell) -> None:

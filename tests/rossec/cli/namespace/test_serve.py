@@ -36,9 +36,7 @@ async def served(site: Site, rules: bytes, *, as_json: bool) -> AsyncIterator[No
     """The service as a task; it ends as by Ctrl-C."""
     assert threading.current_thread() is threading.main_thread()
     environment = Environment(site.environ)
-    running = asyncio.ensure_future(
-        module._serve(environment, "/namespace", rules, as_json=as_json)
-    )
+    running = asyncio.ensure_future(module._serve(environment, "/namespace", rules, as_json=as_json))
     try:
         yield
     finally:
@@ -51,10 +49,7 @@ async def served(site: Site, rules: bytes, *, as_json: bool) -> AsyncIterator[No
 async def test_it_answers_until_it_is_ended(site: Site, capsys: pytest.CaptureFixture[str]) -> None:
     kind = service_type()
     stop_on_signals()  # SIGTERM never ends the tests
-    async with (
-        site.node("/phone") as phone,
-        served(site, rule_runner.shipped_rules(), as_json=True),
-    ):
+    async with site.node("/phone") as phone, served(site, rule_runner.shipped_rules(), as_json=True):
         await phone.wait_for_service(SERVICE, timeout=60)
         answer = await phone.client(SERVICE, kind.name)(name="temperature", metadata=PHONE)
         assert answer.topicname == "/building1/room3/sensors/temperature"

@@ -24,9 +24,7 @@ SITE = Site.create(now=clock())
 class Operator(threading.Thread):
     """Somebody at the authority, who sees the node's code and calls it; `then` gets the digits."""
 
-    def __init__(
-        self, shell: Shell, then: Callable[["Operator", str], object], *, site: Site = SITE
-    ) -> None:
+    def __init__(self, shell: Shell, then: Callable[["Operator", str], object], *, site: Site = SITE) -> None:
         super().__init__()
         self.png = shell.root / "code.png"
         self.node = shell.node("/robot")

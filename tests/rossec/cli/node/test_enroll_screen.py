@@ -24,9 +24,7 @@ def keyboard(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
 
 
 @pytest.mark.parametrize(("answer", "code"), [("y\n", 0), ("n\n", 1), ("\n", 1)])
-def test_the_answer_at_the_terminal_decides(
-    empty: Shell, keyboard: int, answer: str, code: int
-) -> None:
+def test_the_answer_at_the_terminal_decides(empty: Shell, keyboard: int, answer: str, code: int) -> None:
     with typist(keyboard, answer) as begins:
         operator = Operator(empty, begins)
         operator.start()
@@ -93,8 +91,17 @@ def test_a_picture_with_a_secret_is_readable_by_the_owner_only(empty: Shell, lab
 
 @pytest.mark.parametrize(
     ("answer", "yes"),
-    [("y", True), ("yes", True), ("123456", True), ("123 456", True), ("123-456", True),
-     ("", False), ("123457", False), ("12345", False), ("yep", False)],
-)  # fmt: skip
+    [
+        ("y", True),
+        ("yes", True),
+        ("123456", True),
+        ("123 456", True),
+        ("123-456", True),
+        ("", False),
+        ("123457", False),
+        ("12345", False),
+        ("yep", False),
+    ],
+)
 def test_the_digits_themselves_are_a_yes(answer: str, yes: bool) -> None:
     assert confirms(answer, "123456") is yes

@@ -82,9 +82,7 @@ def test_a_lost_answer_is_fetched_with_the_same_request(shell: Shell, pasted: Pa
         assert len({request.csr for request in port.requests}) == 1
 
 
-def test_a_node_that_was_killed_before_its_request_was_written(
-    shell: Shell, pasted: Pasted
-) -> None:
+def test_a_node_that_was_killed_before_its_request_was_written(shell: Shell, pasted: Pasted) -> None:
     with JoinPort(shell.root, PASSPHRASE) as port:
         code = invited(shell, port, "/robot")
         shell("node", "request", "/robot", "--domain", "elsewhere")
@@ -186,9 +184,7 @@ def test_a_late_code(shell: Shell, pasted: Pasted) -> None:
     refused(shell("node", "join"), "the invitation expired ", "clock")
 
 
-@pytest.mark.parametrize(
-    "data", [b"", b"ROSSEC:AB", b"\xff\xfe", b"\xd2\x1b\x05rubbish", b"x" * 9999]
-)
+@pytest.mark.parametrize("data", [b"", b"ROSSEC:AB", b"\xff\xfe", b"\xd2\x1b\x05rubbish", b"x" * 9999])
 def test_no_code(shell: Shell, pasted: Pasted, data: bytes) -> None:
     pasted(data)
     said = shell("node", "join")
@@ -196,9 +192,7 @@ def test_no_code(shell: Shell, pasted: Pasted, data: bytes) -> None:
     assert "hint" in said.err
 
 
-def test_a_terminal_is_asked_and_shows_nothing(
-    shell: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_terminal_is_asked_and_shows_nothing(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     """Line by line until the code is whole: a mail has broken its line."""
     asked: list[str] = []
 
@@ -252,9 +246,7 @@ def meta(tmp_path: Path) -> Path:
     return path
 
 
-def test_the_name_is_that_of_the_authority_s_rules(
-    shell: Shell, pasted: Pasted, meta: Path
-) -> None:
+def test_the_name_is_that_of_the_authority_s_rules(shell: Shell, pasted: Pasted, meta: Path) -> None:
     with JoinPort(shell.root, PASSPHRASE, rule_runner.shipped_rules()) as port:
         code = invited(shell, port, "/lamps/**")
         for answer in ("/lamps/ann/desk is enrolled until ", "/lamps/ann/desk is enrolled already"):

@@ -28,8 +28,9 @@ def test_every_list_counts_with_its_path(site: Site) -> None:
     node.save_revocations(site.revoke(KEY))
     master.save_revocations(site.revoke(OTHER))
     assert known_revocations(site.root, node) == {
-        KEY: f"the list in {node.path}", OTHER: f"the list in {master.path}"
-    }  # fmt: skip
+        KEY: f"the list in {node.path}",
+        OTHER: f"the list in {master.path}",
+    }
 
 
 def test_a_tree_counts_with_its_entries(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:

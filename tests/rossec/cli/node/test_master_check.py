@@ -37,9 +37,7 @@ def test_the_offset_is_said(issued: int, begun: float, ended: float, said: str) 
 
 
 @given(SECONDS, st.floats(-0.9e9, 0.9e9), st.floats(0, 10), st.floats(0, 10))
-def test_what_is_said_is_a_lower_bound(
-    host: float, offset: float, there: float, back: float
-) -> None:
+def test_what_is_said_is_a_lower_bound(host: float, offset: float, there: float, back: float) -> None:
     """However slow the network is: no clock that is right is called wrong."""
     found = describe_offset(int(host + there + offset), host, host + there + back)
     if isinstance(found, HintedError):

@@ -77,9 +77,15 @@ def test_programs_get_each_right_of_each_node(site: Site) -> None:
     assert [row["node"] for row in shown["changes"]] == [f"/n{n}" for n in range(1, 6)]
     assert shown["changes"][0]["kind"] == Kind.NEW
     assert shown["withheld"] == [
-        {"node": "/n1", "right": "publish", "name": "/**", "effect": "deny",
-         "rule": {"id": "b", "line": 5, "why": ""}, "by": {"id": "d", "line": 6, "why": "no"}},
-    ]  # fmt: skip
+        {
+            "node": "/n1",
+            "right": "publish",
+            "name": "/**",
+            "effect": "deny",
+            "rule": {"id": "b", "line": 5, "why": ""},
+            "by": {"id": "d", "line": 6, "why": "no"},
+        }
+    ]
 
 
 def test_one_and_many() -> None:

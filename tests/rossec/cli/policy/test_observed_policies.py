@@ -42,12 +42,7 @@ def test_too_fast_arrives_as_the_limit() -> None:
     verdict = Decider(policy).decide(AGENT, Right.PUBLISH, "/cmd_vel")
     [draft] = drafts([verdict], domain="home", now=NOW, skew=60, serial=lambda: bytes(16))
     decision = authorize(
-        [granted(draft)],
-        Right.PUBLISH,
-        "/cmd_vel",
-        holder=AGENT.key,
-        now=NOW,
-        check=lambda *_: None,
+        [granted(draft)], Right.PUBLISH, "/cmd_vel", holder=AGENT.key, now=NOW, check=lambda *_: None
     )
     kind = message_type("geometry_msgs/Twist")
     guard = Guard(layout_of(kind.name), decision, None, lambda _: Memory())
@@ -70,11 +65,13 @@ def granted(draft: Draft) -> Grant:
         ("allow: {publish: [/cmd_vel]}, filter: {use: coarse-position}", "a preset or a pseudonym"),
         ("allow: {publish: [/cmd_vel]}, limit: {slot: 30}", "of what is subscribed to"),
         ("allow: {publish: [/cmd_vel]}, filter: {linear.w: {clamp: [0, 1]}}", "no field 'w'"),
-        ("allow: {publish: [/cmd_vel]}, filter: {/odom: {linear.x: {clamp: [0, 1]}}}",
-         "has no publish right on '/odom'"),
+        (
+            "allow: {publish: [/cmd_vel]}, filter: {/odom: {linear.x: {clamp: [0, 1]}}}",
+            "has no publish right on '/odom'",
+        ),
         ("allow: {publish: [/cmd_vel]}, see: {movement: no}", "rule drive: nothing to see"),
     ],
-)  # fmt: skip
+)
 def test_what_is_published_has_no_other_restriction(
     shell: Shell, tmp_path: Path, lines: str, said: str
 ) -> None:

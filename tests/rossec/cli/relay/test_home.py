@@ -16,7 +16,7 @@ def test_the_newest_list_on_this_host_counts(empty: Shell) -> None:
     assert known_domains(environment, home).all_listed == ()
     entry = ForeignDomain(
         "office.example", "office", other.anchor.certificate, ("/**",), 60, site.now() + DAY
-    )  # fmt: skip
+    )
     for name, number, listed in (("/relay", 1, []), ("/master", 2, [entry])):
         path = site.enroll(name).path / "domains.cose"
         path.touch(0o600)

@@ -15,13 +15,27 @@ from tests.support.commands import Shell
 from tests.support.site import Site
 
 PEER = {
-    "label": "office", "relay": "office:/relay", "state": "linked", "rtt_ms": 12.5,
-    "retransmissions": 3, "router": "r", "streams": 2, "called": 1, "error": "", "hint": "",
-}  # fmt: skip
+    "label": "office",
+    "relay": "office:/relay",
+    "state": "linked",
+    "rtt_ms": 12.5,
+    "retransmissions": 3,
+    "router": "r",
+    "streams": 2,
+    "called": 1,
+    "error": "",
+    "hint": "",
+}
 BASE: dict[str, Any] = {
-    "relay": "/relay", "domain": "home", "seat": "home", "router": "tls/r:7447",
-    "masters": {"/master": ""}, "peers": [PEER], "doors": 4, "problem": "",
-}  # fmt: skip
+    "relay": "/relay",
+    "domain": "home",
+    "seat": "home",
+    "router": "tls/r:7447",
+    "masters": {"/master": ""},
+    "peers": [PEER],
+    "doors": 4,
+    "problem": "",
+}
 
 
 @pytest.fixture
@@ -78,12 +92,20 @@ def test_the_links_are_shown(shell: Shell) -> None:
 
 
 def test_what_is_wrong_is_shown_with_its_hint(shell: Shell, relay: SpeakingRelay) -> None:
-    failed = PEER | {"state": "failed", "rtt_ms": 0, "called": 0, "streams": 0,
-                     "error": "nobody answers", "hint": "does its relay run?"}  # fmt: skip
+    failed = PEER | {
+        "state": "failed",
+        "rtt_ms": 0,
+        "called": 0,
+        "streams": 0,
+        "error": "nobody answers",
+        "hint": "does its relay run?",
+    }
     relay.answer = BASE | {
-        "router": "", "peers": [failed], "masters": {"/master": "out of reach"},
+        "router": "",
+        "peers": [failed],
+        "masters": {"/master": "out of reach"},
         "problem": "overlay.json is not JSON",
-    }  # fmt: skip
+    }
     assert shell("relay", "status").out.splitlines() == [
         "/relay of home, seat home at no router is in reach, 4 doors",
         "/master: out of reach",

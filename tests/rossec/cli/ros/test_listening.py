@@ -20,9 +20,7 @@ def test_each_reason_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
     for _ in range(3):
         arrivals.refused(ConfigurationError("no grant\x1b", "ask for one"))
         arrivals.refused(OSError("out of reach"))
-    assert capsys.readouterr().err == (
-        "rossec: no grant\\u001b; ask for one\nrossec: out of reach\n"
-    )
+    assert capsys.readouterr().err == ("rossec: no grant\\u001b; ask for one\nrossec: out of reach\n")
 
 
 async def test_what_came_is_kept_up_to_a_number() -> None:

@@ -62,24 +62,19 @@ def test_a_paste_with_line_breaks_is_taken_whole_and_not_shown() -> None:
 
 def test_an_empty_line_ends_it() -> None:
     said = at_a_terminal(
-        PROGRAM.replace("sys.stdin.readline()", "''"),
-        once((b"paste: ", b"half\n"), (b"to end: ", b"\n")),
+        PROGRAM.replace("sys.stdin.readline()", "''"), once((b"paste: ", b"half\n"), (b"to end: ", b"\n"))
     )
     assert b"GOT half" in said
 
 
 def test_the_terminal_is_as_before_and_the_rest_of_a_paste_is_gone() -> None:
-    said = at_a_terminal(
-        PROGRAM, once((b"paste: ", b"x END\nrm -rf\n"), (b"GOT xEND\r\n", b"after\n"))
-    )
+    said = at_a_terminal(PROGRAM, once((b"paste: ", b"x END\nrm -rf\n"), (b"GOT xEND\r\n", b"after\n")))
     assert b"AFTER" in said
     assert b"after\r\nAFTER" in said  # it is echoed again
 
 
 def test_the_lines_are_bounded() -> None:
-    said = at_a_terminal(
-        PROGRAM.replace("sys.stdin.readline()", "''"), once((b"paste: ", b"z\n" * 64))
-    )
+    said = at_a_terminal(PROGRAM.replace("sys.stdin.readline()", "''"), once((b"paste: ", b"z\n" * 64)))
     assert b"GOT " + b"z" * 32 + b"\r\n" in said
 
 
@@ -100,11 +95,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
 
 @pytest.mark.parametrize(
     ("typed", "taken"),
-    [
-        (b"one\n  two END\nrest\n", "oneEND"),
-        (b"half\n\n", "half"),
-        (b"z\n" * 40, "z" * 32),
-    ],
+    [(b"one\n  two END\nrest\n", "oneEND"), (b"half\n\n", "half"), (b"z\n" * 40, "z" * 32)],
     ids=["whole", "an empty line", "too many"],
 )
 def test_lines_are_taken_until_the_code_is_whole(terminal: int, typed: bytes, taken: str) -> None:

@@ -19,9 +19,7 @@ def test_a_command_is_listed_without_an_import(group: LazyGroup) -> None:
     said = group.get_help(click.Context(group, terminal_width=60))
     assert " ".join(said.split()).endswith(f"discover {HELP}")
     assert max(map(len, said.splitlines())) <= 60
-    assert [item.value for item in group.shell_complete(click.Context(group), "dis")] == [
-        "discover"
-    ]
+    assert [item.value for item in group.shell_complete(click.Context(group), "dis")] == ["discover"]
     assert MODULE not in sys.modules
 
 

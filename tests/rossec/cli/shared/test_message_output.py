@@ -13,13 +13,24 @@ from rossec.participant.message_types import message_type
 
 STRING = "std_msgs/String"
 TYPES = (
-    "geometry_msgs/PoseStamped", "sensor_msgs/LaserScan", "sensor_msgs/JointState",
-    "sensor_msgs/Image", "nav_msgs/Path", "nav_msgs/Odometry", "sensor_msgs/Imu",
-    "diagnostic_msgs/DiagnosticArray", "std_msgs/Time", "std_msgs/Duration", "std_msgs/Bool",
-    "std_msgs/Empty", "std_msgs/UInt8MultiArray", "sensor_msgs/CameraInfo",
-    "sensor_msgs/PointCloud2", "trajectory_msgs/JointTrajectory",
+    "geometry_msgs/PoseStamped",
+    "sensor_msgs/LaserScan",
+    "sensor_msgs/JointState",
+    "sensor_msgs/Image",
+    "nav_msgs/Path",
+    "nav_msgs/Odometry",
+    "sensor_msgs/Imu",
+    "diagnostic_msgs/DiagnosticArray",
+    "std_msgs/Time",
+    "std_msgs/Duration",
+    "std_msgs/Bool",
+    "std_msgs/Empty",
+    "std_msgs/UInt8MultiArray",
+    "sensor_msgs/CameraInfo",
+    "sensor_msgs/PointCloud2",
+    "trajectory_msgs/JointTrajectory",
     "visualization_msgs/MarkerArray",
-)  # fmt: skip
+)
 
 
 def filled(type_name: str, content: object) -> Any:
@@ -111,9 +122,7 @@ def stock(type_name: str, dice: np.random.Generator) -> Any:
     """A message of Debian's class with anything in it."""
     import genpy.message
 
-    kind = genpy.message.get_message_class(
-        "std_msgs/Header" if type_name == "Header" else type_name
-    )
+    kind = genpy.message.get_message_class("std_msgs/Header" if type_name == "Header" else type_name)
     message = kind()
     for field, slot in zip(kind.__slots__, kind._slot_types, strict=True):
         setattr(message, field, anything(slot, dice))

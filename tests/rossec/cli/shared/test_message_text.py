@@ -89,12 +89,7 @@ def test_documents_are_separated_as_echo_separates_them() -> None:
         (STRING, {"data": 5}, "data is text, not a whole number", "put text that looks like"),
         (STRING, ["a", "b"], "2 values for 1 field$", "give all of data in this order"),
         ("nav_msgs/Path", {"poses": {}}, "poses is a list, not a mapping", "write"),
-        (
-            "nav_msgs/Path",
-            {"poses": [{"x": 1}]},
-            r"poses\[0\]: no field 'x'",
-            "it has header, pose",
-        ),
+        ("nav_msgs/Path", {"poses": [{"x": 1}]}, r"poses\[0\]: no field 'x'", "it has header, pose"),
         ("std_msgs/Time", {"data": "then"}, "not text", "secs, nsecs"),
         ("std_msgs/Time", {"data": {"hours": 1}}, "no field 'hours' in Time", "secs, nsecs"),
         ("std_msgs/Duration", {"data": "now"}, "data: a message is a mapping", "secs"),
@@ -105,9 +100,7 @@ def test_documents_are_separated_as_echo_separates_them() -> None:
         ("shape_msgs/Mesh", {"triangles": [{"vertex_indices": "x"}]}, "is a list, not text", ""),
     ],
 )
-def test_what_is_wrong_and_where_is_said(
-    type_name: str, content: object, error: str, hint: str
-) -> None:
+def test_what_is_wrong_and_where_is_said(type_name: str, content: object, error: str, hint: str) -> None:
     with pytest.raises(ConfigurationError, match=error) as refusal:
         filled(type_name, content)
     assert hint in refusal.value.hint
@@ -129,9 +122,7 @@ def test_a_message_that_is_none(content: object, error: str) -> None:
 
 
 def test_invalid_yaml_is_refused(empty: Shell) -> None:
-    refused(
-        empty("topic", "pub", "/chatter", STRING, "{data: [", "--as", "/talker"), "cannot parse"
-    )
+    refused(empty("topic", "pub", "/chatter", STRING, "{data: [", "--as", "/talker"), "cannot parse")
 
 
 def test_fields_named_as_keywords_of_python_are_filled_shown_and_come_back() -> None:
@@ -149,8 +140,7 @@ def test_fields_named_as_keywords_of_python_are_filled_shown_and_come_back() -> 
 
 
 @pytest.mark.parametrize(
-    ("content", "refusal"),
-    [([1], "1 value for 0 fields"), ({"a": [1]}, "no field 'a'")],
+    ("content", "refusal"), [([1], "1 value for 0 fields"), ({"a": [1]}, "no field 'a'")]
 )
 def test_a_message_without_fields_is_counted_in_words(content: object, refusal: str) -> None:
     with pytest.raises(ConfigurationError, match=refusal) as raised:
@@ -170,9 +160,7 @@ def test_a_message_that_the_shell_made_words_of_is_given_back_in_quotes(
     shell: Shell, command: tuple[str, ...], words: str
 ) -> None:
     said = shell(*command, *words.split(" "), "--as", "/robot")
-    refused(
-        said, f"the shell made {len(words.split())} words of the ", f"in single quotes: '{words}'"
-    )
+    refused(said, f"the shell made {len(words.split())} words of the ", f"in single quotes: '{words}'")
 
 
 def test_several_values_of_one_message_are_no_mistake() -> None:

@@ -24,9 +24,7 @@ def test_else_the_first_found_and_the_others_are_named(
     monkeypatch.setattr(addresses, "own_addresses", lambda: ["192.168.1.7", *others])
     assert own_address(Environment({})) == "192.168.1.7"
     said = capsys.readouterr().err
-    assert said == (
-        "rossec: other addresses of this host, for --address: fd00::7\n" if others else ""
-    )
+    assert said == ("rossec: other addresses of this host, for --address: fd00::7\n" if others else "")
 
 
 def test_how_the_master_is_found_does_not_matter() -> None:

@@ -4,13 +4,7 @@ from pathlib import Path
 import pytest
 
 from rossec.cli.shared import rules
-from rossec.errors import (
-    ConfigurationError,
-    MetadataRefused,
-    NamesExtraMissing,
-    NameUndefined,
-    RulesRefused,
-)
+from rossec.errors import ConfigurationError, MetadataRefused, NamesExtraMissing, NameUndefined, RulesRefused
 from rossec.naming import rule_runner
 from rossec.naming.requests import MAX_INPUT
 from tests.rossec.naming.stylesheets import gives

@@ -12,13 +12,7 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment
-from rossec.cli.shared.service import (
-    call_master,
-    deliver_grant,
-    pass_service,
-    say_deposited,
-    service_of,
-)
+from rossec.cli.shared.service import call_master, deliver_grant, pass_service, say_deposited, service_of
 from rossec.errors import NotDelivered
 from rossec.home import NodeHome
 from rossec.master.server.server import master_of
@@ -108,9 +102,7 @@ def test_a_grant_is_given_to_a_node_of_this_host(
     assert capsys.readouterr() == (f"written to {copy}\n", ""), "somebody carries it"
 
 
-def test_deposits_are_reported_with_what_the_master_refuses(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_deposits_are_reported_with_what_the_master_refuses(capsys: pytest.CaptureFixture[str]) -> None:
     say_deposited(1, [])
     say_deposited(0, [RefusedDeposit(bytes(16), "/robot", "too many grants")])
     say_deposited(30, [])

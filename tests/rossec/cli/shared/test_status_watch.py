@@ -45,6 +45,7 @@ def test_it_is_shown_again_when_it_changes(
 ) -> None:
     monkeypatch.setattr(status, "PERIOD", 0)
     assert shown(capsys, "a", "a", "", "", "a", watch=True) == (
-        "it is a\nit is \nit is a\n", "rossec: nothing\n",
-    )  # fmt: skip
+        "it is a\nit is \nit is a\n",
+        "rossec: nothing\n",
+    )
     assert shown(capsys, "a", "a", as_json=True, watch=True)[0] == '{"is": "a"}\n' * 2

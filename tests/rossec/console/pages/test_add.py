@@ -270,9 +270,12 @@ def test_before_the_node_has_answered_there_is_nothing_to_approve() -> None:
 def test_a_person_who_comes_back_too_late_sees_that() -> None:
     adding = Adding()
     late = Enrollment(
-        adding.found.core, Destination("192.168.1.7", 1, "a screen"), None,  # type: ignore[arg-type]
-        lambda: clock() + 1000, lambda: None,
-    )  # fmt: skip
+        adding.found.core,
+        Destination("192.168.1.7", 1, "a screen"),
+        None,  # type: ignore[arg-type]
+        lambda: clock() + 1000,
+        lambda: None,
+    )
     late.stage, adding.found = Stage.COMPARED, late
     assert "its code has expired" in added(adding).get(f"/add/{NUMBER}").text
 

@@ -52,9 +52,11 @@ def test_a_command_looks_different_from_reading() -> None:
     browser = Browser().log_in()
     (question,) = browser.home.questions
     drive = question.rights[0]._replace(
-        right=int(Right.PUBLISH), pattern="/cmd_vel", type="geometry_msgs/Twist",
+        right=int(Right.PUBLISH),
+        pattern="/cmd_vel",
+        type="geometry_msgs/Twist",
         permissions=scope_of([Permission("/cmd_vel", Right.PUBLISH)]),
-    )  # fmt: skip
+    )
     other = question._replace(id=b"\4" * 16, rights=(drive,), coarse=())
     browser.home.rights = (drive,)
     browser.home.questions = [question, other]
@@ -91,10 +93,11 @@ def test_denying_needs_only_the_session() -> None:
 @pytest.mark.parametrize(
     ("answer", "heading"),
     [
-        ("granted", "Approved"), ("no answer", "Denied: nobody answered in time"),
+        ("granted", "Approved"),
+        ("no answer", "Denied: nobody answered in time"),
         ("too many", "This is answered"),
     ],
-)  # fmt: skip
+)
 def test_how_it_was_answered_is_said(answer: str, heading: str) -> None:
     browser = Browser().log_in()
     (question,) = browser.home.questions

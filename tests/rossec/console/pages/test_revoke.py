@@ -128,10 +128,14 @@ def test_while_the_key_is_locked_it_waits_to_be_signed() -> None:
 @pytest.mark.parametrize(
     "path",
     [
-        "/revoke/grant/AAAA", "/revoke/node/nobody", "/revoked/1/4?grant=AAAA",
-        "/revoked/1/4?node=/nobody", "/revoked/-1/4", "/revoked/1/99999999999999999",
+        "/revoke/grant/AAAA",
+        "/revoke/node/nobody",
+        "/revoked/1/4?grant=AAAA",
+        "/revoked/1/4?node=/nobody",
+        "/revoked/-1/4",
+        "/revoked/1/99999999999999999",
     ],
-)  # fmt: skip
+)
 def test_what_is_not_there_is_told(path: str) -> None:
     assert Browser().log_in().get(path).status_code == 404
 

@@ -25,10 +25,17 @@ def compare(kind: str, *ways: Restriction | None) -> Comparison:
     recorded = samples.recorded("/robot/topic", kind)
     assert recorded is not None
     cells = [
-        Cell(f"/node_{at}", "/robot/topic", Access.COARSE if way else Access.ALL,
-             "said", "", (b"g",), (way,) if way else ())
+        Cell(
+            f"/node_{at}",
+            "/robot/topic",
+            Access.COARSE if way else Access.ALL,
+            "said",
+            "",
+            (b"g",),
+            (way,) if way else (),
+        )
         for at, way in enumerate(ways)
-    ]  # fmt: skip
+    ]
     return looks.compare(recorded, cells)
 
 
@@ -71,8 +78,9 @@ def test_a_laser_a_picture_and_a_number() -> None:
     checked(seen.picture)
     blur = Restriction(image.IMAGE_TYPE, (), filter_rules({"data": {"pixelate": {"block": 32}}}))
     assert [each.heading for each in compare(image.IMAGE_TYPE, blur, None).looks] == [
-        "sees the picture", "sees this of the picture",
-    ]  # fmt: skip
+        "sees the picture",
+        "sees this of the picture",
+    ]
     (number,) = compare("sensor_msgs/BatteryState", None).looks
     assert number.heading == "sees the voltage"
     checked(number.picture)
@@ -119,9 +127,7 @@ def test_only_so_many_ways_are_drawn() -> None:
 
 
 def test_a_hostile_text_in_a_message_is_text() -> None:
-    hidden = Restriction(
-        "std_msgs/String", (), filter_rules({"data": {"redact": {"text": HOSTILE}}})
-    )
+    hidden = Restriction("std_msgs/String", (), filter_rules({"data": {"redact": {"text": HOSTILE}}}))
     (look,) = compare("std_msgs/String", hidden).looks
     assert "\u202e" not in look.fields[0].value
     assert len(look.fields[0].value) < 80

@@ -13,9 +13,16 @@ from tests.support.drawings import checked, classes, texts
 
 FIX = "sensor_msgs/NavSatFix"
 TYPES = sorted(
-    [POSE, FIX, "geometry_msgs/Pose", "geometry_msgs/PointStamped", "nav_msgs/Odometry",
-     "geometry_msgs/TransformStamped", "geometry_msgs/PoseWithCovarianceStamped"]
-)  # fmt: skip
+    [
+        POSE,
+        FIX,
+        "geometry_msgs/Pose",
+        "geometry_msgs/PointStamped",
+        "nav_msgs/Odometry",
+        "geometry_msgs/TransformStamped",
+        "geometry_msgs/PoseWithCovarianceStamped",
+    ]
+)
 
 
 def seen(kind: str = POSE, *restrictions: Restriction) -> SeenTopic:
@@ -25,9 +32,7 @@ def seen(kind: str = POSE, *restrictions: Restriction) -> SeenTopic:
 
 
 def poses(*points: tuple[float, float]) -> SeenTopic:
-    samples = tuple(
-        Sample(at, {"pose": {"position": {"x": x, "y": y}}}) for at, (x, y) in enumerate(points)
-    )
+    samples = tuple(Sample(at, {"pose": {"position": {"x": x, "y": y}}}) for at, (x, y) in enumerate(points))
     return SeenTopic("/doctor", "/pose", POSE, len(samples), samples)
 
 
@@ -97,10 +102,9 @@ def test_a_place_on_earth_has_cells_in_metres() -> None:
 
 @pytest.mark.parametrize(
     "points",
-    [[(1, 1)], [(5, 5), (5, 5)], [(0, 0), (9e7, -9e7)], [(float("nan"), 1), (1, 2)],
-     [(1e-9, 0), (2e-9, 0)]],
+    [[(1, 1)], [(5, 5), (5, 5)], [(0, 0), (9e7, -9e7)], [(float("nan"), 1), (1, 2)], [(1e-9, 0), (2e-9, 0)]],
     ids=["one", "still", "far", "nan", "tiny"],
-)  # fmt: skip
+)
 def test_strange_places_stay_in_the_frame(points: list[tuple[float, float]]) -> None:
     strange = poses(*points)
     frame = place.frame_of([strange])

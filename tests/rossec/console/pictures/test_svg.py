@@ -5,15 +5,7 @@ from typing import Any
 
 import pytest
 
-from rossec.console.pictures.svg import (
-    Element,
-    curve,
-    cut,
-    drawing,
-    label,
-    number,
-    path,
-)
+from rossec.console.pictures.svg import Element, curve, cut, drawing, label, number, path
 from tests.support.consolehome import HOSTILE
 from tests.support.drawings import checked, texts
 

@@ -47,9 +47,7 @@ async def test_messages_are_kept_as_they_come(pair: Pair) -> None:
 
 
 @pytest.mark.parametrize("data", [b"\xff\xff\xff\xff", b"\0\0\0\x01\x00"])
-async def test_a_broken_protocol_ends_it(
-    pair: Pair, data: bytes, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_broken_protocol_ends_it(pair: Pair, data: bytes, caplog: pytest.LogCaptureFixture) -> None:
     pair.sender.sendall(data)
     async with asyncio.timeout(30):
         await asyncio.to_thread(pair.sender.recv, 1)  # the end of the connection

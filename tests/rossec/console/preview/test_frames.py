@@ -31,9 +31,18 @@ def test_every_truncated_message_is_refused() -> None:
 
 @pytest.mark.parametrize(
     "value",
-    [[], {}, ["/t", "T", 1], ["/t", "T", -1, b""], ["/t", "T", True, b""], ["/t", "T", 1.5, b""],
-     [b"/t", "T", 1, b""], ["/t", "T", 1, "x"], ["/t", "T", 1, b"", 0]],
-)  # fmt: skip
+    [
+        [],
+        {},
+        ["/t", "T", 1],
+        ["/t", "T", -1, b""],
+        ["/t", "T", True, b""],
+        ["/t", "T", 1.5, b""],
+        [b"/t", "T", 1, b""],
+        ["/t", "T", 1, "x"],
+        ["/t", "T", 1, b"", 0],
+    ],
+)
 def test_anything_else_is_refused(value: Value) -> None:
     with pytest.raises(KeyMessageRefused, match="malformed"):
         samples.read_preview(encode(value))

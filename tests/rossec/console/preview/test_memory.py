@@ -19,9 +19,7 @@ class Clock:
         return self.now
 
 
-def message(
-    at: float, topic: str = "/pose", kind: str = POSE, data: bytes = b"m"
-) -> PreviewMessage:
+def message(at: float, topic: str = "/pose", kind: str = POSE, data: bytes = b"m") -> PreviewMessage:
     return PreviewMessage(topic, kind, at, data)
 
 

@@ -58,9 +58,7 @@ async def until_recorded(client: PreviewClient, topic: str, count: int = 1) -> A
             await asyncio.sleep(0.02)
 
 
-async def test_its_master_is_discovered(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:  # fmt: skip
+async def test_its_master_is_discovered(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     found = Searches()
     found.result = site.environ["ROS_MASTER_URI"]
     monkeypatch.setattr(receiver, "discover_master", found.discover)

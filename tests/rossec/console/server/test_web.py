@@ -71,10 +71,7 @@ async def test_it_says_that_it_serves_and_ends_with_its_supervisor(
     ],
 )
 async def test_a_supervisor_that_says_something_else_is_none(
-    web: WebProcess,
-    pair: tuple[socket.socket, socket.socket],
-    sent: bytes,
-    error: type[Exception],
+    web: WebProcess, pair: tuple[socket.socket, socket.socket], sent: bytes, error: type[Exception]
 ) -> None:
     ours, theirs = pair
     with listening() as sock:
@@ -113,9 +110,7 @@ async def test_it_is_confined_before_it_serves(
     with socket.create_server(("127.0.0.1", 0)) as sock:
         given = [theirs.detach(), scanner.detach(), sock.detach()]
     arguments = [write_settings(SETTINGS), str(tmp_path / "no.sock"), "plain", "text", "made-up"]
-    running = asyncio.ensure_future(
-        asyncio.to_thread(main, [",".join(map(str, given)), *arguments])
-    )
+    running = asyncio.ensure_future(asyncio.to_thread(main, [",".join(map(str, given)), *arguments]))
     assert await asyncio.to_thread(said, ours) == control.ControlMessage(control.READY)
     assert done == ["memory", "files []", "processes"]
     ours.close()

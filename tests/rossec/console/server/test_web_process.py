@@ -59,9 +59,7 @@ async def test_it_is_confined(tmp_path: Path) -> None:
         assert "NoNewPrivs:\t1" in read_proc(pid, "status")
 
 
-async def test_it_is_started_again_at_the_same_port(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_it_is_started_again_at_the_same_port(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     async with running_web(tmp_path) as running:
         first = running.web.pid
         assert first is not None
@@ -80,9 +78,7 @@ async def test_it_ends_with_its_supervisor(tmp_path: Path) -> None:
     wait_until_gone(pid)
 
 
-async def test_one_that_does_not_start_is_an_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_one_that_does_not_start_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "START", 0.01)
     settings = Settings("home", ("http://localhost:1",))
     with listening() as sock:

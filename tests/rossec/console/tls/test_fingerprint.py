@@ -26,8 +26,7 @@ def test_the_hex_form_is_what_openssl_shows(tmp_path: Path) -> None:
     authority = new_authority()
     openssl_verify(tmp_path, authority, pem(authority.data))
     shown = subprocess.check_output(
-        ["openssl", "x509", "-in", tmp_path / "root.pem", "-noout", "-fingerprint", "-sha256"],
-        text=True,
+        ["openssl", "x509", "-in", tmp_path / "root.pem", "-noout", "-fingerprint", "-sha256"], text=True
     )
     assert shown.strip().partition("=")[2] == own_authority.in_hex(authority.data)
 

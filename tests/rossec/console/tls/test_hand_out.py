@@ -26,17 +26,13 @@ def client() -> httpx.AsyncClient:
     return client_of(create_hand_out(CERTIFICATE, ORIGIN, lambda: False))
 
 
-async def test_the_certificate_is_handed_out_as_browsers_install_it(
-    client: httpx.AsyncClient,
-) -> None:
+async def test_the_certificate_is_handed_out_as_browsers_install_it(client: httpx.AsyncClient) -> None:
     answer = await client.get(FILE)
     assert (answer.status_code, answer.content) == (200, CERTIFICATE)
     assert answer.headers["content-type"] == "application/x-x509-ca-cert"
 
 
-async def test_the_page_tells_to_compare_and_shows_no_fingerprint(
-    client: httpx.AsyncClient,
-) -> None:
+async def test_the_page_tells_to_compare_and_shows_no_fingerprint(client: httpx.AsyncClient) -> None:
     text = (await client.get(PAGE)).text
     assert "Compare before you trust it" in text
     assert "terminal" in text
@@ -75,9 +71,7 @@ async def test_its_policy_allows_its_own_style_and_nothing_else(client: httpx.As
     assert answer.headers["cache-control"] == "no-store"
 
 
-@pytest.mark.parametrize(
-    "path", ["/login", "/static/style.css", "/rossec-console.crt/", "/%2e%2e/tls.key"]
-)
+@pytest.mark.parametrize("path", ["/login", "/static/style.css", "/rossec-console.crt/", "/%2e%2e/tls.key"])
 async def test_there_is_nothing_else(client: httpx.AsyncClient, path: str) -> None:
     assert (await client.get(path)).status_code == 404
 

@@ -14,15 +14,7 @@ from cryptography import x509
 from rossec.console.server.web import load_bundle, make_context
 from rossec.console.tls.own_authority import TlsAuthority
 from rossec.errors import ConfigurationError
-from tests.support.console_tls import (
-    NAME,
-    NOW,
-    bundle,
-    foreign_leaf,
-    new_authority,
-    new_key,
-    pem,
-)
+from tests.support.console_tls import NAME, NOW, bundle, foreign_leaf, new_authority, new_key, pem
 
 
 def own_bundle(authority: TlsAuthority, serial: int) -> bytes:
@@ -132,8 +124,11 @@ def test_a_process_that_may_open_no_file_with_a_key_can_use_one(tmp_path: Path) 
     outside.write_text("x")
     done = subprocess.run(
         [sys.executable, "-c", CONFINED, inside, outside],
-        input=own_bundle(new_authority(), 1), capture_output=True, check=False, env=UNMEASURED,
-    )  # fmt: skip
+        input=own_bundle(new_authority(), 1),
+        capture_output=True,
+        check=False,
+        env=UNMEASURED,
+    )
     if b"can read the files" in done.stderr:
         pytest.skip("NOT RUN: this kernel has no Landlock")
     assert (done.returncode, done.stdout) == (0, b"confined\n"), done.stderr

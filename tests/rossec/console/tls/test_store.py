@@ -5,14 +5,7 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from rossec.console.tls import certificates
-from rossec.console.tls.certificates import (
-    CERTIFICATE,
-    KEY,
-    authority_for,
-    exists,
-    open_authority,
-    renew,
-)
+from rossec.console.tls.certificates import CERTIFICATE, KEY, authority_for, exists, open_authority, renew
 from rossec.console.tls.own_authority import DAY
 from rossec.errors import ConfigurationError
 from rossec.host import addresses
@@ -112,11 +105,7 @@ def test_an_authority_that_ended_is_not_used(directory: Path) -> None:
 
 @pytest.mark.parametrize(
     ("listed", "found"),
-    [
-        (["127.0.0.1", "::1"], None),
-        (["fe80::1", "192.168.1.5"], "192.168.1.5"),
-        (["fd00::7"], "fd00::7"),
-    ],
+    [(["127.0.0.1", "::1"], None), (["fe80::1", "192.168.1.5"], "192.168.1.5"), (["fd00::7"], "fd00::7")],
 )
 def test_the_address_is_one_that_others_reach(
     monkeypatch: pytest.MonkeyPatch, listed: list[str], found: str | None

@@ -33,9 +33,8 @@ class Office:
         verify = verifier(self.site.anchor, lambda _entry, _now: None)
         self.deposits = Deposits(verify, self._persist)
         self.api = MasterApi(
-            Registry(), self.statements, name="/master", uri="http://m:1/", pid=7,
-            deposits=self.deposits,
-        )  # fmt: skip
+            Registry(), self.statements, name="/master", uri="http://m:1/", pid=7, deposits=self.deposits
+        )
 
     def _persist(self, _: object) -> None:
         if self.full:

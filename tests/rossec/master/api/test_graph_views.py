@@ -28,9 +28,7 @@ def test_the_first_answer_is_whole_and_the_next_has_the_changes(views: GraphView
     first = views.answer(ME, ("", 0), facts("/a", "/b"), 1)
     assert (first["whole"], names(first, "added")) == (True, ["/a", "/b"])
     second = views.answer(ME, ("run", first["cursor"]), facts("/b", "/c"), 2)
-    assert (second["whole"], names(second, "added"), names(second, "removed")) == (
-        False, ["/c"], ["/a"],
-    )  # fmt: skip
+    assert (second["whole"], names(second, "added"), names(second, "removed")) == (False, ["/c"], ["/a"])
 
 
 def test_the_cursor_stays_while_nothing_changes(views: GraphViews) -> None:
@@ -50,9 +48,7 @@ def test_what_is_said_beside_the_facts_is_part_of_the_view(views: GraphViews) ->
 
 
 @pytest.mark.parametrize("seen", [("other", 1), ("run", 99), ("run", "1")])
-def test_a_view_that_is_not_known_is_answered_whole(
-    views: GraphViews, seen: tuple[object, object]
-) -> None:
+def test_a_view_that_is_not_known_is_answered_whole(views: GraphViews, seen: tuple[object, object]) -> None:
     views.answer(ME, ("", 0), facts("/a"), 1)
     assert views.answer(ME, seen, facts("/a"), 1)["whole"]
     assert views.answer(b"other", ("run", 1), facts("/a"), 1)["whole"]

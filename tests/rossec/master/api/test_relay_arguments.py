@@ -80,11 +80,17 @@ def test_ways_by_peer() -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"state": 1}, {"router": "r" * 256}, {"rtt_ms": -1}, {"rtt_ms": math.inf}, {"more": 1},
-        {"rtt_ms": math.nan}, {"streams": "2"}, {"retransmissions": True},
+        {"state": 1},
+        {"router": "r" * 256},
+        {"rtt_ms": -1},
+        {"rtt_ms": math.inf},
+        {"more": 1},
+        {"rtt_ms": math.nan},
+        {"streams": "2"},
+        {"retransmissions": True},
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_a_way_that_is_not_one(change: dict[str, object]) -> None:
     assert is_refused(arg.ways("it"), {"office": {**WAY, **change}})
 

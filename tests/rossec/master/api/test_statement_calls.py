@@ -90,9 +90,7 @@ def test_a_newer_delegation_is_accepted(api: MasterApi) -> None:
     assert [answer[::2] for answer in answers] == [[1, 1], [1, 0], [-1, 0]]
 
 
-def test_the_list_is_sent_only_to_nodes_without_it(
-    api: MasterApi, statements: FakeStatements
-) -> None:
+def test_the_list_is_sent_only_to_nodes_without_it(api: MasterApi, statements: FakeStatements) -> None:
     statements.lists.append(b"list 1")
     since = "rossec.revocationsSince"
     assert ask(api, caller("/a"), since, "/a", b"other")[2] == [b"list 1", b"stamp"]

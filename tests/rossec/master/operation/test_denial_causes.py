@@ -6,12 +6,7 @@ from rossec.master.server.effects import LOGGED_FOR, MAX_CAUSES, DenialCauses
 
 
 def denied(
-    right: Right,
-    name: str,
-    *,
-    node: str = "/rviz",
-    reason: str = "no grant for it",
-    method: str = "m",
+    right: Right, name: str, *, node: str = "/rviz", reason: str = "no grant for it", method: str = "m"
 ) -> CallDenied:
     status = f"rossec: {node} needs the right {right.label} on {name}: {reason}"
     return CallDenied(node, method, status, None, (right, name), node, wildcard=True)

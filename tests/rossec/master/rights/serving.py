@@ -18,9 +18,7 @@ ALIAS: Final = "/remote/hospital/pose"
 SERVED: Final = "/gateway/hospital/pose"
 HOSPITAL: Final = Site("hospital", "hospital")
 ORIGIN: Final = "http://10.0.0.2:1/"
-POSE: Final = [
-    ("node", "/robot", ORIGIN), ("publisher", "/pose", "/robot"), ("type", "/pose", T)
-]  # fmt: skip
+POSE: Final = [("node", "/robot", ORIGIN), ("publisher", "/pose", "/robot"), ("type", "/pose", T)]
 GATEWAY: Final = NodeRef("/gateway", "http://10.0.0.9:1/", b"/gateway")
 SERVED_RIGHT: Final = {SERVED: Right.SUBSCRIBE}
 ORIGINS_RIGHT: Final = {"/pose": Right.SUBSCRIBE}

@@ -40,18 +40,23 @@ def test_no_node_registers_the_address_of_a_door(method: str, params: tuple[str,
 @pytest.mark.parametrize(
     ("name", "allowed"),
     [
-        ("/relay", True), ("/relay/roof", True), ("/relay/a/b", False), ("/relayed", False),
-        ("/master", False), ("/remote/hospital/relay", False),
+        ("/relay", True),
+        ("/relay/roof", True),
+        ("/relay/a/b", False),
+        ("/relayed", False),
+        ("/master", False),
+        ("/remote/hospital/relay", False),
     ],
-)  # fmt: skip
+)
 def test_only_a_relay_of_the_own_domain_passes(name: str, *, allowed: bool) -> None:
     access = AccessControl(empty_graph(), "/master")
     who = everything(name)
     for method in ("rossec.relayDoors", "rossec.relayTarget"):
         for each, passes in (
-            (who, allowed), (replace(who, wildcard=True), False),
+            (who, allowed),
+            (replace(who, wildcard=True), False),
             (replace(who, certified="/rel"), False),
-        ):  # fmt: skip
+        ):
             if passes:
                 access.check(method, each, (name,))
                 continue

@@ -30,9 +30,7 @@ class World:
         self.now = self.site.now
         self.master, self.node = self.site.enroll("/master"), self.site.enroll("/node")
         self.persisted: list[bytes] = []
-        self.delegate = Delegate(
-            self.site.anchor, self.master.credentials.signer, self.persisted.append
-        )
+        self.delegate = Delegate(self.site.anchor, self.master.credentials.signer, self.persisted.append)
         self.revoked = b""
 
     def check(self, entry: bytes, _: int) -> None:

@@ -168,9 +168,7 @@ def test_the_grants_of_one_key_are_bounded(table: Table, monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize("limit", ["MAX_TOTAL", "MAX_TOTAL_BYTES"])
-def test_all_grants_together_are_bounded(
-    table: Table, monkeypatch: pytest.MonkeyPatch, limit: str
-) -> None:
+def test_all_grants_together_are_bounded(table: Table, monkeypatch: pytest.MonkeyPatch, limit: str) -> None:
     one, two = table.grant(), table.grant(table.camera)
     monkeypatch.setattr(module, limit, 1 if limit == "MAX_TOTAL" else len(two))
     assert table.add(one, two) == ["", "the master holds 1 grants and takes no more"]

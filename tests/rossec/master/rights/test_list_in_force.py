@@ -115,9 +115,12 @@ def test_the_entries_of_a_tree_are_on_the_disk_before_it(world: World) -> None:
     """A master that crashes between the two must not find a tree without entries."""
     order: list[bytes] = []
     world.trust = TrustState(
-        world.site.anchor, world.master.credentials.signer, world.site.revocations(),
-        order.append, persist_entries=order.append,
-    )  # fmt: skip
+        world.site.anchor,
+        world.master.credentials.signer,
+        world.site.revocations(),
+        order.append,
+        persist_entries=order.append,
+    )
     tree, entries = tree_of(world)
     forged = sign_tree(KeySigner(generate()), open_tree(tree, world.site.anchor.public_key))
     with pytest.raises(RevocationRefused):

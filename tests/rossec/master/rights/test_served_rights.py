@@ -32,9 +32,7 @@ def test_own_grants_count_on_the_served_name_and_the_origins_at_the_origin(
     own: Mapping[str, Right], hospital: Mapping[str, Right]
 ) -> None:
     held = visitor_of(hospital, own)
-    assert access_rules.may_be_served(held, POSE) is visitor_of({}, own).may(
-        Right.SUBSCRIBE, SERVED
-    )
+    assert access_rules.may_be_served(held, POSE) is visitor_of({}, own).may(Right.SUBSCRIBE, SERVED)
     assert held.may(Right.SUBSCRIBE, POSE) is visitor_of(hospital).may(Right.SUBSCRIBE, POSE)
     assert access_rules.may_subscribe(held, POSE) is (
         access_rules.may_be_served(held, POSE) or held.may(Right.SUBSCRIBE, POSE)
@@ -45,10 +43,15 @@ def test_own_grants_count_on_the_served_name_and_the_origins_at_the_origin(
 @pytest.mark.parametrize(
     "own",
     [
-        {}, {"/remote/**": ALL}, {POSE: ALL}, {"/robot/pose": ALL}, {SERVED: ALL ^ Right.SUBSCRIBE},
-        {"/gateway/clinic/**": ALL}, {"/gateway": ALL},
+        {},
+        {"/remote/**": ALL},
+        {POSE: ALL},
+        {"/robot/pose": ALL},
+        {SERVED: ALL ^ Right.SUBSCRIBE},
+        {"/gateway/clinic/**": ALL},
+        {"/gateway": ALL},
     ],
-)  # fmt: skip
+)
 def test_no_other_own_right_is_enough(own: Mapping[str, Right]) -> None:
     assert not access_rules.may_subscribe(visitor_of(own=own), POSE)
 
@@ -63,10 +66,13 @@ def test_a_right_of_the_origin_on_a_served_name_is_on_its_own_gateway() -> None:
 @pytest.mark.parametrize(
     "alias",
     [
-        "/remote/clinic/pose", "/remote/kitchen/robot/pose", "/remote", "/remote/hospital",
+        "/remote/clinic/pose",
+        "/remote/kitchen/robot/pose",
+        "/remote",
+        "/remote/hospital",
         "/remote/hospital/remote/clinic/pose",
     ],
-)  # fmt: skip
+)
 def test_only_of_a_listed_domain_something_is_served(alias: str) -> None:
     held = visitor_of(own={"/gateway/**": ALL})
     assert not access_rules.may_be_served(held, alias)
@@ -97,12 +103,17 @@ def test_gateways_offer_below_gateway(name: str) -> None:
 @pytest.mark.parametrize(
     "who",
     [
-        caller("/robot"), caller("/gateway_1"), caller("/gateways"), caller("/gateway/a/b"),
-        caller("/remote/hospital/gateway"), caller("/remote/hospital/gateway/attic"),
-        anonymous("/gateway"), replace(caller("/gateway"), certified="/gate"),
+        caller("/robot"),
+        caller("/gateway_1"),
+        caller("/gateways"),
+        caller("/gateway/a/b"),
+        caller("/remote/hospital/gateway"),
+        caller("/remote/hospital/gateway/attic"),
+        anonymous("/gateway"),
+        replace(caller("/gateway"), certified="/gate"),
     ],
     ids=lambda who: who.display_name,
-)  # fmt: skip
+)
 def test_nobody_else_does(who: Caller) -> None:
     for offered in (SERVED, "/gateway/x"):
         with pytest.raises(Refused, match="where only gateways of this domain publish"):

@@ -51,10 +51,7 @@ def seen(master: Serving, who: Caller, kind: Kind = Kind.PUBLISHER) -> Mapping[s
     ],
 )
 def test_who_sees_which_publishers(
-    master: Serving,
-    own: Mapping[str, Right],
-    hospital: Mapping[str, Right],
-    expected: Mapping[str, object],
+    master: Serving, own: Mapping[str, Right], hospital: Mapping[str, Right], expected: Mapping[str, object]
 ) -> None:
     who = master.rights("/a", own, hospital)
     assert seen(master, who) == expected

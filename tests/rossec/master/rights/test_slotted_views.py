@@ -28,9 +28,7 @@ def shown(master: SlottedMaster, now: int) -> list[tuple[str, tuple[str, ...]]]:
     return list(publisher_views.shown_publishers(master.graph, master.watcher, found))
 
 
-def test_a_publisher_is_shown_from_the_next_slot_to_the_end_of_its_last(
-    master: SlottedMaster,
-) -> None:
+def test_a_publisher_is_shown_from_the_next_slot_to_the_end_of_its_last(master: SlottedMaster) -> None:
     graph, who = master.graph, master.watcher
     master.publish(65)
     assert shown(master, 119) == [(DOOR, ())]
@@ -69,11 +67,7 @@ def test_a_topic_with_a_subscriber_is_shown_but_has_no_type(master: SlottedMaste
 
 @pytest.mark.parametrize(
     "more",
-    [
-        Permission("/**", Right.GRAPH),
-        Permission(DOOR, Right.SUBSCRIBE),
-        Permission(DOOR, Right.PUBLISH),
-    ],
+    [Permission("/**", Right.GRAPH), Permission(DOOR, Right.SUBSCRIBE), Permission(DOOR, Right.PUBLISH)],
     ids=str,
 )
 def test_any_other_right_shows_it_at_once(master: SlottedMaster, more: Permission) -> None:

@@ -205,9 +205,7 @@ def test_a_twin_does_not_hide_a_revoked_intermediate(home: Home, whose: str) -> 
 @pytest.mark.parametrize("listed", [True, False])
 def test_tickets_of_listed_masters_count(home: Home, listed: bool) -> None:
     other = home.site.enroll("/master/kitchen")
-    trust = TrustState(
-        home.site.anchor, other.credentials.signer, home.site.revocations(), lambda _: None
-    )
+    trust = TrustState(home.site.anchor, other.credentials.signer, home.site.revocations(), lambda _: None)
     newest = home.site.revoke()
     for state in (trust, home.trust):
         state.update(newest, home.now)

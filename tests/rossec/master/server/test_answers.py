@@ -60,9 +60,7 @@ async def test_other_calls_are_answered_during_a_query(slow: World) -> None:
     assert whole["more"]
 
 
-async def test_a_watcher_waits_for_changes_in_turns(
-    slow: World, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_watcher_waits_for_changes_in_turns(slow: World, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rossec.master.server.answers.WATCH_WAIT", 0.05)
     caller = await slow.node("/asker")
     for number in range(2 * NAMES_PER_YIELD):
@@ -115,9 +113,7 @@ async def test_what_changes_before_a_watcher_has_begun_to_wait_is_told(slow: Wor
     """The answer that has nothing new is of the call; a coroutine of the wait begins later."""
     watcher, robot = await slow.node("/watcher"), await slow.node("/robot")
     first = await watcher.ask("rossec.watchGraph", "", 0)
-    waiting = asyncio.ensure_future(
-        watcher.ask("rossec.watchGraph", first["instance"], first["cursor"])
-    )
+    waiting = asyncio.ensure_future(watcher.ask("rossec.watchGraph", first["instance"], first["cursor"]))
     await robot.ask("registerPublisher", "/t", T, robot.uri)
     async with asyncio.timeout(4):  # a wait without a change takes five
         changes = await waiting

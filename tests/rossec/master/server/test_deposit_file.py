@@ -52,9 +52,7 @@ def stored(path: Path) -> list[bytes]:
     return [change.data for change in changes if isinstance(change, GrantDeposited)]
 
 
-def test_a_deposit_is_synced_before_it_is_in_the_table(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_deposit_is_synced_before_it_is_in_the_table(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file, one, two = opened(path), grant(), grant()
     synced: list[list[bytes]] = []
     with monkeypatch.context() as watched:
@@ -70,9 +68,7 @@ def test_a_deposit_is_synced_before_it_is_in_the_table(
         deposit(file, grant())
 
 
-def test_a_truncated_record_is_removed_and_saved_aside(
-    path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_truncated_record_is_removed_and_saved_aside(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     file, one, two = opened(path), grant(), grant()
     deposit(file, one)
     file.close()
@@ -97,9 +93,7 @@ def test_what_was_presented_is_written_at_leisure(path: Path) -> None:
     assert opened(path).deposits.state(document.grant_id(one)) is DeliveryState.HELD
 
 
-def test_the_file_is_compacted_when_it_has_grown(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_file_is_compacted_when_it_has_grown(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "REWRITE_MIN", 1000)
     file, grants = opened(path), [grant() for _ in range(10)]
     deposit(file, *grants)
@@ -134,8 +128,10 @@ def test_a_full_disk_refuses_a_deposit_and_leaves_no_half_record(
     deposit(file, two)
     file.sync()
     assert opened(path).deposits.changes() == [
-        GrantDeposited(one), GrantDeposited(two), GrantHeld(document.grant_id(one)),
-    ]  # fmt: skip
+        GrantDeposited(one),
+        GrantDeposited(two),
+        GrantHeld(document.grant_id(one)),
+    ]
 
 
 def test_a_file_that_cannot_be_opened_again_takes_no_deposit(

@@ -44,9 +44,7 @@ async def test_a_newer_list_of_domains_is_sent_to_every_own_node(
     assert "/robot delivered list of domains 2" in caplog.text
 
 
-async def test_a_removal_closes_and_says_whom(
-    world: VisitWorld, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_removal_closes_and_says_whom(world: VisitWorld, caplog: pytest.LogCaptureFixture) -> None:
     viewer, visitor = await registered(world, "/viewer"), await world.visitor(EVERYTHING)
     await visitor.ask("registerPublisher", "/t", T, visitor.uri)
     await until(lambda: viewer.received_calls("publisherUpdate") == [("/t", [visitor.uri])])

@@ -30,9 +30,11 @@ class Found:
 def test_a_newer_list_is_accepted() -> None:
     found = Found()
     for there, newer in (
-        (None, False), ((b"list 1", b""), True), ((b"list 1", b""), False),
+        (None, False),
+        ((b"list 1", b""), True),
+        ((b"list 1", b""), False),
         ((b"list 2", b""), True),
-    ):  # fmt: skip
+    ):
         found.there = there
         assert found.local_authority.has_newer_list(7) is newer
     assert found.statements.lists == [b"list 1", b"list 2"]
@@ -53,8 +55,7 @@ def test_a_tree_is_accepted_with_its_entries(monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    [(b"forged", b""), RevocationRefused("no"), ConfigurationError("none signed", "x"), OSError()],
+    "wrong", [(b"forged", b""), RevocationRefused("no"), ConfigurationError("none signed", "x"), OSError()]
 )
 def test_a_failure_is_logged(
     wrong: tuple[bytes, bytes] | Exception, caplog: pytest.LogCaptureFixture
@@ -80,9 +81,7 @@ def test_each_reason_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     assert caplog.text.count("is not accepted: another") == 2
 
 
-def test_a_newer_list_of_domains_is_accepted(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_newer_list_of_domains_is_accepted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     home, hospital = Site(tmp_path / "home", "home"), Site(tmp_path / "hospital", "hospital")
     there = [b""]
     revocations = Revocations(home.anchor.public_key)

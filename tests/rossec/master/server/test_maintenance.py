@@ -114,18 +114,19 @@ async def test_an_exception_does_not_end_freshness(
     await until(lambda: node.received_calls("rossec.revocationUpdate") != [])
 
 
-async def test_a_revoked_node_is_in_no_answer_once_the_list_is_delivered(
-    world: World,
-) -> None:
+async def test_a_revoked_node_is_in_no_answer_once_the_list_is_delivered(world: World) -> None:
     """Also within one multicall: it is listed before the revocation list, and not after."""
     camera, viewer = await world.node("/camera"), await world.node("/viewer")
     await camera.ask("registerPublisher", "/image", T, camera.uri)
     await camera.ask("registerService", "/reset", "rosrpc://127.0.0.1:9", camera.uri)
     revoked = world.site.revoke(camera.member)
     elements = [
-        ("getSystemState",), ("rossec.updateRevocations", revoked), ("getSystemState",),
-        ("lookupNode", "/camera"), ("lookupService", "/reset"),
-    ]  # fmt: skip
+        ("getSystemState",),
+        ("rossec.updateRevocations", revoked),
+        ("getSystemState",),
+        ("lookupNode", "/camera"),
+        ("lookupService", "/reset"),
+    ]
     calls = [{"methodName": name, "params": ["/viewer", *params]} for name, *params in elements]
     answers: Any = await viewer.client.call("system.multicall", calls)
     before, taken, after, node, service = (answer[0] for answer in answers)

@@ -53,9 +53,7 @@ def test_a_change_survives_without_a_close(path: Path) -> None:
     assert opened(path).parameters.get("/") == {"a": 1}
 
 
-def test_a_truncated_record_is_removed_and_saved_aside(
-    path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_truncated_record_is_removed_and_saved_aside(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     parameter_file = opened(path)
     parameter_file.write(ParameterChange("/a", 1))
     parameter_file.close()
@@ -68,9 +66,7 @@ def test_a_truncated_record_is_removed_and_saved_aside(
     assert path.with_suffix(".damaged").read_bytes().startswith(whole)
 
 
-def test_the_file_is_compacted_when_it_has_grown(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_file_is_compacted_when_it_has_grown(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "REWRITE_MIN", 1000)
     parameter_file = opened(path)
     for number in range(100):
@@ -102,9 +98,7 @@ def test_a_full_disk_is_reported_and_leaves_no_half_record(
     assert opened(path).parameters.get("/") == {"a": 1, "c": 3}
 
 
-def test_a_change_lost_to_a_full_disk_is_written_later(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_change_lost_to_a_full_disk_is_written_later(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     parameter_file = opened(path)
     with monkeypatch.context() as patch:
         patch.setattr(os, "write", lambda fd, data: os.fsync(1 << 20))
@@ -147,9 +141,7 @@ def test_a_full_disk_is_logged_and_the_file_is_unchanged(
     again.close()
 
 
-async def test_the_loop_goes_on_while_the_disk_syncs(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_the_loop_goes_on_while_the_disk_syncs(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     parameter_file, syncs, go_on = opened(path), threading.Event(), threading.Event()
 
     def sync(_: int) -> None:
@@ -243,9 +235,7 @@ async def test_a_compaction_that_fails_leaves_the_file_as_it_was(
     assert opened(path).parameters.get("/") == {"a": 99}
 
 
-async def test_much_that_is_written_is_saved_soon(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_much_that_is_written_is_saved_soon(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "GROWN", 2000)
     parameter_file = opened(path)
     while not parameter_file.grown.is_set():

@@ -16,9 +16,10 @@ from tests.rossec.master.world import SlaveNode, World, until
 
 KITCHEN = Site("kitchen")
 FACTS = [
-    ("node", "/robot", "http://10.0.0.2:1/"), ("service", "/reset", "/robot"),
+    ("node", "/robot", "http://10.0.0.2:1/"),
+    ("service", "/reset", "/robot"),
     ("provider", "/reset", "rosrpc://10.0.0.2:9"),
-]  # fmt: skip
+]
 
 
 @pytest.fixture

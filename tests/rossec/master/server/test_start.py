@@ -101,9 +101,7 @@ async def test_an_expired_identity_is_refused(tmp_path: Path) -> None:
         make(home, None, site.now + 40 * 86400)
 
 
-def test_a_delegation_for_another_key_is_not_used(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_delegation_for_another_key_is_not_used(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     site = trust_domains.Site(tmp_path / "site")
     site.delegate()
     home = site.enroll("/master")
@@ -124,9 +122,7 @@ def test_a_tree_of_revocations_is_complete_with_its_entries(
     assert site.entries is not None
     for entries, warned in ((None, True), (b"other", True), (site.entries, False), (None, False)):
         caplog.clear()
-        master_of(
-            home, host="127.0.0.1", port=11311, newest=newest, now=site.now(), entries=entries
-        )
+        master_of(home, host="127.0.0.1", port=11311, newest=newest, now=site.now(), entries=entries)
         assert ("entries of the revocation tree are missing" in caplog.text) is warned
 
 

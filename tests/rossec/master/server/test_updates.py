@@ -118,9 +118,7 @@ async def test_a_node_that_starts_late_receives_the_update(nodes: Nodes) -> None
     assert nodes.dialled == ["/live"] * 3
 
 
-async def test_an_unreachable_node_is_given_up(
-    nodes: Nodes, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_an_unreachable_node_is_given_up(nodes: Nodes, caplog: pytest.LogCaptureFixture) -> None:
     nodes.failures = 3
     client = NodeClient(ref("/live"), nodes.dial, retry_after=(0.0, 0.0))
     client.post(KEY, 1)

@@ -14,11 +14,7 @@ from rossec.master.state.journals import (
     encode_deposit,
 )
 
-CHANGES: list[DepositChange] = [
-    GrantDeposited(b"a grant"),
-    GrantHeld(b"i" * 16),
-    GrantDeposited(b"\0" * 300),
-]
+CHANGES: list[DepositChange] = [GrantDeposited(b"a grant"), GrantHeld(b"i" * 16), GrantDeposited(b"\0" * 300)]
 WHOLE = DEPOSITS_MAGIC + b"".join(map(encode_deposit, CHANGES))
 
 
@@ -37,10 +33,5 @@ def test_a_truncated_record_ends_the_journal(size: int) -> None:
 
 @pytest.mark.parametrize("content", [b"", b"G", b"H", b"H" + b"i" * 15, b"H" + b"i" * 17, b"Xyz"])
 def test_an_unknown_record_ends_the_journal(content: bytes) -> None:
-    data = (
-        DEPOSITS_MAGIC
-        + encode_deposit(CHANGES[0])
-        + journals.frame(content)
-        + encode_deposit(CHANGES[1])
-    )
+    data = DEPOSITS_MAGIC + encode_deposit(CHANGES[0]) + journals.frame(content) + encode_deposit(CHANGES[1])
     assert decode_deposits(data) == ([CHANGES[0]], len(DEPOSITS_MAGIC + encode_deposit(CHANGES[0])))

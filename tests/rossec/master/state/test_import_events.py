@@ -18,9 +18,12 @@ from rossec.master.state.registry import NodeRef, Registry
 
 HERE, THERE = "std_msgs/String", "std_msgs/Int32"
 FACTS: list[Fact] = [
-    ("type", "/a", THERE), ("type", "/b", THERE), ("type", "/same", HERE), ("type", "/far", THERE),
+    ("type", "/a", THERE),
+    ("type", "/b", THERE),
+    ("type", "/same", HERE),
+    ("type", "/far", THERE),
     ("publisher", "/a", "/robot"),
-]  # fmt: skip
+]
 
 
 @pytest.fixture
@@ -49,9 +52,7 @@ def test_of_an_alias_nobody_here_says_what_type_it_has(registry: Registry) -> No
     assert Contradictions(registry).report(hospital, FACTS) == []
 
 
-def test_reports_of_one_site_are_bounded(
-    registry: Registry, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_reports_of_one_site_are_bounded(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(imported_facts, "MAX_REPORTED", 1)
     assert len(Contradictions(registry).report(SiteFacts(Site("kitchen")), FACTS)) == 1
 

@@ -12,9 +12,7 @@ POSE, DOOR = "/remote/hospital/rounds/pose", "/remote/hospital/door"
 @pytest.fixture
 def intake() -> Intake:
     rules = {
-        "hospital": Reach(
-            (Permission("/rounds/**", Right.SUBSCRIBE), Permission("/door", Right.CALL))
-        ),
+        "hospital": Reach((Permission("/rounds/**", Right.SUBSCRIBE), Permission("/door", Right.CALL))),
         "clinic": Reach(()),
     }
     return Intake(rules.get)

@@ -69,9 +69,7 @@ def test_an_unknown_record_ends_the_journal(call: bytes) -> None:
 
 def test_replay_and_snapshot_lead_to_the_same() -> None:
     parameters, again = Parameters(), Parameters()
-    replay(
-        parameters, [*CHANGES[:2], ParameterChange("/none", deleted=True), ParameterChange("/", 5)]
-    )
+    replay(parameters, [*CHANGES[:2], ParameterChange("/none", deleted=True), ParameterChange("/", 5)])
     assert parameters.get("/") == {"a": 1, "b": {"c": CHANGES[1].value}}
     replay(again, decode_parameters(snapshot(parameters))[0])
     assert again.get("/") == parameters.get("/")

@@ -49,9 +49,7 @@ def test_accepted_values_can_be_encoded(value: Any) -> None:
         (Decimal("1.5"), "a Decimal"),
     ],
 )
-def test_values_that_cannot_be_encoded_are_refused_at_any_depth(
-    value: object, message: str
-) -> None:
+def test_values_that_cannot_be_encoded_are_refused_at_any_depth(value: object, message: str) -> None:
     for spoilt in (value, [1, value], {"a": {"b": [value]}}):
         with pytest.raises(ValueError, match=f"XML-RPC cannot carry {message}"):
             check_value(spoilt)

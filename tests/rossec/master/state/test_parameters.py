@@ -123,8 +123,10 @@ def test_the_size_is_that_of_all_parameters(changes: list[tuple[str, object]]) -
 
 def test_a_search_climbs_and_looks_for_the_first_segment() -> None:
     assert search_candidates("/ns/node", "x/y") == [
-        ("/ns/node/x", "/ns/node/x/y"), ("/ns/x", "/ns/x/y"), ("/x", "/x/y"),
-    ]  # fmt: skip
+        ("/ns/node/x", "/ns/node/x/y"),
+        ("/ns/x", "/ns/x/y"),
+        ("/x", "/x/y"),
+    ]
     assert search_candidates("/ns/node", "/x/y") == [("/x/y", "/x/y")]
     for key in ("", "~x"):
         with pytest.raises(ValueError, match="invalid key"):
@@ -139,11 +141,7 @@ def received_calls(key: str, value: object) -> list[tuple[str, str, object]]:
 
 
 def test_subscribers_above_at_and_below_are_notified() -> None:
-    assert received_calls("/a/b", 1) == [
-        ("/", "/a/b/", 1),
-        ("/a/", "/a/b/", 1),
-        ("/a/b/", "/a/b/", 1),
-    ]
+    assert received_calls("/a/b", 1) == [("/", "/a/b/", 1), ("/a/", "/a/b/", 1), ("/a/b/", "/a/b/", 1)]
     assert received_calls("/a", {"b": 5}) == [
         ("/", "/a/", {"b": 5}),
         ("/a/", "/a/", {"b": 5}),
@@ -159,24 +157,13 @@ def test_an_update_is_a_copy() -> None:
     assert update.value == {"b": [1]}
 
 
-keys = st.lists(st.sampled_from("abc"), min_size=1, max_size=3).map(
-    lambda parts: "/" + "/".join(parts)
-)
-trees = st.recursive(
-    st.integers(0, 3), lambda t: st.dictionaries(st.sampled_from("abc"), t, max_size=2)
-)
+keys = st.lists(st.sampled_from("abc"), min_size=1, max_size=3).map(lambda parts: "/" + "/".join(parts))
+trees = st.recursive(st.integers(0, 3), lambda t: st.dictionaries(st.sampled_from("abc"), t, max_size=2))
 
 
 @pytest.mark.ros
-@given(
-    key=keys,
-    value=trees,
-    subscriptions=st.lists(keys, unique=True),
-    setter=st.sampled_from(["/a", "/b"]),
-)
-def test_updates_equal_rosmasters(
-    key: str, value: object, subscriptions: list[str], setter: str
-) -> None:
+@given(key=keys, value=trees, subscriptions=st.lists(keys, unique=True), setter=st.sampled_from(["/a", "/b"]))
+def test_updates_equal_rosmasters(key: str, value: object, subscriptions: list[str], setter: str) -> None:
     stock = pytest.importorskip("rosmaster.paramserver")
     registrations = pytest.importorskip("rosmaster.registrations").Registrations(4)
     for name in subscriptions:

@@ -32,9 +32,7 @@ async def begin(stream: Stream, server: SecureServer[FakeIdentity]) -> SecureStr
     return driver
 
 
-async def test_a_peer_that_stalls_in_a_unit_is_disconnected(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_peer_that_stalls_in_a_unit_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
     async with serve(echo, "127.0.0.1", 0, context(BOB)) as server:
         stream = await call(server)
         driver = await begin(stream, server)

@@ -8,11 +8,7 @@ import socket
 import pytest
 
 from rossec.channel.opening import REFUSAL, WireProtocol
-from rossec.errors import (
-    ConnectionTruncated,
-    PeerUnreachable,
-    PlainPeer,
-)
+from rossec.errors import ConnectionTruncated, PeerUnreachable, PlainPeer
 from rossec.net.aio import SecureServer, connect, serve
 from rossec.net.aio import server as server_module
 from rossec.net.aio.server import bind

@@ -13,9 +13,7 @@ ELSEWHERE = "192.0.2.7"  # RFC 5737: no host's
 
 
 def test_an_address_of_this_host() -> None:
-    assert (
-        check_own_address("127.0.0.1", "ROS_IP") == "ROS_IP is 127.0.0.1, an address of this host"
-    )
+    assert check_own_address("127.0.0.1", "ROS_IP") == "ROS_IP is 127.0.0.1, an address of this host"
 
 
 def test_an_address_of_another_host() -> None:

@@ -133,9 +133,7 @@ def test_another_user_is_identified() -> None:
             child.wait(30)
 
 
-def test_a_kernel_that_cannot_be_asked_still_has_its_tables(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_kernel_that_cannot_be_asked_still_has_its_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     def unavailable(*_: object) -> None:
         raise OSError("no such protocol")
 

@@ -19,10 +19,7 @@ def test_one_connection(client: str) -> None:
     host = "::1" if client == "::1" else "127.0.0.1"
     family = socket.AF_INET6 if ":" in client else socket.AF_INET
     server_family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with (
-        socket.create_server((host, 0), family=server_family) as server,
-        socket.socket(family) as remote,
-    ):
+    with socket.create_server((host, 0), family=server_family) as server, socket.socket(family) as remote:
         remote.connect((client, server.getsockname()[1]))
         local, _ = server.accept()
         with local:

@@ -61,9 +61,7 @@ async def test_calls_one_after_the_other_and_at_once() -> None:
     assert far.closed
 
 
-async def test_refusals_faults_and_bugs_leave_the_connection_open(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_refusals_faults_and_bugs_leave_the_connection_open(caplog: pytest.LogCaptureFixture) -> None:
     near, far = stream_pair("/node", "/master")
 
     async def run() -> None:
@@ -161,8 +159,10 @@ async def test_both_forms_give_the_same(compact: bool) -> None:
         client = RpcClient(near, compact=compact)
         for n in range(30):
             assert await client.call("echo", {"a": [n, 1.0, True, b"x"]}) == [
-                1, "/node", [{"a": [n, 1.0, True, b"x"]}]
-            ]  # fmt: skip
+                1,
+                "/node",
+                [{"a": [n, 1.0, True, b"x"]}],
+            ]
             assert client.is_compact == compact
         body = await client.fetch("echo", 5)
         assert xmlrpc.load_response(body) == [1, "/node", [5]]

@@ -12,36 +12,13 @@ import pytest
 
 from rossec.channel.negotiation import GrantsPresented, IdentityRenewed
 from rossec.channel.records import ChannelLimits
-from rossec.errors import (
-    ChannelError,
-    HandshakeTimeout,
-    IdentityExpired,
-    IdentityRefused,
-    PeerRefused,
-)
+from rossec.errors import ChannelError, HandshakeTimeout, IdentityExpired, IdentityRefused, PeerRefused
 from rossec.net.limits import HalfOpen, HalfOpenCount
 from rossec.net.threads import secure_socket
 from tests.support.contexts import context, live
 from tests.support.listener import SecureListener
-from tests.support.secure_sockets import (
-    Secure,
-    background,
-    dial,
-    make_listener,
-    pair,
-    read,
-)
-from tests.support.wire import (
-    ALICE,
-    BOB,
-    NOW,
-    STRANGER,
-    FakeIdentity,
-    bob,
-    renewed,
-    renews,
-    trust,
-)
+from tests.support.secure_sockets import Secure, background, dial, make_listener, pair, read
+from tests.support.wire import ALICE, BOB, NOW, STRANGER, FakeIdentity, bob, renewed, renews, trust
 
 
 def test_a_stranger_is_refused(listener: SecureListener[FakeIdentity]) -> None:
@@ -185,9 +162,7 @@ def test_timers_run_once_in_a_second(
         monkeypatch.setattr(left._core, "tick", looks.append)
         start = int(time.time()) + 10
         for second in (start, start, start + 1, start + 1, start + 9):
-            monkeypatch.setattr(
-                "rossec.net.threads.secure_socket._now", lambda second=second: second
-            )
+            monkeypatch.setattr("rossec.net.threads.secure_socket._now", lambda second=second: second)
             left.sendall(b"map")
         assert looks == [start, start + 1, start + 9]
 

@@ -216,9 +216,7 @@ def test_try_send_raises_after_the_end(listener: SecureListener[FakeIdentity]) -
             left.try_send(b"x")
 
 
-def test_an_aborted_connection_delivers_nothing_more(
-    listener: SecureListener[FakeIdentity],
-) -> None:
+def test_an_aborted_connection_delivers_nothing_more(listener: SecureListener[FakeIdentity]) -> None:
     """Neither what was decrypted, nor what waits in the kernel."""
     left, right = pair(listener)
     with left, right:
@@ -257,9 +255,7 @@ def test_pump_is_bounded_under_a_flood(
         assert next(taken) == 3
 
 
-def test_run_timers_renews_the_keys_of_an_idle_connection(
-    listener: SecureListener[FakeIdentity],
-) -> None:
+def test_run_timers_renews_the_keys_of_an_idle_connection(listener: SecureListener[FakeIdentity]) -> None:
     """Without reads and writes, renewals are begun and followed, and units stay."""
     left, right = pair(listener, limits=ChannelLimits(seconds=1))
     with left, right:
@@ -294,9 +290,7 @@ def answer(listener: SecureListener[FakeIdentity], callers: int = 1) -> None:
             accepted.do_handshake()
 
 
-def test_an_initiator_waits_no_longer_than_it_may(
-    listener: SecureListener[FakeIdentity],
-) -> None:
+def test_an_initiator_waits_no_longer_than_it_may(listener: SecureListener[FakeIdentity]) -> None:
     own = socket.create_connection(listener.getsockname())
     with pytest.raises(TimeoutError):
         Secure.initiate(own, context(ALICE), timeout=0.05)

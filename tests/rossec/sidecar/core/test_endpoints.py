@@ -11,21 +11,13 @@ PEER = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6000)
     ("uri", "protocol", "found"),
     [
         ("http://10.0.0.7:6000/", WireProtocol.HTTP, Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)),
-        (
-            "rosrpc://[fd99::2]:6000",
-            WireProtocol.TCPROS,
-            Endpoint(WireProtocol.TCPROS, "fd99::2", 6000),
-        ),
+        ("rosrpc://[fd99::2]:6000", WireProtocol.TCPROS, Endpoint(WireProtocol.TCPROS, "fd99::2", 6000)),
         (
             "http://10.0.0.7:6000/via",
             WireProtocol.HTTP,
             Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000, door=True),
         ),
-        (
-            "rosrpc://10.0.0.7:6000/via",
-            WireProtocol.TCPROS,
-            Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6000),
-        ),
+        ("rosrpc://10.0.0.7:6000/via", WireProtocol.TCPROS, Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6000)),
         ("rosrpc://10.0.0.7:6000", WireProtocol.HTTP, None),
         ("http://10.0.0.7/", WireProtocol.HTTP, None),
         ("http://:6000/", WireProtocol.HTTP, None),

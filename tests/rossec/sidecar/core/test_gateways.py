@@ -26,11 +26,7 @@ from rossec.sidecar.core.layers import (
     PeerAuthenticated,
     UnexpectedEvent,
 )
-from rossec.sidecar.core.node_connections import (
-    AdmittedConnection,
-    connect_to_peer,
-    handle_program_call,
-)
+from rossec.sidecar.core.node_connections import AdmittedConnection, connect_to_peer, handle_program_call
 from tests.rossec.sidecar.agent_setup import AgentSetup, run_layer
 from tests.rossec.sidecar.core.handshake import ANSWER, PEER, REQUEST, no_key
 from tests.support.openaccess import PROOF, OpenAccess
@@ -85,9 +81,7 @@ def test_a_gateway_reads_the_served_name_and_the_program_the_alias(
 ) -> None:
     gateway = setup.identity(name)
     admitted = run_layer(
-        connecting(setup, subscribed(setup)),
-        authenticated(gateway),
-        answered(setup, gateway, SERVED),
+        connecting(setup, subscribed(setup)), authenticated(gateway), answered(setup, gateway, SERVED)
     )
     assert access.presented == [("subscribe", SERVED)]
     assert access.authorized == [(name, "publish", SERVED)]
@@ -154,9 +148,7 @@ def test_an_anonymous_program_has_its_own_name_towards_a_gateway(
 
 def test_nothing_is_sent_where_nobody_or_no_name_is(setup: AgentSetup, access: OpenAccess) -> None:
     with pytest.raises(HangUp, match="gone"):
-        run_layer(
-            connecting(setup, subscribed(setup)), (AuthenticatePeer(PEER), NoAnswer("gone", True))
-        )
+        run_layer(connecting(setup, subscribed(setup)), (AuthenticatePeer(PEER), NoAnswer("gone", True)))
     with pytest.raises(NameRefused, match="names no origin"):
         run_layer(connecting(setup, subscribed(setup, "/remote/hospital")))
     with pytest.raises(UnexpectedEvent):

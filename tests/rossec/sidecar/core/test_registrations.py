@@ -30,15 +30,7 @@ from rossec.sidecar.core.master_calls import (
     rights_changed,
 )
 from tests.rossec.sidecar.agent_setup import HOST, AgentSetup, run_layer
-from tests.rossec.sidecar.core.registering import (
-    INGRESS_URI,
-    OK,
-    OWN_URI,
-    PEER,
-    SERVICE,
-    SLAVE,
-    register,
-)
+from tests.rossec.sidecar.core.registering import INGRESS_URI, OK, OWN_URI, PEER, SERVICE, SLAVE, register
 from tests.support.site import Site
 
 ALIVE = (Probe(SLAVE), CommandDone())
@@ -148,14 +140,10 @@ def test_resubscribing_sends_the_publishers_again(setup: AgentSetup) -> None:
 
 
 def publisher_update(*uris: str) -> tuple[CallProgram, Answered]:
-    return CallProgram(SLAVE, "publisherUpdate", ("/master", "/scan", [*uris])), Answered(
-        [1, "", 0]
-    )
+    return CallProgram(SLAVE, "publisherUpdate", ("/master", "/scan", [*uris])), Answered([1, "", 0])
 
 
-def test_a_publisher_missing_at_a_new_master_is_kept_for_a_grace_period(
-    setup: AgentSetup,
-) -> None:
+def test_a_publisher_missing_at_a_new_master_is_kept_for_a_grace_period(setup: AgentSetup) -> None:
     register(setup, PEER.uri)
     inside_uri = "http://127.0.0.1:8000/"
     register_again = CallMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", INGRESS_URI))
@@ -181,9 +169,7 @@ PUBLISHER = ("/robot", "/pose", "pkg/Type", INGRESS_URI)
 REFUSED = Answered([-1, "rossec: /robot needs the right publish on /pose", []])
 
 
-def refuse(
-    setup: AgentSetup, params: tuple[str, ...] = PUBLISHER, answer: Answered = REFUSED
-) -> None:
+def refuse(setup: AgentSetup, params: tuple[str, ...] = PUBLISHER, answer: Answered = REFUSED) -> None:
     run_layer(
         handle_call(setup.agent, "registerPublisher", (*params[:3], OWN_URI)),
         (OpenIngress(SLAVE), Opened(7000)),
@@ -193,9 +179,7 @@ def refuse(
 
 def test_a_refused_registration_is_made_again_with_the_right(setup: AgentSetup) -> None:
     refuse(setup)
-    assert run_layer(restore(setup.agent, has()), ALIVE) is None, (
-        "a restarted master would refuse it"
-    )
+    assert run_layer(restore(setup.agent, has()), ALIVE) is None, "a restarted master would refuse it"
     assert run_layer(rights_changed(setup.agent, has())) is None
     may = has((Right.PUBLISH, "/pose"))
     again = CallMaster("registerPublisher", PUBLISHER)
@@ -249,9 +233,7 @@ def test_a_refused_registration_that_is_undone_is_not_made_again(setup: AgentSet
     assert list(setup.agent.programs[SLAVE].registrations) == []
 
 
-def test_refusals_are_bounded_and_those_of_the_stock_master_are_not_stored(
-    setup: AgentSetup,
-) -> None:
+def test_refusals_are_bounded_and_those_of_the_stock_master_are_not_stored(setup: AgentSetup) -> None:
     refuse(setup, answer=Answered([-1, "ERROR: parameter [topic] contains illegal chars", 0]))
     assert list(setup.agent.programs[SLAVE].registrations) == []
     for number in range(MAX_REFUSED + 1):

@@ -71,9 +71,7 @@ def test_a_shared_guard_keeps_its_place_among_the_connections_of_its_key() -> No
     memory = Memory()
     with CopyTracker().share(guard_of(LIMITED, memory=memory), NOW, latching=False) as (guard, _):
         assert isinstance(guard, SharedGuard)
-        made = Replacing(
-            guard, lambda made: guard_of(*made.restrictions, memory=memory), to_peer=True
-        )
+        made = Replacing(guard, lambda made: guard_of(*made.restrictions, memory=memory), to_peer=True)
         passed = [guard.apply(b"%d" % count, NOW) for count in range(5)]
         made.swap(made.rebuild(decision(LIMITED)))
         assert guard.apply(b"one more", NOW) is None, "a renewal fills no bucket again"

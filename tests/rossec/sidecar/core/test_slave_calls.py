@@ -40,11 +40,7 @@ UDP = ["UDPROS", b"header", "host", 1, 1500]
 
 
 def peer_call(
-    setup: AgentSetup,
-    method: str,
-    *params: object,
-    peer: str = "/viewer",
-    grants: bytes | None = None,
+    setup: AgentSetup, method: str, *params: object, peer: str = "/viewer", grants: bytes | None = None
 ) -> Layer[object]:
     everything = (peer, *params)
     return handle_peer_call(
@@ -100,9 +96,7 @@ def test_the_admin_right_allows_shutdown(setup: AgentSetup) -> None:
     setup.site.grant("/viewer", Right.ADMIN, "/robot")
     grants = setup.access("/viewer").present(Right.ADMIN, "/robot", setup.site.now())
     request = CallProgram(SLAVE, "shutdown", ("/viewer", "because"))
-    run_layer(
-        peer_call(setup, "shutdown", "because", grants=grants), (request, Answered([1, "", 0]))
-    )
+    run_layer(peer_call(setup, "shutdown", "because", grants=grants), (request, Answered([1, "", 0])))
 
 
 @pytest.mark.parametrize("topic", ["/scan", "/nothing", "no name"])
@@ -213,10 +207,7 @@ def test_a_call_needs_a_caller_id(setup: AgentSetup) -> None:
             assert run_layer(layer) == answer
     short = [-1, "Error: bad call arity", []]
     assert run_layer(peer_call(setup, "requestTopic", "/scan")) == short
-    assert (
-        run_layer(handle_program_call(setup.agent, PEER, "requestTopic", ("/robot", "/scan")))
-        == short
-    )
+    assert run_layer(handle_program_call(setup.agent, PEER, "requestTopic", ("/robot", "/scan"))) == short
     for topic in ("", 7):
         nameless = [-1, "ERROR: parameter [topic] must be a non-empty string", []]
         assert run_layer(peer_call(setup, "requestTopic", topic, [["TCPROS"]])) == nameless
@@ -264,20 +255,14 @@ def test_the_topics_of_a_peer_get_an_egress_port(setup: AgentSetup) -> None:
     ],
 )
 def test_answers_of_a_peer_name_egress_ports(
-    setup: AgentSetup,
-    method: str,
-    value: object,
-    script: list[tuple[OpenEgress, Event]],
-    expected: object,
+    setup: AgentSetup, method: str, value: object, script: list[tuple[OpenEgress, Event]], expected: object
 ) -> None:
     request = CallPeer(PEER, method, ("/robot",), Right.GRAPH)
     layer = handle_program_call(setup.agent, PEER, method, ("/robot",))
     assert run_layer(layer, (request, Answered([1, "", value])), *script) == [1, "", expected]
 
 
-def test_bus_info_of_a_peer_names_this_identity_as_lookups_do(
-    setup: AgentSetup,
-) -> None:
+def test_bus_info_of_a_peer_names_this_identity_as_lookups_do(setup: AgentSetup) -> None:
     outside = setup.agent.endpoints.add_ingress(SLAVE, 7000)
     layer = handle_program_call(setup.agent, PEER, "getBusInfo", ("/robot",))
     request = CallPeer(PEER, "getBusInfo", ("/robot",), Right.GRAPH)
@@ -293,9 +278,7 @@ def test_a_peer_cannot_open_any_number_of_ports(setup: AgentSetup) -> None:
         (OpenEgress(Endpoint(WireProtocol.HTTP, "10.0.0.7", port)), Opened(8000 + port))
         for port in range(1, 65)
     ]
-    answer = run_layer(
-        layer, (request, Answered([1, "", [[1, uri, "i"] for uri in uris]])), *egress
-    )
+    answer = run_layer(layer, (request, Answered([1, "", [[1, uri, "i"] for uri in uris]])), *egress)
     assert isinstance(answer, list)
     assert [entry[1] for entry in answer[2]][63:65] == ["http://127.0.0.1:8064/", uris[64]]
 
@@ -306,9 +289,7 @@ def test_refusals_of_a_peer_are_forwarded_and_no_answer_hangs_up(setup: AgentSet
     assert run_layer(layer, (request, Answered([-1, "rossec: no", 0]))) == [-1, "rossec: no", 0]
     for event, error in ((NoAnswer("gone"), HangUp), (CommandDone(), UnexpectedEvent)):
         with pytest.raises(error):
-            run_layer(
-                handle_program_call(setup.agent, PEER, "getBusInfo", ("/robot",)), (request, event)
-            )
+            run_layer(handle_program_call(setup.agent, PEER, "getBusInfo", ("/robot",)), (request, event))
 
 
 ELSEWHERE = ["TCPROS", "203.0.113.5", 6666]
