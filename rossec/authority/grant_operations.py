@@ -389,6 +389,8 @@ class PolicyOperations(ABC):
     ) -> list[SignedGrant]:
         # `report` is called with each step that was done. Returns the new grants.
 
+        from rossec.authority import policyfile  # noqa: PLC0415 - see above
+
         authority, failed = self.unlock(), list[HintedError | OSError]()
         listed, left = policyfile.take_away(authority, plan, self._now())
         if listed is not None:

@@ -141,6 +141,7 @@ def _connection_hooks(process: SecuredProcess) -> list[Hook]:
 
 def _topic_hooks(process: SecuredProcess) -> list[Hook]:
     pubsub, queued = rospy.impl.tcpros_pubsub, ("self", "connection", "queue_size")
+    publisher = rospy.topics._PublisherImpl  # noqa: SLF001 - rospy's
     return [
         Hook(
             pubsub,
@@ -148,7 +149,7 @@ def _topic_hooks(process: SecuredProcess) -> list[Hook]:
             SubscriptionLoop(process).run,
             ("conn", "dest_addr", "dest_port", "pub_uri", "receive_cb", "resolved_topic_name"),
         ),
-        Hook(rospy.topics._PublisherImpl, "publish", publish, ("self", "message", "connection_override")),
+        Hook(publisher, "publish", publish, ("self", "message", "connection_override")),
         Hook(rospy.topics, "QueuedConnection", queue_for, queued),
         Hook(pubsub, "QueuedConnection", queue_for, queued),
     ]
