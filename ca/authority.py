@@ -62,18 +62,15 @@ class Authority:
         self.chain: tuple[bytes, ...] = ()
         self.may_enroll = True
         if intermediate is not None:
-            self._load_intermediate(intermediate)
+            # Its validity is checked at each use, by `_period`.
+            found = self.anchor.read_intermediate(intermediate)
+            self.issuer, self.chain, self.may_enroll = found, (intermediate,), found.may_enroll
         if thumbprint(signer.public_key) != self.issuer.thumbprint:
             raise IssueRefused(
                 "the authority's certificate belongs to another key",
                 "restore ca.key and ca.pem from the same backup",
             )
         self.signer = signer
-
-    def _load_intermediate(self, der: bytes) -> None:
-        # Its validity is checked at each use, by `_period`.
-        found = self.anchor.read_intermediate(der)
-        self.issuer, self.chain, self.may_enroll = found, (der,), found.may_enroll
 
     @property
     def is_root(self) -> bool:

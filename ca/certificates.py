@@ -169,7 +169,10 @@ def read_intermediate(certificate: x509.Certificate, der: bytes, domain: str) ->
         raise CertificateRefused(f"the intermediate is for trust domain {found!r}, not {domain!r}")
     key = svid.key_of(certificate)
     start, end = svid.validity(certificate)
-    may_enroll = _power(svid.policies(extensions))
+    policies = svid.policies(extensions)
+    if policies not in ({MAY_RENEW}, {MAY_ENROLL}):
+        raise CertificateRefused("the intermediate has no policy to renew or enroll", "make a new one")
+    may_enroll = MAY_ENROLL in policies
     subject = svid.subject(certificate)
     return Intermediate(key, thumbprint(key), start, end, der, subject, certificate.serial_number, may_enroll)
 
@@ -178,12 +181,6 @@ def policy(*, may_enroll: bool) -> x509.CertificatePolicies:
     """The certificate policy that says what an intermediate may do."""
     power = MAY_ENROLL if may_enroll else MAY_RENEW
     return x509.CertificatePolicies([x509.PolicyInformation(power, None)])
-
-
-def _power(policies: frozenset[x509.ObjectIdentifier]) -> bool:
-    if policies not in ({MAY_RENEW}, {MAY_ENROLL}):
-        raise CertificateRefused("the intermediate has no policy to renew or enroll", "make a new one")
-    return MAY_ENROLL in policies
 
 
 def build_intermediate_request(signer: Signer, domain: str) -> bytes:

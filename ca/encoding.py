@@ -154,16 +154,12 @@ def _check(value: Any, depth: int) -> None:
         items = value.values()
         for key in value:
             if type(key) is not str:
-                _check_key(key)
+                if isinstance(key, bool) or not isinstance(key, _KEYS):
+                    raise EncodingError("map key that is neither integer nor text")
+                _check_leaf(key)
     for item in items:
         if type(item) not in _PLAIN:
             _check(item, depth - 1)
-
-
-def _check_key(key: object) -> None:
-    if isinstance(key, bool) or not isinstance(key, _KEYS):
-        raise EncodingError("map key that is neither integer nor text")
-    _check_leaf(key)
 
 
 def _check_leaf(value: object) -> None:

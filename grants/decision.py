@@ -249,9 +249,13 @@ class Reach:
         """Whether one of `rights` is given on `name`; False for an invalid name."""
         sets = self._any.get(int(rights))
         if sets is None:
-            sets = self._any[int(rights)] = _union(
-                self._by_right[int(right)] for right in Right if right in rights
-            )
+            parts = (self._by_right[int(right)] for right in Right if right in rights)
+            exact, prefixes, others = set[str](), set[str](), list[tuple[Right, Permission]]()
+            for part in parts:
+                exact |= part[0]
+                prefixes.update(part[1])
+                others += part[2]
+            sets = self._any[int(rights)] = frozenset(exact), tuple(sorted(prefixes)), tuple(others)
         return _covers(sets, name) or any(map(bool, self._linked(rights, name)))
 
     def slot(self, rights: Right, name: str) -> int:
@@ -350,15 +354,6 @@ def _touches(namespace: str, prefixes: tuple[str, ...]) -> bool:
         return True
     at = bisect_left(prefixes, namespace)
     return at < len(prefixes) and prefixes[at].startswith(namespace)
-
-
-def _union(parts: Iterable[_NameSets]) -> _NameSets:
-    exact, prefixes, others = set[str](), set[str](), list[tuple[Right, Permission]]()
-    for part in parts:
-        exact |= part[0]
-        prefixes.update(part[1])
-        others += part[2]
-    return frozenset(exact), tuple(sorted(prefixes)), tuple(others)
 
 
 def _name_sets(permissions: tuple[Permission, ...], right: Right) -> _NameSets:

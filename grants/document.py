@@ -114,7 +114,24 @@ def _filter_claim(rule: FilterRule) -> Value:
 def read_claims(body: bytes, grant_id: bytes) -> Grant:
     """Read the claims in `body` as the grant `grant_id`."""
     try:
-        return _read_grant(_closed_map(_decode_claims(body), _REQUIRED, _CLAIMS, "claim"), grant_id)
+        claims = _closed_map(_decode_claims(body), _REQUIRED, _CLAIMS, "claim")
+        confirmation = _closed_map(claims[_CNF], {_CKT}, {_CKT}, "confirmation")
+        may_narrow = _typed(claims.get(_MAY_NARROW, 0), int, "may_narrow")
+        if _MAY_NARROW in claims and may_narrow == 0:
+            raise GrantMalformed("a grant that says it allows no narrowings", "leave the claim out")
+        return Grant(
+            domain=_typed(claims[_AUD], str, "aud"),
+            subject=_typed(claims[_SUB], str, "sub"),
+            holder=_typed(confirmation[_CKT], bytes, "ckt"),
+            not_before=_typed(claims[_NBF], int, "nbf"),
+            expires=_typed(claims[_EXP], int, "exp"),
+            cap=_typed(claims[_CAP], int, "cap"),
+            serial=_typed(claims[_CTI], bytes, "cti"),
+            permissions=_permissions(_typed(claims[_SCOPE], bytes, "scope")),
+            id=grant_id,
+            issuer=read_issuer(_typed(claims[_ISS], str, "iss")),
+            may_narrow=may_narrow,
+        )
     except (FilterRefused, NameRefused, EncodingError) as error:
         raise GrantMalformed(f"in a grant: {error}", error.hint) from None
 
@@ -182,26 +199,6 @@ def _deterministic_form(claims: Value) -> bytes | None:
             )
         case _:
             return None
-
-
-def _read_grant(claims: dict[Any, Any], grant_id: bytes) -> Grant:
-    confirmation = _closed_map(claims[_CNF], {_CKT}, {_CKT}, "confirmation")
-    may_narrow = _typed(claims.get(_MAY_NARROW, 0), int, "may_narrow")
-    if _MAY_NARROW in claims and may_narrow == 0:
-        raise GrantMalformed("a grant that says it allows no narrowings", "leave the claim out")
-    return Grant(
-        domain=_typed(claims[_AUD], str, "aud"),
-        subject=_typed(claims[_SUB], str, "sub"),
-        holder=_typed(confirmation[_CKT], bytes, "ckt"),
-        not_before=_typed(claims[_NBF], int, "nbf"),
-        expires=_typed(claims[_EXP], int, "exp"),
-        cap=_typed(claims[_CAP], int, "cap"),
-        serial=_typed(claims[_CTI], bytes, "cti"),
-        permissions=_permissions(_typed(claims[_SCOPE], bytes, "scope")),
-        id=grant_id,
-        issuer=read_issuer(_typed(claims[_ISS], str, "iss")),
-        may_narrow=may_narrow,
-    )
 
 
 def read_scope(scope: bytes) -> tuple[Permission, ...]:

@@ -43,11 +43,6 @@ def rate_text(rate: float) -> str:
     return f"at most {rate:g} message{'' if rate == 1 else 's'} a second"
 
 
-def _nanoseconds(now: float) -> int:
-    # A time in whole microseconds: floats of seconds since the epoch have a quarter of one.
-    return round(now * _MICROSECONDS) * 1000
-
-
 class RateBucket:
     """`rate` messages a second, and bursts of at most `max(1, rate)`.
 
@@ -70,7 +65,8 @@ class RateBucket:
 
     def refill(self, now: float) -> bool:
         # Add the time since then, none if the clock was set back; whether a message fits.
-        moment = _nanoseconds(now)
+        # A time in whole microseconds: floats of seconds since the epoch have a quarter of one.
+        moment = round(now * _MICROSECONDS) * 1000
         if self._refilled_at is not None and moment > self._refilled_at:
             self.left = min(self.left + moment - self._refilled_at, self.capacity)
         self._refilled_at = moment

@@ -137,7 +137,7 @@ def needed_rule(node: str, rights: Iterable[tuple[Right, str]]) -> str:
     """What would give `node` these rights: `an allow rule for /x with subscribe: [/y]`."""
     names: dict[str, list[str]] = {}
     for right, name in dict.fromkeys(rights):
-        names.setdefault(right.label, []).append(_in_yaml(name))
+        names.setdefault(right.label, []).append(name if _PLAIN.fullmatch(name) else f"'{name}'")
     given = ", ".join(f"{label}: [{', '.join(found)}]" for label, found in names.items())
     return f"an allow rule for {node} with {given}"
 
@@ -175,10 +175,6 @@ def refusal(node: str, missing: Iterable[tuple[Right, str]]) -> str:
     what = "do all that it asks for" if more else f"{first[0].label} {first[1]}"
     command = grant_command(node, listed)
     return f"{node} may not {what}: {needed_rule(node, listed)} would change it, or {command}"
-
-
-def _in_yaml(name: str) -> str:
-    return name if _PLAIN.fullmatch(name) else f"'{name}'"
 
 
 REQUEST: Final = Profile("rossec-request+cwt")

@@ -237,8 +237,17 @@ class NodeHome:
         chain, root = _split(bundle)
         anchor = TrustAnchor.load(root)
         identity = anchor.verify(chain, now)
-        self._check_is_ours(identity)
-        self._check_same_authority(anchor)
+        own = private_keys.thumbprint(self.signer().public_key)
+        if identity.name != self.name or identity.thumbprint != own:
+            raise ConfigurationError(
+                f"this identity is for {identity.name} with another key than {self.name} has here",
+                f"sign the request in {self.request_path}",
+            )
+        if (self.path / "ca.pem").exists() and self.anchor().thumbprint != anchor.thumbprint:
+            raise ConfigurationError(
+                f"{self.name} trusts another authority already",
+                f"to change it, move {self.path} away and enroll the node anew",
+            )
         files.replace(self.path / "ca.pem", to_pem(root), 0o644)
         files.replace(self.path / "node.pem", bundle, 0o644)
         files.make_private_directory(self.path / "grants")
@@ -360,21 +369,6 @@ class NodeHome:
 
     def _missing(self, path: Path, hint: str) -> ConfigurationError:
         return ConfigurationError(f"{self.name} has no {path.name} in {path.parent}", hint)
-
-    def _check_is_ours(self, identity: Identity) -> None:
-        own = private_keys.thumbprint(self.signer().public_key)
-        if identity.name != self.name or identity.thumbprint != own:
-            raise ConfigurationError(
-                f"this identity is for {identity.name} with another key than {self.name} has here",
-                f"sign the request in {self.request_path}",
-            )
-
-    def _check_same_authority(self, anchor: TrustAnchor) -> None:
-        if (self.path / "ca.pem").exists() and self.anchor().thumbprint != anchor.thumbprint:
-            raise ConfigurationError(
-                f"{self.name} trusts another authority already",
-                f"to change it, move {self.path} away and enroll the node anew",
-            )
 
 
 def _shortened(name: str) -> Iterator[str]:

@@ -176,26 +176,20 @@ class LogRateLimit(logging.Filter):
         line, about = getattr(record, CAUSE, None) or (record.getMessage(), subject(record))
         self._forget_before(record.created - _PERIOD)
         if line in self._logged:
-            self._leave_out(line)
+            self._left_out[line] = self._left_out.pop(line, 0) + 1
+            if len(self._left_out) > _MAX_FIRST_LINES:
+                self._left_out.popitem(last=False)
             return False
         most = _MAX_LINES if self._subjects[about] else _MAX_FIRST_LINES
         if self._subjects[about] >= _PER_SUBJECT or len(self._logged) >= most:
             return record.levelno >= logging.ERROR
         self._logged[line] = record.created, about
         self._subjects[about] += 1
-        self._add_up(line, record)
-        return True
-
-    def _leave_out(self, line: str) -> None:
-        self._left_out[line] = self._left_out.pop(line, 0) + 1
-        if len(self._left_out) > _MAX_FIRST_LINES:
-            self._left_out.popitem(last=False)
-
-    def _add_up(self, line: str, record: logging.LogRecord) -> None:
         count = self._left_out.pop(line, 0)
         if count:
             record.msg = f"{record.getMessage()} ({count} more like this since it was logged last)"
             record.args = None
+        return True
 
     def _forget_before(self, time: float) -> None:
         while self._logged:

@@ -225,20 +225,6 @@ def verify(assertion: Assertion, passkey: Passkey, challenge: bytes, counter: in
             f"the counter of the passkey {passkey.name!a} is {data.counter} and was {counter}",
             "if it was used once only, somebody has a copy: remove it, and register a new one",
         )
-    _check_signature(assertion, passkey)
-    return data.counter
-
-
-def counter_of(authenticator_data: bytes) -> int:
-    """The counter in recorded authenticator data.
-
-    Raises:
-        AssertionMalformed: it has none.
-    """
-    return AuthenticatorData.read(authenticator_data).counter
-
-
-def _check_signature(assertion: Assertion, passkey: Passkey) -> None:
     if len(assertion.signature) > MAX_SIGNATURE:
         raise AssertionMalformed(
             f"a signature of {len(assertion.signature)} bytes", "try again, or with another browser"
@@ -251,6 +237,16 @@ def _check_signature(assertion: Assertion, passkey: Passkey) -> None:
             f"the passkey {passkey.name!a} did not sign this",
             "if you touched it, register it again; else somebody else sent this",
         ) from None
+    return data.counter
+
+
+def counter_of(authenticator_data: bytes) -> int:
+    """The counter in recorded authenticator data.
+
+    Raises:
+        AssertionMalformed: it has none.
+    """
+    return AuthenticatorData.read(authenticator_data).counter
 
 
 class Purpose(StrEnum):
@@ -310,7 +306,15 @@ def register(
         ConsoleExtraMissing: the library is not installed.
     """
     check_client_data(registration.client_data, Ceremony.CREATE, challenge.digest, challenge.origin)
-    parsed = _registration_parse(registration.attestation)
+    attestation = registration.attestation
+    if len(attestation) > MAX_ATTESTATION:
+        raise AssertionMalformed(f"{len(attestation)} bytes of attestation", _REGISTRATION_HINT)
+    library = _library()
+    try:
+        data: webauthn.AuthenticatorData = library.AttestationObject(attestation).auth_data
+    except _MALFORMED as error:
+        raise AssertionMalformed("an attestation of an unknown form", _REGISTRATION_HINT) from error
+    parsed = data
     AuthenticatorData.read(bytes(parsed)).check(challenge.rp_id)
     found = parsed.credential_data
     if found is None or not 0 < len(found.credential_id) <= MAX_CREDENTIAL:
@@ -339,17 +343,6 @@ def check_passkey_name(name: str) -> str:
             f"the name of a phone has 1 to {MAX_NAME} printable characters", "for example: Ann's phone"
         )
     return name
-
-
-def _registration_parse(attestation: bytes) -> "webauthn.AuthenticatorData":
-    if len(attestation) > MAX_ATTESTATION:
-        raise AssertionMalformed(f"{len(attestation)} bytes of attestation", _REGISTRATION_HINT)
-    library = _library()
-    try:
-        data: webauthn.AuthenticatorData = library.AttestationObject(attestation).auth_data
-    except _MALFORMED as error:
-        raise AssertionMalformed("an attestation of an unknown form", _REGISTRATION_HINT) from error
-    return data
 
 
 def _key(found: "webauthn.AttestedCredentialData") -> bytes:

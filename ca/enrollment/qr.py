@@ -95,7 +95,12 @@ def parse(text: str) -> Code:
     if len(data) == 1 + _DIGEST_SIZE and data[0] == _LABEL:
         return Code(data[1:])
     if len(data) > _SCREEN_MINIMUM and data[0] == _SCREEN:
-        return _screen(data)
+        digest, rest = data[1 : 1 + _DIGEST_SIZE], data[1 + _DIGEST_SIZE :]
+        encoded_address = rest[SECRET_SIZE + 4 :]
+        if not encoded_address.isascii() or len(encoded_address) > _MAX_ADDRESS:
+            raise CodeRefused("the address in the code is invalid", _HINT)
+        expires = int.from_bytes(rest[SECRET_SIZE : SECRET_SIZE + 4])
+        return Code(digest, rest[:SECRET_SIZE], expires, encoded_address.decode())
     if data and data[0] & 0x0F != _VERSION:
         raise CodeRefused("a code of another version of rossec", "update the older of the two sides")
     raise CodeRefused("the code is incomplete or damaged", _HINT)
@@ -165,15 +170,6 @@ def _printed(text: str) -> segno.QRCode:
 
 def _text(data: bytes) -> str:
     return PREFIX + encode_base45(data)
-
-
-def _screen(data: bytes) -> Code:
-    digest, rest = data[1 : 1 + _DIGEST_SIZE], data[1 + _DIGEST_SIZE :]
-    encoded_address = rest[SECRET_SIZE + 4 :]
-    if not encoded_address.isascii() or len(encoded_address) > _MAX_ADDRESS:
-        raise CodeRefused("the address in the code is invalid", _HINT)
-    expires = int.from_bytes(rest[SECRET_SIZE : SECRET_SIZE + 4])
-    return Code(digest, rest[:SECRET_SIZE], expires, encoded_address.decode())
 
 
 COLUMNS, ROWS = 3, 8

@@ -278,7 +278,14 @@ class NodeEnrollment:
         if self.state is not NodeState.PENDING:
             raise EnrollmentOver("this was confirmed already")
         if digits != pending.digits:  # not secret: they can be computed from the messages
-            self._count_bad_digits()
+            self._bad_digits += 1
+            error = DigitsRefused(
+                "these are not the digits of the offer of this node",
+                "possible attacker in between: if the authority shows these digits, do not continue",
+            )
+            if self._bad_digits >= MAX_BAD_DIGITS:
+                self.stop(error)
+            raise error
         self.state = NodeState.CONFIRMED
         return pending
 
@@ -300,16 +307,6 @@ class NodeEnrollment:
     def _check_not_over(self) -> None:
         if self.state is NodeState.OVER:
             raise EnrollmentOver(f"the enrollment is over: {self.end_reason}", _RESTART_HINT)
-
-    def _count_bad_digits(self) -> None:
-        self._bad_digits += 1
-        error = DigitsRefused(
-            "these are not the digits of the offer of this node",
-            "possible attacker in between: if the authority shows these digits, do not continue",
-        )
-        if self._bad_digits >= MAX_BAD_DIGITS:
-            self.stop(error)
-        raise error
 
     def _deliver(self, _: Fetch, __: int) -> list[bytes]:
         return [write(Delivery(self._csr))]
@@ -363,19 +360,16 @@ class NodeEnrollment:
             if offer.tag:
                 raise OfferRefused("an offer with a tag, but the code is a label")
         elif not verify_tag(self._secret, transcript_hash, offer.tag):
-            self._count_bad_tag()
+            if (
+                self.state is NodeState.SHOWING
+            ):  # a wrong tag must not disturb an offer that waits for confirmation
+                self._bad_tags += 1
+            if self._bad_tags >= MAX_BAD_TAGS:
+                error = EnrollmentLocked(f"{MAX_BAD_TAGS} offers without the code's secret", _RESTART_HINT)
+                self.stop(error)
+                raise error
+            raise OfferRefused("the sender of the offer has not read the code")
         return transcript_hash
-
-    def _count_bad_tag(self) -> None:
-        if (
-            self.state is NodeState.SHOWING
-        ):  # a wrong tag must not disturb an offer that waits for confirmation
-            self._bad_tags += 1
-        if self._bad_tags >= MAX_BAD_TAGS:
-            error = EnrollmentLocked(f"{MAX_BAD_TAGS} offers without the code's secret", _RESTART_HINT)
-            self.stop(error)
-            raise error
-        raise OfferRefused("the sender of the offer has not read the code")
 
 
 _ABORTS: Final[dict[Reason, tuple[type[EnrollmentRefused], str, str]]] = {

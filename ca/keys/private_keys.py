@@ -64,7 +64,11 @@ def write_private(path: Path, key: ec.EllipticCurvePrivateKey, passphrase: str |
     except OSError as error:
         raise KeyRefused(f"cannot create {path}: {error.strerror}") from error
     try:
-        _write_durably(descriptor, pem, path.parent)
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(pem)
+            file.flush()
+            os.fsync(file.fileno())
+        _sync_directory(path.parent)
     except OSError as error:
         path.unlink(missing_ok=True)
         raise KeyRefused(
@@ -75,7 +79,14 @@ def write_private(path: Path, key: ec.EllipticCurvePrivateKey, passphrase: str |
 def load_private(path: Path, passphrase: str | None = None) -> ec.EllipticCurvePrivateKey:
     """Return the P-256 key in the file `path`."""
     pem = _read(path)
-    _check_passphrase(path, passphrase, encrypted=_ENCRYPTED in pem)
+    encrypted = _ENCRYPTED in pem
+    if encrypted and passphrase is None:
+        raise PassphraseRefused(f"{path} is encrypted", "give its passphrase")
+    if passphrase is not None and not encrypted:
+        raise PassphraseRefused(
+            f"{path} is not encrypted although a passphrase was given",
+            "find out who replaced the file, or leave the passphrase out",
+        )
     try:
         key = load_pem_private_key(pem, None) if passphrase is None else _open(pem, passphrase)
     except (ValueError, TypeError, UnsupportedAlgorithm) as error:
@@ -112,14 +123,6 @@ def _to_pem(key: ec.EllipticCurvePrivateKey, passphrase: str | None) -> bytes:
     return b"\n".join([_ENCRYPTED, *lines, _END, b""])
 
 
-def _write_durably(descriptor: int, data: bytes, directory: Path) -> None:
-    with os.fdopen(descriptor, "wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    _sync_directory(directory)
-
-
 def _sync_directory(directory: Path) -> None:
     descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
@@ -140,32 +143,19 @@ def _read(path: Path) -> bytes:
             "a key file must be a regular file of the user rossec runs as, not a symbolic link",
         ) from error
     with os.fdopen(descriptor, "rb") as file:
-        _check_file(path, os.fstat(file.fileno()))
+        status = os.fstat(file.fileno())
+        # Check the opened file, not the path, which may have been replaced meanwhile.
+        if not stat.S_ISREG(status.st_mode):
+            raise KeyRefused(f"{path} is not a regular file", "name the file of the private key")
+        if status.st_mode & 0o077:
+            raise KeyRefused(
+                f"{path} can be read or written by others",
+                f"if nobody used that: chmod 600 {path}; otherwise make a new key",
+            )
+        ownership.check_file(path, status)
+        if status.st_size > _MAX_FILE:
+            raise KeyRefused(f"{path} is too large for a key", "name the file of the private key")
         return file.read(_MAX_FILE)
-
-
-def _check_file(path: Path, status: os.stat_result) -> None:
-    # Check the opened file, not the path, which may have been replaced meanwhile.
-    if not stat.S_ISREG(status.st_mode):
-        raise KeyRefused(f"{path} is not a regular file", "name the file of the private key")
-    if status.st_mode & 0o077:
-        raise KeyRefused(
-            f"{path} can be read or written by others",
-            f"if nobody used that: chmod 600 {path}; otherwise make a new key",
-        )
-    ownership.check_file(path, status)
-    if status.st_size > _MAX_FILE:
-        raise KeyRefused(f"{path} is too large for a key", "name the file of the private key")
-
-
-def _check_passphrase(path: Path, passphrase: str | None, *, encrypted: bool) -> None:
-    if encrypted and passphrase is None:
-        raise PassphraseRefused(f"{path} is encrypted", "give its passphrase")
-    if passphrase is not None and not encrypted:
-        raise PassphraseRefused(
-            f"{path} is not encrypted although a passphrase was given",
-            "find out who replaced the file, or leave the passphrase out",
-        )
 
 
 SCHEME: Final = "pkcs11:"

@@ -223,7 +223,7 @@ class Revocations:
             raise ClocksDisagree("the timestamp is from the future", "check both clocks")
         if self._end(timestamp) < now:
             raise ClocksDisagree("the timestamp is too old", "check both clocks")
-        if self._confirmed is None or not self._is_replay(self._confirmed, timestamp, now):
+        if self._confirmed is None or not (timestamp.issued <= self._confirmed.issued <= now + SKEW):
             self._confirmed = timestamp
 
     def expire_confirmation(self, until: int = 0) -> None:
@@ -288,11 +288,6 @@ class Revocations:
                 f"there are two different revocation lists {_text(new.number)}",
                 "the authority's database was restored or copied: begin a new epoch",
             )
-
-    @staticmethod
-    def _is_replay(confirmed: Timestamp, new: Timestamp, now: int) -> bool:
-        # Ignore an older timestamp, unless the confirmed one is now in the future.
-        return new.issued <= confirmed.issued <= now + SKEW
 
 
 def open_statement(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationList | RevocationTree:
@@ -382,7 +377,12 @@ class Standing:
         if not timestamp:
             raise RevocationsStale(f"no word of {listed.entry.label}'s master", _SILENT)
         master = _master(listed, chain, now)
-        self._check_master(held.revocations, master, now)
+        for key in master.keys:
+            for each in (self.own, held.revocations):
+                with suppress(RevocationsStale):  # the timestamp may end it
+                    each.check(key, now)
+                if not each.is_proved(key):
+                    raise RevocationsStale("no proof yet for a foreign master's key", _SILENT)
         held.revocations.confirm(open_timestamp(timestamp, master.public_key), now)
         held.masters.pop(master.thumbprint, None)
         held.masters[master.thumbprint] = master.public_key
@@ -506,14 +506,6 @@ class Standing:
             self._foreign[domain] = held
         held.revocations.fresh = listed.entry.fresh
         return held
-
-    def _check_master(self, revocations: Revocations, master: Identity, now: int) -> None:
-        for key in master.keys:
-            for each in (self.own, revocations):
-                with suppress(RevocationsStale):  # the timestamp may end it
-                    each.check(key, now)
-                if not each.is_proved(key):
-                    raise RevocationsStale("no proof yet for a foreign master's key", _SILENT)
 
 
 def _master(listed: ListedDomain, chain: Sequence[bytes], now: int) -> Identity:

@@ -475,7 +475,15 @@ class Database:
                 cannot be used now.
             PathRefused: another user owns it, or could have written it.
         """
-        _check_file(path)
+        if not path.is_file():
+            raise StoreError(f"there is no record at {path}", "restore it from a backup")
+        if path.stat().st_mode & 0o077:
+            raise StoreError(
+                f"{path} can be read or written by others",
+                f"it contains grants and identities: chmod 600 {path}",
+            )
+        with suppress(FileNotFoundError):  # SQLite reports it
+            ownership.check_trusted(path)
         database = cls(_connect(path), path)
         try:
             _check_kind(database.connection, path)
@@ -540,7 +548,15 @@ class Database:
             begin, commit, rollback = _SAVEPOINT if self.connection.in_transaction else _TRANSACTION
             self.connection.execute(begin)
             try:
-                self._check_not_replaced()
+                try:
+                    found = self._path.stat()
+                except OSError:
+                    found = None
+                if found is None or (found.st_dev, found.st_ino) != self._file:
+                    raise StoreError(
+                        f"{self._path} was replaced by another command, nothing was changed",
+                        "run the command again: it then uses the new record",
+                    )
                 yield self.connection
                 self.connection.execute(commit)
             except BaseException:
@@ -563,33 +579,11 @@ class Database:
         finally:
             self.connection.execute("ROLLBACK")
 
-    def _check_not_replaced(self) -> None:
-        try:
-            found = self._path.stat()
-        except OSError:
-            found = None
-        if found is None or (found.st_dev, found.st_ino) != self._file:
-            raise StoreError(
-                f"{self._path} was replaced by another command, nothing was changed",
-                "run the command again: it then uses the new record",
-            )
-
     def _migrate(self) -> None:
         if version(self.connection) != VERSION:
             with self.transaction() as db:
                 migrate(db)
         check(self.connection)
-
-
-def _check_file(path: Path) -> None:
-    if not path.is_file():
-        raise StoreError(f"there is no record at {path}", "restore it from a backup")
-    if path.stat().st_mode & 0o077:
-        raise StoreError(
-            f"{path} can be read or written by others", f"it contains grants and identities: chmod 600 {path}"
-        )
-    with suppress(FileNotFoundError):  # SQLite reports it
-        ownership.check_trusted(path)
 
 
 def _connect(path: Path) -> sqlite3.Connection:

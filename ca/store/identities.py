@@ -165,7 +165,12 @@ class IdentityTable:
         known = [row.thumbprint for row in self.valid(name, now)]
         if renews is not None:
             self.check_not_revoked(name, renews)
-            _check_newest(name, known, renews)
+            # Refuse older keys; an authority without a record of the name (an intermediate) cannot.
+            if known and known[-1] != renews:
+                raise RenewalRefused(
+                    f"{name} was renewed already, by another key",
+                    "there is a copy of the node: revoke the name, and enroll the node again",
+                )
         elif replace_key is None and set(known) - {thumbprint}:
             raise KeyChanged(
                 f"{name} has an identity with another key until it expires",
@@ -203,15 +208,6 @@ def _signer(row: CertificateRow, made: list[CertificateRow]) -> CertificateRow |
     if row.name.startswith(INTERMEDIATE):  # only the root signs these
         return None
     return next((issuer for issuer in made if row.is_signed_by(issuer)), None)
-
-
-def _check_newest(name: str, known: list[bytes], renews: bytes) -> None:
-    # Refuse older keys; an authority without a record of the name (an intermediate) cannot.
-    if known and known[-1] != renews:
-        raise RenewalRefused(
-            f"{name} was renewed already, by another key",
-            "there is a copy of the node: revoke the name, and enroll the node again",
-        )
 
 
 _REQUESTS_COLUMNS = (
@@ -289,7 +285,16 @@ class RequestTable:
         # `wildcard`: the identity shall cover anonymous nodes too, whatever the request says.
         with self._database.transaction():
             row = self.get(digest)
-            self._check_name(row, now, replace_key, wildcard=wildcard)
+            for other in self.open(now):
+                if other.name == row.name and other.thumbprint != row.thumbprint:
+                    raise NameContested(
+                        f"two different keys request the name {row.name}",
+                        f"compare fingerprints, then deny the other: rossec ca deny {_short(other)}",
+                    )
+            self._identities.check_names(
+                row.name, row.thumbprint, now, lambda other: covers(row.name, other, wildcard=wildcard)
+            )
+            self._identities.check_key(row.name, row.thumbprint, now, replace_key=replace_key)
             approved = row._replace(replaces=replace_key is not None, wildcard=wildcard)
             return self._advance(approved, RequestState.APPROVED, now, reason)
 
@@ -319,18 +324,6 @@ class RequestTable:
         # All but the newest of those that expired, if they did so `COLLECTED_AFTER` ago.
         newest_first = f"WHERE {_EXPIRES} < ? ORDER BY changed DESC, rowid DESC LIMIT -1 OFFSET ?"
         return self._rows(newest_first, now - COLLECTED_AFTER, KEPT_EXPIRED)
-
-    def _check_name(self, row: RequestRow, now: int, replace_key: str | None, *, wildcard: bool) -> None:
-        for other in self.open(now):
-            if other.name == row.name and other.thumbprint != row.thumbprint:
-                raise NameContested(
-                    f"two different keys request the name {row.name}",
-                    f"compare fingerprints, then deny the other: rossec ca deny {_short(other)}",
-                )
-        self._identities.check_names(
-            row.name, row.thumbprint, now, lambda other: covers(row.name, other, wildcard=wildcard)
-        )
-        self._identities.check_key(row.name, row.thumbprint, now, replace_key=replace_key)
 
     def _check_new(self, request: IdentityRequest, source: str, now: int) -> None:
         if self._identities.issued_for(request.digest) is not None:

@@ -192,23 +192,24 @@ class AuthorityLog:
     def audit(self, key: ec.EllipticCurvePublicKey, *more: bytes) -> Head:
         # `key` is the authority's; `more` are heads stored elsewhere.
         with self._database.read_transaction():  # another command may be writing
-            return self._audit(key, more)
-
-    def _audit(self, key: ec.EllipticCurvePublicKey, more: tuple[bytes, ...]) -> Head:
-        tree = check_entries(self._stored_entries())
-        entries = self.entries()
-        for what in database.LOGGED_TABLES:
-            self._check_rows(what, [entry for entry in entries if entry.what == what])
-        self._check_requests(entries)
-        replay_approvals(entries, {what: self._rows_of(what) for what in _OF_APPROVALS}, tree)
-        replay_domains(entries, {what: self._rows_of(what) for what in KINDS}, key)
-        replay_things(entries, self._rows_of(KIND), key)
-        newest = Head(0, root_of(()), 0)
-        for data in (*self.heads(), *more):
-            head = open_head(data, key)
-            check_head(tree, head)
-            newest = max(newest, head, key=lambda each: each.size)
-        return newest
+            tree = check_entries(self._stored_entries())
+            entries = self.entries()
+            for what in database.LOGGED_TABLES:
+                self._check_rows(what, [entry for entry in entries if entry.what == what])
+            states = _replay(entries)
+            rows = self._database.rows("SELECT digest, state, der FROM csr")
+            found = {bytes(digest): RequestState(state) for digest, state, _ in rows}
+            if found != states:
+                raise LogDamaged("the states of the requests differ from the log", _LOG_HINT)
+            replay_approvals(entries, {what: self._rows_of(what) for what in _OF_APPROVALS}, tree)
+            replay_domains(entries, {what: self._rows_of(what) for what in KINDS}, key)
+            replay_things(entries, self._rows_of(KIND), key)
+            newest = Head(0, root_of(()), 0)
+            for data in (*self.heads(), *more):
+                head = open_head(data, key)
+                check_head(tree, head)
+                newest = max(newest, head, key=lambda each: each.size)
+            return newest
 
     def _stored_entries(self) -> list[tuple[LogEntry, bytes]]:
         rows = self._database.rows(
@@ -228,13 +229,6 @@ class AuthorityLog:
     def _rows_of(self, what: str) -> list[Any]:
         table, columns = database.LOGGED_TABLES[what]
         return self._database.rows(f"SELECT {columns} FROM {table} ORDER BY rowid")  # noqa: S608  (constants)
-
-    def _check_requests(self, entries: list[LogEntry]) -> None:
-        states = _replay(entries)
-        rows = self._database.rows("SELECT digest, state, der FROM csr")
-        found = {bytes(digest): RequestState(state) for digest, state, _ in rows}
-        if found != states:
-            raise LogDamaged("the states of the requests differ from the log", _LOG_HINT)
 
 
 def _replay(entries: list[LogEntry]) -> dict[bytes, RequestState]:
@@ -349,7 +343,9 @@ class ApprovalTable:
             passkey = self._passkeys.get(approval.passkey)
             last = max(counter, self.counter(passkey.id))
             statement = ApprovalVerifier([passkey], [(passkey.id, last)]).verify(approval)
-            self._check_log(statement)
+            size, restored = statement.log_size, self._log.last_restore()
+            if self._log.root_at(size) != statement.log_root or size <= restored:
+                raise ApprovalOutdated("the record was restored or replaced since it was shown", _AGAIN)
             if self._rows("WHERE id = ?", approval.id):
                 raise ApprovalUsed("this was approved already", _AGAIN)
             db.execute("INSERT INTO approval VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", approval)
@@ -414,11 +410,6 @@ class ApprovalTable:
             "SELECT authenticator_data FROM approval WHERE passkey = ? ORDER BY rowid DESC LIMIT 1", passkey
         )
         return counter_of(rows[0][0]) if rows else 0
-
-    def _check_log(self, statement: Statement) -> None:
-        size, restored = statement.log_size, self._log.last_restore()
-        if self._log.root_at(size) != statement.log_root or size <= restored:
-            raise ApprovalOutdated("the record was restored or replaced since it was shown", _AGAIN)
 
     def _rows(self, clause: str, *values: object) -> list[Approval]:
         rows = self._database.rows(f"SELECT {_APPROVALS_COLUMNS} FROM approval {clause}", *values)  # noqa: S608  (constants)

@@ -97,7 +97,8 @@ class DomainTable:
             root = domain.anchor.thumbprint
             for known in self.accepted():
                 check_domains_apart(known, domain.domain, domain.label, root)
-            number = self._next_row()
+            rows = self._database.rows("SELECT coalesce(max(number), 0) + 1 FROM foreign_domain")
+            number = int(rows[0][0])
             row = DomainRow(number, domain.domain, domain.label, root, domain.terms, now)
             db.execute("INSERT INTO foreign_domain VALUES (?, ?, ?, ?, ?, ?)", row)
             append_entry(db, now, "domain", row.domain, row.label, digest_of(row))
@@ -141,10 +142,6 @@ class DomainTable:
             root,
         )
         return [ForeignCertificateRow(*row) for row in rows]
-
-    def _next_row(self) -> int:
-        rows = self._database.rows("SELECT coalesce(max(number), 0) + 1 FROM foreign_domain")
-        return int(rows[0][0])
 
     def _rows(self, clause: str, *values: object) -> list[DomainRow]:
         rows = self._database.rows(f"SELECT {_COLUMNS} FROM foreign_domain {clause}", *values)  # noqa: S608  (constants)

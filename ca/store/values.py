@@ -24,7 +24,7 @@ from typing import Final, NamedTuple, NoReturn
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca import names, svid
-from ca.encoding import Value, encode
+from ca.encoding import encode
 from ca.errors import EncodingError, LogDamaged, RequestClosed, SignatureError, StoreError
 from ca.keys.signing import Profile, Signer
 from ca.revocation import merkle
@@ -248,10 +248,6 @@ def open_head(data: bytes, key: ec.EllipticCurvePublicKey) -> Head:
         value = HEAD_PROFILE.open(data, key, limit=MAX_HEAD)
     except (SignatureError, EncodingError) as error:
         raise LogDamaged(f"this is not a signed head of the authority's log: {error}", _HINT) from error
-    return _read_head(value)
-
-
-def _read_head(value: Value) -> Head:
     match value:
         case {6: int() as issued, -70011: int() as size, -70012: bytes() as root, **rest} if (
             not rest and len(root) == HASH_SIZE and all(_in_range(n) for n in (issued, size))

@@ -401,29 +401,26 @@ def _claims(statement: ThingStatement) -> dict[int | str, Value]:
 
 def _read(body: bytes) -> ThingStatement:
     try:
-        return _statement(decode(body, limit=MAX_STATEMENT))
+        payload = decode(body, limit=MAX_STATEMENT)
+        match payload:
+            case {
+                2: str() as name,
+                3: str() as domain,
+                4: int() as exp,
+                5: int() as nbf,
+                7: bytes() as serial,
+                8: confirmation,
+                -70035: bytes() as border,
+                **rest,
+            } if rest.keys() <= {_SUBJECT}:
+                subject = rest.get(_SUBJECT, "")
+            case _:
+                raise ThingRefused("a thing's statement has missing or unknown claims", _STATEMENT_HINT)
+        if not isinstance(subject, str) or (_SUBJECT in rest and not subject):
+            raise ThingRefused("the subject of a thing's credential is empty, or not text", _STATEMENT_HINT)
+        credential = read_confirmation(confirmation, subject)
+        return ThingStatement(domain, name, credential, border, nbf, exp, serial)
     except ThingRefused:
         raise
     except CAError as error:
         raise ThingRefused(f"in the statement about a thing: {error}", error.hint) from error
-
-
-def _statement(payload: Value) -> ThingStatement:
-    match payload:
-        case {
-            2: str() as name,
-            3: str() as domain,
-            4: int() as exp,
-            5: int() as nbf,
-            7: bytes() as serial,
-            8: confirmation,
-            -70035: bytes() as border,
-            **rest,
-        } if rest.keys() <= {_SUBJECT}:
-            subject = rest.get(_SUBJECT, "")
-        case _:
-            raise ThingRefused("a thing's statement has missing or unknown claims", _STATEMENT_HINT)
-    if not isinstance(subject, str) or (_SUBJECT in rest and not subject):
-        raise ThingRefused("the subject of a thing's credential is empty, or not text", _STATEMENT_HINT)
-    credential = read_confirmation(confirmation, subject)
-    return ThingStatement(domain, name, credential, border, nbf, exp, serial)

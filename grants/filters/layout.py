@@ -224,33 +224,30 @@ class _Builder:
 
     def build(self, name: str, parents: tuple[str, ...]) -> _Built:
         if name not in self.built:
-            self.built[name] = self._build(name, parents)
+            if name not in self.sections:
+                raise DefinitionIncomplete(
+                    f"the definition of {name} is missing",
+                    "a definition has those of all types it uses, each behind a line of 80 =",
+                )
+            if name in parents or len(parents) >= MAX_DEPTH:
+                raise DefinitionRefused(f"{name} is nested in itself or deeper than {MAX_DEPTH}")
+            constants, declared = _statements(name, self.sections[name])
+            fields: list[tuple[str, Type]] = []
+            lines: list[str] = []
+            full_digest = hashlib.sha256(name.encode())
+            leaves = 0
+            for field_name, text in declared.items():
+                kind, digest, count = self._resolve(name, text, (*parents, name))
+                fields.append((field_name, kind))
+                lines.append(f"{digest} {field_name}")
+                full_digest.update(f"\n{self._full_type(kind)} {field_name}".encode())
+                leaves += count
+                if leaves > MAX_FIELDS:
+                    raise DefinitionRefused(f"{name} has more than {MAX_FIELDS} fields")
+            md5_text = "\n".join(constants + lines).strip()
+            struct = _bounded(Struct(name, tuple(fields)))
+            self.built[name] = _Built(struct, md5_text, _md5(md5_text), leaves, full_digest.digest())
         return self.built[name]
-
-    def _build(self, name: str, parents: tuple[str, ...]) -> _Built:
-        if name not in self.sections:
-            raise DefinitionIncomplete(
-                f"the definition of {name} is missing",
-                "a definition has those of all types it uses, each behind a line of 80 =",
-            )
-        if name in parents or len(parents) >= MAX_DEPTH:
-            raise DefinitionRefused(f"{name} is nested in itself or deeper than {MAX_DEPTH}")
-        constants, declared = _statements(name, self.sections[name])
-        fields: list[tuple[str, Type]] = []
-        lines: list[str] = []
-        full_digest = hashlib.sha256(name.encode())
-        leaves = 0
-        for field_name, text in declared.items():
-            kind, digest, count = self._resolve(name, text, (*parents, name))
-            fields.append((field_name, kind))
-            lines.append(f"{digest} {field_name}")
-            full_digest.update(f"\n{self._full_type(kind)} {field_name}".encode())
-            leaves += count
-            if leaves > MAX_FIELDS:
-                raise DefinitionRefused(f"{name} has more than {MAX_FIELDS} fields")
-        md5_text = "\n".join(constants + lines).strip()
-        struct = _bounded(Struct(name, tuple(fields)))
-        return _Built(struct, md5_text, _md5(md5_text), leaves, full_digest.digest())
 
     def _full_type(self, kind: Type) -> str:
         match kind:

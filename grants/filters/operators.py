@@ -245,16 +245,6 @@ def sorting(element: Type) -> Callable[[Buffer], tuple[Buffer, int]]:
     An element has at least one byte, as else nothing would say how many there are. It raises one
     of `codegen.LAYOUT_ERRORS` for bytes that are no such elements.
     """
-    split = _splitter(element)
-
-    def rewrite(content: Buffer) -> tuple[Buffer, int]:
-        found = sorted(split(bytes(content)))
-        return b"".join(found), len(found)
-
-    return rewrite
-
-
-def _splitter(element: Type) -> Callable[[bytes], list[bytes]]:
     source = SourceWriter("b")
     source.line("p=0;l=[]")
     with source.block("while p<len(b)"):
@@ -266,7 +256,13 @@ def _splitter(element: Type) -> Callable[[bytes], list[bytes]]:
         source.line("p=e")
     source.line("if p!=len(b): raise ValueError")
     source.line("return l")
-    return source.compile()
+    split = source.compile()
+
+    def rewrite(content: Buffer) -> tuple[Buffer, int]:
+        found = sorted(split(bytes(content)))
+        return b"".join(found), len(found)
+
+    return rewrite
 
 
 _EMPTY: Final = Constant(bytes(4))
@@ -362,20 +358,17 @@ def _clamp(parameters: Parameters) -> TreatmentForType:
             raise FilterRefused(f"clamp needs numbers, not {kind.name}")
         _pack(kind, low, "clamp")
         _pack(kind, high, "clamp")
-        return _clamping(low, high)
+
+        def scalar(value: float) -> float:
+            # Compared in this order NaN becomes `low`.
+            return min(value, high) if value >= low else low
+
+        def vector(values: Vector) -> Vector:
+            return np.where(values >= low, np.where(values > high, high, values), low)
+
+        return Numbers(scalar, vector)
 
     return treat
-
-
-def _clamping(low: float, high: float) -> Numbers:
-    def scalar(value: float) -> float:
-        # Compared in this order NaN becomes `low`.
-        return min(value, high) if value >= low else low
-
-    def vector(values: Vector) -> Vector:
-        return np.where(values >= low, np.where(values > high, high, values), low)
-
-    return Numbers(scalar, vector)
 
 
 def _set(parameters: Parameters) -> TreatmentForType:

@@ -119,7 +119,21 @@ def add_rules(text: str, rules: Iterable[NewRule]) -> str:
     known = _rules(data)
     for rule in rules:
         _add_types(data, rule.types)
-        _add_rule(data, known, rule)
+        if rule.id not in known:
+            entry = known[rule.id] = CommentedMap(id=rule.id, why=rule.why, who=rule.who)
+            entry[rule.effect] = CommentedMap()
+            if rule.filter is not None:
+                entry["filter"] = CommentedMap(use=rule.filter)
+            data["rules"].append(entry)
+        rights = known[rule.id][rule.effect]
+        for label, patterns in rule.rights.items():
+            present = rights.get(label, [])
+            present = present if isinstance(present, list) else [present]
+            new = [name for name in patterns if name not in present]
+            items = [*present, *new]
+            row = CommentedSeq(items)
+            row.fa.set_flow_style()
+            rights[label] = row
     out = StringIO()
     yaml.dump(data, out)
     _check(text, out.getvalue(), rules)
@@ -220,27 +234,6 @@ def _rules(data: Any) -> dict[str, Any]:
     if isinstance(data["rules"], CommentedMap):  # a single rule may be written without a dash
         data["rules"] = CommentedSeq([data["rules"]])
     return {item["id"]: item for item in data["rules"]}
-
-
-def _add_rule(data: Any, known: dict[str, Any], rule: NewRule) -> None:
-    if rule.id not in known:
-        entry = known[rule.id] = CommentedMap(id=rule.id, why=rule.why, who=rule.who)
-        entry[rule.effect] = CommentedMap()
-        if rule.filter is not None:
-            entry["filter"] = CommentedMap(use=rule.filter)
-        data["rules"].append(entry)
-    rights = known[rule.id][rule.effect]
-    for label, patterns in rule.rights.items():
-        present = rights.get(label, [])
-        present = present if isinstance(present, list) else [present]
-        new = [name for name in patterns if name not in present]
-        rights[label] = _flow([*present, *new])
-
-
-def _flow(items: Iterable[str]) -> CommentedSeq:
-    row = CommentedSeq(items)
-    row.fa.set_flow_style()
-    return row
 
 
 MAX_LINE: Final = 4096

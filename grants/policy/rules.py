@@ -120,15 +120,12 @@ class Subjects:
     def _named(self, mapping: YamlMapping | None) -> Iterator[tuple[str, Part]]:
         # The groups by name, those with a wrong name too, so that rules report no more.
         for name, (key, value) in mapping.entries.items() if mapping is not None else ():
-            self._check_name(name, key)
+            if name in self._identities:
+                self._mistakes.add(key, f"{name!r} is an identity already", "choose another name")
+            elif _NAME.fullmatch(name) is None or name == NODE[1:-1]:
+                hint = "begin with a letter, then letters, digits, - and _; not node"
+                self._mistakes.add(key, f"{name[:60]!r} cannot be the name of a group", hint)
             yield name, value
-
-    def _check_name(self, name: str, key: YamlScalar) -> None:
-        if name in self._identities:
-            self._mistakes.add(key, f"{name!r} is an identity already", "choose another name")
-        elif _NAME.fullmatch(name) is None or name == NODE[1:-1]:
-            hint = "begin with a letter, then letters, digits, - and _; not node"
-            self._mistakes.add(key, f"{name[:60]!r} cannot be the name of a group", hint)
 
     def _members_of(self, name: str, above: tuple[str, ...]) -> _Members:
         if name not in self.groups:
@@ -136,7 +133,13 @@ class Subjects:
             found: dict[SubjectPattern, None] = {}
             for item in source.items(self._parts[name]):
                 found.update(dict.fromkeys(self._item(item, (*above, name))))
-            self._check_number(name, len(found))
+            number = len(found)
+            part = self._parts[name]
+            if number > MAX_MEMBERS:
+                hint = "give the nodes a namespace of their own: /robots/*"
+                self._mistakes.add(part, f"group {name} has more than {MAX_MEMBERS} members", hint)
+            if not source.items(part):
+                self._mistakes.add(part, f"group {name} has no members", "add a name: [/robot1]")
             self.groups[name] = tuple(found)
         return self.groups[name]
 
@@ -158,14 +161,6 @@ class Subjects:
             self._within[above[-1]] |= self._within[label]
             return members
         return self._single(part, label)
-
-    def _check_number(self, name: str, number: int) -> None:
-        part = self._parts[name]
-        if number > MAX_MEMBERS:
-            hint = "give the nodes a namespace of their own: /robots/*"
-            self._mistakes.add(part, f"group {name} has more than {MAX_MEMBERS} members", hint)
-        if not source.items(part):
-            self._mistakes.add(part, f"group {name} has no members", "add a name: [/robot1]")
 
 
 _ID: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}", re.ASCII)

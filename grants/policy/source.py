@@ -381,7 +381,8 @@ class _Builder:
 
     def _part(self, event: Any) -> Part:
         if isinstance(event, ScalarEvent):
-            return _source_scalar(event)
+            value: Scalar = event.value if is_quoted(event) else _source_plain(event.value)
+            return YamlScalar(value, *position(event.start_mark))
         line, column = position(event.start_mark)
         if isinstance(event, SequenceStartEvent):
             items = []
@@ -406,11 +407,6 @@ class _Builder:
                 continue
             entries[name] = (key, value)
         return entries
-
-
-def _source_scalar(event: Any) -> YamlScalar:
-    value: Scalar = event.value if is_quoted(event) else _source_plain(event.value)
-    return YamlScalar(value, *position(event.start_mark))
 
 
 def _source_plain(text: str) -> Scalar:

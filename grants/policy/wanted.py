@@ -229,7 +229,16 @@ class WantedState:
         """
         rules, key = self._rules_of(subject)
         if key not in self._wanted:
-            self._wanted[key] = self._decide_all(rules, subject)
+            rights: dict[Atom, WantedRight] = {}
+            withheld: dict[tuple[Atom, str], Withheld] = {}
+            for rule, atom in _clauses(rules, subject):
+                verdict = self._decider.decide_by(rules, subject, *atom)
+                if verdict.effect is Effect.ALLOW:
+                    rights.setdefault(atom, WantedRight.of(verdict))
+                else:
+                    found = Withheld(*atom, verdict.effect, rule, verdict.rules[0])
+                    withheld.setdefault((atom, rule.id), found)
+            self._wanted[key] = Wanted(tuple(rights.values()), tuple(withheld.values()))
         return self._wanted[key]
 
     def decide(self, subject: Subject, atom: Atom) -> Verdict:
@@ -249,18 +258,6 @@ class WantedState:
             key = (is_alias(subject.name), subject.tail, *own, *map(id, rules))
             self._last = (subject, rules, key)
         return self._last[1:]
-
-    def _decide_all(self, rules: list[PolicyRule], subject: Subject) -> Wanted:
-        rights: dict[Atom, WantedRight] = {}
-        withheld: dict[tuple[Atom, str], Withheld] = {}
-        for rule, atom in _clauses(rules, subject):
-            verdict = self._decider.decide_by(rules, subject, *atom)
-            if verdict.effect is Effect.ALLOW:
-                rights.setdefault(atom, WantedRight.of(verdict))
-            else:
-                found = Withheld(*atom, verdict.effect, rule, verdict.rules[0])
-                withheld.setdefault((atom, rule.id), found)
-        return Wanted(tuple(rights.values()), tuple(withheld.values()))
 
 
 def rule_ids(rules: Iterable[PolicyRule]) -> str:

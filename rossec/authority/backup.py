@@ -213,7 +213,16 @@ def _put_in_place(
         policy = "of the backup" if (staging.path / policyfile.NAME).exists() else ""
         if target.exists():
             _check_replacement(AuthorityHome(target), authority, said)
-            newer = _with_what_is_known(AuthorityHome(target), newer)
+            there = AuthorityHome(target)
+            with contextlib.closing(there.store()) as store:
+                revoked = store.revoked_entries()
+                epoch, domains_epoch = store.next_number()[0], store.domains.next_number()[0]
+            newer = replace(
+                newer,
+                revoked=newer.revoked | revoked,
+                epoch=max(newer.epoch, epoch),
+                domains_epoch=max(newer.domains_epoch, domains_epoch),
+            )
             policy = _keep_what_stays(target, staging.path, policy, said)
         if said.lacks_list:
             restored_lists.require_list(authority, target.parent, now)
@@ -332,40 +341,24 @@ def _read(there: AuthorityHome) -> tuple[TrustAnchor, list[LogEntry]]:
         ) from error
 
 
-def _with_what_is_known(there: AuthorityHome, newer: NewerLists) -> NewerLists:
-    with contextlib.closing(there.store()) as store:
-        revoked = store.revoked_entries()
-        epoch, domains_epoch = store.next_number()[0], store.domains.next_number()[0]
-    return replace(
-        newer,
-        revoked=newer.revoked | revoked,
-        epoch=max(newer.epoch, epoch),
-        domains_epoch=max(newer.domains_epoch, domains_epoch),
-    )
-
-
 def _begin_anew(
     authority: SigningAuthority, entries: int, newer: NewerLists, now: int
 ) -> tuple[int, int, int]:
     # Returns how many passkeys and domains ended, and how many revocations came back.
     with authority.store.transaction():
-        phones = _end_what_was_open(authority, entries, now)
+        # Note the restore, and end what the backup does not know enough of; returns how many passkeys.
+        # Of an invitation's uses some may have been taken since, a passkey may have been removed, an approval
+        # been carried out, and a request that was approved been denied.
+        store = authority.store
+        store.log_event(RESTORED, "record", f"from {entries} entries", now)
+        store.invitations.end_all(restored_lists.RESTORED, now)
+        store.approvals.end_waiting(restored_lists.RESTORED, now)
+        for row in store.requests.open():
+            if row.state is RequestState.APPROVED:
+                at = min(now, row.expires)  # one that has expired may be open again: the clock is set
+                store.requests.deny(row.digest, at, restored_lists.RESTORED)
+        phones = store.passkeys.end_all(restored_lists.RESTORED, now)
         ended = restored_lists.end_domains(authority, newer.domains, now)
         revived = restored_lists.start_new_epoch(authority, newer, now)
     authority.store.close()
     return phones, ended, revived
-
-
-def _end_what_was_open(authority: SigningAuthority, entries: int, now: int) -> int:
-    # Note the restore, and end what the backup does not know enough of; returns how many passkeys.
-    # Of an invitation's uses some may have been taken since, a passkey may have been removed, an approval
-    # been carried out, and a request that was approved been denied.
-    store = authority.store
-    store.log_event(RESTORED, "record", f"from {entries} entries", now)
-    store.invitations.end_all(restored_lists.RESTORED, now)
-    store.approvals.end_waiting(restored_lists.RESTORED, now)
-    for row in store.requests.open():
-        if row.state is RequestState.APPROVED:
-            at = min(now, row.expires)  # one that has expired may be open again: the clock is set
-            store.requests.deny(row.digest, at, restored_lists.RESTORED)
-    return store.passkeys.end_all(restored_lists.RESTORED, now)

@@ -60,7 +60,12 @@ def join(authority: SigningAuthority, request: JoinRequest, now: int) -> JoinAns
     if invitation is None:
         return Refused(RefuseReason.REFUSED)
     try:
-        asked = _asked(authority, invitation, request)
+        found = check_request(request.csr, authority.domain, wildcard=invitation.wildcard)
+        if found.name != request.name or found.wildcard != invitation.wildcard:
+            raise RequestRefused("the request is not the one that was proved")
+        if is_reserved(found.name) or not pattern_covers(invitation.pattern, found.name):
+            raise NameRefused(f"the invitation is not for {found.name}")
+        asked = found
         with authority.store.transaction():
             return _decide(authority, invitation, asked, request.csr, now)
     except RecordUnusable:
@@ -117,15 +122,6 @@ def _proved(store: Store, request: JoinClaim | JoinRequest) -> InvitationRow | N
         request.verify(found.key)
     except (InvitationRefused, JoinRefused):
         return None
-    return found
-
-
-def _asked(authority: SigningAuthority, invitation: InvitationRow, request: JoinRequest) -> IdentityRequest:
-    found = check_request(request.csr, authority.domain, wildcard=invitation.wildcard)
-    if found.name != request.name or found.wildcard != invitation.wildcard:
-        raise RequestRefused("the request is not the one that was proved")
-    if is_reserved(found.name) or not pattern_covers(invitation.pattern, found.name):
-        raise NameRefused(f"the invitation is not for {found.name}")
     return found
 
 

@@ -273,7 +273,15 @@ def make_plan(store: Store, policy: PolicyFile, options: PlanOptions, moment: Mo
     """
     state = WantedState(policy.decider)
     with store.database.read_transaction():
-        recorded = _recorded(store, options.names, moment.now)
+        names = options.names
+        revoked, rules = store.revoked_entries(), store.policy_grants(names)
+        found: dict[_Holder, list[RecordedGrant]] = {}
+        for row in store.unrevoked_grants(names):
+            grant = document.peek(row.data)
+            if moment.now < grant.cap and grant.holder not in revoked:
+                of = found.setdefault((grant.subject, grant.holder), [])
+                of.append(RecordedGrant(grant, rules.get(row.id, "")))
+        recorded = found
         getting = _subjects(store, options.names, moment.now)
         nodes = tuple(
             difference(
@@ -299,17 +307,6 @@ def _subjects(store: Store, names: Collection[str] | None, now: int) -> dict[_Ho
     foreign = domain_operations.subjects(store, now)
     admitted = [each for each in foreign if names is None or each.name in names]
     return {(each.name, each.key): each for each in (*own, *admitted)}
-
-
-def _recorded(store: Store, names: Collection[str] | None, now: int) -> dict[_Holder, list[RecordedGrant]]:
-    revoked, rules = store.revoked_entries(), store.policy_grants(names)
-    found: dict[_Holder, list[RecordedGrant]] = {}
-    for row in store.unrevoked_grants(names):
-        grant = document.peek(row.data)
-        if now < grant.cap and grant.holder not in revoked:
-            of = found.setdefault((grant.subject, grant.holder), [])
-            of.append(RecordedGrant(grant, rules.get(row.id, "")))
-    return found
 
 
 def _pruned(nodes: tuple[NodeDifference, ...]) -> Iterator[tuple[Grant, tuple[Permission, ...]]]:

@@ -69,23 +69,20 @@ def renew_recorded(authority: SigningAuthority, data: bytes, now: int) -> bytes:
     with authority.store.transaction():
         check = _check_in_record(authority)
         renewal = open_renewal(data, authority.authority.anchor, now, check)
-        _check_recorded(authority.store, renewal.identity)
+        identity = renewal.identity
+        rows = authority.store.identities.by_name(identity.name)
+        if not rows:
+            raise RenewalRefused(
+                f"{identity.name} is not in the authority's record",
+                "was it enrolled by an intermediate? where the authority is: rossec ca import NODE.pem",
+            )
+        newest = rows[-1]
+        if (newest.thumbprint, newest.wildcard) != (identity.thumbprint, identity.wildcard):
+            raise RenewalRefused(
+                f"{identity.name} has a newer identity, with another key or for other names",
+                f"see, where the authority is: rossec ca show {identity.name}",
+            )
         return _renew(authority, data, now, check, MAX_LIFETIME)
-
-
-def _check_recorded(store: Store, identity: Identity) -> None:
-    rows = store.identities.by_name(identity.name)
-    if not rows:
-        raise RenewalRefused(
-            f"{identity.name} is not in the authority's record",
-            "was it enrolled by an intermediate? where the authority is: rossec ca import NODE.pem",
-        )
-    newest = rows[-1]
-    if (newest.thumbprint, newest.wildcard) != (identity.thumbprint, identity.wildcard):
-        raise RenewalRefused(
-            f"{identity.name} has a newer identity, with another key or for other names",
-            f"see, where the authority is: rossec ca show {identity.name}",
-        )
 
 
 def _renew(

@@ -73,7 +73,24 @@ class Server:
         self, own: StaticKey, served: Served, events: Events, host: str = "::", port: int = PORT
     ) -> None:
         self._loop = asyncio.get_running_loop()
-        self._socket = _bind(host, port)
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        sock = socket.socket(family, socket.SOCK_DGRAM)
+        try:
+            if family == socket.AF_INET6:
+                sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, host != "::")
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+            with contextlib.suppress(PermissionError):
+                sock.setsockopt(socket.SOL_SOCKET, _RCVBUFFORCE, _BUFFER)
+            sock.setblocking(False)
+            sock.bind((host, port))
+        except OSError as error:
+            sock.close()
+            taken = error.errno == errno.EADDRINUSE
+            raise ConfigurationError(
+                f"cannot listen at {host} port {port} (UDP): {error.strerror}",
+                "another border router runs there" if taken else "see --listen",
+            ) from error
+        self._socket = sock
         dice = secrets.SystemRandom().random
         self.endpoint: Final = Endpoint(own, served, events, self._send, secrets.token_bytes, dice)
         self._timer: asyncio.TimerHandle | None = None
@@ -158,27 +175,6 @@ class Server:
         self._timer = None
         self.endpoint.run_timers(self._loop.time())
         self._arm()
-
-
-def _bind(host: str, port: int) -> socket.socket:
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    sock = socket.socket(family, socket.SOCK_DGRAM)
-    try:
-        if family == socket.AF_INET6:
-            sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, host != "::")
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
-        with contextlib.suppress(PermissionError):
-            sock.setsockopt(socket.SOL_SOCKET, _RCVBUFFORCE, _BUFFER)
-        sock.setblocking(False)
-        sock.bind((host, port))
-    except OSError as error:
-        sock.close()
-        taken = error.errno == errno.EADDRINUSE
-        raise ConfigurationError(
-            f"cannot listen at {host} port {port} (UDP): {error.strerror}",
-            "another border router runs there" if taken else "see --listen",
-        ) from error
-    return sock
 
 
 SILENT: Final = 90_000.0  # seconds until a thing that sends nothing is gone (RFC 9176: 25 hours)

@@ -230,7 +230,22 @@ class ThingBridge:
         self.resources = tuple(resources)
         for resource in resources:
             if resource not in self._offered and not self.node.closed:
-                await self._offer(resource)
+                try:
+                    match resource.kind:
+                        case kind if kind == PUBLISHER:
+                            self._offered[resource] = await self.node.publish(resource.name, resource.type)
+                        case kind if kind == SUBSCRIBER:
+                            subscriber = await self.node.subscribe(resource.name, resource.type)
+                            self._offered[resource] = subscriber
+                            self._tasks.spawn(self._write(resource, subscriber), f"{resource.name}: PUT")
+                        case kind if kind == SERVICE:
+                            offered = service_type(resource.type)
+                            await self.node.services.provide(
+                                resource.name, offered, partial(self._call, resource, offered)
+                            )
+                            self._offered[resource] = None
+                except (HintedError, OSError, TimeoutError, Fault) as error:
+                    _log.warning("%s: %s is not offered: %s", self.node.name, resource.name, error)
         self.observe()
 
     def observe(self) -> None:
@@ -266,24 +281,6 @@ class ThingBridge:
             await self.node.close(reason)
 
     # --- what is offered
-
-    async def _offer(self, resource: Resource) -> None:
-        try:
-            match resource.kind:
-                case kind if kind == PUBLISHER:
-                    self._offered[resource] = await self.node.publish(resource.name, resource.type)
-                case kind if kind == SUBSCRIBER:
-                    subscriber = await self.node.subscribe(resource.name, resource.type)
-                    self._offered[resource] = subscriber
-                    self._tasks.spawn(self._write(resource, subscriber), f"{resource.name}: PUT")
-                case kind if kind == SERVICE:
-                    offered = service_type(resource.type)
-                    await self.node.services.provide(
-                        resource.name, offered, partial(self._call, resource, offered)
-                    )
-                    self._offered[resource] = None
-        except (HintedError, OSError, TimeoutError, Fault) as error:
-            _log.warning("%s: %s is not offered: %s", self.node.name, resource.name, error)
 
     async def _withdraw(self, resource: Resource) -> None:
         self._cancel(resource)

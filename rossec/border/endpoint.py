@@ -416,7 +416,10 @@ class Endpoint:
     def _take_handshake(self, message: Message, address: Address, now: float) -> None:
         payload = bytes(message.payload)
         if payload[:1] != _MESSAGE_1:
-            own_id, message_3 = _split_message_3(payload)
+            head = bytes((0x40 | ID_SIZE,))
+            if payload[:1] != head or len(payload) <= 1 + ID_SIZE:
+                raise ThingUnauthenticated("a message_3 without a connection identifier")
+            own_id, message_3 = payload[1 : 1 + ID_SIZE], payload[1 + ID_SIZE :]
             found = self._finish(own_id, message_3, address, now)
             self._answer(message, Message(code=codes.CHANGED, payload=found.message_4), address)
             return
@@ -572,13 +575,6 @@ class Endpoint:
 
     def _count(self, **octets: int) -> None:
         self.counts.octets.update(octets)
-
-
-def _split_message_3(payload: bytes) -> tuple[bytes, bytes]:
-    head = bytes((0x40 | ID_SIZE,))
-    if payload[:1] != head or len(payload) <= 1 + ID_SIZE:
-        raise ThingUnauthenticated("a message_3 without a connection identifier")
-    return payload[1 : 1 + ID_SIZE], payload[1 + ID_SIZE :]
 
 
 def _split_combined(payload: bytes) -> tuple[bytes, bytes]:

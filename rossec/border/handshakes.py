@@ -99,7 +99,13 @@ class Handshakes:
     def begin(self, message_1: bytes, source: Hashable, now: float) -> bytes:
         if len(message_1) > MAX_MESSAGE_1:
             raise ThingUnauthenticated(f"a message_1 of {len(message_1)} octets")
-        _check_point(message_1)
+        # Check G_X, after METHOD and SUITES_I (RFC 9528 section 5.2.1); the rest is for lakers.
+        head = _BEFORE_POINT.match(message_1)
+        x = message_1[head.end() : head.end() + _POINT] if head else b""
+        try:
+            ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), b"\x02" + x)
+        except ValueError:
+            raise ThingUnauthenticated("no key that is on the curve") from None
         responder = lakers.EdhocResponder(r=self._own.private, cred_r=self._own.credential.ccs)
         peer_id, extensions = _guarded(responder.process_message_1, message_1)
         _check_extensions(extensions)
@@ -179,16 +185,6 @@ def _kid(id_cred: bytes) -> bytes:
 def _check_extensions(extensions: Any) -> None:
     if any(each.is_critical() for each in extensions or ()):
         raise ThingUnauthenticated("a critical extension that is not known")
-
-
-def _check_point(message_1: bytes) -> None:
-    # Check G_X, after METHOD and SUITES_I (RFC 9528 section 5.2.1); the rest is for lakers.
-    head = _BEFORE_POINT.match(message_1)
-    x = message_1[head.end() : head.end() + _POINT] if head else b""
-    try:
-        ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), b"\x02" + x)
-    except ValueError:
-        raise ThingUnauthenticated("no key that is on the curve") from None
 
 
 def _guarded(function: Callable[..., Any], *arguments: object) -> Any:

@@ -40,7 +40,6 @@ from rossec.channel.negotiation import (
     GrantsPresented,
     IdentityRenewed,
     Negotiation,
-    NegotiationStep,
     Preamble,
     RenewalRefused,
     Renewals,
@@ -265,18 +264,15 @@ class Outbound(Generic[PeerT]):
         if deadline is None or now < deadline:
             return
         try:
-            self._handle_timeout(now, reading=reading)
+            if self.state is not ConnectionState.OPEN or self._session is None or self._peer is None:
+                raise HandshakeTimeout("the peer did not finish the handshake in time", HINT_SILENT)
+            if now >= self._peer.not_after:
+                raise IdentityExpired("the peer's certificate has expired", "renew it")
+            self._session.check_progress(now, reading=reading)
+            self._out.append(self._session.renew(now))
         except ChannelError:
             self._terminate()
             raise
-
-    def _handle_timeout(self, now: int, *, reading: bool) -> None:
-        if self.state is not ConnectionState.OPEN or self._session is None or self._peer is None:
-            raise HandshakeTimeout("the peer did not finish the handshake in time", HINT_SILENT)
-        if now >= self._peer.not_after:
-            raise IdentityExpired("the peer's certificate has expired", "renew it")
-        self._session.check_progress(now, reading=reading)
-        self._out.append(self._session.renew(now))
 
     def _terminate(self) -> None:
         # End; an error, which others may keep, must not keep what was received alive.
@@ -409,7 +405,12 @@ class Connection(Outbound[PeerT]):
         try:
             self._process_frames()
         except ChannelError as error:
-            self._last_flight(_UNKNOWN if isinstance(error, PeerCredentialUnknown) else _REFUSED)
+            refusal = _UNKNOWN if isinstance(error, PeerCredentialUnknown) else _REFUSED
+            # End; send an error to a peer not authenticated yet, unless it sent one first.
+            answer = self.state in UNAUTHENTICATED and not self._negotiation.peer_sent_error
+            out = self._out if self.state in UNAUTHENTICATED | PREAMBLE else []
+            self._terminate()
+            self._out = [*out, refusal] if answer else out
             raise
         except BaseException:
             self._terminate()  # a bug ends the connection as well
@@ -437,7 +438,12 @@ class Connection(Outbound[PeerT]):
 
     def _process_frames(self) -> None:
         if self.state in PREAMBLE:
-            self._feed_preamble()
+            try:
+                self.state = self._preamble.feed(self._buffer, self.state)
+            finally:
+                self._out.append(self._preamble.take())
+            if self.state is ConnectionState.DRAINING:
+                self._buffer.enlarge(SMALL)
         buffer = self._buffer
         while self.state in FRAMED:
             view = buffer.unread()
@@ -462,14 +468,6 @@ class Connection(Outbound[PeerT]):
             size = HEADER + length
             self._buffer.expect(size, _OPEN_BUFFER if size < _OPEN_BUFFER else _FULL_BUFFER)
 
-    def _feed_preamble(self) -> None:
-        try:
-            self.state = self._preamble.feed(self._buffer, self.state)
-        finally:
-            self._out.append(self._preamble.take())
-        if self.state is ConnectionState.DRAINING:
-            self._buffer.enlarge(SMALL)
-
     def _parse_header(self, head: bytes) -> tuple[Row, int]:
         row = _ROWS[self.state].get(head[0] >> 4)
         if row is None or (head[0] >> 4 in _RENEWING and self._renewals is None):
@@ -483,29 +481,27 @@ class Connection(Outbound[PeerT]):
     def _handle_frame(self, row: Row, head: bytes, body: memoryview) -> None:
         name, following = row
         if self.state in HANDSHAKING:
-            state = self._apply_step(getattr(self._negotiation, name)(bytes(body), self._now))
+            step = getattr(self._negotiation, name)(bytes(body), self._now)
+            if step.peer is not None:
+                self._peer = step.peer
+                self._buffer.enlarge()
+                self._session = self._negotiation.session(self._limits, self._now)
+                self._events.append(Authenticated(step.peer))
+            elif step.state is ConnectionState.WAIT_3:
+                self._buffer.enlarge(SMALL)
+            if step.reply:
+                self._out.append(step.reply)
+            if step.state is ConnectionState.OPEN:
+                self._renewals = self._negotiation.renewals(self._now)
+                self._negotiation.forget()
+                self.state = step.state
+                self.present_identity(self._own_chain)
+            state = step.state
         else:
             state = getattr(self, name)(head, body)
         if state not in following:
             raise RuntimeError(f"{name} led to state {state}, which the state table does not allow")
         self.state = state
-
-    def _apply_step(self, step: NegotiationStep[PeerT]) -> ConnectionState:
-        if step.peer is not None:
-            self._peer = step.peer
-            self._buffer.enlarge()
-            self._session = self._negotiation.session(self._limits, self._now)
-            self._events.append(Authenticated(step.peer))
-        elif step.state is ConnectionState.WAIT_3:
-            self._buffer.enlarge(SMALL)
-        if step.reply:
-            self._out.append(step.reply)
-        if step.state is ConnectionState.OPEN:
-            self._renewals = self._negotiation.renewals(self._now)
-            self._negotiation.forget()
-            self.state = step.state
-            self.present_identity(self._own_chain)
-        return step.state
 
     # -- records: the rows of the table for an open connection
 
@@ -556,13 +552,6 @@ class Connection(Outbound[PeerT]):
         self._session = None
         self._events.append(Closed())
         return ConnectionState.CLOSED
-
-    def _last_flight(self, refusal: bytes) -> None:
-        # End; send an error to a peer not authenticated yet, unless it sent one first.
-        answer = self.state in UNAUTHENTICATED and not self._negotiation.peer_sent_error
-        out = self._out if self.state in UNAUTHENTICATED | PREAMBLE else []
-        self._terminate()
-        self._out = [*out, refusal] if answer else out
 
 
 _ROWS: Final = {

@@ -82,10 +82,6 @@ def classify_caller(data: bytes) -> Verdict:
         return None
     if data[:4] in _METHODS:
         return _classify_http(data)
-    return _classify_tcpros(data)
-
-
-def _classify_tcpros(data: bytes) -> Verdict:
     length = int.from_bytes(data[:4], "little")
     if length == len(_FIELD):
         if len(data) < len(_TCPROS):
@@ -167,32 +163,24 @@ def classify_answer(data: bytes, protocol: WireProtocol) -> int | None:
     if len(data) < 4:
         return None
     if data[:4] == b"HTTP":
-        return _classify_http_answer(data, protocol)
+        end = data.find(b"\r\n\r\n", 0, MAX_OPENING)
+        if end < 0 and len(data) < MAX_OPENING:
+            return None
+        if protocol is WireProtocol.HTTP and data[: len(_SWITCH)] == _SWITCH:
+            return len(_SWITCH)
+        status = printable(data.split(b"\r\n", 1)[0].decode("latin-1"))
+        raise PlainPeer(f"the peer is a plain HTTP server and says: {status}", _HINT_PLAIN)
     if data[2:4] == b"\0\0":
-        return _plain_tcpros_answer(data)
+        length = 4 + int.from_bytes(data[:4], "little")
+        wanted = min(length, MAX_OPENING)
+        if len(data) < wanted:
+            return None
+        text = _error_field(data[4:wanted])
+        said = "answers without an error" if text is None else f"says: {text}"
+        raise PlainPeer(f"the peer is a plain ROS node and {said}", _HINT_PLAIN)
     if protocol is WireProtocol.HTTP:
         raise PlainPeer("the peer does not answer in HTTP", _HINT_PLAIN)
     return 0
-
-
-def _classify_http_answer(data: bytes, protocol: WireProtocol) -> int | None:
-    end = data.find(b"\r\n\r\n", 0, MAX_OPENING)
-    if end < 0 and len(data) < MAX_OPENING:
-        return None
-    if protocol is WireProtocol.HTTP and data[: len(_SWITCH)] == _SWITCH:
-        return len(_SWITCH)
-    status = printable(data.split(b"\r\n", 1)[0].decode("latin-1"))
-    raise PlainPeer(f"the peer is a plain HTTP server and says: {status}", _HINT_PLAIN)
-
-
-def _plain_tcpros_answer(data: bytes) -> int | None:
-    length = 4 + int.from_bytes(data[:4], "little")
-    wanted = min(length, MAX_OPENING)
-    if len(data) < wanted:
-        return None
-    text = _error_field(data[4:wanted])
-    said = "answers without an error" if text is None else f"says: {text}"
-    raise PlainPeer(f"the peer is a plain ROS node and {said}", _HINT_PLAIN)
 
 
 def _error_field(body: bytes) -> str | None:

@@ -88,15 +88,11 @@ def show_console_demo(called: click.Context, options: Options) -> None:
     check_libraries()
     if options != Options(port=options.port):
         raise ConfigurationError("--demo is for localhost", "leave the other options, but --port")
-    _check_port(options)
+    for sock in listen(read_options(options, "localhost")):
+        sock.close()
     run = partial(context.run, called.find_root().command)
     with tempfile.TemporaryDirectory(prefix="rossec-demo-") as directory:
         asyncio.run(_play(Path(directory), run, options.port or PORT))
-
-
-def _check_port(options: Options) -> None:
-    for sock in listen(read_options(options, "localhost")):
-        sock.close()
 
 
 async def _play(directory: Path, run: Run, port: int) -> None:

@@ -106,7 +106,8 @@ def read_options(options: Options, hostname: str) -> Endpoint:
     if not 0 < port < 1 << 16:
         raise ConfigurationError(f"{port} is not a port", "give one from 1 to 65535")
     if not options.lan and options.tls_certificate is None:
-        return _on_this_host(options, port)
+        host = _with_port(LOCALHOST, "http", port)
+        return Endpoint(f"http://{host}", LOCALHOST, _LOOPBACK, port, read_only=options.read_only)
     name = check_name(_default_name(hostname) if options.name is None else options.name)
     if name == LOCALHOST:
         raise ConfigurationError(
@@ -200,11 +201,6 @@ def _check_pairs(options: Options) -> None:
     for conflict, message, hint in conflicts:
         if conflict:
             raise ConfigurationError(message, hint)
-
-
-def _on_this_host(options: Options, port: int) -> Endpoint:
-    host = _with_port(LOCALHOST, "http", port)
-    return Endpoint(f"http://{host}", LOCALHOST, _LOOPBACK, port, read_only=options.read_only)
 
 
 def _behind_proxy(options: Options, path: Path) -> Endpoint:

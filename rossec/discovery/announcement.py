@@ -316,7 +316,25 @@ class Candidates:
             AnnouncementRefused: counted in `refused` by its message.
         """
         try:
-            return self._heard(data, source, now, clock)
+            claim = read_claim(data, now)
+            if self._is_repeated(claim.announcement, source):
+                return None
+            identity = self._identity(claim, source, now, clock)
+            announcement = claim.verify(identity)
+            self._budget.note_verified(source)
+            self._seen[announcement.instance, announcement.seq, source.link] = None
+            if len(self._seen) > _SEEN:
+                self._seen.popitem(last=False)
+            key = identity.thumbprint
+            # Sequence numbers only rise, and a new instance is later than the previous one.
+            newest = self._newest.get(key)
+            if newest is not None:
+                same = newest.instance == announcement.instance
+                older = announcement.seq < newest.seq if same else announcement.issued < newest.issued
+                if older:
+                    raise AnnouncementRefused("an announcement older than one received before")
+            self._newest[key] = announcement
+            return self._take(identity, source, announcement, now, clock)
         except AnnouncementRefused as error:
             why = str(error)
             full = len(self.refused) >= _MAX_REASONS  # reasons quote untrusted certificates
@@ -333,17 +351,6 @@ class Candidates:
 
     def best(self, now: int, clock: float) -> Candidate | None:
         return next((one for one in self.ranked(now, clock) if one.rtt is not None), None)
-
-    def _heard(self, data: bytes, source: DatagramSource, now: int, clock: float) -> Candidate | None:
-        claim = read_claim(data, now)
-        if self._is_repeated(claim.announcement, source):
-            return None
-        identity = self._identity(claim, source, now, clock)
-        announcement = claim.verify(identity)
-        self._budget.note_verified(source)
-        self._remember(announcement, source)
-        self._check_newer(identity.thumbprint, announcement)
-        return self._take(identity, source, announcement, now, clock)
 
     def _identity(self, claim: Claim, source: DatagramSource, now: int, clock: float) -> Identity:
         identity, until = self._chains.get(claim.chain, (None, 0.0))
@@ -376,18 +383,3 @@ class Candidates:
 
     def _is_repeated(self, announcement: Announcement, source: DatagramSource) -> bool:
         return (announcement.instance, announcement.seq, source.link) in self._seen
-
-    def _remember(self, announcement: Announcement, source: DatagramSource) -> None:
-        self._seen[announcement.instance, announcement.seq, source.link] = None
-        if len(self._seen) > _SEEN:
-            self._seen.popitem(last=False)
-
-    def _check_newer(self, key: bytes, announcement: Announcement) -> None:
-        # Sequence numbers only rise, and a new instance is later than the previous one.
-        newest = self._newest.get(key)
-        if newest is not None:
-            same = newest.instance == announcement.instance
-            older = announcement.seq < newest.seq if same else announcement.issued < newest.issued
-            if older:
-                raise AnnouncementRefused("an announcement older than one received before")
-        self._newest[key] = announcement

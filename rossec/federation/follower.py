@@ -255,7 +255,11 @@ class FollowedSite:
                 _log.exception("following site %s failed", self.settings.label)
                 self._report(Event.FAILED, error)
             if self.state.phase not in (Phase.FOLLOWING, Phase.LISTENING):
-                await self._pause()
+                self._woken.clear()
+                with contextlib.suppress(TimeoutError):
+                    longest = LONGEST_PAUSE if self._foreign is None else LONGEST_FOREIGN
+                    async with asyncio.timeout(self.state.pause(self._rand(), longest)):
+                        await self._woken.wait()
 
     def tick(self) -> None:
         if self.state.has_expired(time.monotonic()):
@@ -297,7 +301,12 @@ class FollowedSite:
             self._take(Event.CONNECTED)
             self._cursor.reconnected()
             if not was_followed:
-                await self._greet(client, peer)
+                if self._foreign is not None:
+                    await self._foreign.greet(client, peer)
+                else:
+                    if self.settings.parameters:
+                        await exchange.present_own(client, self._own)
+                    await exchange.settle(client, self._own, peer)
             try:
                 await self._poll(client, peer)
             except GraphHidden as error:
@@ -321,7 +330,10 @@ class FollowedSite:
             await self._take_over(change)
             self._own.state.imports.settle(self.settings.label, demand)
             await self._exchange(client, peer, change)
-            await self._mirror(client)
+            try:
+                await self._mirroring.keep(client)
+            except (AnswerRefused, ImportRefused) as error:
+                self.error, self.hint = printable(str(error)), printable(error.hint)
 
     async def _pace(self) -> None:
         await asyncio.sleep(self._asked_at + PACE - time.monotonic())
@@ -347,20 +359,6 @@ class FollowedSite:
                 for each in others:
                     each.cancel()
         return True
-
-    async def _mirror(self, client: RpcClient) -> None:
-        try:
-            await self._mirroring.keep(client)
-        except (AnswerRefused, ImportRefused) as error:
-            self.error, self.hint = printable(str(error)), printable(error.hint)
-
-    async def _greet(self, client: RpcClient, peer: Identity) -> None:
-        if self._foreign is not None:
-            await self._foreign.greet(client, peer)
-        else:
-            if self.settings.parameters:
-                await exchange.present_own(client, self._own)
-            await exchange.settle(client, self._own, peer)
 
     async def _exchange(self, client: RpcClient, peer: Identity, change: SiteChange) -> None:
         if self._foreign is not None:
@@ -448,10 +446,3 @@ class FollowedSite:
         for event in events:
             self._own.effects.deliver(event)
         self._own.state.notify()
-
-    async def _pause(self) -> None:
-        self._woken.clear()
-        with contextlib.suppress(TimeoutError):
-            longest = LONGEST_PAUSE if self._foreign is None else LONGEST_FOREIGN
-            async with asyncio.timeout(self.state.pause(self._rand(), longest)):
-                await self._woken.wait()

@@ -199,26 +199,23 @@ class Mesh:
     def _add(self, found: dict[str, SiteSettings], each: SiteSettings) -> None:
         where = f"site {each.label}"
         try:
-            self._check_label(each)
+            anchors = self._own.state.trust.domains.anchors
+            if each.domain and anchors.listed(each.domain) is None:
+                raise ConfigurationError(
+                    f"{each.domain} is not a domain that is trusted here", "rossec domain list"
+                )
+            if not each.domain and anchors.listed(each.label) is not None:
+                raise ConfigurationError(
+                    f"{each.label} is the label of a foreign domain",
+                    f"follow it with --domain {each.label}, or choose another label",
+                )
+            if not each.domain and each.master == self._own.name:
+                raise ConfigurationError(f"{each.master} is this master itself", "follow another one")
             checked_sites([*found.values(), each])
         except ConfigurationError as error:
             self._warned[where] = _text(error)
             return
         found[each.label] = each
-
-    def _check_label(self, each: SiteSettings) -> None:
-        anchors = self._own.state.trust.domains.anchors
-        if each.domain and anchors.listed(each.domain) is None:
-            raise ConfigurationError(
-                f"{each.domain} is not a domain that is trusted here", "rossec domain list"
-            )
-        if not each.domain and anchors.listed(each.label) is not None:
-            raise ConfigurationError(
-                f"{each.label} is the label of a foreign domain",
-                f"follow it with --domain {each.label}, or choose another label",
-            )
-        if not each.domain and each.master == self._own.name:
-            raise ConfigurationError(f"{each.master} is this master itself", "follow another one")
 
     def _own_labels(self) -> list[str]:
         found = [follower.settings for follower, _ in self._followers.values()]

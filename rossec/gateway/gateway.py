@@ -148,7 +148,8 @@ class ServedTopic:
         elif action is Action.LEAVE:
             await self._leave()
         else:
-            self._release(publisher, now)
+            for source, thinning in self._thinned.items():
+                self._forward(publisher, source, thinning.release(now))
             await self._wait(now)
 
     async def _wait(self, now: float) -> None:
@@ -172,10 +173,6 @@ class ServedTopic:
         subscription, self._subscription = self._subscription, None
         if subscription is not None:
             await subscription.close()
-
-    def _release(self, publisher: RawPublisher, now: float) -> None:
-        for source, thinning in self._thinned.items():
-            self._forward(publisher, source, thinning.release(now))
 
     def _forward(self, publisher: RawPublisher, source: RawSource, message: bytes | None) -> None:
         if message is None or self._stopped:
@@ -314,7 +311,12 @@ class Gateway:
     async def _look(self, now: float) -> None:
         for alias, each in tuple(self._running.items()):
             if each.task.done():
-                self._forget(alias, each, now)
+                del self._running[alias]
+                self._again.pop(alias, None)
+                crashed = each.task.cancelled() or each.task.exception() is not None
+                if crashed or not each.task.result():
+                    why = each.topic.problem or "an error, which the log names"
+                    self._again[alias] = now + PAUSE, why
         self._again = {alias: each for alias, each in self._again.items() if now < each[0]}
         self._answered_at, self._observed = self._latest
         await self._judge()
@@ -396,14 +398,6 @@ class Gateway:
         task.add_done_callback(lambda _: self._changed.set())
         self._running[candidate.alias] = _Running(topic, task)
 
-    def _forget(self, alias: str, ended: _Running, now: float) -> None:
-        del self._running[alias]
-        self._again.pop(alias, None)
-        crashed = ended.task.cancelled() or ended.task.exception() is not None
-        if crashed or not ended.task.result():
-            why = ended.topic.problem or "an error, which the log names"
-            self._again[alias] = now + PAUSE, why
-
     async def _restore_lost(self, now: float) -> None:
         served = [each.topic for each in self._running.values()]
         lost = [
@@ -455,21 +449,19 @@ class Gateway:
             while True:
                 answer = await client.ask(WATCH_GRAPH, node.name, *self._view.next_params)
                 if not self._view.take(answer).more:
-                    await self._take_view(monotonic())
+                    now = monotonic()
+                    steps = observing(self._view.facts, self.rules)
+                    try:
+                        while True:
+                            next(steps)
+                            await asyncio.sleep(0)
+                    except StopIteration as end:
+                        self.problem, self._latest = "", (now, end.value)
+                    self._changed.set()
                     retry.succeeded()
                     await asyncio.sleep(PERIOD)  # each answer costs the master a look at every name
         finally:
             await client.close()
-
-    async def _take_view(self, now: float) -> None:
-        steps = observing(self._view.facts, self.rules)
-        try:
-            while True:
-                next(steps)
-                await asyncio.sleep(0)
-        except StopIteration as end:
-            self.problem, self._latest = "", (now, end.value)
-        self._changed.set()
 
 
 async def _serve(topic: ServedTopic) -> bool:

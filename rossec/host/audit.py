@@ -209,7 +209,9 @@ class AuditFile(logging.Handler):
             entry["cut_short"] = self._torn
         try:
             self._reopen_if_moved()
-            self._write_mark(round(now, 3))
+            at = round(now, 3)
+            if self._signer is not None and os.fstat(self._file).st_size == 0:
+                self._append(with_hash(mark(self._signer, self._last, at), self._last))
             self._append(with_hash({**entry, "before": self._last}, self._last))
             self._torn, self._failing = 0, False
         except (OSError, PathRefused) as error:
@@ -235,10 +237,6 @@ class AuditFile(logging.Handler):
             os.close(self._file)
             self._file = -1
         super().close()
-
-    def _write_mark(self, at: float) -> None:
-        if self._signer is not None and os.fstat(self._file).st_size == 0:
-            self._append(with_hash(mark(self._signer, self._last, at), self._last))
 
     def _append(self, entry: Entry) -> None:
         line = f"{encode(entry)}\n".encode()

@@ -186,7 +186,8 @@ class Connections:
 
     def _fields(self, protocol: Any, sock: RosSocket) -> dict[str, str | bytes]:
         if sock.is_plain:
-            self._check_plain(protocol.resolved_name, sock)
+            if not self._process.allows_plain(protocol.resolved_name, sock.getpeername()[0]):
+                raise PlainPeer("the peer is a plain ROS node", _HINT_PLAIN)
             return dict(protocol.get_header_fields())
         self._local_identity.access.check_peer(sock.peer, now())
         name = _granted_name(protocol, sock.peer, protocol.resolved_name)
@@ -199,10 +200,6 @@ class Connections:
         }
         caller = self._local_identity.name_for(sock.peer)
         return {**stock, **named, "callerid": caller, FIELD: proof, **sock.wishes.fields}
-
-    def _check_plain(self, name: str, sock: RosSocket) -> None:
-        if not self._process.allows_plain(name, sock.getpeername()[0]):
-            raise PlainPeer("the peer is a plain ROS node", _HINT_PLAIN)
 
     def read_header(self, transport: Any) -> None:
         sock, protocol = transport.socket, transport.protocol
@@ -432,7 +429,15 @@ class SubscriptionLoop:
         pause = _FIRST_PAUSE
         while not conn.done and not rospy.is_shutdown():
             before = conn.stat_num_msg
-            self._receive_from(conn, host, port, uri, callback)
+            try:
+                self._process.own_addresses.check_redirect(parse_uri(uri), (host, port))
+                conn.connect(host, port, uri, timeout=60.0)
+                self._receive(conn, callback)
+            except TransportInitError:
+                pass  # logged where it happened
+            except Exception as error:  # noqa: BLE001 - as rospy: no message may end a subscription
+                if not conn.done and not rospy.is_shutdown():
+                    self._process.reporter.warn(f"lost {conn.name} from {uri}", error)
             if conn.protocol is None:  # closed, by the program or because the port is closed
                 break
             self._close_socket(conn)
@@ -443,17 +448,6 @@ class SubscriptionLoop:
             pause = min(2 * pause, _LONGEST_PAUSE)
         if not conn.done:
             conn.close()
-
-    def _receive_from(self, conn: Any, host: str, port: int, uri: str, callback: Callable[..., None]) -> None:
-        try:
-            self._process.own_addresses.check_redirect(parse_uri(uri), (host, port))
-            conn.connect(host, port, uri, timeout=60.0)
-            self._receive(conn, callback)
-        except TransportInitError:
-            pass  # logged where it happened
-        except Exception as error:  # noqa: BLE001 - as rospy: no message may end a subscription
-            if not conn.done and not rospy.is_shutdown():
-                self._process.reporter.warn(f"lost {conn.name} from {uri}", error)
 
     def _receive(self, conn: Any, callback: Callable[..., None]) -> None:
         sock, protocol = conn.socket, conn.protocol

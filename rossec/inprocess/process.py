@@ -87,7 +87,10 @@ class Registrations:
                 if method == "registerSubscriber":
                     self.set_publishers(str(params[1]), value)
                 elif method == "lookupNode" and isinstance(value, str):
-                    self._add_node(value)
+                    with suppress(ConfigurationError):
+                        self._nodes[parse_uri(value)] = None
+                    if len(self._nodes) > _NODES:
+                        del self._nodes[next(iter(self._nodes))]
             case [_, str(status), _] if status.startswith(REFUSED):
                 self.table.record(method, params, refused=True)
             case _:
@@ -99,12 +102,6 @@ class Registrations:
 
     def is_publisher(self, topic: str, uri: str) -> bool:
         return uri in self.publishers.to_follow(topic)
-
-    def _add_node(self, uri: str) -> None:
-        with suppress(ConfigurationError):
-            self._nodes[parse_uri(uri)] = None
-        if len(self._nodes) > _NODES:
-            del self._nodes[next(iter(self._nodes))]
 
     def is_node(self, address: tuple[str, int]) -> bool:
         return address in self._nodes

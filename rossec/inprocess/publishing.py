@@ -40,7 +40,6 @@ from rospy.service import ServiceException
 from ca.errors import HintedError
 from ca.names import shown
 from grants.errors import GrantError
-from grants.filters.layout import Buffer
 from grants.guard import Guard
 from rossec import clock
 from rossec.channel.records import Bytes
@@ -136,20 +135,17 @@ class SendQueue:
         if not isinstance(data, bytes) or len(data) > _SMALL:
             return False
         try:
-            return self._send_in_turn(data)
+            with self._filled:  # the sending thread waits meanwhile
+                if not self._idle or self._queue or not write_now(self._connection, data):
+                    return False
+                if self._connection.socket.unsent:
+                    self._queue.append(())  # an empty message: sending it sends the rest
+                    self._idle = False
+                    self._filled.notify()
+            return True
         except (HintedError, OSError) as error:
             # Without the lock: closing takes rospy's topic lock, whose holder may wait here.
             raise _ended(self._connection, error) from error
-
-    def _send_in_turn(self, data: bytes) -> bool:
-        with self._filled:  # the sending thread waits meanwhile
-            if not self._idle or self._queue or not write_now(self._connection, data):
-                return False
-            if self._connection.socket.unsent:
-                self._queue.append(())  # an empty message: sending it sends the rest
-                self._idle = False
-                self._filled.notify()
-        return True
 
     def _closed(self, _: Any) -> None:
         with self._filled:
@@ -162,7 +158,9 @@ class SendQueue:
             try:
                 self._send_waiting()
             except Exception as error:  # noqa: BLE001 - as rospy: the publisher's next call raises it
-                self._error = _bare(error)
+                # Without what refers to frames, and so to messages, for who keeps it.
+                error.__cause__ = error.__context__ = None
+                self._error = error.with_traceback(None)
 
     def _send_waiting(self) -> None:
         for batch in _batches(self._queue):
@@ -174,12 +172,6 @@ class SendQueue:
             self._filled.wait()
             self._idle = True
         self._idle = False
-
-
-def _bare(error: Exception) -> Exception:
-    # Without what refers to frames, and so to messages, for who keeps it.
-    error.__cause__ = error.__context__ = None
-    return error.with_traceback(None)
 
 
 def _size(message: Pieces) -> int:
@@ -482,11 +474,7 @@ def _filter(topic: Any, guard: Guard, peer: str, samples: Samples, moment: float
         if pieces is not None:
             if topic.is_latch:
                 _latch(topic).record(guard, sample)
-            return _packed(pieces)
+            size = sum(map(len, pieces))
+            whole = (LENGTH.pack(size), *pieces)
+            return whole if size > SEPARATE_UNIT else b"".join(whole)  # once, not for each connection
     return None
-
-
-def _packed(pieces: Sequence[Buffer]) -> Pieces:
-    size = sum(map(len, pieces))
-    whole = (LENGTH.pack(size), *pieces)
-    return whole if size > SEPARATE_UNIT else b"".join(whole)  # once, not for each connection

@@ -7,7 +7,6 @@ there. When the grant arrives, registrations that the master had refused are rep
 
 import secrets
 import time
-from pathlib import Path
 from typing import Final
 
 from ca.names import is_alias, origin_of, shown
@@ -78,14 +77,10 @@ def _send(local_identity: LocalIdentity, right: Right, name: str, why: str) -> N
         why,
     )
     data = sign_request(local_identity.credentials.signer, request)
-    authority = _authority_of(local_identity)
+    authority = local_identity.home.path.parent.parent / "ca"
     if (authority / "ca.pem").exists():
         requests.put_in_inbox(authority, request, data)
         return
     folder = local_identity.home.path / "requests"
     files.make_private_directory(folder)
     files.replace(folder / f"{request.id.hex()}.request", data)
-
-
-def _authority_of(local_identity: LocalIdentity) -> Path:
-    return local_identity.home.path.parent.parent / "ca"

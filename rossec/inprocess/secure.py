@@ -49,7 +49,11 @@ class _Secured:
             self.hooks.install(self.table)
             self._begin(local_identity)
         else:
-            _require_some_identity(self.options)
+            options = self.options
+            if not any((options.home / "nodes").glob("*/node.pem")):
+                raise ConfigurationError(
+                    f"no node is enrolled in {options.home}", environment.missing_nodes(options.home)
+                )
             self.hooks.install(self.table)
             self.process.begin_early = self._begin_early
         logging.getLogger("rossec").addHandler(LogBridge(self.reporter))
@@ -135,7 +139,12 @@ def secure(node: str | None = None, *, allow_plain: Sequence[str] | None = None)
     global _secured  # noqa: PLW0603 - a process is secured once
     try:
         if _secured is not None:
-            _require_same_options(_secured.options, _options(node, allow_plain))
+            now = _options(node, allow_plain)
+            if _secured.options != now:
+                raise ConfigurationError(
+                    "rossec.secure() was called already, with other options",
+                    "call it once, or everywhere with the same",
+                )
             return
         _start_block.remove()
         made = _Secured(_options(node, allow_plain))
@@ -145,14 +154,6 @@ def secure(node: str | None = None, *, allow_plain: Sequence[str] | None = None)
             _start_block.set(error)
         stop(error)
     _secured = made
-
-
-def _require_same_options(first: Options, now: Options) -> None:
-    if first != now:
-        raise ConfigurationError(
-            "rossec.secure() was called already, with other options",
-            "call it once, or everywhere with the same",
-        )
 
 
 class _StartBlock:
@@ -218,10 +219,3 @@ def _hooks_module() -> Any:
         raise ConfigurationError(
             f"rospy is not installed: {error}", "install ROS, or use rossec.node, which does not need it"
         ) from error
-
-
-def _require_some_identity(options: Options) -> None:
-    if not any((options.home / "nodes").glob("*/node.pem")):
-        raise ConfigurationError(
-            f"no node is enrolled in {options.home}", environment.missing_nodes(options.home)
-        )

@@ -284,7 +284,9 @@ class XmlRpcClient:
         return SecureProxy
 
     def request(self, proxy: Any, method: str, params: Params) -> Any:
-        uri = _uri_of(proxy)
+        # The URI of a proxy of the standard library; empty: not plain HTTP.
+        plain = type(proxy("transport")) is xmlrpc.client.Transport
+        uri = f"http://{proxy._ServerProxy__host}/" if plain else ""  # noqa: SLF001 - the library has no accessor
         address = _address(uri)
         if address is not None and self._is_secured(address):
             return self.call(uri, method, params)
@@ -301,7 +303,18 @@ class XmlRpcClient:
     def call(self, uri: str, method: str, params: Params) -> object:
         address = parse_uri(uri)
         if address == self._process.background_loop.address:
-            return self._call_master(method, params)
+            if method == _MULTICALL:
+                return self._multicall(params)
+            named, key = self._with_own_name(method, params), searched_key(method, params)
+            refused = offer_refusal(method, named)
+            if refused is not None:  # rospy.set_param ignores the answer
+                self._process.reporter.warn(f"{method}: {str(refused[1]).removeprefix(REFUSED)}")
+                return refused
+            if key is not None and named[0] != params[0]:
+                return self._search(str(params[0]), key)
+            return self._record_answer(
+                method, named, _stock_types(self._process.background_loop.call(method, named))
+            )
         try:
             return _stock_types(self._call_node(uri, method, params))
         except PlainPeer as error:  # rospy tries again after this one
@@ -314,20 +327,6 @@ class XmlRpcClient:
         return f"rossec: {error}"
 
     # -- the master
-
-    def _call_master(self, method: str, params: Params) -> object:
-        if method == _MULTICALL:
-            return self._multicall(params)
-        named, key = self._with_own_name(method, params), searched_key(method, params)
-        refused = offer_refusal(method, named)
-        if refused is not None:  # rospy.set_param ignores the answer
-            self._process.reporter.warn(f"{method}: {str(refused[1]).removeprefix(REFUSED)}")
-            return refused
-        if key is not None and named[0] != params[0]:
-            return self._search(str(params[0]), key)
-        return self._record_answer(
-            method, named, _stock_types(self._process.background_loop.call(method, named))
-        )
 
     def _multicall(self, params: Params) -> object:
         calls = [
@@ -368,7 +367,16 @@ class XmlRpcClient:
         registrations.record(method, params, answer)
         match answer:
             case [code, str(status), _] if code != 1 and status.startswith(REFUSED):
-                self._report_missing(method, status)
+                missing = missing_right(status)
+                if missing is None:
+                    detail = status.removeprefix(REFUSED)
+                    self._process.reporter.warn(f"the master refuses {method}: {detail}")
+                elif is_dispensable(missing.right, missing.own):
+                    _log.info("rospy's own %s is refused: %s", method, status)
+                else:
+                    self._process.reporter.warn(
+                        request_refusal(missing.node, [(missing.right, missing.in_rule)])
+                    )
                 if method in REGISTRATIONS:
                     return [1, status, REGISTRATIONS[method]]
             case _ if (reason := unheard_refusal(method, params, answer)) is not None:
@@ -383,16 +391,6 @@ class XmlRpcClient:
     def _may_see_all(self) -> bool:
         identity = self._process.local_identity
         return identity.access.holds(Right.GRAPH, identity.name, now())
-
-    def _report_missing(self, method: str, status: str) -> None:
-        missing = missing_right(status)
-        if missing is None:
-            detail = status.removeprefix(REFUSED)
-            self._process.reporter.warn(f"the master refuses {method}: {detail}")
-        elif is_dispensable(missing.right, missing.own):
-            _log.info("rospy's own %s is refused: %s", method, status)
-        else:
-            self._process.reporter.warn(request_refusal(missing.node, [(missing.right, missing.in_rule)]))
 
     # -- other nodes
 
@@ -411,17 +409,15 @@ class XmlRpcClient:
             calls = CallClient(_host(address))
             self._present_grants(method, stream, calls)
             named = _named(method, params, local_identity.name_for(peer), peer)
-            return self._here(peer, method, _exchange(stream, calls, method, named))
+            answer = _exchange(stream, calls, method, named)
+            match answer:
+                case [1, status, value]:
+                    domain = self._process.local_identity.identity.domain
+                    return [1, status, answer_here(peer, domain, method, value)]
+                case _:
+                    return answer
         finally:
             stream.close()
-
-    def _here(self, peer: Identity, method: str, answer: object) -> object:
-        match answer:
-            case [1, status, value]:
-                domain = self._process.local_identity.identity.domain
-                return [1, status, answer_here(peer, domain, method, value)]
-            case _:
-                return answer
 
     def _present_grants(self, method: str, stream: Stream, calls: CallClient) -> None:
         right, local_identity = SLAVE_CALLS.get(method), self._process.local_identity
@@ -447,12 +443,6 @@ def _named(method: str, params: Params, caller: str, peer: Identity | None = Non
             return (caller, named, *rest)
         case _:
             return (caller, *params[1:])
-
-
-def _uri_of(proxy: Any) -> str:
-    # The URI of a proxy of the standard library; empty: not plain HTTP.
-    plain = type(proxy("transport")) is xmlrpc.client.Transport
-    return f"http://{proxy._ServerProxy__host}/" if plain else ""  # noqa: SLF001 - the library has no accessor
 
 
 def _address(uri: str) -> tuple[str, int] | None:

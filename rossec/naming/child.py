@@ -141,7 +141,10 @@ def ask(body: bytearray) -> bytearray:
         work(body, sink, own)
     os.close(sink)
     try:
-        given = _collect(source)
+        found = bytearray()
+        while len(found) <= requests.MAX_ANSWER and (piece := os.read(source, 64 * 1024)):
+            found += piece
+        given = found
     finally:
         os.close(source)
         os.kill(child, signal.SIGKILL)  # one that has answered has no more to do
@@ -194,13 +197,6 @@ def _read(source: int, size: int) -> bytearray:
         if got == 0:
             return bytearray()
         at += got
-    return found
-
-
-def _collect(source: int) -> bytearray:
-    found = bytearray()
-    while len(found) <= requests.MAX_ANSWER and (piece := os.read(source, 64 * 1024)):
-        found += piece
     return found
 
 

@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 
 from rossec.errors import MetadataRefused, NameUndefined, ProposedNameRefused, RossecError, RulesNotConfined
 from rossec.naming import requests
-from rossec.naming.requests import Kind, Metadata, Result, parse
+from rossec.naming.requests import Kind, Result, parse
 from rossec.naming.rule_runner import RuleRunner
 
 if TYPE_CHECKING:
@@ -149,7 +149,8 @@ async def _examine_one(
     findings: list[Finding],
 ) -> None:
     read = requests.read(document)
-    places = _places(file, read)
+    entries = [Place(file, entry.line, entry.kind, entry.name) for entry in read.entries]
+    places = [Place(file, 1, Kind.NODE, ""), *entries]
     queries = list(read.queries())
     results = await rules.names(document, queries)
     node = results[0] if isinstance(results[0], str) else None
@@ -163,11 +164,6 @@ async def _examine_one(
             message = f"{place.label}: no grant or rule covers {result} for {node}"
             findings.append(Finding(file, place.line, "uncovered", message))
     findings += await _order_dependent(rules, document, places, results)
-
-
-def _places(file: str, read: Metadata) -> list[Place]:
-    entries = [Place(file, entry.line, entry.kind, entry.name) for entry in read.entries]
-    return [Place(file, 1, Kind.NODE, ""), *entries]
 
 
 async def _order_dependent(

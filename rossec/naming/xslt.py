@@ -196,7 +196,8 @@ def scan(root: Any) -> None:
     """Check the tree of lxml below `root`."""
     for element in root.iter():
         if not isinstance(element.tag, str):
-            _check_other(element)
+            if element.tag.__name__ != "Comment":
+                raise _refusal(element, "a processing instruction or entity")
             continue
         for namespace in element.nsmap.values():
             if namespace not in _NAMESPACES:
@@ -208,11 +209,6 @@ def scan(root: Any) -> None:
             raise _refusal(element, "an extension element")
         for key, value in element.items():
             _check_attribute(element, key, value)
-
-
-def _check_other(element: Any) -> None:
-    if element.tag.__name__ != "Comment":
-        raise _refusal(element, "a processing instruction or entity")
 
 
 def _check_attribute(element: Any, key: str, value: str) -> None:

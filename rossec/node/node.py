@@ -164,27 +164,22 @@ class Listener:
         self, fields: Mapping[str, bytes], stream: SecureStream[Identity]
     ) -> Callable[[], Awaitable[None]]:
         if "service" not in fields:
-            return await self._admit_subscriber(fields, stream)
+            now = clock.now()
+            decision = admit_subscriber(fields, stream.peer, self._access, now)
+            publisher = self._publishers.get(requested_topic(fields))
+            if publisher is None:
+                raise ConnectionHeaderRefused(f"{self._name} does not publish {requested_topic(fields)}")
+            wishes = carried_out(requested_wishes(fields), decision)
+            await publisher.ready()
+            check_type(fields, publisher.endpoint.expected)
+            guard = publisher.guard(decision)
+            name = caller_for(stream.peer, self._name, self._certified)
+            answer = publisher_header(name, publisher.endpoint, self._access, now, latching=publisher.latch)
+            head = tcpros.encode(answer | wishes.fields)
+            return partial(publisher.serve, stream, decision, guard, head, wishes)
         if "topic" in fields:
             raise ConnectionHeaderRefused("the connection header asks for a topic and for a service")
         return self._services.admit(fields, stream)
-
-    async def _admit_subscriber(
-        self, fields: Mapping[str, bytes], stream: SecureStream[Identity]
-    ) -> Callable[[], Awaitable[None]]:
-        now = clock.now()
-        decision = admit_subscriber(fields, stream.peer, self._access, now)
-        publisher = self._publishers.get(requested_topic(fields))
-        if publisher is None:
-            raise ConnectionHeaderRefused(f"{self._name} does not publish {requested_topic(fields)}")
-        wishes = carried_out(requested_wishes(fields), decision)
-        await publisher.ready()
-        check_type(fields, publisher.endpoint.expected)
-        guard = publisher.guard(decision)
-        name = caller_for(stream.peer, self._name, self._certified)
-        answer = publisher_header(name, publisher.endpoint, self._access, now, latching=publisher.latch)
-        head = tcpros.encode(answer | wishes.fields)
-        return partial(publisher.serve, stream, decision, guard, head, wishes)
 
 
 def _refused(peer: Identity, error: HintedError) -> list[object]:

@@ -292,7 +292,13 @@ class Publisher:
         try:
             with self._context.connections.track(connection):
                 await stream.send(answer)
-                self._send_latched(connection, queue)
+                now = clock.time()
+                for latch in self._latches():
+                    for sample in latch.candidates(connection.guard):
+                        pieces = self._filter(connection, sample, now, latch)
+                        if pieces is not None:
+                            queue.enqueue(pieces)
+                            break
                 await queue.run()
         except* RossecError as group:
             _log.info("%s: %s left: %s", self.topic, shown(stream.peer.name), group.exceptions[0])
@@ -310,15 +316,6 @@ class Publisher:
         if wishes:
             return WishQueue(stream, self._queue_size, wishes, self._deflation)
         return SubscriberQueue(stream, self._queue_size)
-
-    def _send_latched(self, connection: SubscriberConnection, queue: SubscriberQueue) -> None:
-        now = clock.time()
-        for latch in self._latches():
-            for sample in latch.candidates(connection.guard):
-                pieces = self._filter(connection, sample, now, latch)
-                if pieces is not None:
-                    queue.enqueue(pieces)
-                    break
 
     def _filter(
         self,

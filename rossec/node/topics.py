@@ -2,7 +2,7 @@
 
 import contextlib
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from itertools import count
 
 from ca.errors import HintedError
@@ -110,7 +110,11 @@ class Topics:
     def _for_subscriber(self, topic: str) -> tuple[NodeContext, OnClose, MemoryScope]:
         split_alias(topic)
         existing = self._subscribers.setdefault(topic, [])
-        memory = _unused_memory_scope(self._context.memory_scope, existing)
+        memory_scope = self._context.memory_scope
+        # Each of them receives every message. A new one continues with the memory of a closed one.
+        used = {subscriber.memory_scope for subscriber in existing}
+        scopes = (memory_scope.child(str(number)) for number in count())
+        memory = next(scope for scope in scopes if scope not in used)
         return self._context, self._forget, memory
 
     async def _listen(self, subscriber: Subscriber) -> None:
@@ -180,10 +184,3 @@ class Topics:
             self._grace.forget(subscriber.topic)
             with contextlib.suppress(HintedError, OSError):
                 await self._context.call("unregisterSubscriber", subscriber.topic, self._context.uri)
-
-
-def _unused_memory_scope(memory_scope: MemoryScope, existing: Sequence[Subscriber]) -> MemoryScope:
-    # Each of them receives every message. A new one continues with the memory of a closed one.
-    used = {subscriber.memory_scope for subscriber in existing}
-    scopes = (memory_scope.child(str(number)) for number in count())
-    return next(scope for scope in scopes if scope not in used)

@@ -152,7 +152,12 @@ class Link:
         if size == 0:
             return
         if self.state is LinkState.IDLE:
-            self._send_open(data, now)
+            address = frames.return_address(self.reply_key, OPEN_SIZE - HEAD - len(data))
+            first = memoryview(data)[:FIRST_WINDOW]
+            self._move("write")
+            self._began = now
+            self._transmit(Kind.OPEN, [address, first], len(first), now)
+            self._sender.queue(memoryview(data)[FIRST_WINDOW:])
         elif self.state is LinkState.RUNNING:
             if self._sender.fits(size) and HEAD + size <= self._allowance():
                 self._transmit(Kind.DATA, [data], size, now)
@@ -160,14 +165,6 @@ class Link:
                 self._sender.queue(data)
         elif self.state is LinkState.OPENING:
             self._sender.queue(data)
-
-    def _send_open(self, data: Bytes, now: float) -> None:
-        address = frames.return_address(self.reply_key, OPEN_SIZE - HEAD - len(data))
-        first = memoryview(data)[:FIRST_WINDOW]
-        self._move("write")
-        self._began = now
-        self._transmit(Kind.OPEN, [address, first], len(first), now)
-        self._sender.queue(memoryview(data)[FIRST_WINDOW:])
 
     def _transmit(self, kind: Kind, pieces: list[Bytes], size: int, now: float) -> None:
         sender = self._sender

@@ -322,7 +322,22 @@ class MasterLink:
 
     async def _poll_until_failure(self) -> float:
         try:
-            await self._poll()
+            client = RpcClient(await self._connected())
+            try:
+                self._wanted.connected()
+                while True:
+                    report = self._wanted.report()
+                    ways = {peer: way._asdict() for peer, way in self._doors.ways().items()}
+                    answer = await client.ask(
+                        RELAY_DOORS, self._relay, self._instance, self._wanted.seen, report, ways
+                    )
+                    orders = self._wanted.take(answer, len(report))
+                    self._retry.succeeded()
+                    self.error = ""
+                    await self._carry_out(orders)
+            finally:
+                with contextlib.suppress(*_Failures):
+                    await client.close()
         except Fault as fault:
             self._report(f"it is older than this relay, update it: {fault.faultString}")
             return OLD_MASTER
@@ -330,24 +345,6 @@ class MasterLink:
             hint = error.hint if isinstance(error, HintedError) else ""
             self._report(f"{error} ({hint})" if hint else str(error) or type(error).__name__)
         return self._retry.pause(asyncio.get_running_loop().time())
-
-    async def _poll(self) -> None:
-        client = RpcClient(await self._connected())
-        try:
-            self._wanted.connected()
-            while True:
-                report = self._wanted.report()
-                ways = {peer: way._asdict() for peer, way in self._doors.ways().items()}
-                answer = await client.ask(
-                    RELAY_DOORS, self._relay, self._instance, self._wanted.seen, report, ways
-                )
-                orders = self._wanted.take(answer, len(report))
-                self._retry.succeeded()
-                self.error = ""
-                await self._carry_out(orders)
-        finally:
-            with contextlib.suppress(*_Failures):
-                await client.close()
 
     async def _carry_out(self, orders: Orders) -> None:
         for target in orders.close:

@@ -475,7 +475,12 @@ class Mux:
 
     def _receive(self, unit: Unit, now: float) -> Event | None:
         if isinstance(unit, Open):
-            return self._opened(unit, now)
+            if self._caller or unit.stream != self._next:
+                raise StreamRefused(f"stream {unit.stream} is opened, which is not its turn")
+            if self.crowded(unit.target, now):
+                self._next += 1
+                return Refused(unit.stream, unit.target, reset_unit(unit.stream))
+            return Opened(self._add(unit.target, now), unit.target)
         found = self._streams.get(unit.stream)
         if found is None:
             if unit.stream >= self._next:
@@ -491,14 +496,6 @@ class Mux:
             case Reset():
                 self._remove(unit.stream)
         return unit
-
-    def _opened(self, unit: Open, now: float) -> Event:
-        if self._caller or unit.stream != self._next:
-            raise StreamRefused(f"stream {unit.stream} is opened, which is not its turn")
-        if self.crowded(unit.target, now):
-            self._next += 1
-            return Refused(unit.stream, unit.target, reset_unit(unit.stream))
-        return Opened(self._add(unit.target, now), unit.target)
 
     def _arrived(self, found: _Stream, unit: Data) -> None:
         length = len(unit.payload)

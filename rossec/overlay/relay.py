@@ -267,16 +267,13 @@ class Relay:
                 asyncio.shield(self._failure),
             )
         finally:
-            await self._close()
-
-    async def _close(self) -> None:
-        await self._masters.close()
-        await self._table.close()
-        for label in tuple(self._peers):
-            await self._drop(label)
-        await self._tasks.close()
-        await self._member.close()
-        self._failure.cancel()
+            await self._masters.close()
+            await self._table.close()
+            for label in tuple(self._peers):
+                await self._drop(label)
+            await self._tasks.close()
+            await self._member.close()
+            self._failure.cancel()
 
     def _crashed(self, error: BaseException) -> None:
         if not self._failure.done():

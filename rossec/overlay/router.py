@@ -79,7 +79,9 @@ class Router:
         """Watch what it was started with, and take over what changes, until cancelled."""
         while True:
             await asyncio.sleep(_PERIOD)
-            self._report_joined()
+            if self._session is not None and self.joined != self._joined:
+                self._joined = self.joined
+                _log.info("sessions with other routers: %d", self._joined)
             try:
                 await self._take_over()
             except (RossecError, OSError) as error:
@@ -96,11 +98,6 @@ class Router:
     @property
     def joined(self) -> int:
         return 0 if self._session is None else len(self._session.info.routers_zid())
-
-    def _report_joined(self) -> None:
-        if self._session is not None and self.joined != self._joined:
-            self._joined = self.joined
-            _log.info("sessions with other routers: %d", self._joined)
 
     async def _take_over(self) -> None:
         # Begin anew if seats changed, if the certificate may be old, or if it is not listening.

@@ -76,7 +76,10 @@ class Seats:
         if len(self.passwords) > MAX_SEATS:
             raise ConfigurationError(f"at most {MAX_SEATS} seats", "remove what nobody uses")
         for seat, password in self.passwords.items():
-            _check_own(seat)
+            if check_seat(seat) == OPEN_SEAT:
+                raise ConfigurationError(
+                    f"{OPEN_SEAT} is the seat at a router without seats", "give it another name"
+                )
             check_password(password)
 
     @property
@@ -141,11 +144,6 @@ def open_access_control() -> Entry:
     return _access_control(
         _forwarding(_mailboxes(OPEN_SEAT)), [{"id": "everybody"}], [_policy("everybody", *_FORWARD)]
     )
-
-
-def _check_own(seat: str) -> None:
-    if check_seat(seat) == OPEN_SEAT:
-        raise ConfigurationError(f"{OPEN_SEAT} is the seat at a router without seats", "give it another name")
 
 
 def _access_control(rules: list[Entry], subjects: list[Entry], policies: list[Entry]) -> Entry:

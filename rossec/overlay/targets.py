@@ -217,7 +217,10 @@ async def dial_from(source: str, host: str, port: int) -> socket.socket:
         return await _dial_here(source, str(here[0]), port)
     sock = await dial(host, port, CONNECT_SECONDS)
     try:
-        _check_elsewhere(sock)
+        # Refuse a connection to this host that is not from an address that says by whom.
+        near, far = str(sock.getsockname()[0]), str(sock.getpeername()[0])
+        if is_near(far, near):
+            raise RelayRefused(f"the target at {far} is this host after all")
     except BaseException:
         sock.close()
         raise
@@ -245,10 +248,3 @@ def _is_here(address: str) -> bool:
     except OSError:
         return is_loopback(address)
     return True
-
-
-def _check_elsewhere(sock: socket.socket) -> None:
-    # Refuse a connection to this host that is not from an address that says by whom.
-    near, far = str(sock.getsockname()[0]), str(sock.getpeername()[0])
-    if is_near(far, near):
-        raise RelayRefused(f"the target at {far} is this host after all")

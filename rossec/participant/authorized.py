@@ -236,17 +236,14 @@ class _Budgets:
         with self._lock:
             bucket = self._buckets.get(source)
             if bucket is None:
-                self._drop_full(now)
+                if len(self._buckets) >= _PEERS:
+                    left = self._buckets.items()
+                    self._buckets = {key: each for key, each in left if each.refill(now) < _AT_ONCE}
                 bucket = self._buckets[source] = TokenBucket(_A_SECOND, _AT_ONCE)
             if bucket.refill(now) < 1:
                 return False
             bucket.tokens -= 1
             return True
-
-    def _drop_full(self, now: int) -> None:
-        if len(self._buckets) >= _PEERS:
-            left = self._buckets.items()
-            self._buckets = {key: each for key, each in left if each.refill(now) < _AT_ONCE}
 
 
 class RenewedGrants:

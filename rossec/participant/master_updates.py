@@ -29,7 +29,7 @@ from pathlib import Path
 from secrets import SystemRandom
 from typing import Final
 
-from ca.certificates import Identity, TrustAnchor
+from ca.certificates import Identity
 from ca.errors import CAError, HintedError, RevocationsStale
 from ca.names import shown
 from ca.revocation.lists import digest
@@ -239,7 +239,10 @@ class GrantDelivery:
 
     def _check(self, data: bytes, now: int) -> Grant:
         # Verify a grant; one that is not valid yet, or may be renewed, is taken too.
-        anchor = self._anchor_of(document.peek(data).domain)
+        domain = document.peek(data).domain
+        # Whose key a grant must be signed by: its domain only selects it.
+        listed = self._standing.anchors.listed_domain(domain)
+        anchor = self._standing.anchors.own if listed is None else listed.anchor
         grant = document.verify(data, anchor.public_key, domain=anchor.domain)
         if grant.holder != self._holder:
             raise GrantNotHeld("the grant is bound to another key", f"it is for {grant.subject}")
@@ -248,11 +251,6 @@ class GrantDelivery:
         if grant.id in self._standing.own.entries | self._standing.revoked(grant.domain):
             raise GrantError(f"the grant {grant.short_id} is revoked")
         return grant
-
-    def _anchor_of(self, domain: str) -> TrustAnchor:
-        # Whose key a grant must be signed by: its domain only selects it.
-        listed = self._standing.anchors.listed_domain(domain)
-        return self._standing.anchors.own if listed is None else listed.anchor
 
 
 class GrantWatch:

@@ -149,7 +149,10 @@ class MasterSession:
                 if self._client is None or self._client.closed:
                     await self.open()
                     _log.info("%s: connected to the master again", self._name)
-                await self._wait_for_heartbeat()
+                if self._stream is not None:
+                    with contextlib.suppress(TimeoutError):
+                        async with asyncio.timeout(HEARTBEAT):
+                            await self._stream.wait_ended()
                 await self.refresh()
                 retry.succeeded()
                 said = ""
@@ -168,12 +171,6 @@ class MasterSession:
 
     async def close(self) -> None:
         await self._disconnect()
-
-    async def _wait_for_heartbeat(self) -> None:
-        if self._stream is not None:
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(HEARTBEAT):
-                    await self._stream.wait_ended()
 
     async def _disconnect(self) -> None:
         client, self._client = self._client, None

@@ -246,7 +246,9 @@ def _zero(inner: str) -> Message:
 def _zero_field(kind: Any) -> object:
     match kind:
         case (Nodetype.BASE, (base, _)):
-            return _zero_base(base)
+            if base == "string":
+                return ""
+            return np.zeros((), dtype=_NUMPY.get(base, base)).item()
         case (Nodetype.NAME, inner):
             return _zero(inner)
         case (Nodetype.ARRAY, (element, length)):
@@ -255,12 +257,6 @@ def _zero_field(kind: Any) -> object:
             return _zero_array(element, 0)
         case _:
             raise MessageError(f"unknown field kind {kind!r}")
-
-
-def _zero_base(base: str) -> object:
-    if base == "string":
-        return ""
-    return np.zeros((), dtype=_NUMPY.get(base, base)).item()
 
 
 def _zero_array(element: Any, length: int) -> object:

@@ -366,7 +366,15 @@ class Reader:
     def _map(self, depth: int) -> object:
         if self._data.startswith(TIME_HEAD, self.at):
             self.at += len(TIME_HEAD)
-            return _time(self._take(_TIME_SIZE))
+            written = self._take(_TIME_SIZE)
+            fields = _TIME.fullmatch(written)
+            if fields is None:
+                raise CompactRefused("a unit with a malformed time")
+            try:
+                year, month, day, hour, minute, second = map(int, fields.groups())
+                return datetime(year, month, day, hour, minute, second)  # noqa: DTZ001 - XML-RPC's have none
+            except ValueError as error:
+                raise CompactRefused("a unit with a malformed time") from error
         depth = _compactread_deeper(depth)
         found: dict[str, object] = {}
         previous = b""
@@ -426,17 +434,6 @@ def _int32(value: int) -> int:
 def _check_text(text: str) -> None:
     if UNCARRIED.search(text) is not None:
         raise CompactRefused("a unit with a character that XML-RPC cannot carry")
-
-
-def _time(written: bytes) -> datetime:
-    fields = _TIME.fullmatch(written)
-    if fields is None:
-        raise CompactRefused("a unit with a malformed time")
-    try:
-        year, month, day, hour, minute, second = map(int, fields.groups())
-        return datetime(year, month, day, hour, minute, second)  # noqa: DTZ001 - XML-RPC's have none
-    except ValueError as error:
-        raise CompactRefused("a unit with a malformed time") from error
 
 
 def _compactread_deeper(depth: int) -> int:

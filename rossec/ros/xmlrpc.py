@@ -429,7 +429,9 @@ def _parse(data: bytes) -> Generator[None, None, Body]:
     try:
         for end in range(STEP, len(data), STEP):
             parser.Parse(data[end - STEP : end], False)
-            _check_markup(end - parser.CurrentByteIndex)
+            unparsed = end - parser.CurrentByteIndex
+            if unparsed > _MARKUP_LIMIT:
+                raise XmlRpcRefused(f"a tag or comment of more than {_MARKUP_LIMIT} bytes")
             yield
         parser.Parse(data[(len(data) - 1) // STEP * STEP :] if data else b"", True)
         return Body(target.close(), target.getmethodname(), target.root)
@@ -439,11 +441,6 @@ def _parse(data: bytes) -> Generator[None, None, Body]:
         raise
     except _MALFORMED as error:
         raise XmlRpcRefused("malformed XML-RPC") from error
-
-
-def _check_markup(unparsed: int) -> None:
-    if unparsed > _MARKUP_LIMIT:
-        raise XmlRpcRefused(f"a tag or comment of more than {_MARKUP_LIMIT} bytes")
 
 
 _FAULT: Final = "fault"  # as root of a body, which no body has that was parsed

@@ -30,7 +30,9 @@ _log = logging.getLogger("rossec.sidecar")
 
 def main() -> int:
     """Run with the arguments; return the exit code."""
-    _restore_sigint()
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     options = json.loads(sys.argv[1])
     logging.basicConfig(
         level=logging.INFO if options["verbose"] else logging.WARNING,
@@ -48,12 +50,6 @@ def main() -> int:
     except OSError as error:
         sys.stderr.write(f"rossec: error: {printable(error)}\n")
         return _REFUSED
-
-
-def _restore_sigint() -> None:
-    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
 async def _run(options: dict[str, Any]) -> int:

@@ -171,19 +171,16 @@ class SocketOwners:
         for inode, location in self._open_sockets():
             if inode in missing:
                 missing.discard(inode)
-                self._remember(inode, location)
+                self._locations[inode] = location
+                # A program that connects again often uses the same descriptor.
+                self._seen[location.process].discard(location.descriptor)
+                if len(self._locations) > REMEMBERED:
+                    del self._locations[next(iter(self._locations))]
                 if not missing:
                     return
             if time.monotonic() >= end:
                 await asyncio.sleep(0)
                 end = time.monotonic() + TIME_SLICE
-
-    def _remember(self, inode: int, location: _SocketLocation) -> None:
-        self._locations[inode] = location
-        # A program that connects again often uses the same descriptor.
-        self._seen[location.process].discard(location.descriptor)
-        if len(self._locations) > REMEMBERED:
-            del self._locations[next(iter(self._locations))]
 
     def _open_sockets(self) -> Iterator[tuple[int | None, _SocketLocation]]:
         found = [process(pid) for pid in descendants(parents(), self._ancestor)]

@@ -160,24 +160,20 @@ def _blocked_signals() -> Iterator[tuple[set[int | signal.Signals], int]]:
     # They are blocked before the program starts: none is lost.
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, _FORWARDED)
     try:
-        signals = _signalfd(_FORWARDED)
+        wanted = ctypes.create_string_buffer(128)  # sigset_t
+        LIBC.sigemptyset(wanted)
+        for number in _FORWARDED:
+            LIBC.sigaddset(wanted, number)
+        descriptor: int = LIBC.signalfd(-1, wanted, os.O_CLOEXEC | os.O_NONBLOCK)
+        if descriptor < 0:
+            raise OSError(ctypes.get_errno(), "signalfd")
+        signals = descriptor
         try:
             yield mask, signals
         finally:
             os.close(signals)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-
-
-def _signalfd(numbers: Sequence[signal.Signals]) -> int:
-    wanted = ctypes.create_string_buffer(128)  # sigset_t
-    LIBC.sigemptyset(wanted)
-    for number in numbers:
-        LIBC.sigaddset(wanted, number)
-    descriptor: int = LIBC.signalfd(-1, wanted, os.O_CLOEXEC | os.O_NONBLOCK)
-    if descriptor < 0:
-        raise OSError(ctypes.get_errno(), "signalfd")
-    return descriptor
 
 
 @contextlib.contextmanager

@@ -329,14 +329,6 @@ class Sidecar:
         self._master_name = master_name
         self._half_open = HalfOpenCount(HalfOpen())
         self._agents: dict[str, Agent] = {}
-        self._master = self._bind_master(port)
-        self._default = None if identity is None else self._agent(NodeHome.of(home, identity))
-
-    @property
-    def uri(self) -> str:
-        return Endpoint(WireProtocol.HTTP, self._callers.loopback.host, self._master.port).uri
-
-    def _bind_master(self, port: int) -> LoopbackPort:
         try:
             master = LoopbackPort(self._callers, self._serve, port)
         except OSError as error:
@@ -349,7 +341,12 @@ class Sidecar:
                 f"ROS_MASTER_URI, {self._settings.master_uri}, is the sidecar's own address",
                 "set it to where the secured master is, for the sidecar alone",
             )
-        return master
+        self._master = master
+        self._default = None if identity is None else self._agent(NodeHome.of(home, identity))
+
+    @property
+    def uri(self) -> str:
+        return Endpoint(WireProtocol.HTTP, self._callers.loopback.host, self._master.port).uri
 
     def start(self) -> None:
         self._master.open()
@@ -366,7 +363,7 @@ class Sidecar:
     ) -> object:
         if method == MULTICALL and params == ([],):  # no caller: roslaunch without parameters
             return []
-        refused = _missing_caller(method, params)
+        refused = None if method == MULTICALL else without_caller(params, rule_of(method).default)
         if refused is not None:
             return refused
         try:
@@ -441,10 +438,6 @@ class Sidecar:
                 self._master_name,
             )
         return self._agents[home.name]
-
-
-def _missing_caller(method: str, params: tuple[object, ...]) -> object | None:
-    return None if method == MULTICALL else without_caller(params, rule_of(method).default)
 
 
 def _caller(method: str, params: tuple[object, ...]) -> str:

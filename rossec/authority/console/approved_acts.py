@@ -114,7 +114,13 @@ class EnrollAct:
                 wildcard=what.wildcard,
             )
             conclude(authority.store, f"{what.name} is enrolled")
-        _grant_outright(service, what.name, self._policy)
+        name = what.name
+        # What the policy gives the name; the identity is signed by then, so a mistake is logged.
+        try:
+            for _, data in service.grant_outright(name, place=self._policy):
+                service.store_grant(data)
+        except HintedError as error:
+            _log.error("%s has no grants yet: %s", name, printable(str(error)))
 
     def made(self, service: AuthorityService, approved: Approved, /) -> bytes:
         with closing(service.home.store()) as store:
@@ -200,15 +206,6 @@ def _check_lifetime(lifetime: int) -> None:
 def _bundle(home: AuthorityHome, row: CertificateRow) -> bytes:
     own = home.intermediate()
     return to_pem(row.der, *([] if own is None else [own]), home.anchor().certificate)
-
-
-def _grant_outright(service: AuthorityService, name: str, policy: Path) -> None:
-    # What the policy gives the name; the identity is signed by then, so a mistake is logged.
-    try:
-        for _, data in service.grant_outright(name, place=policy):
-            service.store_grant(data)
-    except HintedError as error:
-        _log.error("%s has no grants yet: %s", name, printable(str(error)))
 
 
 MAX_INVITATION: Final = 30 * 86400  # seconds

@@ -177,7 +177,9 @@ class KeyServer:
                 first = await reader.readexactly(1)
             try:
                 async with asyncio.timeout(DEADLINE):
-                    body = await _read_frame(reader, first, self._rules.max_request)
+                    limit = self._rules.max_request
+                    head = first + await reader.readexactly(messages.HEAD - 1)
+                    body = await reader.readexactly(messages.frame_size(head, limit))
                     request = self._rules.read_request(body)
             except KeyMessageRefused as error:
                 await _send(writer, messages.write_refusal(error))
@@ -200,11 +202,6 @@ class KeyServer:
             return messages.write_answer(await self._carry_out(request, caller))
         except HintedError as error:
             return messages.write_refusal(error)
-
-
-async def _read_frame(reader: asyncio.StreamReader, first: bytes, limit: int) -> bytes:
-    head = first + await reader.readexactly(messages.HEAD - 1)
-    return await reader.readexactly(messages.frame_size(head, limit))
 
 
 async def _send(writer: asyncio.StreamWriter, data: bytes) -> None:

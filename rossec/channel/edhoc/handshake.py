@@ -184,10 +184,6 @@ class EdhocPeer(Generic[PeerT]):
             text = f"the peer's certificate is refused: {error}"
             kind = ForeignIdentity if isinstance(error, ForeignCertificate) else IdentityRefused
             raise kind(text, error.hint) from error
-        self._check_meant(peer)
-        return chain[0], peer
-
-    def _check_meant(self, peer: PeerT) -> None:
         # The key is compared: a renewed certificate has the same.
         own, dials = self._config.credential, self._config.own_dials
         is_own_key = peer.public_key == own.public_key
@@ -196,6 +192,7 @@ class EdhocPeer(Generic[PeerT]):
             raise IdentityRefused("the peer sent this node's own certificate", _HINT_REFLECTED)
         if self._dial is not None and not is_itself:
             raise IdentityRefused("another node answers at this node's own address", _HINT_ADDRESS)
+        return chain[0], peer
 
     def _seal(self, key: KdfLabel, iv: KdfLabel, plaintext: bytes) -> bytes:
         return bstr(self._aead(key, iv, lambda aead: aead.encrypt, plaintext))
@@ -326,7 +323,11 @@ class Responder(EdhocPeer[PeerT]):
         parsed = decode_message_1(data)
         if parsed.method != METHOD:
             raise HandshakeFailed("the peer requires another method than 0")
-        suite = self._select(parsed.suites)
+        offered = parsed.suites
+        usable = [number for number in offered if number in self._config.suites]
+        if not usable or usable[0] != offered[-1]:
+            raise WrongSuite((usable[0],) if usable else self._config.suites)
+        suite = SUITES[usable[0]]
         if len(parsed.g_x) != suite.exchange.initiator_length:
             raise HandshakeFailed("ephemeral key of a wrong length")
         self._suite = suite
@@ -336,15 +337,6 @@ class Responder(EdhocPeer[PeerT]):
         if self._config.own_dials is not None:
             self._config.own_dials.answer(parsed.g_x, g_y)
         self._agree(shared, g_y, data)
-        return self._message_2(g_y)
-
-    def _select(self, offered: tuple[int, ...]) -> Suite:
-        usable = [number for number in offered if number in self._config.suites]
-        if not usable or usable[0] != offered[-1]:
-            raise WrongSuite((usable[0],) if usable else self._config.suites)
-        return SUITES[usable[0]]
-
-    def _message_2(self, g_y: bytes) -> bytes:
         prk, th_2 = self._prk, self._th
         plaintext = self._state(KdfLabel.MAC_2, self._config.c_r)
         if len(plaintext) > MAX_PLAINTEXT_2:

@@ -267,7 +267,12 @@ def enroll(
 
 def _read_code(code: str | None, image: Path | None, csr_file: Path | None) -> qr.Code:
     if sys.stdin.isatty() and (code, image, csr_file) == (None, None, None):
-        code = _prompt_for_code()
+        try:
+            typed: str = click.prompt("the text below the code", err=True)
+        except click.Abort as abort:
+            reraise_interrupt(abort)
+            raise ConfigurationError("no code was given", "paste the line with ROSSEC:") from None
+        code = typed
     match (code, image, csr_file):
         case (str(), None, None):
             found = qr.parse(code)
@@ -279,15 +284,6 @@ def _read_code(code: str | None, image: Path | None, csr_file: Path | None) -> q
             raise click.UsageError("give a code, or --image, or --csr: one of them")
     found.check_time(now())
     return found
-
-
-def _prompt_for_code() -> str:
-    try:
-        typed: str = click.prompt("the text below the code", err=True)
-    except click.Abort as abort:
-        reraise_interrupt(abort)
-        raise ConfigurationError("no code was given", "paste the line with ROSSEC:") from None
-    return typed
 
 
 def _destination(code: qr.Code, given_address: str | None, csr_file: Path | None) -> Destination | None:

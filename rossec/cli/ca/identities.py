@@ -19,7 +19,7 @@ from ca.certificates import renew_at
 from ca.errors import HintedError
 from ca.names import is_alias, local_name, shown
 from ca.store.record import Store
-from ca.store.values import CertificateRow, LogEntry, leaf, open_head
+from ca.store.values import CertificateRow, leaf, open_head
 from rossec import files, terminal
 from rossec.authority import restored_lists
 from rossec.authority import signing as things
@@ -378,7 +378,19 @@ def revoke_invitations(
             if not and_nodes and (uses := ended[-1].uses):
                 note(f"{len(uses)} joined by it and stay enrolled; to revoke them: --and-nodes")
     if and_nodes and ended:
-        _revoke_nodes(service, ended, reason)
+        revoked, lists = list[str](), list[object]()
+        for found in ended:
+            listed, names = revoke_nodes(service.unlock(), found, reason, now())
+            revoked += names
+            lists += [listed] * (listed is not None)
+        record(revoked_nodes=revoked)
+        for name in revoked:
+            say(f"revoked {name}")
+        if lists:
+            publish_list(service)
+        else:
+            say("no node that joined by it is left to revoke")
+            remind_to_publish(service)
     batch.finish()
 
 
@@ -391,22 +403,6 @@ def _end(service: AuthorityService, invitation_id: str, reason: str) -> Invitati
     if denied:
         say(f"denied {denied} request{'s' * (denied != 1)} that waited")
     return found
-
-
-def _revoke_nodes(service: AuthorityService, ended: list[InvitationStatus], reason: str) -> None:
-    revoked, lists = list[str](), list[object]()
-    for found in ended:
-        listed, names = revoke_nodes(service.unlock(), found, reason, now())
-        revoked += names
-        lists += [listed] * (listed is not None)
-    record(revoked_nodes=revoked)
-    for name in revoked:
-        say(f"revoked {name}")
-    if lists:
-        publish_list(service)
-    else:
-        say("no node that joined by it is left to revoke")
-        remind_to_publish(service)
 
 
 def _lines(each: InvitationStatus, at: int) -> list[str]:
@@ -442,7 +438,7 @@ def show_log(environment: Environment, last: int | None, *, in_json: bool) -> No
     """Show the newest `last` entries, by default all."""
     entries = AuthorityHome.at(environment.home).store().log.entries()[-(last or 0) :]
     if in_json:
-        say_json([_as_json(entry) for entry in entries])
+        say_json([({**entry._asdict(), "digest": entry.digest.hex()}) for entry in entries])
         return
     for entry in entries:
         words = [str(entry.number), format_time(entry.at), entry.what, entry.subject, entry.detail]
@@ -526,7 +522,3 @@ def prove(environment: Environment, entry: int | None, since: Path | None) -> No
         proof = tree.consistency(old.size, newest.size)
     head_text = base64.b64encode(signed).decode()
     say_json({**shown, "proof": [digest.hex() for digest in proof], "head": head_text})
-
-
-def _as_json(entry: LogEntry) -> dict[str, Any]:
-    return {**entry._asdict(), "digest": entry.digest.hex()}

@@ -345,7 +345,16 @@ def thing(service: AuthorityService, name: str, yes: bool, renew: bool, **given:
         signed = service.renew_thing(name, given["lifetime"])
     else:
         order = _order(name, given)
-        _show(service, order, checked=_check_code(given["code"], order.credential))
+        checked = _check_code(given["code"], order.credential)
+        what = "key" if isinstance(order.credential, ThingKey) else "secret"
+        say(f"{printable(order.name)} at the border router {printable(order.border)}")
+        say(f"  {what} {format_fingerprint(order.credential.thumbprint)}")
+        say(f"  kid {order.credential.kid.hex()}")
+        how = "the code of its label fits" if checked else "no code was checked: compare with its label"
+        say(f"  {how}")
+        if order.request:
+            asked = check_request(order.request, service.home.domain)
+            say(f"  and an identity for its node, fingerprint {format_fingerprint(asked.thumbprint)}")
         confirm(f"sign the statement about {name}?", yes=yes)
         signed = service.sign_thing(order)
     _hand_over(service, signed, given["request"], given["out"])
@@ -419,18 +428,6 @@ def _check_code(code: str | None, credential: Credential) -> bool:
 def described(credential: Credential) -> bytes:
     """The octets that a label names: the CCS, or the description of a secret."""
     return credential.ccs if isinstance(credential, ThingKey) else credential.description
-
-
-def _show(service: AuthorityService, order: ThingOrder, *, checked: bool) -> None:
-    what = "key" if isinstance(order.credential, ThingKey) else "secret"
-    say(f"{printable(order.name)} at the border router {printable(order.border)}")
-    say(f"  {what} {format_fingerprint(order.credential.thumbprint)}")
-    say(f"  kid {order.credential.kid.hex()}")
-    how = "the code of its label fits" if checked else "no code was checked: compare with its label"
-    say(f"  {how}")
-    if order.request:
-        asked = check_request(order.request, service.home.domain)
-        say(f"  and an identity for its node, fingerprint {format_fingerprint(asked.thumbprint)}")
 
 
 def _hand_over(

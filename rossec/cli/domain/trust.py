@@ -440,17 +440,13 @@ def remove(service: AuthorityService, label: str, reason: str, revoke_grants: bo
     if removed.revoked:
         say(f"revoked {len(removed.revoked)} grants for its nodes")
     else:
-        _note_grants(service, label)
+        with closing(service.home.store()) as store:
+            count = len(living_grants(store, label, now()))
+        if count:
+            note(f"{count} grants for its nodes would hold again if it is accepted as {label}")
+            note("revoke those you do not want: rossec grant list, rossec grant revoke ID")
     note("there you may be trusted still: at its authority, rossec domain remove LABEL")
     if removed.revoked:
         publish_list(service)
     else:
         publish_domains(service)
-
-
-def _note_grants(service: AuthorityService, label: str) -> None:
-    with closing(service.home.store()) as store:
-        count = len(living_grants(store, label, now()))
-    if count:
-        note(f"{count} grants for its nodes would hold again if it is accepted as {label}")
-        note("revoke those you do not want: rossec grant list, rossec grant revoke ID")

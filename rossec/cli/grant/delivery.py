@@ -156,7 +156,10 @@ def show(file: Path) -> None:
         if content.chain:
             to = printable(link.subject)
             say(f"narrowed for {to}, which may also not do more than:" if depth else f"for {to}:")
-        _show_permissions(link)
+        for permission in link.permissions:
+            say(printable(f"may {permission.rights.label} {permission.pattern}"))
+            for line in permission.restriction.lines() if permission.restriction else []:
+                say(printable(f"  {line}"))
     if content.may_narrow:
         say(f"may be narrowed {content.may_narrow} times")
 
@@ -171,13 +174,6 @@ def _facts(content: Grant) -> dict[str, object]:
         "may_narrow": content.may_narrow,
         "links": [{"node": link.subject, "permissions": permissions_json(link)} for link in content.links],
     }
-
-
-def _show_permissions(link: Grant) -> None:
-    for permission in link.permissions:
-        say(printable(f"may {permission.rights.label} {permission.pattern}"))
-        for line in permission.restriction.lines() if permission.restriction else []:
-            say(printable(f"  {line}"))
 
 
 @click.command()

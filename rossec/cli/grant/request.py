@@ -129,7 +129,16 @@ def pending(environment: Environment, as_json: bool, policy_path: Path | None) -
         say_json([_summary(item) for item in prompts])
         return
     for item in prompts:
-        _show(item, policy)
+        stored = item.stored
+        say(f"{stored.short_id}  {stored.request.node} wants to {stored.requested}")
+        say(f'  it says: "{printable(stored.request.why)}"')
+        for rule in item.verdict.rules:
+            say(f"  {rule.reason}")
+        for line in restriction_lines(item.verdict):
+            say(f"  {line}")
+        until = stored.at + policy.policy.defaults.prompt_timeout
+        say(f"  denied, unless you answer by {format_time(until)}")
+        say(f"  rossec grant approve {stored.short_id} [--approximate FILTER] [--today], or deny")
     if not prompts:
         say("no open requests")
 
@@ -223,19 +232,6 @@ def _deliver(
     if out_dir is None:
         return deliver_grants(service, [data for _, data in signed])
     return ()
-
-
-def _show(item: PendingApproval, policy: PolicyFile) -> None:
-    stored = item.stored
-    say(f"{stored.short_id}  {stored.request.node} wants to {stored.requested}")
-    say(f'  it says: "{printable(stored.request.why)}"')
-    for rule in item.verdict.rules:
-        say(f"  {rule.reason}")
-    for line in restriction_lines(item.verdict):
-        say(f"  {line}")
-    until = stored.at + policy.policy.defaults.prompt_timeout
-    say(f"  denied, unless you answer by {format_time(until)}")
-    say(f"  rossec grant approve {stored.short_id} [--approximate FILTER] [--today], or deny")
 
 
 def _right(item: PendingApproval) -> dict[str, object]:

@@ -74,7 +74,8 @@ def run(
         home = NodeHome.of(environment.home, name)
         home.anchor()  # before anything is written there
         names.read((), own_variables(environment), default_name=name)  # likewise
-        federation = _federation(config, config_file, follow_announced=follow_announced)
+        found = read_config(config.federation, str(config_file))
+        federation = replace(found, follow_announced=True) if follow_announced else found
         stack.enter_context(_only_master(home.path))
         if config.audit:
             stack.enter_context(audit_written(home.path / AUDIT, home.signer()))
@@ -170,11 +171,6 @@ async def _announce(server: MasterServer, home: NodeHome) -> None:
     await announce(
         home.credentials(), server.uri, name=home.name, version=lambda: server.state.registry.version
     )
-
-
-def _federation(config: Config, config_file: Path | None, *, follow_announced: bool) -> FederationConfig:
-    found = read_config(config.federation, str(config_file))
-    return replace(found, follow_announced=True) if follow_announced else found
 
 
 def _commands(server: MasterServer, mesh: Mesh) -> Mapping[str, Any]:

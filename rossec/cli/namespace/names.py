@@ -162,7 +162,9 @@ def launch(source: Path, out: Path, rules_path: Path | None) -> None:
     found = asyncio.run(_named(source, out, rules.read_rules(rules_path)))
     found.write()
     for node in found.nodes:
-        _describe(node)
+        note(printable(node.name))
+        for entry in node.entries:
+            note(printable(f"  {entry.kind} {entry.source} is {entry.name}"))
     for text in found.notes:
         note(printable(text))
     if not found.nodes:
@@ -187,12 +189,6 @@ def _name(result: str | RossecError) -> str:
     if isinstance(result, RossecError):
         raise result
     return result
-
-
-def _describe(node: NamedNode) -> None:
-    note(printable(node.name))
-    for entry in node.entries:
-        note(printable(f"  {entry.kind} {entry.source} is {entry.name}"))
 
 
 @click.command()

@@ -133,7 +133,14 @@ def check(
     name for two things, names that change with the order of the metadata, and with --policy or
     --grants names that no rule or grant covers.
     """
-    documents = _documents(directory)
+    found = sorted(directory.glob(METADATA_SUFFIX))
+    if not found:
+        raise ConfigurationError(
+            f"there are no metadata in {directory}", f"it is a folder with files {METADATA_SUFFIX}"
+        )
+    if len(found) > MAX_FILES:
+        raise ConfigurationError(f"{len(found)} files in {directory} where {MAX_FILES} are allowed")
+    documents = [(str(path), files.read(path, MAX_INPUT)) for path in found]
     covered = _coverage(policy_path, grants_path)
     report = asyncio.run(_examined(files.read(rules, MAX_INPUT), documents, covered))
     if as_json:
@@ -147,17 +154,6 @@ def check(
             f"{len(report.findings)} findings with the rules {rules}",
             "correct the rules or the metadata, and check again",
         )
-
-
-def _documents(directory: Path) -> list[tuple[str, bytes]]:
-    found = sorted(directory.glob(METADATA_SUFFIX))
-    if not found:
-        raise ConfigurationError(
-            f"there are no metadata in {directory}", f"it is a folder with files {METADATA_SUFFIX}"
-        )
-    if len(found) > MAX_FILES:
-        raise ConfigurationError(f"{len(found)} files in {directory} where {MAX_FILES} are allowed")
-    return [(str(path), files.read(path, MAX_INPUT)) for path in found]
 
 
 def _coverage(policy_path: Path | None, grants_path: Path | None) -> Covered | None:

@@ -532,7 +532,12 @@ def _doctor_opened(
     for data in home.grants():
         try:
             grant = open_held(home, data, now())
-            _check_grant(grant, revoked)
+            for entry in (*grant.revocable, grant.holder):
+                if entry in revoked:
+                    raise GrantRevoked(
+                        f"grant {grant.short_id} is revoked according to {revoked[entry]}",
+                        f"ask for another; it does no harm in {grant.subject}'s directory",
+                    )
         except HintedError as error:
             refused[type(error)].append(error)
         else:
@@ -546,15 +551,6 @@ def _label(home: NodeHome, grant: Grant) -> str:
     if listed is not None:
         return listed.entry.label
     return "" if grant.domain == anchor.domain else grant.domain
-
-
-def _check_grant(grant: Grant, revoked: Mapping[bytes, str]) -> None:
-    for entry in (*grant.revocable, grant.holder):
-        if entry in revoked:
-            raise GrantRevoked(
-                f"grant {grant.short_id} is revoked according to {revoked[entry]}",
-                f"ask for another; it does no harm in {grant.subject}'s directory",
-            )
 
 
 def _domains(environment: Environment, home: NodeHome) -> Iterator[Outcome]:

@@ -72,7 +72,17 @@ class EnrollmentScreen:
         try:
             async with self._node:
                 await self._node.listen(host if is_loopback(host) else None, port)
-                self._show(host)
+                where = addresses.join(host, self._node.port)
+                text = self._core.code(where)
+                for path, picture in ((self._png, qr.png), (self._svg, qr.svg)):
+                    if path is not None:
+                        files.replace(path, picture(text), 0o644 if self._label else 0o600)
+                if not self._label:
+                    say_picture(qr.terminal(text))
+                say(text)
+                # Without the code: an argument is seen by every user of that host.
+                command = "rossec ca enroll" + f" --address {where}" * self._label
+                say(f"{self._home.name} waits at {where}; at the authority, which asks for it: {command}")
                 await self._wait()
         finally:
             listener.close()
@@ -88,19 +98,6 @@ class EnrollmentScreen:
             self._node.stop(EnrollmentOver("the node has stopped waiting"))
             self._clear_line()
         say(f"{self._home.name} is enrolled in {self._core.request.domain}")
-
-    def _show(self, host: str) -> None:
-        where = addresses.join(host, self._node.port)
-        text = self._core.code(where)
-        for path, picture in ((self._png, qr.png), (self._svg, qr.svg)):
-            if path is not None:
-                files.replace(path, picture(text), 0o644 if self._label else 0o600)
-        if not self._label:
-            say_picture(qr.terminal(text))
-        say(text)
-        # Without the code: an argument is seen by every user of that host.
-        command = "rossec ca enroll" + f" --address {where}" * self._label
-        say(f"{self._home.name} waits at {where}; at the authority, which asks for it: {command}")
 
     def _countdown(self, left: int) -> None:
         if is_live():
@@ -254,23 +251,19 @@ def confirm(environment: Environment, name: str, digits: tuple[str, ...], yes: b
         for line in authority_lines(waiting):
             say(line)
         if not yes:
-            _ask_whether_same(given)
+            # Raises ConfigurationError unless the answer is yes, or the digits themselves.
+            try:
+                answer: str = click.prompt(f"{SAME_DIGITS} [y/N]", default="n", show_default=False, err=True)
+            except click.Abort as abort:
+                reraise_interrupt(abort)
+                answer = "n"
+            if not confirms(answer.strip().lower(), given):
+                raise ConfigurationError("the digits were not confirmed", "nothing was accepted")
     if _DIGITS.fullmatch(given) is None:
         raise ConfigurationError("the authority shows six digits", f"rossec node confirm {name} 123 456")
     enrollment_control.ask(home.path, {"do": "confirm", "digits": given})
     record(name=name)
     say(f"{name} is enrolled")
-
-
-def _ask_whether_same(digits: str) -> None:
-    # Raises ConfigurationError unless the answer is yes, or the digits themselves.
-    try:
-        answer: str = click.prompt(f"{SAME_DIGITS} [y/N]", default="n", show_default=False, err=True)
-    except click.Abort as abort:
-        reraise_interrupt(abort)
-        answer = "n"
-    if not confirms(answer.strip().lower(), digits):
-        raise ConfigurationError("the digits were not confirmed", "nothing was accepted")
 
 
 @click.command()

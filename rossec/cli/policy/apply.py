@@ -243,18 +243,20 @@ def apply(
     else:
         for line in check.lines(plan):
             say(line)
-    _remark(policy, policy_path)
+    leaks = [item for item in lint(policy.policy, layout_of) if item.is_leak]
+    if leaks:
+        command = shlex.join(["rossec", "policy", "lint", *([str(policy_path)] if policy_path else [])])
+        note(f"this policy may give away more than it says, {count(len(leaks), 'remark')}: {command}")
     if not dry_run:
         _carry_out(service, plan, yes=yes, as_json=as_json)
     require_complete(plan)
-    _check_contradictions(plan)
-
-
-def _remark(policy: PolicyFile, given: Path | None) -> None:
-    leaks = [item for item in lint(policy.policy, layout_of) if item.is_leak]
-    if leaks:
-        command = shlex.join(["rossec", "policy", "lint", *([str(given)] if given else [])])
-        note(f"this policy may give away more than it says, {count(len(leaks), 'remark')}: {command}")
+    grants = {each.grant.id for each in plan.contradictions}
+    if grants:
+        allow = "grant made by hand allows" if len(grants) == 1 else "grants made by hand allow"
+        raise PolicyContradicted(
+            f"{len(grants)} {allow} what the policy denies",
+            "revoke them with: rossec policy apply --prune; or: rossec grant revoke ID",
+        )
 
 
 def _carry_out(service: AuthorityService, plan: PolicyPlan, *, yes: bool, as_json: bool) -> None:
@@ -272,16 +274,6 @@ def _carry_out(service: AuthorityService, plan: PolicyPlan, *, yes: bool, as_jso
         service.complete_policy()
     except NotDelivered as error:  # nothing was signed now, so nothing is undelivered for certain
         note(str(error))
-
-
-def _check_contradictions(plan: PolicyPlan) -> None:
-    grants = {each.grant.id for each in plan.contradictions}
-    if grants:
-        allow = "grant made by hand allows" if len(grants) == 1 else "grants made by hand allow"
-        raise PolicyContradicted(
-            f"{len(grants)} {allow} what the policy denies",
-            "revoke them with: rossec policy apply --prune; or: rossec grant revoke ID",
-        )
 
 
 @click.command("opt-out")

@@ -116,25 +116,23 @@ def run(
         for receiver in receivers:
             key = (topic, number, receiver.name)
             if key not in trials:
-                trials[key] = _trials(deciders, receiver, topic, layout)
+                old, new = (decider.decide(receiver, Right.SUBSCRIBE, topic) for decider in deciders)
+                trials[key] = Trial(layout, old), Trial(layout, new)
             tallies = found.setdefault((topic, receiver.name), (Tally(), Tally()))
             for trial, tally in zip(trials[key], tallies, strict=True):
                 tally.count(layout.type_name, message, trial(message, now))
     return found
 
 
-def _trials(
-    deciders: tuple[Decider, Decider], receiver: Subject, topic: str, layout: Layout
-) -> tuple[Trial, Trial]:
-    old, new = (decider.decide(receiver, Right.SUBSCRIBE, topic) for decider in deciders)
-    return Trial(layout, old), Trial(layout, new)
-
-
 def _messages(bag: Path) -> Iterator[tuple[str, Layout, int, int, bytes]]:
     layouts: dict[int, Layout | None] = {}
     try:
         with Reader(bag) as reader:
-            _bound_chunks(reader)
+            bounded = {bz2.decompress: bz2.BZ2Decompressor, lz4.frame.decompress: LZ4FrameDecompressor}
+            for position, chunk in reader.chunks.items():
+                make = bounded.get(chunk.decompressor)
+                if make is not None:
+                    reader.chunks[position] = chunk._replace(decompressor=partial(_decompress, make))
             for number, (connection, at, data) in enumerate(reader.messages()):
                 if number >= MAX_MESSAGES:
                     note(f"only the first {MAX_MESSAGES} messages of {bag} were tried")
@@ -148,14 +146,6 @@ def _messages(bag: Path) -> Iterator[tuple[str, Layout, int, int, bytes]]:
         what = printable(str(error)) or type(error).__name__
         hint = "see: rosbag record, rosbag reindex, rosbag check"
         raise ConfigurationError(f"{bag} is not a complete ROS 1 bag: {what}", hint) from error
-
-
-def _bound_chunks(reader: Reader) -> None:
-    bounded = {bz2.decompress: bz2.BZ2Decompressor, lz4.frame.decompress: LZ4FrameDecompressor}
-    for position, chunk in reader.chunks.items():
-        make = bounded.get(chunk.decompressor)
-        if make is not None:
-            reader.chunks[position] = chunk._replace(decompressor=partial(_decompress, make))
 
 
 def _decompress(make: Callable[[], Any], data: bytes) -> bytes:

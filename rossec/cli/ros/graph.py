@@ -27,7 +27,6 @@ from rossec.cli.completion import values
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import calls_as, find_master, master_at
 from rossec.cli.shared.options import json_result, working
-from rossec.discovery.announcement import Candidate
 from rossec.discovery.local_links import PATIENCE, masters, uri_of
 from rossec.errors import AnswerMalformed, AnswerRefused, ConfigurationError
 from rossec.home import NodeHome
@@ -476,7 +475,20 @@ def discover(environment: Environment, identity: str | None, seconds: float, as_
     with working("listening for masters", quiet=as_json):
         found = asyncio.run(masters(environment.home, identity, seconds))
     for one in found:
-        row = _discover_row(one)
+        link, clock = str(one.source.link), time.monotonic()
+        with suppress(OSError):
+            link = socket.if_indextoname(one.source.link)
+        row = {
+            "uri": uri_of(one),
+            "name": one.name,
+            "rtt_ms": round((one.rtt or 0) * 1000, 2),
+            "loss": round(one.loss(clock), 2),
+            "heard": len(one.heard),
+            "sent": one.sent(clock),
+            "age_s": round(one.age(clock), 1),
+            "link": link,
+            "key": one.key.hex(),
+        }
         if as_json:
             say_json(row)
         else:
@@ -485,20 +497,3 @@ def discover(environment: Environment, identity: str | None, seconds: float, as_
                 f" {row['loss']:.0%} of {row['sent']} lost,"
                 f" heard {row['age_s']} s ago, on {row['link']}"
             )
-
-
-def _discover_row(one: Candidate) -> dict[str, object]:
-    link, clock = str(one.source.link), time.monotonic()
-    with suppress(OSError):
-        link = socket.if_indextoname(one.source.link)
-    return {
-        "uri": uri_of(one),
-        "name": one.name,
-        "rtt_ms": round((one.rtt or 0) * 1000, 2),
-        "loss": round(one.loss(clock), 2),
-        "heard": len(one.heard),
-        "sent": one.sent(clock),
-        "age_s": round(one.age(clock), 1),
-        "link": link,
-        "key": one.key.hex(),
-    }

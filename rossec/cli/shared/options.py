@@ -181,7 +181,7 @@ _CLEAR: Final = "\r\x1b[K"
 @contextlib.contextmanager
 def working(what: str, *, quiet: bool = False) -> Iterator[None]:
     """Say `what` while the body runs, which asks for nothing; `quiet`: do not (`--json`)."""
-    if quiet or not _is_shown():
+    if quiet or not (FACTS.get() is None and not sys.stderr.closed and sys.stderr.isatty()):
         yield
         return
     line = _Line(what)
@@ -189,10 +189,6 @@ def working(what: str, *, quiet: bool = False) -> Iterator[None]:
         yield
     finally:
         line.end()
-
-
-def _is_shown() -> bool:
-    return FACTS.get() is None and not sys.stderr.closed and sys.stderr.isatty()
 
 
 class _Line:

@@ -153,7 +153,7 @@ def _given(file: Path | None, environ: Mapping[str, str]) -> str | None:
         file = Path(directory) / CREDENTIAL
     if file is None:
         return None
-    if file.stat().st_mode & 0o077 and not _is_ours_alone(file):
+    if file.stat().st_mode & 0o077 and not (not file.is_file() and file.stat().st_uid in (os.getuid(), 0)):
         raise ConfigurationError(f"{file} can be read by others", f"chmod 600 {file}")
     with file.open("rb") as stream:
         lines = stream.read(_MAX_FILE).splitlines()
@@ -165,7 +165,3 @@ def _given(file: Path | None, environ: Mapping[str, str]) -> str | None:
         raise ConfigurationError(
             f"{file} is not UTF-8 text", "its first line is the passphrase, as one would type it"
         ) from None
-
-
-def _is_ours_alone(file: Path) -> bool:
-    return not file.is_file() and file.stat().st_uid in (os.getuid(), 0)

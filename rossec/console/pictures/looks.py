@@ -224,12 +224,8 @@ def _numbers(fields: Mapping[str, Any], above: str) -> Iterator[tuple[str, float
             continue
         if isinstance(value, Mapping):
             yield from _numbers(value, f"{above}{name}.")
-        elif _is_number(value):
+        elif type(value) in (int, float) and abs(value) < _LARGE:
             yield f"{above}{name}", float(value)
-
-
-def _is_number(value: Any) -> bool:
-    return type(value) in (int, float) and abs(value) < _LARGE
 
 
 MAX_LOOKS: Final = 6

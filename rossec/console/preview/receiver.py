@@ -54,27 +54,24 @@ class PreviewReceiver:
             try:
                 environ = await discover_master(self._environ, NAME)
                 async with Node(NAME, environ=environ) as node:
-                    await self._follow(node)
+                    tasks = TaskSet()
+                    try:
+                        while True:
+                            found = await node.topic_types()
+                            await self._end_lost(node)
+                            for topic, kind in sorted(found.items()):
+                                if self._is_new(node, topic):
+                                    with suppress(AnswerRefused, MessageError):  # ended since; unknown type
+                                        subscriber = await node.subscriber(topic, kind)
+                                        self._subscribers[topic] = subscriber
+                                        tasks.spawn(self._pass_on(subscriber, kind), f"preview of {topic}")
+                            await asyncio.sleep(self._period)
+                    finally:
+                        await tasks.close()
             except (HintedError, OSError) as error:
                 _log.warning("the preview does not run now: %s", error)
             self._subscribers.clear()
             await asyncio.sleep(_RETRY)
-
-    async def _follow(self, node: Node) -> None:
-        tasks = TaskSet()
-        try:
-            while True:
-                found = await node.topic_types()
-                await self._end_lost(node)
-                for topic, kind in sorted(found.items()):
-                    if self._is_new(node, topic):
-                        with suppress(AnswerRefused, MessageError):  # ended since; unknown type
-                            subscriber = await node.subscriber(topic, kind)
-                            self._subscribers[topic] = subscriber
-                            tasks.spawn(self._pass_on(subscriber, kind), f"preview of {topic}")
-                await asyncio.sleep(self._period)
-        finally:
-            await tasks.close()
 
     def _is_new(self, node: Node, topic: str) -> bool:
         return (

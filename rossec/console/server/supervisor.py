@@ -80,7 +80,13 @@ class ScannerSupervisor:
         reader, writer = await asyncio.open_connection(sock=self._socket)
         try:
             while True:
-                picture = await self._next(reader)
+                try:
+                    async with asyncio.timeout(self._idle):
+                        head = await reader.readexactly(frames.HEAD)
+                except TimeoutError:
+                    await self._end()
+                    head = await reader.readexactly(frames.HEAD)
+                picture = await reader.readexactly(frames.size(head, frames.MAX_PICTURE))
                 writer.write(frames.write_answer(await self._read(picture)))
                 await writer.drain()
         except (asyncio.IncompleteReadError, ConnectionError):
@@ -88,15 +94,6 @@ class ScannerSupervisor:
         finally:
             writer.transport.abort()
             await self._end()
-
-    async def _next(self, reader: asyncio.StreamReader) -> bytes:
-        try:
-            async with asyncio.timeout(self._idle):
-                head = await reader.readexactly(frames.HEAD)
-        except TimeoutError:
-            await self._end()
-            head = await reader.readexactly(frames.HEAD)
-        return await reader.readexactly(frames.size(head, frames.MAX_PICTURE))
 
     async def _read(self, picture: bytes) -> Found | Unreadable:
         try:
@@ -416,9 +413,5 @@ async def supervise(
     finally:
         for sock in sockets:
             sock.close()
-        _remove_path(endpoint)
-
-
-def _remove_path(endpoint: Endpoint) -> None:
-    if endpoint.unix_path is not None:
-        endpoint.unix_path.unlink(missing_ok=True)
+        if endpoint.unix_path is not None:
+            endpoint.unix_path.unlink(missing_ok=True)

@@ -234,7 +234,13 @@ class WebProcess:
             return
         finally:
             writer.transport.abort()
-            await self._close()
+            await self._server.close()
+            await self._context.news.close()
+            await self._context.enrollments.close()
+            await self._scanner.close()
+            if self._preview is not None:
+                await self._preview.close()
+            await self._client.close()
 
     async def _obey(self, reader: asyncio.StreamReader) -> None:
         head = await reader.readexactly(messages.HEAD)
@@ -244,15 +250,6 @@ class WebProcess:
                 load_bundle(self._tls, bundle)
             case other:
                 raise ConfigurationError(f"the supervisor says {other.word}, which is not for here")
-
-    async def _close(self) -> None:
-        await self._server.close()
-        await self._context.news.close()
-        await self._context.enrollments.close()
-        await self._scanner.close()
-        if self._preview is not None:
-            await self._preview.close()
-        await self._client.close()
 
 
 def main(arguments: list[str]) -> None:

@@ -306,22 +306,18 @@ class Multicall:
     def _begin_next(self, begin: BeginCall) -> CallOutcome | Work:
         element = self._calls[len(self._answers)]
         self._check_once(element)
-        return _begin_element(element, begin)
+        method = element.get("methodName") if isinstance(element, dict) else None
+        params = element.get("params") if isinstance(element, dict) else None
+        if not isinstance(method, str) or not isinstance(params, list):
+            raise Fault(1, "rossec: a multicall element needs methodName and params")
+        if method == MULTICALL:
+            raise Fault(1, "rossec: a multicall inside a multicall")
+        return begin(method, params)
 
     def _check_once(self, element: object) -> None:
         method, at = _method_of(element), len(self._answers)
         if method in MULTICALL_ONCE and self._first_index.setdefault(method, at) != at:
             raise Fault(1, f"rossec: more than one {method} in a multicall")
-
-
-def _begin_element(element: object, begin: BeginCall) -> CallOutcome | Work:
-    method = element.get("methodName") if isinstance(element, dict) else None
-    params = element.get("params") if isinstance(element, dict) else None
-    if not isinstance(method, str) or not isinstance(params, list):
-        raise Fault(1, "rossec: a multicall element needs methodName and params")
-    if method == MULTICALL:
-        raise Fault(1, "rossec: a multicall inside a multicall")
-    return begin(method, params)
 
 
 def _method_of(element: object) -> str:

@@ -76,7 +76,7 @@ class SiteCalls:
         revocations, domains = self._digests()
         lists = revocations, b"" if request.caller.is_foreign else domains
         # an answer to other wants is one at once: the follower waits for it, also if it is no
-        beside = (*lists, _digest(request.arguments[3]))
+        beside = (*lists, hashlib.sha256(repr(request.arguments[3]).encode()).digest())
         answer = self.views.answer(key, known, frozenset(seen), version, beside)
         answer |= {"revocations": lists[0], "domains": lists[1]}
         return Reply(answer, "facts of this site")
@@ -114,10 +114,6 @@ def _is_shown(caller: Caller, wanted: Reach | None, name: str) -> bool:
         return False
     exported = caller.exported is None or caller.exported.covers_any(ALL_RIGHTS, name)
     return exported and caller.may(Right.GRAPH, name)
-
-
-def _digest(wanted: object) -> bytes:
-    return hashlib.sha256(repr(wanted).encode()).digest()
 
 
 def _wanted(value: object) -> Reach | None:

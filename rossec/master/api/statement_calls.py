@@ -165,16 +165,13 @@ class StatementCalls:
         if caller.may(Right.ADMIN, self._master):
             entries = self._statements.revoked()
         else:
-            names = self._names_of(caller.name)
+            keys = (key for kind in Kind for key in self._registry.keys_of(caller.name, kind))
+            names = [name for key in keys if (name := key.removesuffix("/"))]
             entries = yield from self._statements.pertaining(caller, names)
         requester = caller.thumbprint + caller.name.encode()
         with refusals_answered():
             answer = self._queries.answer(requester, entries, request.binary(1))
         return Reply(answer, "revocations")
-
-    def _names_of(self, node: str) -> list[str]:
-        keys = (key for kind in Kind for key in self._registry.keys_of(node, kind))
-        return [name for key in keys if (name := key.removesuffix("/"))]
 
 
 def _update_reply(newer: bool, request: CallRequest) -> Reply:

@@ -94,7 +94,15 @@ class TrustState(ListInForce):
         if self._is_revoked(peer.keys):
             raise Revoked(f"the key of {shown(peer.name)} is revoked", "enroll the node with a new key")
         if peer.certified:  # a foreigner
-            return self._foreign_caller(peer, now)
+            self.domains.check_connected(peer, now)
+            self._foreigners[peer.name, peer.thumbprint] = peer
+
+            def check(domain: str, entry: bytes, now: int) -> None:
+                self._check_grant(domain, entry, now)
+                self.domains.check_for(peer, entry, now)
+
+            exported = self.domains.exported(peer.domain)
+            return self._caller(peer, now, self._judge._replace(check=check, exported=exported))
         if not peer.wildcard and (held := self._held_by(peer)).has_tails:
             held.drop_tails()
         caller = self._caller(peer, now, self._judge, wildcard=peer.wildcard)
@@ -107,17 +115,6 @@ class TrustState(ListInForce):
         self.caller(peer, now)
         if peer.is_foreign:
             self.domains.admit(peer, now)
-
-    def _foreign_caller(self, peer: Identity, now: int) -> Caller:
-        self.domains.check_connected(peer, now)
-        self._foreigners[peer.name, peer.thumbprint] = peer
-
-        def check(domain: str, entry: bytes, now: int) -> None:
-            self._check_grant(domain, entry, now)
-            self.domains.check_for(peer, entry, now)
-
-        exported = self.domains.exported(peer.domain)
-        return self._caller(peer, now, self._judge._replace(check=check, exported=exported))
 
     def _check_grant(self, domain: str, entry: bytes, now: int) -> None:
         self._revocations.check(entry, now)

@@ -283,7 +283,9 @@ class Effects:
         """Perform the effect of `event`."""
         match event:
             case PublishersChanged():
-                self._publishers_changed(event)
+                if is_in_gateway(event.topic):
+                    self.on_served(event.topic)
+                self.send_publishers(self._state.aliases.updates(event, self._state.now()))
             case ParameterChanged(node, key, value):
                 self._notify(node, "paramUpdate", key, value)
             case ShutdownNode(node, reason):
@@ -301,11 +303,6 @@ class Effects:
             case StopMaster(reason):
                 _audit.warning("stopping: %s", printable(reason))
                 self.stopping.set()
-
-    def _publishers_changed(self, event: PublishersChanged) -> None:
-        if is_in_gateway(event.topic):
-            self.on_served(event.topic)
-        self.send_publishers(self._state.aliases.updates(event, self._state.now()))
 
     def send_publishers(self, updates: Iterable[PublishersChanged]) -> None:
         """Send subscribers their lists of publishers."""

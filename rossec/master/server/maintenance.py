@@ -257,20 +257,17 @@ class Gateways:
                 else:
                     failures += 1
                     if failures >= _FAILURES and loop.time() - heard >= SILENT_AFTER:
-                        self._give_up(node, error)
+                        if not _is_refused(error):
+                            self._note(node, silent=True)
+                        elif self._state.registry.is_current(node):
+                            _audit.warning("%s is unregistered: nobody listens at %s", node.name, node.uri)
+                            for event in self._state.registry.remove_node(node.name):
+                                self._effects.deliver(event)
+                            self._state.notify()
                 await asyncio.sleep(RETRY_AFTER if failures else ASK_EVERY)
         finally:
             self._asked.discard(node)
             await client.close()
-
-    def _give_up(self, node: NodeRef, error: Exception) -> None:
-        if not _is_refused(error):
-            self._note(node, silent=True)
-        elif self._state.registry.is_current(node):
-            _audit.warning("%s is unregistered: nobody listens at %s", node.name, node.uri)
-            for event in self._state.registry.remove_node(node.name):
-                self._effects.deliver(event)
-            self._state.notify()
 
     def _note(self, node: NodeRef, *, silent: bool) -> None:
         if not self._state.registry.set_silent(node, silent=silent):
@@ -393,7 +390,11 @@ class Maintenance:
         self._effects.close_revoked()
         await self._enforce()
         self._effects.send_revocations()
-        self._prune()
+        self._effects.drop_deposits()
+        nodes = frozenset(self._state.registry.nodes())
+        self._effects.updates.prune(nodes)
+        keys = self._connected_keys() | {node.thumbprint for node in nodes}
+        self._state.trust.keep_only(keys, self._state.now())
         self._check_own_identity(self._state.now())
         if self._local_authority.has_newer_list(self._state.now()):
             self._effects.deliver(RevocationsChanged(SOURCE))
@@ -421,13 +422,6 @@ class Maintenance:
             self._effects.send_publishers(updates)
             await asyncio.sleep(0)
         self._state.notify_all()  # rights also narrow what watchers see
-
-    def _prune(self) -> None:
-        self._effects.drop_deposits()
-        nodes = frozenset(self._state.registry.nodes())
-        self._effects.updates.prune(nodes)
-        keys = self._connected_keys() | {node.thumbprint for node in nodes}
-        self._state.trust.keep_only(keys, self._state.now())
 
     def _connected_keys(self) -> frozenset[bytes]:
         return frozenset(stream.peer.thumbprint for stream in self._state.streams)

@@ -71,17 +71,14 @@ class ListFile:
                 write(data)
                 del self._unwritten[what]
         except (NotWritten, OSError) as error:
-            self._log_failure(error)
+            if not self._failing:
+                hint = f" ({error.hint})" if isinstance(error, HintedError) else ""
+                _log.error("a list is in force, but not saved: %s%s", error, hint)
+            self._failing = True
             return
         if self._failing:
             self._failing = False
             _log.warning("the newest lists are saved now")
-
-    def _log_failure(self, error: Exception) -> None:
-        if not self._failing:
-            hint = f" ({error.hint})" if isinstance(error, HintedError) else ""
-            _log.error("a list is in force, but not saved: %s%s", error, hint)
-        self._failing = True
 
 
 REWRITE_FACTOR: Final = 4  # compacted when it is this many times as long as needed

@@ -407,7 +407,10 @@ def _trust(
     delegate = Delegate(anchor, signer, home.save_delegation)
     delegation = home.load_delegation()
     if delegation is not None:
-        _load_delegation(delegate, delegation)
+        try:
+            delegate.take(delegation)
+        except HintedError as error:
+            _log.warning("grants are not renewed: %s", error)
     trust = TrustState(
         anchor,
         signer,
@@ -447,13 +450,6 @@ def _domains(
 def _maintain(own_identity: OwnIdentity, saved_list: ListFile, now: int) -> None:
     own_identity.check(now)
     saved_list.retry()
-
-
-def _load_delegation(delegate: Delegate, data: bytes) -> None:
-    try:
-        delegate.take(data)
-    except HintedError as error:
-        _log.warning("grants are not renewed: %s", error)
 
 
 def _load_entries(

@@ -157,28 +157,22 @@ class NodeClient:
             while True:
                 await self._posted.wait()
                 self._posted.clear()
-                await self._deliver_all()
+                while self._pending:
+                    key, params = next(iter(self._pending.items()))
+                    if await self._deliver(key[0], params):
+                        self._failures = 0
+                        if self._pending.get(key) is params:  # else a newer one was posted meanwhile
+                            self._discard(key)
+                    elif self._failures >= len(self._retry_after):
+                        _log.warning("gave up sending %s to %s", key[0], self.node.name)
+                        self._failures = 0
+                        self._pending.clear()
+                        self._encoded_sizes.clear()
+                    else:
+                        await asyncio.sleep(self._retry_after[self._failures])
+                        self._failures += 1
         finally:
             await self._disconnect()
-
-    async def _deliver_all(self) -> None:
-        while self._pending:
-            key, params = next(iter(self._pending.items()))
-            if await self._deliver(key[0], params):
-                self._failures = 0
-                self._sent(key, params)
-            elif self._failures >= len(self._retry_after):
-                _log.warning("gave up sending %s to %s", key[0], self.node.name)
-                self._failures = 0
-                self._pending.clear()
-                self._encoded_sizes.clear()
-            else:
-                await asyncio.sleep(self._retry_after[self._failures])
-                self._failures += 1
-
-    def _sent(self, key: Key, params: tuple[object, ...]) -> None:
-        if self._pending.get(key) is params:  # else a newer one was posted meanwhile
-            self._discard(key)
 
     async def _deliver(self, method: str, params: tuple[object, ...]) -> bool:
         try:

@@ -246,14 +246,11 @@ class Doors:
             for peer in self._relays[name].ways:
                 if peer not in self._serving:
                     self._serving[peer] = name
-                    self._want_anew(peer)
+                    for target in [each for each in self._wanted if each.peer == peer]:
+                        del self._wanted[target]
+                        self._wanted[target] = self._next_version()
+                    self.on_wanted()
         return self._serving != before
-
-    def _want_anew(self, peer: str) -> None:
-        for target in [each for each in self._wanted if each.peer == peer]:
-            del self._wanted[target]
-            self._wanted[target] = self._next_version()
-        self.on_wanted()
 
     def _drop_relay(self, name: str) -> None:
         self._relays.pop(name, None)

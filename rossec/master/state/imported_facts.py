@@ -167,7 +167,8 @@ class SiteFacts:
         self.facts.add(fact)
         kind, name, value = fact
         if kind == NODE:
-            self._add_node(name, value)
+            with suppress(NameRefused):  # its alias would be longer than a name
+                self._add_address(self.nodes, name, self.site.node(name), value)
             return None
         found = self.registration(fact)
         if found is not None:
@@ -195,10 +196,6 @@ class SiteFacts:
         elif key is not None and kind == PROVIDER:
             _remove_address(self.providers, key, value)
         return found
-
-    def _add_node(self, name: str, uri: str) -> None:
-        with suppress(NameRefused):  # its alias would be longer than a name
-            self._add_address(self.nodes, name, self.site.node(name), uri)
 
     def _add_address(self, addresses: dict[str, Address], key: str, name: str, uri: str) -> None:
         place = endpoint(uri)

@@ -354,20 +354,17 @@ class Imports:
         if not entries or not self.intake.shows(key):
             return []
         if kind is Kind.SERVICE:
-            return self._used_provider(key, entries)
+            if self._registry.service_uri(key) is not None:
+                return []
+            for label, node in sorted(entries):
+                held = self._sites[label]
+                address = held.providers.get(key)
+                if address is not None and self._is_elsewhere(address) and self._is_used(held, node):
+                    return [(label, node)]
+            return []
         found = [each for each in sorted(entries) if self._is_used(self._sites[each[0]], each[1])]
         type_name = self._type_that_counts(key)
-        return [each for each in found if self._agrees(each[0], key, type_name)]
-
-    def _used_provider(self, service: str, entries: Iterable[_Entry]) -> list[_Entry]:
-        if self._registry.service_uri(service) is not None:
-            return []
-        for label, node in sorted(entries):
-            held = self._sites[label]
-            address = held.providers.get(service)
-            if address is not None and self._is_elsewhere(address) and self._is_used(held, node):
-                return [(label, node)]
-        return []
+        return [each for each in found if (self._sites[each[0]].types.get(key, type_name) == type_name)]
 
     def _is_elsewhere(self, address: Address) -> bool:
         return not self._registry.is_registered_endpoint(address.endpoint)
@@ -379,9 +376,6 @@ class Imports:
         labels = {label for kind in _TOPIC_KINDS for label, _ in self._entries[kind].get(topic, ())}
         types = (self._sites[label].types.get(topic) for label in sorted(labels))
         return next((name for name in types if name is not None), ANY_TYPE)
-
-    def _agrees(self, label: str, topic: str, type_name: str) -> bool:
-        return self._sites[label].types.get(topic, type_name) == type_name
 
     def _change(
         self, held: SiteFacts, new: set[Fact], gone: set[Fact]

@@ -168,14 +168,12 @@ class SecureServer(AcceptedStreams[PeerT]):
             if slot is None:
                 sock.close()
             else:
-                self._begin_on(sock, where[0], slot)
-
-    def _begin_on(self, sock: socket.socket, address: str, slot: HalfOpenSlot) -> None:
-        try:
-            self._begin(partial(Transport, sock), address, slot)
-        except BaseException:
-            sock.close()
-            raise
+                address = where[0]
+                try:
+                    self._begin(partial(Transport, sock), address, slot)
+                except BaseException:
+                    sock.close()
+                    raise
 
     def suspend(self) -> None:
         """Refuse connections as if the port were closed, but keep it bound.

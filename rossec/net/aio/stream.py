@@ -109,36 +109,30 @@ class Driver(BaseStream, Generic[PeerT]):
         if self.connection.has_unfinished_unit:
             self._arm()
 
-    def _handle_events(self, events: Sequence[Event[PeerT]]) -> None:
+    def _handle_events(self: Self, events: Sequence[Event[PeerT]]) -> None:
         for event in events:
             if isinstance(event, UnitReceived):
                 self._deliver(event.data)
             elif isinstance(event, Authenticated):
-                self._handle_authenticated(event.identity)
+                self.peer = event.identity
+                self.authenticated = True
+                self._on_authenticated(self)
+                self._loop.call_soon(self.flush)
+                self._arm()
             elif not isinstance(event, Closed):
-                self._handle_renewal(event)
+                if isinstance(event, IdentityRenewed):
+                    self.peer = event.identity
+                    self._arm()
+                if self._on_renewal is not None:
+                    self._on_renewal(event)
+                elif isinstance(event, GrantsPresented):
+                    self._untold = event
             else:
                 self.flush()
                 self._end(ChannelClosed("the peer closed the connection"))
                 self.transport.finish()  # both sides have closed
         if self._units:
             self._notify()
-
-    def _handle_authenticated(self: Self, peer: PeerT) -> None:
-        self.peer = peer
-        self.authenticated = True
-        self._on_authenticated(self)
-        self._loop.call_soon(self.flush)
-        self._arm()
-
-    def _handle_renewal(self: Self, event: Renewal[PeerT]) -> None:
-        if isinstance(event, IdentityRenewed):
-            self.peer = event.identity
-            self._arm()
-        if self._on_renewal is not None:
-            self._on_renewal(event)
-        elif isinstance(event, GrantsPresented):
-            self._untold = event
 
     def eof_received(self) -> None:
         try:
@@ -239,18 +233,14 @@ class Driver(BaseStream, Generic[PeerT]):
         if self.error is not None:
             return
         self.error = error.bare()
-        if linger:
-            self._linger()
-        self._on_end(self, error)
-        self._notify()
-
-    def _linger(self) -> None:
-        # Send FIN; wait for the peer's, or a reset would discard the last flight.
-        if not self.transport.closed:
+        if linger and not self.transport.closed:
+            # Send FIN; wait for the peer's, or a reset would discard the last flight.
             self.transport.write_eof()
             self.transport.resume_reading()
             self._abort_at = self._loop.time() + LINGER
             self._arm_timer(LINGER)
+        self._on_end(self, error)
+        self._notify()
 
     # -- time
 
@@ -328,7 +318,10 @@ class SecureStream(Driver[PeerT]):
             ChannelError: the connection has ended.
             LimitExceeded: the unit is too long; the connection is untouched.
         """
-        size = _size(pieces)
+        total = 0
+        for piece in pieces:
+            total += piece.nbytes if isinstance(piece, memoryview) else len(piece)
+        size = total
         free = self.error is None and self.transport.writable and not self._turn.locked()
         if free and size < self._small:
             self._send_small(pieces, size)
@@ -457,13 +450,6 @@ class SecureStream(Driver[PeerT]):
             await self.close()
         else:
             self.abort("the user of the connection failed")
-
-
-def _size(pieces: Sequence[Bytes]) -> int:
-    total = 0
-    for piece in pieces:
-        total += piece.nbytes if isinstance(piece, memoryview) else len(piece)
-    return total
 
 
 class UnitSource(Protocol):

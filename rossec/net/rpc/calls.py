@@ -293,16 +293,12 @@ class CallLoop(Generic[PeerT]):
         self._busy = False
         if self._calls.closing:
             self._end()
-        else:
-            self._restart_idle()
-
-    # -- time and ends
-
-    def _restart_idle(self) -> None:
         # Restart the idle time-out: not for each call, as a timer can cost more than the call.
-        if self._idle is not None and (now := self._loop.time()) > self._idle_set + self._idle / 64:
+        elif self._idle is not None and (now := self._loop.time()) > self._idle_set + self._idle / 64:
             self._idle_set = now
             self._scope.reschedule(now + self._idle)
+
+    # -- time and ends
 
     def _cancel_deadline(self) -> None:
         if self._deadline_timer is not None:
@@ -475,15 +471,12 @@ class RpcClient:
             raise CallFailed(f"{method}: no answer within {self._deadline:g} s") from error
         finally:
             if not complete:
-                await self._abandon()
+                self._closed = True
+                with contextlib.suppress(RossecError):
+                    await self._stream.close()
         return answer
 
     async def _take(self, data: bytes) -> object:
         if len(data) <= AT_ONCE:
             return self._calls.take(data)
         return await of_loop().run(self._source, self._calls.take_steps(data))
-
-    async def _abandon(self) -> None:
-        self._closed = True
-        with contextlib.suppress(RossecError):
-            await self._stream.close()
