@@ -51,12 +51,7 @@ class Authority:
     """
 
     def __init__(self, signer: Signer, certificate: bytes, intermediate: bytes | None = None) -> None:
-        """Combine the key with the root's certificate (DER), or with an intermediate's below it.
-
-        Raises:
-            CertificateRefused: not an authority's certificate.
-            IssueRefused: it belongs to another key.
-        """
+        """Combine the key with the root's certificate (DER), or with an intermediate's below it."""
         self.anchor = TrustAnchor.load(certificate)
         self.issuer: TrustAnchor | Intermediate = self.anchor
         self.chain: tuple[bytes, ...] = ()
@@ -84,11 +79,6 @@ class Authority:
         It is backdated by an hour and ends with the authority's own certificate at the latest.
         `serial` is 128 random bits. With `wildcard` the identity also covers the names of
         anonymous nodes (`ca.names.covers`), whether the request asks for that or not.
-
-        Raises:
-            RequestRefused: the request is invalid.
-            NameRefused: this name cannot have a wildcard tail.
-            IssueRefused: serial or lifetime out of range, or the authority itself is not valid now.
         """
         if not self.may_enroll:
             raise IssueRefused(
@@ -99,11 +89,7 @@ class Authority:
         return self._issue(request.name, request.public_key, now, serial, lifetime, wildcard=wildcard)
 
     def renew(self, renewal: Renewal, *, now: int, serial: int, lifetime: int = LIFETIME) -> bytes:
-        """Return the successor (DER) of an identity, with at most the same lifetime.
-
-        Raises:
-            IssueRefused: as `issue`, but an intermediate needs no permission to enroll.
-        """
+        """Return the successor (DER) of an identity, with at most the same lifetime."""
         key, longest = renewal.request.public_key, min(lifetime, renewal.max_lifetime)
         return self.reissue(renewal.identity, key, now=now, serial=serial, lifetime=longest)
 
@@ -116,22 +102,13 @@ class Authority:
         serial: int,
         lifetime: int = LIFETIME,
     ) -> bytes:
-        """Return a successor (DER) of `identity` for `key`; the caller has authorized it.
-
-        Raises:
-            IssueRefused: as `issue`, but an intermediate needs no permission to enroll.
-        """
+        """Return a successor (DER) of `identity` for `key`; the caller has authorized it."""
         return self._issue(identity.name, key, now, serial, lifetime, wildcard=identity.wildcard)
 
     def issue_intermediate(
         self, csr: bytes, *, now: int, serial: int, may_enroll: bool, lifetime: int
     ) -> bytes:
-        """Return the certificate (DER) of an intermediate; `may_enroll` sets its policy.
-
-        Raises:
-            RequestRefused: the request is invalid.
-            IssueRefused: this is not a root, or its form has no intermediates, or as `issue`.
-        """
+        """Return the certificate (DER) of an intermediate; `may_enroll` sets its policy."""
         key = check_intermediate_request(csr, self.anchor.domain)
         if not self.is_root or self.anchor.path_length == 0:
             raise IssueRefused(
@@ -194,12 +171,7 @@ class Authority:
 
 
 def create_root(signer: Signer, domain: str, *, now: int, serial: int) -> bytes:
-    """Return a new root certificate (DER) for `domain`, valid for ten years.
-
-    Raises:
-        NameRefused: `domain` is not a trust domain.
-        IssueRefused: the serial is out of range.
-    """
+    """Return a new root certificate (DER) for `domain`, valid for ten years."""
     check_domain(domain)
     _check_serial(serial)
     key = require_p256(signer.public_key)
@@ -283,18 +255,12 @@ _NO_SIGNATURE: Final = bytes.fromhex("0309003006020101020101")
 
 
 class UnsignedCertificate(NamedTuple):
-    """What is to be certified: a node's name, or the trust domain of an intermediate."""
-
     name: str
     is_intermediate: bool
 
 
 def read_unsigned(content: bytes, issuer: x509.Name, domain: str) -> UnsignedCertificate:
-    """Read a TBSCertificate (DER) that `issuer`, an authority of `domain`, is to sign.
-
-    Raises:
-        CertificateRefused: malformed, another issuer, trust domain or form.
-    """
+    """Read a TBSCertificate (DER) that `issuer`, an authority of `domain`, is to sign."""
     certificate = svid.parse(_completed(content))
     found = svid.certificate_signature(certificate, issuer)
     if found is None or found.content != content:

@@ -95,14 +95,12 @@ def span(seconds: int) -> str:
 
 
 def way_back(name: str) -> str:
-    """The commands by which the identity of `name`, which is over, comes back."""
     if name == "/ca":
         return "rossec ca renew /ca"
     return f"rossec ca renew --expired {name}, then on its machine: rossec node install FILE"
 
 
 def check_time(what: str, start: int, end: int, now: int, back: str) -> None:
-    """Return if a certificate, called `what`, is valid at `now`; `back`: what renews it."""
     if now < start:
         raise CertificateNotYetValid(
             f"the {what} becomes valid in {span(start - now)}",
@@ -178,27 +176,18 @@ def read_intermediate(certificate: x509.Certificate, der: bytes, domain: str) ->
 
 
 def policy(*, may_enroll: bool) -> x509.CertificatePolicies:
-    """The certificate policy that says what an intermediate may do."""
     power = MAY_ENROLL if may_enroll else MAY_RENEW
     return x509.CertificatePolicies([x509.PolicyInformation(power, None)])
 
 
 def build_intermediate_request(signer: Signer, domain: str) -> bytes:
-    """Return a CSR (DER) for an intermediate of `domain` with the signer's key.
-
-    Raises:
-        NameRefused: `domain` is not a trust domain.
-    """
+    """Return a CSR (DER) for an intermediate of `domain` with the signer's key."""
     builder = request_builder(f"{SCHEME}{check_domain(domain)}")
     return builder.sign(X509Signer(signer), hashes.SHA256()).public_bytes(Encoding.DER)
 
 
 def check_intermediate_request(csr: bytes, domain: str) -> ec.EllipticCurvePublicKey:
-    """Return the key of a request for an intermediate of `domain`; possession is proven.
-
-    Raises:
-        RequestRefused: malformed, without proof of possession, or for anything else.
-    """
+    """Return the key of a request for an intermediate of `domain`; possession is proven."""
     key, *asked = read_request(csr, _HINT)
     if asked != [f"{SCHEME}{domain}", False]:
         raise RequestRefused(f"this is not a request for an intermediate of {domain!r}", _HINT)
@@ -284,11 +273,7 @@ class TrustAnchor:
 
     @classmethod
     def load(cls, der: bytes) -> Self:
-        """Return the anchor in `der`, a self-signed root certificate. Its validity is not checked.
-
-        Raises:
-            CertificateRefused: not an authority's certificate of rossec's form.
-        """
+        """Return the anchor in `der`, a self-signed root certificate. Its validity is not checked."""
         certificate = svid.parse(der)
         key, subject = svid.key_of(certificate), svid.subject(certificate)
         if not svid.is_signed_by(certificate, subject, key):
@@ -303,13 +288,7 @@ class TrustAnchor:
         return cls(domain, key, thumbprint(key), start, end, der, subject, below)
 
     def verify(self, chain: Sequence[bytes], now: int) -> Identity:
-        """Return the identity of `chain`: a leaf, or a leaf and its intermediate, as DER.
-
-        Raises:
-            ForeignCertificate: signed by another authority.
-            CertificateExpired, CertificateNotYetValid: one of them, or the authority's.
-            CertificateRefused: any other defect; the message says which.
-        """
+        """Return the identity of `chain`: a leaf, or a leaf and its intermediate, as DER."""
         match chain:
             case [leaf]:
                 issuer: TrustAnchor | Intermediate = self
@@ -335,11 +314,7 @@ class TrustAnchor:
         return replace(identity, issuers=(issuer.thumbprint,), not_after=end)
 
     def read_intermediate(self, der: bytes) -> Intermediate:
-        """Return the intermediate in `der`. Its validity is not checked here.
-
-        Raises:
-            CertificateRefused: as `verify`, or this authority may have none.
-        """
+        """Return the intermediate in `der`. Its validity is not checked here."""
         if self.path_length == 0:
             raise CertificateRefused(
                 "this authority may have no intermediates", "its root is of an older form"
@@ -350,12 +325,7 @@ class TrustAnchor:
         return read_intermediate(certificate, der, self.domain)
 
     def check_intermediate(self, der: bytes, now: int) -> Intermediate:
-        """Return the intermediate in `der`, if it is valid at `now`.
-
-        Raises:
-            CertificateExpired, CertificateNotYetValid: it is not.
-            CertificateRefused: as `read_intermediate`.
-        """
+        """Return the intermediate in `der`, if it is valid at `now`."""
         found = self.read_intermediate(der)
         check_time(
             "intermediate's certificate",
@@ -367,11 +337,7 @@ class TrustAnchor:
         return found
 
     def check_time(self, now: int) -> None:
-        """Return if the authority's own certificate is valid at `now`.
-
-        Raises:
-            CertificateExpired, CertificateNotYetValid: otherwise, which is a matter of clocks.
-        """
+        """Return if the authority's own certificate is valid at `now`."""
         check_time(
             "authority's certificate",
             self.not_before,
@@ -445,20 +411,12 @@ def _name(expected: str, uri: str, *, wildcard: bool) -> str:
 
 
 def to_pem(*certificates: bytes) -> bytes:
-    """Return DER certificates as one PEM bundle.
-
-    Raises:
-        CertificateRefused: one of them is not a certificate.
-    """
+    """Return DER certificates as one PEM bundle."""
     return b"".join(svid.parse(der).public_bytes(Encoding.PEM) for der in certificates)
 
 
 def from_pem(data: bytes) -> tuple[bytes, ...]:
-    """Return the DER certificates of a PEM bundle, in its order; at least one.
-
-    Raises:
-        CertificateRefused: too large, or not PEM certificates.
-    """
+    """Return the DER certificates of a PEM bundle, in its order; at least one."""
     if len(data) > _MAX_PEM:
         raise CertificateRefused(
             f"{len(data)} bytes of PEM where at most {_MAX_PEM} are allowed",
@@ -529,12 +487,6 @@ def open_renewal(data: bytes, anchor: TrustAnchor, now: int, check: Callable[[by
 
     `check(entry, now)` raises when a key's thumbprint is revoked, or its status is unknown
     (`Revocations.check`).
-
-    Raises:
-        RenewalRefused: malformed, not signed by the identity, too old, for another name, or early.
-        CertificateRefused: the old identity is invalid: expired, or of another authority.
-        RequestRefused: the CSR is invalid.
-        Revoked, RevocationsStale: what `check` raises.
     """
     _, _, chain = _renewal_read(_peek(data))
     identity = anchor.verify(chain, now)

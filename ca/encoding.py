@@ -54,21 +54,13 @@ _BUILT_IN_TAGS: Final = (
 
 
 def encode(value: Value) -> bytes:
-    """Encode `value` in its one deterministic form.
-
-    Raises:
-        EncodingError: the value holds a type, number or key outside the subset.
-    """
+    """Encode `value` in its one deterministic form."""
     _check(value, MAX_DEPTH)
     return cbor2.dumps(value, canonical=True)
 
 
 def decode(data: bytes, *, limit: int = MAX_SIZE) -> Value:
-    """Decode exactly one value that fills `data`; `limit` is checked before parsing.
-
-    Raises:
-        EncodingError: too long, malformed, not deterministic, or outside the subset.
-    """
+    """Decode exactly one value that fills `data`; `limit` is checked before parsing."""
     items = decode_sequence(data, limit=limit)
     if len(items) != 1:
         raise EncodingError(f"expected one CBOR item, found {len(items)}")
@@ -80,19 +72,12 @@ def parse(data: bytes) -> Value:
 
     Only for callers that encode the value again and compare it with all of `data`; tags, duplicate
     keys and indefinite lengths are refused here too, and the caller has limited the size of `data`.
-
-    Raises:
-        EncodingError: malformed.
     """
     return _decode_item(BytesIO(data))
 
 
 def head(major: int, value: int) -> bytes:
-    """The deterministic head of an item (RFC 8949 section 3): `major` is its type shifted left.
-
-    Raises:
-        EncodingError: `value` is not within 64 bits.
-    """
+    """The deterministic head of an item (RFC 8949 section 3): `major` is its type shifted left."""
     if 0 <= value < 24:
         return bytes((major | value,))
     if not 0 <= value < _INT_LIMIT:
@@ -102,11 +87,7 @@ def head(major: int, value: int) -> bytes:
 
 
 def decode_sequence(data: bytes, *, limit: int = MAX_SIZE) -> list[Value]:
-    """Decode a CBOR sequence (RFC 8742) that fills `data`; the empty sequence is allowed.
-
-    Raises:
-        EncodingError: as for `decode`.
-    """
+    """Decode a CBOR sequence (RFC 8742) that fills `data`; the empty sequence is allowed."""
     if len(data) > limit:
         raise EncodingError(f"{len(data)} bytes of CBOR where at most {limit} are allowed")
     items: list[Value] = []

@@ -120,11 +120,7 @@ _SCHEME: Final = "spiffe://"
 
 
 def check_name(text: str) -> str:
-    """Return `text` if it is an absolute ROS name of at most 255 characters.
-
-    Raises:
-        NameRefused: anything else; relative and private (`~`) names must be resolved before.
-    """
+    """Return `text` if it is an absolute ROS name of at most 255 characters."""
     if len(text) > MAX_NAME:
         raise NameRefused(
             f"a name of {len(text)} characters where at most {MAX_NAME} are allowed",
@@ -142,11 +138,7 @@ def _name_hint(text: str) -> str:
 
 
 def check_domain(text: str) -> str:
-    """Return `text` if it is a trust domain: lower case letters, digits and `.-_`.
-
-    Raises:
-        NameRefused: anything else (SPIFFE-ID section 2.1).
-    """
+    """Return `text` if it is a trust domain: lower case letters, digits and `.-_`."""
     if len(text) > MAX_NAME:
         raise NameRefused(
             f"a trust domain of {len(text)} characters where at most {MAX_NAME} are allowed",
@@ -195,11 +187,7 @@ def is_reserved(name: str) -> bool:
 
 
 def check_wildcard(name: str) -> str:
-    """Return `name` if an identity for it may have a wildcard tail.
-
-    Raises:
-        NameRefused: it is the name of a master, relay or gateway, or of the authority.
-    """
+    """Return `name` if an identity for it may have a wildcard tail."""
     if is_reserved(name):
         raise NameRefused(
             f"{name} is a single node and cannot have a wildcard tail",
@@ -209,16 +197,11 @@ def check_wildcard(name: str) -> str:
 
 
 def spiffe_id(domain: str, name: str) -> str:
-    """Return `spiffe://<domain><name>`.
-
-    Raises:
-        NameRefused: `domain` or `name` is invalid.
-    """
+    """Return `spiffe://<domain><name>`."""
     return f"{_SCHEME}{check_domain(domain)}{check_name(name)}"
 
 
 def parse_spiffe_id(text: str) -> tuple[str, str]:
-    """Split a SPIFFE ID into trust domain and name: the exact inverse of `spiffe_id`."""
     if not text.startswith(_SCHEME):
         raise NameRefused(f"{text[:MAX_NAME]!a} is not a SPIFFE ID")
     domain, slash, path = text.removeprefix(_SCHEME).partition("/")
@@ -232,11 +215,7 @@ _HINT_LABEL: Final = "a pattern is of one domain's own names, which have no labe
 
 
 def check_pattern(text: str) -> str:
-    """Return `text` if it is a name in which whole segments may be `*` or `**`.
-
-    Raises:
-        PatternRefused: not a name (see `ca.names`), or a wildcard beside other characters.
-    """
+    """Return `text` if it is a name in which whole segments may be `*` or `**`."""
     segments = ["x" if segment in _WILDCARDS else segment for segment in text.split("/")]
     try:
         check_name("/".join(segments))
@@ -253,11 +232,7 @@ def _hint(text: str) -> str:
 
 
 def check_tail_pattern(text: str) -> str:
-    """Return `text` if it is a pattern, or a tail pattern.
-
-    Raises:
-        PatternRefused: neither; also a tail of a reserved name, which nothing may have.
-    """
+    """Return `text` if it is a pattern, or a tail pattern."""
     base, mark, rest = text.partition(TAIL)
     if not mark:
         return check_pattern(text)
@@ -293,11 +268,7 @@ def _in_tail(base: str, segment: str) -> bool:
 
 
 def pattern_covers(pattern: str, name: str) -> bool:
-    """Whether `pattern` covers `name`, segment by segment; it may be a tail pattern.
-
-    Raises:
-        PatternRefused, NameRefused: invalid pattern or name.
-    """
+    """Whether `pattern` covers `name`, segment by segment; it may be a tail pattern."""
     check_tail_pattern(pattern)
     check_name(name)
     if "*" not in pattern and TAIL not in pattern:
@@ -311,9 +282,6 @@ def covers_tree(pattern: str, name: str) -> bool:
 
     For parameters: setting `/a` also sets every `/a/...`, because the value may be a tree. So a
     right to a key is always a right to all of its descendants, and never to a parent.
-
-    Raises:
-        PatternRefused, NameRefused: invalid pattern or name.
     """
     pattern_segments = _pattern_segments(pattern)
     check_name(name)
@@ -321,13 +289,11 @@ def covers_tree(pattern: str, name: str) -> bool:
 
 
 def covers_below(pattern: str, namespace: str) -> bool:
-    """Whether `covers_tree` is true for every name below `namespace`; `/` is the root."""
     below = [*_namespace_segments(namespace), _WILDCARDS[0]]  # a segment that only wildcards match
     return bool(_match_ends(_pattern_segments(pattern), below))
 
 
 def touches(pattern: str, namespace: str) -> bool:
-    """Whether `covers_tree` is true for `namespace` or any name below it; `/` is the root."""
     name, ends = _namespace_segments(namespace), {0}
     for segment in _pattern_segments(pattern):
         if len(name) in ends:  # the rest of the pattern covers names below
@@ -376,11 +342,7 @@ _PREFIX: Final = f"{REMOTE}/"
 
 
 def check_label(text: str) -> str:
-    """Return `text` if it is a label: one segment of a name, at most 32 characters.
-
-    Raises:
-        NameRefused: anything else.
-    """
+    """Return `text` if it is a label: one segment of a name, at most 32 characters."""
     if len(text) > MAX_LABEL or _LABEL.fullmatch(text) is None:
         raise NameRefused(
             f"{text[:MAX_NAME]!a} is not a label",
@@ -390,22 +352,14 @@ def check_label(text: str) -> str:
 
 
 def alias_of(label: str, name: str) -> str:
-    """The local name of `name`, an absolute name of the origin `label`.
-
-    Raises:
-        NameRefused: a label or name that is not one, an alias, or an alias longer than a name.
-    """
+    """The local name of `name`, an absolute name of the origin `label`."""
     if is_alias(check_name(name)):
         raise NameRefused(f"{name} is an alias at the origin itself", "a name travels one hop")
     return check_name(f"{_PREFIX}{check_label(label)}{name}")
 
 
 def split_alias(name: str) -> tuple[str, str] | None:
-    """The label and the origin's name of an alias; None: a name of the own domain.
-
-    Raises:
-        NameRefused: below `/remote`, but no label and name follow.
-    """
+    """The label and the origin's name of an alias; None: a name of the own domain."""
     if not is_alias(name):
         return None
     label, slash, rest = name.removeprefix(_PREFIX).partition("/")
@@ -415,11 +369,7 @@ def split_alias(name: str) -> tuple[str, str] | None:
 
 
 def origin_of(name: str) -> str:
-    """The name on the wire: that of the origin for an alias, else `name` itself.
-
-    Raises:
-        NameRefused: as `split_alias`.
-    """
+    """The name on the wire: that of the origin for an alias, else `name` itself."""
     found = split_alias(name)
     return name if found is None else found[1]
 
@@ -430,11 +380,7 @@ def is_alias(name: str) -> bool:
 
 
 def refuse_alias(name: str) -> str:
-    """Return `name` if it is not below `/remote`: for what can have no alias.
-
-    Raises:
-        NameRefused: it is.
-    """
+    """Return `name` if it is not below `/remote`: for what can have no alias."""
     if is_alias(name):
         raise NameRefused(
             f"{name[:MAX_NAME]!a} is below {REMOTE}, which stands for other masters' names",
@@ -461,20 +407,13 @@ def local_name(text: str) -> str:
     """The local name of what a person wrote: `hospital:/robot/pose` is an alias.
 
     Text without a colon is returned as it is: it may be a relative name.
-
-    Raises:
-        NameRefused: what is around the colon is no label and absolute name.
     """
     label, colon, name = text.partition(":")
     return alias_of(label, name) if colon else text
 
 
 def local_pattern(text: str) -> str:
-    """The pattern of local names of what a person wrote: `hospital:/rounds/*` is one of aliases.
-
-    Raises:
-        NameRefused: what is around the colon is no label and pattern, or it is no pattern.
-    """
+    """The pattern of local names of what a person wrote: `hospital:/rounds/*` is one of aliases."""
     label, colon, pattern = text.partition(":")
     if not colon:
         return check_pattern(text)
@@ -489,11 +428,7 @@ _SERVED_PREFIX: Final = f"{GATEWAY}/"
 
 
 def served_name(alias: str) -> str:
-    """The served name of an alias: `/gateway/hospital/pose` for `/remote/hospital/pose`.
-
-    Raises:
-        NameRefused: no alias of a label and a name, or a served name that would be too long.
-    """
+    """The served name of an alias: `/gateway/hospital/pose` for `/remote/hospital/pose`."""
     found = split_alias(alias)
     if found is None:
         raise NameRefused(f"{alias} is a name of this domain: no gateway serves it")
@@ -514,7 +449,6 @@ def alias_of_served(name: str) -> str | None:
 
 
 def is_served(name: str) -> bool:
-    """Whether a gateway may serve something under `name`: a label and a name are in it."""
     return alias_of_served(name) is not None
 
 

@@ -60,7 +60,6 @@ _UNDERSTOOD: Final = frozenset(
 
 
 def parse(der: bytes) -> x509.Certificate:
-    """Parse DER; the size is checked first."""
     if len(der) > MAX_CERTIFICATE:
         raise CertificateRefused(
             f"a certificate of {len(der)} bytes where at most {MAX_CERTIFICATE} are allowed"
@@ -86,7 +85,6 @@ def ends_with_whole_octets(der: bytes, signature: bytes) -> bool:
 
 
 def subject(certificate: x509.Certificate) -> x509.Name:
-    """The subject name."""
     try:
         return certificate.subject
     except PARSE_ERRORS as error:
@@ -94,8 +92,6 @@ def subject(certificate: x509.Certificate) -> x509.Name:
 
 
 class CertificateSignature(NamedTuple):
-    """The signed octets (TBSCertificate) of a certificate, and the signature."""
-
     content: bytes
     signature: bytes
 
@@ -120,13 +116,11 @@ def certificate_signature(certificate: x509.Certificate, issuer: x509.Name) -> C
 
 
 def is_signed_by(certificate: x509.Certificate, issuer: x509.Name, key: ec.EllipticCurvePublicKey) -> bool:
-    """Whether issuer name, algorithm and signature match."""
     found = certificate_signature(certificate, issuer)
     return found is not None and found.verifies(key)
 
 
 def key_of(certificate: x509.Certificate) -> ec.EllipticCurvePublicKey:
-    """The certified key, which must be P-256."""
     try:
         return require_p256(certificate.public_key())
     except KeyRefused as error:
@@ -161,7 +155,6 @@ def extensions(certificate: x509.Certificate) -> x509.Extensions:
 
 
 def check_leaf(extensions: x509.Extensions) -> None:
-    """A node: critical basic constraints with cA false, key usage digitalSignature only."""
     match _critical(extensions, x509.BasicConstraints):
         case x509.BasicConstraints(ca=False):
             pass
@@ -172,14 +165,12 @@ def check_leaf(extensions: x509.Extensions) -> None:
 
 
 def is_authority(extensions: x509.Extensions) -> bool:
-    """Whether basic constraints say so, critical or not; `check_authority` checks the rest."""
     return any(
         isinstance(extension.value, x509.BasicConstraints) and extension.value.ca for extension in extensions
     )
 
 
 def check_authority(extensions: x509.Extensions) -> None:
-    """An authority: critical basic constraints with cA true, key usage keyCertSign."""
     match _critical(extensions, x509.BasicConstraints):
         case x509.BasicConstraints(ca=True):
             pass
@@ -192,7 +183,6 @@ def check_authority(extensions: x509.Extensions) -> None:
 
 
 def check_intermediate(extensions: x509.Extensions) -> None:
-    """An intermediate: as `check_authority`, with path length 0."""
     check_authority(extensions)
     if path_length(extensions) != 0:
         raise CertificateRefused("the intermediate's path length is not 0")
@@ -207,7 +197,6 @@ def path_length(extensions: x509.Extensions) -> int | None:
 
 
 def policies(extensions: x509.Extensions) -> frozenset[x509.ObjectIdentifier]:
-    """The certificate policies."""
     return frozenset(
         information.policy_identifier
         for extension in extensions
@@ -217,7 +206,6 @@ def policies(extensions: x509.Extensions) -> frozenset[x509.ObjectIdentifier]:
 
 
 def trust_domain(extensions: x509.Extensions) -> str:
-    """The trust domain of an authority: its only URI, a SPIFFE ID without a path."""
     uri = only_uri(extensions)
     try:
         if uri.startswith(SCHEME):
@@ -267,7 +255,6 @@ def claimed_domain(certificate: x509.Certificate) -> str:
 
 
 def has_wildcard(extensions: x509.Extensions) -> bool:
-    """Whether the identity also stands for its name with any tail (`ca.names.covers`)."""
     for extension in extensions:
         if extension.oid == WILDCARD:
             if extension.value.public_bytes() != WILDCARD_VALUE:
@@ -307,11 +294,7 @@ class IdentityRequest:
 
 
 def build_request(signer: Signer, domain: str, name: str, *, wildcard: bool = False) -> bytes:
-    """Return a CSR (DER) for `name` in `domain` with the signer's key.
-
-    Raises:
-        NameRefused: `domain` or `name` is not one, or this name cannot have a wildcard tail.
-    """
+    """Return a CSR (DER) for `name` in `domain` with the signer's key."""
     builder = request_builder(spiffe_id(domain, refuse_alias(name)))
     if wildcard:
         check_wildcard(name)
@@ -320,7 +303,6 @@ def build_request(signer: Signer, domain: str, name: str, *, wildcard: bool = Fa
 
 
 def request_builder(uri: str) -> x509.CertificateSigningRequestBuilder:
-    """A CSR for `uri`, to be signed."""
     names = x509.SubjectAlternativeName([x509.UniformResourceIdentifier(uri)])
     builder = x509.CertificateSigningRequestBuilder(x509.Name([]))
     return builder.add_extension(names, critical=True)
@@ -331,9 +313,6 @@ def check_request(csr: bytes, domain: str, *, wildcard: bool = False) -> Identit
 
     Args:
         wildcard: the approver allows a wildcard tail.
-
-    Raises:
-        RequestRefused: malformed, without proof of possession, or for anything else.
     """
     key, uri, asks = read_request(csr, _HINT)
     name = _check_name(uri, domain)
@@ -346,7 +325,6 @@ def check_request(csr: bytes, domain: str, *, wildcard: bool = False) -> Identit
 
 
 def read_request(csr: bytes, hint: str) -> tuple[ec.EllipticCurvePublicKey, str, bool]:
-    """The proven key of a CSR, the URI it is for, and whether it requests a wildcard tail."""
     if len(csr) > MAX_REQUEST:
         raise RequestRefused(f"a request of {len(csr)} bytes where at most {MAX_REQUEST} are allowed", hint)
     try:
@@ -359,7 +337,6 @@ def read_request(csr: bytes, hint: str) -> tuple[ec.EllipticCurvePublicKey, str,
 
 
 def proven_key(request: x509.CertificateSigningRequest) -> ec.EllipticCurvePublicKey:
-    """The P-256 key of a request that proves possession of it."""
     try:
         key = require_p256(request.public_key())
     except KeyRefused as error:
@@ -374,7 +351,6 @@ def proven_key(request: x509.CertificateSigningRequest) -> ec.EllipticCurvePubli
 
 
 def requested_name(request: x509.CertificateSigningRequest) -> tuple[str, bool]:
-    """The URI that a request asks for, and whether it asks for a wildcard."""
     if len(request.subject.rdns) > 0:
         raise RequestRefused("the request asks for a subject", _HINT)
     if [attribute.oid for attribute in request.attributes] != [_EXTENSION_REQUEST]:

@@ -80,11 +80,7 @@ class Decision:
         return max((each.pad or 0 for each in self.restrictions), default=0)
 
     def require_unrestricted(self) -> None:
-        """Return if there are no restrictions: for callers that have no message to apply them to.
-
-        Raises:
-            RestrictionMismatch: there are restrictions.
-        """
+        """Return if there are no restrictions: for callers that have no message to apply them to."""
         if self.restrictions:
             raise RestrictionMismatch(
                 f"{self.right.label} on {self.name} is granted with restrictions that cannot be applied here",
@@ -111,11 +107,6 @@ def authorize(
         holder: thumbprint of the key the peer proved to hold, 32 bytes.
         now: seconds since the epoch.
         check: called as `check(grant_id, now)`; raises when that grant is revoked or unknown.
-
-    Raises:
-        GrantMissing: no presented grant covers this; `near_misses` lists the closest ones.
-        GrantNotHeld, GrantNotYetValid, GrantExpired, GrantRevoked: one does, but is unusable.
-        NameRefused: `name` is not an absolute name.
     """
     check_name(name)
     if right.bit_count() != 1:
@@ -137,7 +128,6 @@ def authorize(
 
 
 def near_misses(grants: Iterable[Grant], right: Right, name: str) -> tuple[str, ...]:
-    """Permissions that nearly match, one line each: same name first, then same right."""
     pairs = [
         (link, permission) for grant in grants for link in grant.links for permission in link.permissions
     ]
@@ -379,9 +369,6 @@ def check_tail(grant: Grant, peer: str, *, tail: bool) -> None:
     Args:
         peer: the certified name of the peer, an alias if it is a foreigner.
         tail: whether its certificate has a wildcard tail, which that of a foreigner never has here.
-
-    Raises:
-        GrantNotHeld: the names in it are not the peer's. A chain with tail patterns is refused.
     """
     if not any(link.has_tail_patterns for link in grant.links):
         return

@@ -56,7 +56,6 @@ _UINT, _BYTES, _TEXT, _MAP = 0x00, 0x40, 0x60, 0xA0  # major types
 
 
 def from_draft(draft: Draft, issuer: bytes) -> Value:
-    """The claims of `draft`, to be signed by the key with the thumbprint `issuer`."""
     return {
         _ISS: issuer_uri(issuer),
         _SUB: draft.subject,
@@ -112,7 +111,6 @@ def _filter_claim(rule: FilterRule) -> Value:
 
 
 def read_claims(body: bytes, grant_id: bytes) -> Grant:
-    """Read the claims in `body` as the grant `grant_id`."""
     try:
         claims = _closed_map(_decode_claims(body), _REQUIRED, _CLAIMS, "claim")
         confirmation = _closed_map(claims[_CNF], {_CKT}, {_CKT}, "confirmation")
@@ -137,7 +135,6 @@ def read_claims(body: bytes, grant_id: bytes) -> Grant:
 
 
 def decode_payload(body: bytes, decoder: Callable[[bytes], Value] = decode) -> Value:
-    """Decode a payload in deterministic encoding."""
     try:
         return decoder(body)
     except EncodingError as error:
@@ -202,11 +199,7 @@ def _deterministic_form(claims: Value) -> bytes | None:
 
 
 def read_scope(scope: bytes) -> tuple[Permission, ...]:
-    """The permissions in a `scope` claim.
-
-    Raises:
-        GrantMalformed: outside the closed schema.
-    """
+    """The permissions in a `scope` claim."""
     try:
         return _permissions(scope)
     except (FilterRefused, NameRefused, EncodingError) as error:
@@ -220,7 +213,6 @@ def _permissions(scope: bytes) -> tuple[Permission, ...]:
 
 @lru_cache(maxsize=16)
 def read_issuer(text: str) -> bytes:
-    """The thumbprint in an `iss` claim."""
     encoded = text.removeprefix(_CKT_URI)
     try:
         issuer = base64.b64decode(encoded + "=", altchars=b"-_", validate=True)
@@ -324,7 +316,6 @@ _ID_PREFIX: Final = b"rossec-grant-id\0" + len(GRANT.protected).to_bytes(4) + GR
 
 
 def sign(signer: Signer, draft: Draft) -> bytes:
-    """Sign `draft` as a grant."""
     from grants.conditions.compile import check_syntax  # noqa: PLC0415 - not loaded to read grants
 
     issuer = thumbprint(signer.public_key)
@@ -340,7 +331,6 @@ def sign(signer: Signer, draft: Draft) -> bytes:
 def open_grant(
     data: bytes, ca_key: ec.EllipticCurvePublicKey, now: int, *, domain: str | None = None
 ) -> Grant:
-    """Verify a grant and return its content."""
     grant = verify(data, ca_key, domain=domain)
     check_time(grant, now)
     return grant
@@ -363,11 +353,7 @@ def verify(data: bytes, ca_key: ec.EllipticCurvePublicKey, *, domain: str | None
 
 
 def peek(data: bytes) -> Grant:
-    """Return the content of a grant *without* verifying it: to show it, or to find its authority.
-
-    Raises:
-        GrantMalformed: outside the closed schema.
-    """
+    """Return the content of a grant *without* verifying it: to show it, or to find its authority."""
     body = _body(data)
     return read_claims(body, _id(body))
 

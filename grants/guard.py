@@ -73,11 +73,7 @@ class Memory:
         self._commons: dict[Group, CommonState] = {}
 
     def bucket(self, rate: float) -> RateBucket:
-        """The bucket for a rate; a new one starts with no more tokens than the others have.
-
-        Raises:
-            MemoryExhausted: there are too many.
-        """
+        """The bucket for a rate; a new one starts with no more tokens than the others have."""
         with self.lock:
             if rate not in self._buckets:
                 _check_limit(len(self._buckets), _MAX_RATES, "rates")
@@ -86,11 +82,7 @@ class Memory:
             return self._buckets[rate]
 
     def gate(self, seconds: int) -> SlotGate:
-        """The gate for slots of so many seconds.
-
-        Raises:
-            MemoryExhausted: there are too many.
-        """
+        """The gate for slots of so many seconds."""
         with self.lock:
             if seconds not in self._gates:
                 _check_limit(len(self._gates), _MAX_RATES, "slots")
@@ -107,11 +99,7 @@ class Memory:
         return not any(each.is_in_use(now) for each in longer)
 
     def common(self, group: Group) -> CommonState:
-        """What is common to a group; without a store, to this key alone.
-
-        Raises:
-            MemoryExhausted: there are too many.
-        """
+        """What is common to a group; without a store, to this key alone."""
         with self.lock:
             if group not in self._commons:
                 _check_limit(len(self._commons), _MAX_RATES, "bodies")
@@ -164,11 +152,7 @@ class MemoryStore:
         self._evicted_at = -1
 
     def find(self, scope: tuple[str, ...], decision: Decision) -> Memory:
-        """The memory for the key, right and name of `decision` within `scope`.
-
-        Raises:
-            MemoryExhausted: there are too many, and none can be evicted.
-        """
+        """The memory for the key, right and name of `decision` within `scope`."""
         key = (scope, _first_holder(decision), decision.right, decision.name)
         with self._lock:
             found = self._stored.get(key)
@@ -253,11 +237,6 @@ class Guard:
         memory: state of the holder, if the guard needs any.
         key: equal for guards with the same result for every message: apply once, send to all.
             Expiry is not part of it: call `check` for every receiver.
-
-    Raises:
-        RestrictionMismatch: a restriction is written for another message type.
-        ConditionRefused, FilterRefused: a restriction does not fit the layout, or a key is missing.
-        MemoryExhausted: there is no room for its state.
     """
 
     def __init__(
@@ -336,11 +315,7 @@ class Guard:
         return self._require_memory().gate(self._slot) if slots else None
 
     def check(self, now: float) -> None:
-        """Return if the right still holds at `now`.
-
-        Raises:
-            GrantExpired: it does not.
-        """
+        """Return if the right still holds at `now`."""
         if now >= self.expires:
             raise GrantExpired(
                 f"the grant expired at {format_time(self.expires)}", "ask the authority to renew it"
@@ -363,9 +338,6 @@ class Guard:
             now: seconds since the epoch; limits count its fractions.
             message_id: the same object for the same message on all connections of the holder, so
                 that the rate counts it once. None: a new message.
-
-        Raises:
-            MessageRefused: the message does not have its type's layout, or an unexpected error.
         """
         try:
             return self._apply(message, now, object() if message_id is None else message_id)
@@ -376,11 +348,7 @@ class Guard:
             raise MessageRefused(f"applying restrictions failed: {type(error).__name__}") from error
 
     def __call__(self, message: Buffer, now: float) -> list[Buffer] | None:
-        """`check`, then `apply`.
-
-        Raises:
-            GrantExpired, MessageRefused: as they do.
-        """
+        """`check`, then `apply`."""
         self.check(now)
         return self.apply(message, now)
 
@@ -448,11 +416,7 @@ def _receiver(decision: Decision) -> bytes:
 
 
 def check_type(name: str, restriction: Restriction) -> None:
-    """Return if `restriction` may be applied to messages of the type `name`.
-
-    Raises:
-        RestrictionMismatch: it is for another type.
-    """
+    """Return if `restriction` may be applied to messages of the type `name`."""
     if restriction.type not in (None, name):
         raise RestrictionMismatch(
             f"the grant is restricted for messages of type {restriction.type}, these are {name}",

@@ -85,9 +85,6 @@ def filter_rules(rules: Mapping[Any, Any]) -> tuple[FilterRule, ...]:
 
     The parameter is `True` for an operator without parameters, else a map of scalars:
     `{"header.frame_id": {"clear": True}, "pose.position": {"round": {"step": 0.5}}}`.
-
-    Raises:
-        FilterRefused: anything else.
     """
     read = [_filter_rule(path, treatment) for path, treatment in rules.items()]
     return tuple(sorted(read, key=lambda rule: rule.path))
@@ -337,11 +334,7 @@ def merge(restrictions: Iterable[Restriction | None]) -> tuple[Restriction, ...]
 
 
 def check_time(grant: Grant, now: int) -> None:
-    """Return if `grant` is valid at `now` (seconds since the epoch).
-
-    Raises:
-        GrantNotYetValid, GrantExpired: otherwise.
-    """
+    """Return if `grant` is valid at `now` (seconds since the epoch)."""
     if now < grant.not_before:
         raise GrantNotYetValid(
             f"grant {grant.short_id} is not valid before {format_time(grant.not_before)}",

@@ -126,12 +126,7 @@ def sign_ticket(signer: Signer, ticket: Ticket) -> bytes:
 
 
 def open_delegation(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> OpenDelegation:
-    """Verify and read a delegation; its validity is checked when it is used.
-
-    Raises:
-        RenewalForged: not signed by `ca_key`, or another kind of statement.
-        RenewalMalformed: outside the closed schema.
-    """
+    """Verify and read a delegation; its validity is checked when it is used."""
     body = _open(DELEGATION, data, ca_key)
     match _decode(body):
         case {
@@ -162,7 +157,6 @@ def open_delegation(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> OpenDeleg
 
 
 def open_ticket(data: bytes, key: ec.EllipticCurvePublicKey) -> Ticket:
-    """Verify and read a ticket signed by `key`."""
     match _decode(_open(TICKET, data, key)):
         case {4: exp, 5: nbf, -70002: seq, -70011: bytes() as grant, **rest} if not rest:
             return Ticket(grant, _number(nbf), _number(exp), _number(seq))
@@ -180,7 +174,6 @@ def renew(
     seq: int,
     check: RevocationCheck,
 ) -> Grant:
-    """The same grant, valid until the ticket ends."""
     if delegation.holder != thumbprint(key):
         raise RenewalForOther("the delegation is for another key than this one")
     if (grant.issuer, grant.domain) != (delegation.issuer, delegation.domain):

@@ -236,11 +236,7 @@ def sign_request(signer: Signer, request: GrantRequest) -> bytes:
 
 
 def peek_request(data: bytes) -> GrantRequest:
-    """Return its content *without* verifying it: to find the key of the node it names.
-
-    Raises:
-        GrantMalformed: not a request.
-    """
+    """Return its content *without* verifying it: to find the key of the node it names."""
     try:
         return _read(REQUEST.peek(data))
     except (SignatureError, EncodingError, NameRefused) as error:
@@ -248,12 +244,7 @@ def peek_request(data: bytes) -> GrantRequest:
 
 
 def open_request(data: bytes, key: ec.EllipticCurvePublicKey, *, domain: str, now: int) -> GrantRequest:
-    """Verify a request with the key of the node it names.
-
-    Raises:
-        GrantMalformed: not a request.
-        GrantForged: not signed by `key`, for another authority, too old or dated in the future.
-    """
+    """Verify a request with the key of the node it names."""
     request = peek_request(data)
     try:
         REQUEST.open(data, key)

@@ -51,14 +51,7 @@ _PARENT, _KEY, _MAY_NARROW = -70032, -70033, -70034
 
 
 def sign_narrowing(signer: Signer, draft: Draft, parent: Grant) -> bytes:
-    """Sign `draft` as the holder of `parent`, a grant or a chain; `draft.cap` is its end.
-
-    Raises:
-        NarrowingNotAllowed: `parent` allows none, or fewer than the draft does after it.
-        NarrowingForged: the signer's key is not the one that holds `parent`.
-        NarrowingForOther: the draft is for another domain.
-        GrantMalformed: too large, or a condition or filter outside the language.
-    """
+    """Sign `draft` as the holder of `parent`, a grant or a chain; `draft.cap` is its end."""
     from grants.conditions.compile import check_syntax  # noqa: PLC0415 - not loaded to read grants
 
     for permission in draft.permissions:
@@ -86,13 +79,11 @@ def sign_narrowing(signer: Signer, draft: Draft, parent: Grant) -> bytes:
 
 
 def peek_chain(grant: Grant, narrowings: Sequence[bytes]) -> Grant:
-    """The chain as its claims say, *without* verifying a signature: to show or to hold it."""
     read = (_read(claims, body)[0] for body, claims in map(_unverified, narrowings))
     return _joined((grant, *read))
 
 
 def follow(grant: Grant, narrowings: Sequence[bytes], now: int) -> Grant:
-    """The chain of a verified grant and its narrowings, as one grant."""
     chain = _links(grant, narrowings)
     for link in chain:
         check_time(link, now)
@@ -100,7 +91,6 @@ def follow(grant: Grant, narrowings: Sequence[bytes], now: int) -> Grant:
 
 
 def verify_chain(grant: Grant, narrowings: Sequence[bytes]) -> Grant:
-    """As `follow`, without checking times: for a chain that may be valid later."""
     return _joined(_links(grant, narrowings))
 
 
@@ -110,10 +100,6 @@ def check_one_domain(grant: Grant, label: str, peer: str) -> None:
     Args:
         label: what the domain that the grant is of is called here; empty: it is the own one.
         peer: the name of the peer here, an alias if it is a foreigner.
-
-    Raises:
-        NarrowingOutsideDomain: it was handed to another domain. The labels in a grant of a foreign
-            domain are that one's: as such an alias only a node of the own domain passes.
     """
     if not grant.chain:
         return
@@ -294,10 +280,6 @@ class Verifier:
 
         That a chain stays in one domain is checked by who knows the peer
         (`narrowing.check_one_domain`).
-
-        Raises:
-            GrantError: as `document.open_grant`, for a renewed one as `renewal.renew`, for a chain
-                as `narrowing.follow`.
         """
         parts = unpack(token)
         grant = self._open_single(parts, now)
@@ -323,11 +305,7 @@ def pack(grant: bytes, ticket: bytes, delegation: bytes) -> bytes:
 
 
 def pack_chain(token: bytes, narrowings: Sequence[bytes]) -> bytes:
-    """The token of a chain: `token` is that of its grant, or of a shorter chain.
-
-    Raises:
-        GrantMalformed: larger than a token may be, or too many narrowings.
-    """
+    """The token of a chain: `token` is that of its grant, or of a shorter chain."""
     parts = unpack(token)
     if parts.narrowings:
         token, narrowings = _split_chain(token)[0], (*parts.narrowings, *narrowings)
@@ -337,12 +315,7 @@ def pack_chain(token: bytes, narrowings: Sequence[bytes]) -> bytes:
 
 
 def unpack(token: bytes) -> TokenParts:
-    """Split a token; nothing is verified. Sizes are checked before anything is parsed.
-
-    Raises:
-        GrantMalformed: too large, or an array other than [grant, ticket, delegation] or
-            [token, [narrowing, ...]].
-    """
+    """Split a token; nothing is verified. Sizes are checked before anything is parsed."""
     if token.startswith(_ARRAY_OF_2):
         single, narrowings = _split_chain(token)
         return _unpack_single(single)._replace(narrowings=narrowings)
@@ -350,11 +323,7 @@ def unpack(token: bytes) -> TokenParts:
 
 
 def peek(token: bytes) -> Grant:
-    """The content of a token *without* verifying it: to show or to hold it, or to find its key.
-
-    Raises:
-        GrantMalformed: not a token, or outside the closed schemas.
-    """
+    """The content of a token *without* verifying it: to show or to hold it, or to find its key."""
     parts = unpack(token)
     grant = document.peek(parts.grant)
     return peek_chain(grant, parts.narrowings) if parts.narrowings else grant

@@ -103,7 +103,6 @@ def seconds_left_today(now: int) -> int:
 
 
 def correct(moment: int) -> bool:
-    """As of `Clock`."""
     return HOST.correct(moment)
 
 

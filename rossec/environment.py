@@ -24,11 +24,7 @@ OWN_GATEWAY: Final = "ROSSEC_GATEWAY"  # the name of the gateway of this host
 
 
 def rossec_home(environ: Mapping[str, str]) -> Path:
-    """ROSSEC_HOME, by default `~/.local/share/rossec`.
-
-    Raises:
-        ConfigurationError: not an absolute path, or the home directory is unknown.
-    """
+    """ROSSEC_HOME, by default `~/.local/share/rossec`."""
     value = environ.get("ROSSEC_HOME", DEFAULT_HOME)
     try:
         path = Path(value).expanduser()
@@ -42,41 +38,24 @@ def rossec_home(environ: Mapping[str, str]) -> Path:
 
 
 def own_home(environ: Mapping[str, str]) -> Path:
-    """`rossec_home`, if only its owner can write there; it need not exist yet.
-
-    Raises:
-        ConfigurationError: as for `rossec_home`.
-        PathRefused: it belongs to another user, or others can write in it.
-    """
+    """`rossec_home`, if only its owner can write there; it need not exist yet."""
     path = rossec_home(environ)
     ownership.check_directory(path)
     return path
 
 
 def own_master(environ: Mapping[str, str]) -> str:
-    """ROSSEC_MASTER, the certified name of a node's own master; by default `/master`.
-
-    Raises:
-        ConfigurationError: not the name of a master.
-    """
+    """ROSSEC_MASTER, the certified name of a node's own master; by default `/master`."""
     return _own(environ, OWN_MASTER, MASTER, is_master_name)
 
 
 def own_relay(environ: Mapping[str, str]) -> str:
-    """ROSSEC_RELAY, the certified name of the relay of this host; by default `/relay`.
-
-    Raises:
-        ConfigurationError: not the name of a relay.
-    """
+    """ROSSEC_RELAY, the certified name of the relay of this host; by default `/relay`."""
     return _own(environ, OWN_RELAY, RELAY, is_relay_name)
 
 
 def own_gateway(environ: Mapping[str, str]) -> str:
-    """ROSSEC_GATEWAY, the certified name of the gateway of this host; by default `/gateway`.
-
-    Raises:
-        ConfigurationError: not the name of a gateway.
-    """
+    """ROSSEC_GATEWAY, the certified name of the gateway of this host; by default `/gateway`."""
     return _own(environ, OWN_GATEWAY, GATEWAY, is_gateway)
 
 
@@ -123,7 +102,6 @@ def missing_nodes(home: Path) -> str:
 
 
 def missing_authority(home: Path) -> str:
-    """The hint where there is no authority in `home`."""
     begin = "rossec ca init DOMAIN"
     if here := nodes_in(home):
         what = f"here are only nodes: {_listed(here)}; run this where the authority is"

@@ -54,7 +54,6 @@ class Owned:
 
 
 def make_private_directory(path: Path) -> None:
-    """Create `path` and missing parents, for the owner alone; an existing one is kept."""
     if not path.parent.is_dir():  # mkdir(parents=True) would ignore the mode for those above
         make_private_directory(path.parent)
     path.mkdir(mode=0o700, exist_ok=True)
@@ -62,12 +61,7 @@ def make_private_directory(path: Path) -> None:
 
 
 def create(path: Path, data: bytes, mode: int = 0o600) -> None:
-    """Write a new file, durable on return.
-
-    Raises:
-        ConfigurationError: the file exists already.
-        NotWritten: the disk refused it; nothing is left behind.
-    """
+    """Write a new file, durable on return."""
     with _disk_errors(path):
         _create(path, data, mode)
 
@@ -130,7 +124,6 @@ def _disk_errors(path: Path) -> Iterator[None]:
 
 
 def commit_directory(temporary: Path, path: Path) -> None:
-    """Rename a finished directory to `path`, durable on return: all of it or nothing."""
     sync_directory(temporary)
     try:
         temporary.rename(path)
@@ -182,7 +175,6 @@ def replace_directory(new: Path, target: Path, aside: Path) -> None:
 
 
 def lock_file(path: Path, busy: ConfigurationError) -> int:
-    """Lock `path` for this process until the descriptor returned is closed, or it exits."""
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
     descriptor = os.open(path, flags, 0o600)
     try:
@@ -195,7 +187,6 @@ def lock_file(path: Path, busy: ConfigurationError) -> int:
 
 @contextmanager
 def locked_directory(directory: Path) -> Iterator[None]:
-    """Lock `directory` against other callers of this: for reading, then writing."""
     descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)
@@ -226,10 +217,6 @@ def read_own(path: Path, limit: int, missing: ConfigurationError, *, link: bool 
     Args:
         path, limit, missing: as for `read`.
         link: it may be a symbolic link, as the operator's own files are; its target is checked.
-
-    Raises:
-        ConfigurationError: as for `read`.
-        PathRefused: see `ca.keys.ownership`.
     """
     try:
         descriptor = ownership.open_trusted(path, link=link)
@@ -240,7 +227,6 @@ def read_own(path: Path, limit: int, missing: ConfigurationError, *, link: bool 
 
 
 def append_own(path: Path) -> int:
-    """Open a log to append to, created for its owner alone; returns its descriptor."""
     flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
     descriptor = os.open(path, flags, 0o600)
     try:
@@ -252,11 +238,7 @@ def append_own(path: Path) -> int:
 
 
 def open_text(path: Path, missing: ConfigurationError) -> TextIO:
-    """Open a text file of any length; invalid characters are replaced.
-
-    Raises:
-        ConfigurationError: `missing` when there is no file, another when it is not a regular one.
-    """
+    """Open a text file of any length; invalid characters are replaced."""
     try:  # without O_NONBLOCK a FIFO blocks the caller until it is written to
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     except FileNotFoundError:
@@ -273,7 +255,6 @@ def lines(file: TextIO, longest: int) -> Iterator[str]:
 
 
 def sync_directory(path: Path) -> None:
-    """Make what was renamed or made in a directory durable."""
     descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)

@@ -54,7 +54,6 @@ def ended(name: str, chain: Iterable[bytes], anchor: TrustAnchor, now: int, seen
 
 
 def seen_in(directory: Path, anchor: TrustAnchor, revocations: bytes | None) -> int:
-    """How late it is at least: by the files of a node, and by the list that it holds."""
     times = [anchor.not_before]
     for name in _FILES:
         path = directory / name
@@ -67,7 +66,6 @@ def seen_in(directory: Path, anchor: TrustAnchor, revocations: bytes | None) -> 
 
 
 def has_key(name: str, directory: Path) -> str:
-    """What somebody does who asks for the key of a node anew, which is in `directory`."""
     anew = "for a new key, without the grants of this one, move that directory away first"
     if (directory / "node.pem").exists():
         renew = f"rossec ca renew --expired {name}, then here: rossec node install FILE"
@@ -141,11 +139,7 @@ class NodeHome:
 
     @classmethod
     def for_bundle(cls, home: Path, bundle: bytes, now: int) -> tuple[Self, TrustAnchor]:
-        """The directory of the node a signed identity is for, and the authority that signed it.
-
-        Raises:
-            CertificateRefused: not a valid identity.
-        """
+        """The directory of the node a signed identity is for, and the authority that signed it."""
         chain, root = _split(bundle)
         anchor = TrustAnchor.load(root)
         return cls.of(home, anchor.verify(chain, now).name), anchor
@@ -155,12 +149,7 @@ class NodeHome:
         return self.path / "node.csr"
 
     def create_request(self, domain: str, *, wildcard: bool = False) -> IdentityRequest:
-        """Make the key and the request for an identity; with `wildcard`, for anonymous nodes too.
-
-        Raises:
-            NameRefused: not a trust domain, or a name that cannot have a tail.
-            KeyRefused: the node has a key already.
-        """
+        """Make the key and the request for an identity; with `wildcard`, for anonymous nodes too."""
         if (self.path / "node.key").exists():
             raise KeyRefused(f"{self.name} has a key already, in {self.path}", has_key(self.name, self.path))
         files.make_private_directory(self.path)
@@ -181,12 +170,7 @@ class NodeHome:
         return build_request(self.signer(), domain, self.name, wildcard=wildcard)
 
     def label_request(self, domain: str, *, wildcard: bool = False) -> bytes:
-        """The request (DER) on disk, made if there is none: the one a printed label is for.
-
-        Raises:
-            RequestRefused: it is for another domain, or invalid.
-            ConfigurationError: it is for another key than the one here.
-        """
+        """The request (DER) on disk, made if there is none: the one a printed label is for."""
         if not (self.path / "node.key").exists():
             self.create_request(domain, wildcard=wildcard)
         request = self.request()
@@ -227,13 +211,7 @@ class NodeHome:
         return self._read("node.csr", f"next: rossec node request {self.name}")
 
     def install(self, bundle: bytes, now: int) -> Identity:
-        """Store a signed identity and trust its authority.
-
-        Raises:
-            CertificateRefused: not a valid identity.
-            ConfigurationError: of another node, for another key, or of another authority than
-                this node trusts already.
-        """
+        """Store a signed identity and trust its authority."""
         chain, root = _split(bundle)
         anchor = TrustAnchor.load(root)
         identity = anchor.verify(chain, now)
@@ -258,12 +236,7 @@ class NodeHome:
         return TrustAnchor.load(der)
 
     def identity(self, now: int) -> Identity:
-        """This node's own identity, verified.
-
-        Raises:
-            CertificateRefused: it is expired, or invalid.
-            ConfigurationError: another node's, or another key's: files were copied or renamed.
-        """
+        """This node's own identity, verified."""
         anchor, own = self.anchor(), self.credentials()
         try:
             identity = anchor.verify(own.chain, now)
@@ -301,12 +274,7 @@ class NodeHome:
         return sorted((self.path / "grants").glob("*.grant"))
 
     def read_grant(self, path: Path) -> bytes:
-        """One of `grant_files`.
-
-        Raises:
-            ConfigurationError: it is gone, or too large.
-            PathRefused: not a file, or others could have written it.
-        """
+        """One of `grant_files`."""
         return files.read_own(path, _SIZE_LIMIT, self._missing(path, ""))
 
     def add_grant(self, grant_id: bytes, data: bytes) -> None:

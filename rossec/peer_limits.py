@@ -71,11 +71,7 @@ class Progress:
         self._at = None
 
     def check(self, now: int, length: int, *, reading: bool = True) -> None:
-        """The message has `length` bytes at `now` (seconds).
-
-        Raises:
-            LimitExceeded: it takes too long.
-        """
+        """The message has `length` bytes at `now` (seconds)."""
         if self._at is None:
             self._age = self._mark_age = self._mark_length = 0
         elif reading:

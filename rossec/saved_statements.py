@@ -44,12 +44,7 @@ from rossec.home import NodeHome
 
 
 def saved_revocations(home: NodeHome, anchor: TrustAnchor, now: int) -> Revocations:
-    """The newest list that the node in `home` has seen, not yet confirmed.
-
-    Raises:
-        RevocationRefused: the list is not the authority's.
-        ConfigurationError: it cannot be read.
-    """
+    """The newest list that the node in `home` has seen, not yet confirmed."""
     revocations = Revocations(anchor.public_key)
     saved = home.load_revocations()
     if saved is not None:
@@ -102,23 +97,14 @@ class DomainFiles:
                 files.replace(path, data)
 
     def anchors(self) -> Anchors:
-        """The own authority, with the list of domains that was saved.
-
-        Raises:
-            DomainsRefused: the list is not the authority's.
-            ConfigurationError: it cannot be read.
-        """
+        """The own authority, with the list of domains that was saved."""
         anchors, saved = Anchors(self._anchor), self.load_domains()
         if saved is not None:
             anchors.update(saved)
         return anchors
 
     def standing(self, anchors: Anchors, own: Revocations, now: int) -> Standing:
-        """The own list and those of the listed domains that were saved, none of them confirmed.
-
-        Raises:
-            ConfigurationError: a file cannot be read.
-        """
+        """The own list and those of the listed domains that were saved, none of them confirmed."""
         standing = Standing(anchors, own)
         self.restore(standing, now)
         return standing
@@ -168,8 +154,6 @@ _Known = tuple[tuple[int, int, int], ThingStatement]
 
 
 class Loaded(NamedTuple):
-    """The statements that are here, by the name of their thing, and why files were left out."""
-
     statements: dict[str, ThingStatement]
     refused: dict[Path, HintedError]
 
@@ -187,13 +171,7 @@ class ThingFiles:
         self.path = home.path / DIRECTORY
 
     def install(self, data: bytes) -> ThingStatement:
-        """Store a statement, and return what it says; a second time changes nothing.
-
-        Raises:
-            ThingRefused: forged, malformed, about a thing of another border router, or older than
-                the one that is here.
-            ConfigurationError: too many things.
-        """
+        """Store a statement, and return what it says; a second time changes nothing."""
         statement = self._verified(data)
         files.make_private_directory(self.path)
         with files.locked_directory(self.path):
@@ -237,11 +215,7 @@ class ThingFiles:
         return statement
 
     def router_key(self) -> ec.EllipticCurvePrivateKey:
-        """The router's key for its things, made at first: it signs nothing, as the node's key does.
-
-        Raises:
-            KeyRefused: the file is not a key, or others could have read it.
-        """
+        """The router's key for its things, made at first: it signs nothing, as the node's key does."""
         files.make_private_directory(self.path)
         path = self.path / ROUTER_KEY
         with files.locked_directory(self.path):
@@ -250,11 +224,7 @@ class ThingFiles:
         return private_keys.load_private(path)
 
     def create_secret(self, name: str) -> bytes:
-        """Make the secret of a thing: 16 random octets, in a file that only its owner reads.
-
-        Raises:
-            ConfigurationError: it has one already.
-        """
+        """Make the secret of a thing: 16 random octets, in a file that only its owner reads."""
         path = self._file(check_thing_name(name), "key")
         files.make_private_directory(self.path)
         secret = secrets.token_bytes(SECRET_SIZE)
@@ -262,11 +232,7 @@ class ThingFiles:
         return secret
 
     def free_kid(self) -> bytes:
-        """A kid of two octets that no thing here has.
-
-        Raises:
-            ConfigurationError: there is none left.
-        """
+        """A kid of two octets that no thing here has."""
         taken = {each.credential.kid for each in self.load().statements.values()}
         for _ in range(_ATTEMPTS):
             kid = secrets.token_bytes(KID_SIZE)
@@ -281,12 +247,7 @@ class ThingFiles:
         return path
 
     def secret(self, name: str) -> bytes:
-        """The secret of a thing.
-
-        Raises:
-            ConfigurationError: it has none here.
-            PathRefused: others could have read or written it.
-        """
+        """The secret of a thing."""
         path = self._file(name, "key")
         missing = ConfigurationError(
             f"there is no secret of {name} in {self.path}", f"rossec border add {name} --psk"
@@ -297,12 +258,7 @@ class ThingFiles:
         return secret
 
     def secret_of(self, statement: ThingStatement) -> bytes:
-        """The secret that a statement is about.
-
-        Raises:
-            ThingRefused: the thing has a key, or another secret than the one here.
-            ConfigurationError, PathRefused: as `secret`.
-        """
+        """The secret that a statement is about."""
         secret = self.secret(statement.name)
         said = statement.credential
         if not isinstance(said, ThingSecret) or not said.matches(secret):
@@ -316,9 +272,6 @@ class ThingFiles:
         """Remove what is here about a thing, its secret too; returns whether there was something.
 
         The identity of its node stays.
-
-        Raises:
-            NameRefused, ThingRefused: not the name of a thing.
         """
         check_thing_name(name)
         paths = [self._file(name, suffix) for suffix in ("cose", "key", "psk")]

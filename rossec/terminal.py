@@ -57,7 +57,6 @@ PAINTED: Final = re.compile(
 
 
 def is_wanted(stream: TextIO, environ: Mapping[str, str] | None = None) -> bool:
-    """Whether what is written to `stream` may be coloured."""
     found = os.environ if environ is None else environ
     return (
         not found.get("NO_COLOR")
@@ -68,12 +67,10 @@ def is_wanted(stream: TextIO, environ: Mapping[str, str] | None = None) -> bool:
 
 
 def paint(text: str, colour: str, stream: TextIO) -> str:
-    """`text` in a colour, if that is wanted on `stream`; `text` holds no control character."""
     return f"\x1b[{colour}m{text}\x1b[0m" if colour and is_wanted(stream) else text
 
 
 def painted_state(word: str, stream: TextIO) -> str:
-    """A state in its colour; spaces around it are kept."""
     return paint(word, STATES.get(word.strip(), ""), stream)
 
 

@@ -72,14 +72,11 @@ MAX_CLIENT_DATA: Final = 4096
 
 
 class Ceremony(StrEnum):
-    """What a passkey was used for, as the browser calls it."""
-
     CREATE = "webauthn.create"
     GET = "webauthn.get"
 
 
 def check_client_data(data: bytes, ceremony: Ceremony, challenge: bytes, origin: str) -> None:
-    """Return if `data` is of this ceremony, challenge and origin."""
     value = _parse(data)
     if value.get("type") != ceremony:
         raise OtherChallenge(f"the passkey was not used for {ceremony}", "try again on the page")
@@ -98,7 +95,6 @@ def check_client_data(data: bytes, ceremony: Ceremony, challenge: bytes, origin:
 
 
 def base64url(data: bytes) -> str:
-    """Base64url without padding."""
     return base64.urlsafe_b64encode(data).rstrip(b"=").decode()
 
 
@@ -137,8 +133,6 @@ _HINT: Final = "try again, or with another browser"
 
 
 class AuthenticatorData(NamedTuple):
-    """The fixed beginning of authenticator data."""
-
     rp_id_hash: bytes
     flags: int
     counter: int
@@ -208,13 +202,7 @@ class Assertion(NamedTuple):
 
 
 def verify(assertion: Assertion, passkey: Passkey, challenge: bytes, counter: int) -> int:
-    """The passkey's counter, if it signed `challenge` and its counter was `counter` before.
-
-    Raises:
-        PasskeyUnknown: the assertion is of another passkey.
-        AssertionMalformed: not of the form of WebAuthn.
-        OtherChallenge, OtherOrigin, NotVerified, PasskeyCloned, AssertionForged: as they say.
-    """
+    """The passkey's counter, if it signed `challenge` and its counter was `counter` before."""
     if assertion.credential != passkey.id:
         raise PasskeyUnknown("the assertion is of another passkey", "use the one you registered")
     check_client_data(assertion.client_data, Ceremony.GET, challenge, passkey.origin)
@@ -241,11 +229,7 @@ def verify(assertion: Assertion, passkey: Passkey, challenge: bytes, counter: in
 
 
 def counter_of(authenticator_data: bytes) -> int:
-    """The counter in recorded authenticator data.
-
-    Raises:
-        AssertionMalformed: it has none.
-    """
+    """The counter in recorded authenticator data."""
     return AuthenticatorData.read(authenticator_data).counter
 
 
@@ -297,14 +281,7 @@ class Registration(NamedTuple):
 def register(
     registration: Registration, challenge: Challenge, name: str, at: int, *, approval: bytes = b""
 ) -> Passkey:
-    """The passkey in `registration`, which answers `challenge`.
-
-    Raises:
-        AssertionMalformed: not of the form of WebAuthn, or not an ES256 key.
-        OtherChallenge, OtherOrigin, NotVerified: as `ca.approvals.passkeys.verify`.
-        PasskeyRefused: no passkey was made, or it has an impossible name.
-        ConsoleExtraMissing: the library is not installed.
-    """
+    """The passkey in `registration`, which answers `challenge`."""
     check_client_data(registration.client_data, Ceremony.CREATE, challenge.digest, challenge.origin)
     attestation = registration.attestation
     if len(attestation) > MAX_ATTESTATION:
@@ -337,7 +314,6 @@ def to_approve(passkey: Passkey) -> NewPasskey:
 
 
 def check_passkey_name(name: str) -> str:
-    """Return `name` if a person can read it on one line."""
     if not name.strip() or len(name) > MAX_NAME or not name.isprintable():
         raise PasskeyRefused(
             f"the name of a phone has 1 to {MAX_NAME} printable characters", "for example: Ann's phone"
@@ -397,12 +373,7 @@ class Approval(NamedTuple):
         return Assertion(self.passkey, self.client_data, self.authenticator_data, self.signature)
 
     def read(self) -> Statement:
-        """The statement, if the other fields agree with it. Signatures: see `ApprovalVerifier`.
-
-        Raises:
-            StatementRefused: malformed, or the fields or the payload are of another statement.
-            ApprovalOutdated: approved before it was made, or too late.
-        """
+        """The statement, if the other fields agree with it. Signatures: see `ApprovalVerifier`."""
         statement = Statement.from_bytes(self.statement)
         if (self.id, self.kind, self.subject) != (statement.id, int(statement.kind), statement.subject):
             raise StatementRefused("the approval is recorded with another's statement", "")
@@ -428,13 +399,7 @@ class ApprovalVerifier:
         self._passkeys[passkey.id] = passkey
 
     def verify(self, approval: Approval) -> Statement:
-        """The statement that this approval approves.
-
-        Raises:
-            StatementRefused, ApprovalOutdated: as `Approval.read`.
-            PasskeyUnknown: no passkey of this id is known.
-            ApprovalRefused: as `ca.approvals.passkeys.verify`.
-        """
+        """The statement that this approval approves."""
         statement = approval.read()
         passkey = self._passkeys.get(approval.passkey)
         if passkey is None:

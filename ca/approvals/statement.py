@@ -104,8 +104,6 @@ class Invitation(NamedTuple):
 
 
 class ForeignDomain(NamedTuple):
-    """Reserved for trust in another domain."""
-
     digest: bytes
 
 
@@ -204,11 +202,7 @@ class Statement(NamedTuple):
     what: What
 
     def to_bytes(self) -> bytes:
-        """Its one encoding.
-
-        Raises:
-            StatementRefused: a field is not of its form.
-        """
+        """Its one encoding."""
         _check(self)
         log: Value = [self.log_size, self.log_root]
         head: list[Value] = [VERSION, int(self.kind), self.id, self.domain, self.made, self.until]
@@ -216,11 +210,7 @@ class Statement(NamedTuple):
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """Read a statement.
-
-        Raises:
-            StatementRefused: too long, or anything but exactly the encoding of a statement.
-        """
+        """Read a statement."""
         try:
             value = decode(data, limit=MAX_STATEMENT)
         except EncodingError as error:
@@ -252,11 +242,7 @@ class Statement(NamedTuple):
         return self._field(_FORMS[self.kind].subject) or b""
 
     def check_payload(self, payload: bytes) -> None:
-        """Return if `payload` is the one whose digest was approved; without a digest, it is empty.
-
-        Raises:
-            StatementRefused: it is another.
-        """
+        """Return if `payload` is the one whose digest was approved; without a digest, it is empty."""
         digest = self._field(_FORMS[self.kind].payload)
         if len(payload) > MAX_PAYLOAD:
             raise StatementRefused("the payload of the approval is too large", "approve less")

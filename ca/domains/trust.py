@@ -95,11 +95,7 @@ class Card:
 
 
 def sign_card(signer: Signer, card: Card) -> bytes:
-    """Sign a card with the key of its root.
-
-    Raises:
-        CardRefused: the key is another one.
-    """
+    """Sign a card with the key of its root."""
     if thumbprint(signer.public_key) != card.anchor.thumbprint:
         raise CardRefused("the card is not about this authority", "an intermediate signs no cards")
     names: list[Value] = [*card.names]
@@ -110,11 +106,7 @@ def sign_card(signer: Signer, card: Card) -> bytes:
 
 
 def open_card(data: bytes, now: int) -> Card:
-    """Verify a card by the root in it, and read it.
-
-    Raises:
-        CardRefused: not a card, not signed by its own root, expired, or from the future.
-    """
+    """Verify a card by the root in it, and read it."""
     try:
         card = _read(CARD.peek(data, limit=MAX_CARD))  # the key to verify with is in it
         CARD.open(data, card.anchor.public_key, limit=MAX_CARD)
@@ -217,12 +209,7 @@ class ForeignDomain:
 
     @classmethod
     def from_terms(cls, data: bytes) -> Self:
-        """Read what `terms` wrote.
-
-        Raises:
-            EncodingError: not strict deterministic CBOR.
-            CAError: not a domain as a list may have it.
-        """
+        """Read what `terms` wrote."""
         return cls(*_domain(decode(data, limit=MAX_LIST)))
 
 
@@ -267,11 +254,7 @@ class DomainList:
 
 
 def sign_domains(signer: Signer, domains: DomainList, own_domain: str) -> bytes:
-    """Sign `domains` with the root key of `own_domain`.
-
-    Raises:
-        DomainsRefused: what `open_domains` would refuse.
-    """
+    """Sign `domains` with the root key of `own_domain`."""
     _check_own(domains, own_domain, to_coordinates(signer.public_key))
     data = DOMAINS.sign(
         signer,
@@ -290,22 +273,14 @@ def sign_domains(signer: Signer, domains: DomainList, own_domain: str) -> bytes:
 
 
 def open_domains(data: bytes, own: TrustAnchor) -> DomainList:
-    """Verify and read a list of the own authority; its age is not checked here.
-
-    Raises:
-        DomainsRefused: not signed by the root, malformed, or not a valid list.
-    """
+    """Verify and read a list of the own authority; its age is not checked here."""
     domains = verify_domains(data, own.public_key)
     _check_own(domains, own.domain, to_coordinates(own.public_key))
     return domains
 
 
 def verify_domains(data: bytes, key: ec.EllipticCurvePublicKey) -> DomainList:
-    """As `open_domains`, for a list that may name the domain whose root key `key` is.
-
-    Raises:
-        DomainsRefused: not signed by `key`, malformed, or not a valid list.
-    """
+    """As `open_domains`, for a list that may name the domain whose root key `key` is."""
     try:
         return _lists_read(DOMAINS.open(data, key, limit=MAX_LIST))
     except (SignatureError, EncodingError) as error:
@@ -439,12 +414,7 @@ class ListedDomain:
     anchor: TrustAnchor
 
     def verify(self, chain: Sequence[bytes], now: int) -> Identity:
-        """The identity of a node of this domain, under its alias.
-
-        Raises:
-            NotAdmitted: the trust in the domain has ended, or does not extend to this name.
-            CertificateRefused: as `TrustAnchor.verify`.
-        """
+        """The identity of a node of this domain, under its alias."""
         entry = self.entry
         if now >= entry.until:
             raise NotAdmitted(f"the trust in domain {entry.label} has ended", _ANCHORS_HINT)
@@ -505,10 +475,6 @@ class Anchors:
         """Take a list; returns the domains whose connections must end now: gone, or changed.
 
         `persist(data)` is called after all checks and before the list takes effect.
-
-        Raises:
-            DomainsRefused: not a list of the own authority, older than one seen, or a different
-                one with the same number.
         """
         new, held = open_domains(data, self.own), self._snapshot
         if new.number < self._floor:
@@ -535,12 +501,7 @@ class Anchors:
         return _ended(held.by_domain.values(), self._snapshot.by_domain)
 
     def verify(self, chain: Sequence[bytes], now: int) -> Identity:
-        """The identity of a peer: of the own domain, or of a listed one under its alias.
-
-        Raises:
-            NotAdmitted: of a domain that is not listed, or a name that is not admitted.
-            CertificateRefused: as `TrustAnchor.verify`.
-        """
+        """The identity of a peer: of the own domain, or of a listed one under its alias."""
         held = self._snapshot
         if not held.by_domain or not chain:
             return self.own.verify(chain, now)

@@ -130,11 +130,7 @@ class InvitationCode:
         return sha256(self.key).digest()
 
     def check_time(self, now: int) -> None:
-        """Return if the code has not expired; the authority decides that by its own clock.
-
-        Raises:
-            CodeExpired: it has.
-        """
+        """Return if the code has not expired; the authority decides that by its own clock."""
         if now > self.expires:
             raise CodeExpired(
                 f"the invitation expired {now - self.expires} s ago",
@@ -162,7 +158,6 @@ class InvitationCode:
 
 
 def parse(text: str) -> InvitationCode:
-    """Parse a code as pasted: a mail or a chat may have broken its line, so white space is ignored."""
     stripped = "".join(text.split())
     if len(stripped) > MAX_TEXT or not stripped.startswith(PREFIX):
         raise CodeRefused("this is not the code of an invitation", _HINT)
@@ -178,7 +173,6 @@ def parse(text: str) -> InvitationCode:
 
 
 def parse_body(body: bytes) -> InvitationCode:
-    """Parse the octets of a code (`InvitationCode.body`)."""
     content, check = body[:-_CHECK_SIZE], body[-_CHECK_SIZE:]
     if len(content) <= _FIXED or not compare_digest(_checksum(content), check):
         raise _damaged()
@@ -200,7 +194,6 @@ def parse_body(body: bytes) -> InvitationCode:
 
 
 def public_key(point: bytes) -> ec.EllipticCurvePublicKey:
-    """The key that `InvitationCode.key` wrote."""
     try:
         return require_p256(ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), point))
     except ValueError as error:
@@ -223,7 +216,6 @@ _LONG: Final = 0xC2
 
 
 def write(code: InvitationCode) -> bytes:
-    """The NDEF message of an invitation, to be written to a tag."""
     payload = code.body()
     if len(payload) < 256:
         head = bytes([_SHORT, len(MEDIA_TYPE), len(payload)])
@@ -238,7 +230,6 @@ def is_message(data: bytes) -> bool:
 
 
 def read(data: bytes) -> InvitationCode:
-    """Read the invitation in an NDEF message."""
     if len(data) <= MAX_MESSAGE and is_message(data):
         start = (3 if data[0] == _SHORT else 6) + len(MEDIA_TYPE)
         code = parse_body(data[start:])
@@ -260,18 +251,15 @@ _CLAIM: Final = Profile("rossec-join-claim+cbor")
 def transcript(
     invitation: bytes, node_nonce: bytes, own_nonce: bytes, chain: Sequence[bytes], root: bytes
 ) -> bytes:
-    """The transcript hash of one join, 32 octets; `own_nonce` is the authority's."""
     certificates: list[Value] = [_digest(certificate) for certificate in chain]
     return _digest(encode([_CONTEXT, invitation, node_nonce, own_nonce, certificates, _digest(root)]))
 
 
 def sign_live(signer: Signer, transcript_hash: bytes) -> bytes:
-    """The statement of `/ca` that it takes part in this join."""
     return _LIVE.sign(signer, [transcript_hash])
 
 
 def check_live(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes) -> None:
-    """Return if the holder of `key` takes part in this join."""
     try:
         _LIVE.check(data, key, [transcript_hash])
     except SignatureError as error:
@@ -371,11 +359,7 @@ class JoinRequest:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """The request that `to_bytes` wrote.
-
-        Raises:
-            EnrollmentMessageRefused: too long, too short, or a part is too long.
-        """
+        """The request that `to_bytes` wrote."""
         name = _HEAD + int.from_bytes(data[_SIZES : _SIZES + 2])
         metadata = name + int.from_bytes(data[_SIZES + 2 : _SIZES + 3])
         csr = metadata + int.from_bytes(data[_SIZES + 3 : _HEAD])
@@ -391,11 +375,7 @@ class JoinRequest:
         )
 
     def verify(self, point: bytes) -> None:
-        """Return if it was made with the secret of the invitation whose key is `point`.
-
-        Raises:
-            JoinRefused: it was not.
-        """
+        """Return if it was made with the secret of the invitation whose key is `point`."""
         key = public_key(point)
         check_proof(self.proof, key, self.transcript, self.csr, self.name, self.metadata)
 
@@ -425,11 +405,7 @@ class JoinClaim:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """The claim that `to_bytes` wrote.
-
-        Raises:
-            EnrollmentMessageRefused: too long, too short, or a part is too long.
-        """
+        """The claim that `to_bytes` wrote."""
         metadata = _JOIN_CLAIM_HEAD + int.from_bytes(data[_JOIN_CLAIM_HEAD - 2 : _JOIN_CLAIM_HEAD])
         if not metadata < len(data) <= MAX_CLAIM_SIZE:
             raise EnrollmentMessageRefused("a claim of a wrong size")
@@ -437,9 +413,5 @@ class JoinClaim:
         return cls(data[:ID_SIZE], transcript, data[metadata:], data[_JOIN_CLAIM_HEAD:metadata])
 
     def verify(self, point: bytes) -> None:
-        """Return if it was made with the secret of the invitation whose key is `point`.
-
-        Raises:
-            JoinRefused: it was not.
-        """
+        """Return if it was made with the secret of the invitation whose key is `point`."""
         check_claim(self.proof, public_key(point), self.transcript, self.metadata)

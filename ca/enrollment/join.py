@@ -91,16 +91,12 @@ _REFUSALS: Final = frozenset(RefuseReason)
 
 @dataclass(frozen=True)
 class Hello:
-    """Node to authority: the id of the invitation, and a fresh nonce."""
-
     invitation: bytes
     nonce: bytes
 
 
 @dataclass(frozen=True)
 class Welcome:
-    """Authority to node: a fresh nonce, the chain of `/ca`, its root, and its signed transcript."""
-
     nonce: bytes
     chain: tuple[bytes, ...]
     root: bytes
@@ -167,11 +163,7 @@ def write(message: JoinMessage) -> bytes:
 
 
 def read(data: bytes) -> JoinMessage:
-    """Decode one message, strictly.
-
-    Raises:
-        EnrollmentMessageRefused: too long, malformed, or of another version.
-    """
+    """Decode one message, strictly."""
     try:
         message = _message(decode(data, limit=MAX_MESSAGE))
     except EncodingError as error:
@@ -323,8 +315,6 @@ _CLOCK: Final = "check this computer's clock; if it is right, at the authority: 
 
 
 class NodeJoinState(Enum):
-    """The state of one session, at the node."""
-
     GREETING = "waiting for the authority"
     WELCOMED = "the authority is verified"
     CLAIMED = "waiting for a name"
@@ -366,7 +356,6 @@ class NodeJoin:
     """One session of one node with the authority of an invitation; used once."""
 
     def __init__(self, code: InvitationCode, nonce: bytes) -> None:
-        """Join by `code`; `nonce` are 16 fresh random octets."""
         if len(nonce) != NONCE_SIZE:
             raise EnrollmentRefused(f"a nonce has {NONCE_SIZE} octets")
         self.state = NodeJoinState.GREETING
@@ -384,44 +373,27 @@ class NodeJoin:
 
     @property
     def anchor(self) -> TrustAnchor:
-        """The authority's root, once the peer is verified; not trusted before the identity is.
-
-        Raises:
-            EnrollmentOver: it is not.
-        """
+        """The authority's root, once the peer is verified; not trusted before the identity is."""
         if self._anchor is None:
             raise EnrollmentOver("the authority is not verified yet")
         return self._anchor
 
     @property
     def name(self) -> str:
-        """The name that the authority's rules gave, within the invitation.
-
-        Raises:
-            EnrollmentOver: there is none.
-        """
+        """The name that the authority's rules gave, within the invitation."""
         if not self._name:
             raise EnrollmentOver("the authority has given no name")
         return self._name
 
     @property
     def identity(self) -> JoinedIdentity:
-        """What to write to the disk, in the state JOINED.
-
-        Raises:
-            EnrollmentOver: there is none.
-        """
+        """What to write to the disk, in the state JOINED."""
         if self._identity is None:
             raise EnrollmentOver("the node has not joined")
         return self._identity
 
     def receive(self, data: bytes, now: int) -> None:
-        """Process one message of the authority; a refusal ends the session.
-
-        Raises:
-            JoinWaiting: not yet; the same request may be sent again, in a new session.
-            EnrollmentRefused: a subclass for each error.
-        """
+        """Process one message of the authority; a refusal ends the session."""
         try:
             message = read(data)
             entry = NODE_TABLE.get((self.state, type(message)))
@@ -439,12 +411,7 @@ class NodeJoin:
         assert self.state in followers  # noqa: S101 - the table is the truth
 
     def claim(self, metadata: bytes) -> bytes:
-        """Ask which name the authority's rules give for `metadata`, of 1 to 4096 octets.
-
-        Raises:
-            EnrollmentOver: the authority is not verified, or this was done.
-            EnrollmentMessageRefused: no metadata, or too long.
-        """
+        """Ask which name the authority's rules give for `metadata`, of 1 to 4096 octets."""
         self._require(NodeJoinState.WELCOMED)
         self._metadata = _checked(metadata)
         proof = invitation.sign_claim(self._code.signer, self._transcript, metadata)
@@ -456,11 +423,6 @@ class NodeJoin:
 
         With `metadata`, those of the claim if there was one, the name must be the one that the
         authority's rules give for them.
-
-        Raises:
-            EnrollmentOver: the authority is not verified, or this was done.
-            RequestRefused: `csr` is invalid, for another trust domain, or not for `name`.
-            EnrollmentMessageRefused: metadata that are too long.
         """
         self._require(NodeJoinState.WELCOMED, NodeJoinState.NAMED)
         if metadata and not self._metadata:
@@ -589,7 +551,6 @@ class AuthorityJoin:
     """One session with one node; used once."""
 
     def __init__(self, identity: LiveIdentity, nonce: bytes) -> None:
-        """Answer as `identity`; `nonce` are 16 fresh random octets."""
         if len(nonce) != NONCE_SIZE:
             raise EnrollmentRefused(f"a nonce has {NONCE_SIZE} octets")
         self.state = AuthorityJoinState.GREETING
@@ -602,32 +563,20 @@ class AuthorityJoin:
 
     @property
     def claim(self) -> JoinClaim:
-        """The claim to be named; nothing of it is verified.
-
-        Raises:
-            EnrollmentOver: there is none.
-        """
+        """The claim to be named; nothing of it is verified."""
         if self._claim is None:
             raise EnrollmentOver("there is no claim")
         return self._claim
 
     @property
     def request(self) -> JoinRequest:
-        """The request to be decided; nothing of it is verified.
-
-        Raises:
-            EnrollmentOver: there is none.
-        """
+        """The request to be decided; nothing of it is verified."""
         if self._request is None:
             raise EnrollmentOver("there is no request yet")
         return self._request
 
     def receive(self, data: bytes) -> bytes | None:
-        """Process one message of a node; returns what to send, or None: see `claim`, `request`.
-
-        Raises:
-            EnrollmentMessageRefused: the connection must be closed.
-        """
+        """Process one message of a node; returns what to send, or None: see `claim`, `request`."""
         try:
             message = read(data)
             entry = AUTHORITY_TABLE.get((self.state, type(message)))
@@ -644,11 +593,7 @@ class AuthorityJoin:
         return sent
 
     def name(self, answer: NameAnswer) -> bytes:
-        """The answer to the claim; after a refusal the connection is closed.
-
-        Raises:
-            EnrollmentOver: there is no claim, or it was answered.
-        """
+        """The answer to the claim; after a refusal the connection is closed."""
         if self.state is not AuthorityJoinState.NAMING:
             raise EnrollmentOver(f"not possible in state {self.state.value!r}")
         is_named = isinstance(answer, Named)
@@ -656,11 +601,7 @@ class AuthorityJoin:
         return write(answer)
 
     def answer(self, answer: JoinAnswer) -> bytes:
-        """The last message; the connection is closed after it.
-
-        Raises:
-            EnrollmentOver: there is no request, or it was answered.
-        """
+        """The last message; the connection is closed after it."""
         if self.state is not AuthorityJoinState.DECIDING:
             raise EnrollmentOver(f"not possible in state {self.state.value!r}")
         self.state = AuthorityJoinState.ANSWERED

@@ -63,15 +63,11 @@ class Offer:
 
 @dataclass(frozen=True)
 class Acknowledgement:
-    """Node to authority: a signed acknowledgement of the offer (`transcript`)."""
-
     statement: bytes
 
 
 @dataclass(frozen=True)
 class Done:
-    """Node to authority: a signed statement that the node is enrolled (`transcript`)."""
-
     statement: bytes
 
 
@@ -91,11 +87,7 @@ def write(message: Message) -> bytes:
 
 
 def read(data: bytes) -> Message:
-    """Decode one message, strictly.
-
-    Raises:
-        EnrollmentMessageRefused: too long, malformed, or of another version.
-    """
+    """Decode one message, strictly."""
     try:
         message = _message(decode(data, limit=MAX_MESSAGE))
     except EncodingError as error:
@@ -111,11 +103,7 @@ def frame(message: bytes) -> bytes:
 
 
 def length(header: bytes) -> int:
-    """The length in a frame's first four octets.
-
-    Raises:
-        EnrollmentMessageRefused: longer than any message is.
-    """
+    """The length in a frame's first four octets."""
     size = int.from_bytes(header)
     if not 0 < size <= MAX_MESSAGE:
         raise EnrollmentMessageRefused(f"a message of {size} octets where 1 to {MAX_MESSAGE} are allowed")
@@ -168,7 +156,6 @@ def _offer(chain: list[Value], root: bytes, nonce: bytes, tag: bytes) -> Offer |
 
 
 def check_issued(root: bytes, chain: Sequence[bytes], own: IdentityRequest, now: int) -> TrustAnchor:
-    """Return the anchor in `root` if `chain` is exactly the identity that was asked for."""
     try:
         anchor = TrustAnchor.load(root)
         identity = anchor.verify(chain, now)

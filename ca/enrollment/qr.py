@@ -69,7 +69,6 @@ class Code:
 
 
 def label_code(request: bytes) -> str:
-    """Text of a code that only authenticates `request`."""
     return _text(bytes([_LABEL]) + sha256(request).digest())
 
 
@@ -87,7 +86,6 @@ def screen_code(request: bytes, secret: bytes, expires: int, address: str) -> st
 
 
 def parse(text: str) -> Code:
-    """Parse the text of a code as scanned or pasted; surrounding whitespace is ignored."""
     stripped = text.strip()
     if len(stripped) > MAX_TEXT or not stripped.startswith(PREFIX):
         raise CodeRefused("this is not the text of a rossec code", _HINT)
@@ -107,7 +105,6 @@ def parse(text: str) -> Code:
 
 
 def terminal(text: str) -> str:
-    """The code as half blocks with explicit colours: two modules per line, 19 lines for a label."""
     rows = [
         list(row) for row in segno.make_qr(text, error="l", boost_error=False).matrix_iter(border=_BORDER)
     ]
@@ -120,21 +117,18 @@ def terminal(text: str) -> str:
 
 
 def svg(text: str) -> bytes:
-    """The code as an SVG image, for printing."""
     out = BytesIO()
     _printed(text).save(out, kind="svg", scale=4, border=_PRINTED_BORDER)
     return out.getvalue()
 
 
 def png(text: str) -> bytes:
-    """The code as a PNG image, for a screen that shows pictures."""
     out = BytesIO()
     _printed(text).save(out, kind="png", scale=8, border=_PRINTED_BORDER)
     return out.getvalue()
 
 
 def inline_svg(text: str) -> str:
-    """The code as an SVG element that fills the viewport it is put into."""
     element: str = _printed(text).svg_inline(border=_PRINTED_BORDER, omitsize=True, light="white")
     return element
 
@@ -152,7 +146,6 @@ def encode_base45(data: bytes) -> str:
 
 
 def decode_base45(text: str) -> bytes:
-    """Decode base45 strictly."""
     out = bytearray()
     for start in range(0, len(text), 3):
         digits = [_ALPHABET.find(char) for char in text[start : start + 3]]
@@ -247,12 +240,7 @@ def card_code(data: bytes) -> str:
 
 
 def check_code(text: str, data: bytes) -> None:
-    """Return if the code `text`, as scanned or pasted, is that of the card `data`.
-
-    Raises:
-        CodeRefused: not the code of a card.
-        CardRefused: that of another card.
-    """
+    """Return if the code `text`, as scanned or pasted, is that of the card `data`."""
     stripped = text.strip()
     if not stripped.startswith(PREFIX) or len(stripped) > _MAX_TEXT:
         raise CodeRefused("this is not the code of a card", _CARD_CODES_HINT)

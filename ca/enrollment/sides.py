@@ -72,23 +72,19 @@ _MAX_STATEMENT: Final = 512
 
 
 def transcript(csr: bytes, chain: Sequence[bytes], root: bytes, nonce: bytes) -> bytes:
-    """The transcript hash of one enrollment, 32 octets."""
     certificates = [_digest(certificate) for certificate in chain]
     return _digest(encode([_CONTEXT, _digest(csr), [*certificates], _digest(root), nonce]))
 
 
 def tag(secret: bytes, transcript_hash: bytes) -> bytes:
-    """The MAC of an offer: it proves that the sender has read the code."""
     return hmac.digest(secret, encode([_OFFER, transcript_hash]), "sha256")
 
 
 def verify_tag(secret: bytes, transcript_hash: bytes, given: bytes) -> bool:
-    """Whether `given` is the tag of the offer."""
     return hmac.compare_digest(tag(secret, transcript_hash), given)
 
 
 def digits(transcript_hash: bytes, contribution: bytes) -> str:
-    """The six digits both sides show."""
     number = int.from_bytes(_digest(encode([_DIGITS, transcript_hash, contribution]))[:8])
     return f"{number % 1_000_000:06}"
 
@@ -99,12 +95,10 @@ def group_digits(six: str) -> str:
 
 
 def sign_acknowledgement(signer: Signer, transcript_hash: bytes, contribution: bytes) -> bytes:
-    """The node's signed acknowledgement of an offer."""
     return _ACKNOWLEDGEMENT.sign(signer, [transcript_hash, contribution])
 
 
 def open_acknowledgement(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes) -> bytes:
-    """The contribution in a node's acknowledgement of the offer with this transcript hash."""
     match _open(_ACKNOWLEDGEMENT, data, key):
         case [bytes() as acknowledged, bytes() as contribution] if (
             acknowledged == transcript_hash and len(contribution) == NONCE_SIZE
@@ -115,12 +109,10 @@ def open_acknowledgement(data: bytes, key: ec.EllipticCurvePublicKey, transcript
 
 
 def sign_done(signer: Signer, transcript_hash: bytes) -> bytes:
-    """The node's signed statement that it is enrolled."""
     return _DONE.sign(signer, [transcript_hash])
 
 
 def check_done(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes) -> None:
-    """Return if `data` is the node's statement that it is enrolled with this transcript."""
     if _open(_DONE, data, key) != [transcript_hash]:
         raise _replayed()
 
@@ -208,10 +200,6 @@ class NodeEnrollment:
         `secret` is that of the screen code, 16 fresh random octets, or empty for a label;
         `contribution` are 16 fresh random octets, not revealed before there is an offer; `expires`
         is the last second for an offer; `wildcard`: the request is for anonymous nodes too.
-
-        Raises:
-            RequestRefused: `csr` is invalid.
-            EnrollmentRefused: wrong sizes.
         """
         if len(secret) not in {0, qr.SECRET_SIZE} or len(contribution) != NONCE_SIZE:
             raise EnrollmentRefused("an enrollment needs 16 octets of each random value")
@@ -235,21 +223,13 @@ class NodeEnrollment:
 
     @property
     def pending(self) -> Pending:
-        """The offer that was acknowledged.
-
-        Raises:
-            EnrollmentOver: there is none, or it was dropped.
-        """
+        """The offer that was acknowledged."""
         if self._pending is None:
             raise EnrollmentOver("there is no offer to confirm", "first, at the authority: enroll")
         return self._pending
 
     def receive(self, data: bytes, now: int) -> list[bytes]:
-        """Process one message; returns the answers. On an error the connection must be closed.
-
-        Raises:
-            EnrollmentRefused: a subclass for each error; `state` says whether the enrollment ended.
-        """
+        """Process one message; returns the answers. On an error the connection must be closed."""
         self.tick(now)
         self._check_not_over()
         message = read(data)
@@ -266,12 +246,7 @@ class NodeEnrollment:
         return answers
 
     def confirm(self, digits: str, now: int) -> Pending:
-        """A person read `digits` at the authority: returns the offer to write to disk now.
-
-        Raises:
-            DigitsRefused: they are wrong; the third time ends the enrollment.
-            EnrollmentRefused: there is no offer, or it is too late.
-        """
+        """A person read `digits` at the authority: returns the offer to write to disk now."""
         self.tick(now)
         self._check_not_over()
         pending = self.pending
@@ -419,7 +394,6 @@ class AuthorityEnrollment:
     """One enrollment of the node whose code was read; used once."""
 
     def __init__(self, code: Code, domain: str, *, wildcard: bool = False) -> None:
-        """Enroll the node with this `code`; `wildcard`: it may ask for a wildcard tail."""
         self.state = AuthorityState.FETCHING
         self.digits = ""
         self._code = code
@@ -436,11 +410,7 @@ class AuthorityEnrollment:
 
     @property
     def request(self) -> IdentityRequest:
-        """The request: checked against the code, with proof of possession.
-
-        Raises:
-            EnrollmentOver: there is no request yet.
-        """
+        """The request: checked against the code, with proof of possession."""
         if self._request is None:
             raise EnrollmentOver("there is no request yet")
         return self._request
@@ -450,12 +420,7 @@ class AuthorityEnrollment:
         return self._csr
 
     def receive(self, data: bytes, now: int) -> None:
-        """Process one message of the node.
-
-        Raises:
-            EnrollmentRefused, RequestRefused: a subclass for each error; an unexpected message
-                changes nothing, every other error ends the enrollment.
-        """
+        """Process one message of the node."""
         self.tick(now)
         message = read(data)
         entry = AUTHORITY_TABLE.get((self.state, type(message)))
@@ -481,10 +446,6 @@ class AuthorityEnrollment:
 
         `chain` is the certificate issued for `csr`, and an intermediate if there is one; `nonce`
         are 16 fresh random octets.
-
-        Raises:
-            CertificateRefused: the chain is invalid.
-            EnrollmentRefused: not approved, too late, or the chain is for another request.
         """
         self.tick(now)
         identity = TrustAnchor.load(root).verify(chain, now)
@@ -507,11 +468,7 @@ class AuthorityEnrollment:
         return self._deadline
 
     def tick(self, now: int) -> None:
-        """Check the deadline at `now`.
-
-        Raises:
-            EnrollmentExpired: it is over.
-        """
+        """Check the deadline at `now`."""
         if self.state in {AuthorityState.ENROLLED, AuthorityState.OVER}:
             return
         if self._deadline and now > self._deadline:

@@ -42,7 +42,6 @@ def check_directory(path: Path) -> None:
 
 
 def check_file(path: Path, status: os.stat_result) -> None:
-    """Check the `status` of an opened file."""
     if not stat.S_ISREG(status.st_mode):
         raise PathRefused(f"{path} is not a regular file", "is it the right one?")
     _check_owner(path, status)
@@ -63,7 +62,6 @@ def check_trusted(path: Path) -> None:
 
 
 def open_trusted(path: Path, *, link: bool = False) -> int:
-    """Open a trusted file for reading; returns its descriptor."""
     check_directory(path.parent)
     if not link and path.is_symlink():
         raise PathRefused(f"{path} is a symbolic link", "put the file itself there")

@@ -55,7 +55,6 @@ def encrypt(private_key_info: bytes, passphrase: bytes, *, salt: bytes, iv: byte
 
 
 def check_cost(encrypted: bytes) -> None:
-    """Return if opening the DER `EncryptedPrivateKeyInfo` takes no more than is of use."""
     body = _only(encrypted, _SEQUENCE)
     algorithm, secret = _read(body, _SEQUENCE)
     _only(secret, _OCTETS)
@@ -155,7 +154,6 @@ def seal(files: Mapping[str, bytes], passphrase: str, *, salt: bytes, nonce: byt
 
 
 def unseal(data: bytes, passphrase: str) -> dict[str, bytes]:
-    """Return the files in a backup."""
     if len(data) > MAX_BACKUP or len(data) < _HEAD or not data.startswith(MAGIC):
         raise BackupRefused(
             "this is not a backup of an authority", "name the file that `rossec ca backup` wrote"

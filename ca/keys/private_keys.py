@@ -48,12 +48,10 @@ _CREATE: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLO
 
 
 def generate() -> ec.EllipticCurvePrivateKey:
-    """Return a new P-256 key."""
     return ec.generate_private_key(ec.SECP256R1())
 
 
 def write_private(path: Path, key: ec.EllipticCurvePrivateKey, passphrase: str | None = None) -> None:
-    """Write `key` to the new file `path`, readable by its owner only, durable on return."""
     pem = _to_pem(key, passphrase)
     try:
         descriptor = os.open(path, _CREATE, 0o600)
@@ -77,7 +75,6 @@ def write_private(path: Path, key: ec.EllipticCurvePrivateKey, passphrase: str |
 
 
 def load_private(path: Path, passphrase: str | None = None) -> ec.EllipticCurvePrivateKey:
-    """Return the P-256 key in the file `path`."""
     pem = _read(path)
     encrypted = _ENCRYPTED in pem
     if encrypted and passphrase is None:
@@ -175,11 +172,7 @@ class KeyUri:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Read a URI.
-
-        Raises:
-            TokenRefused: not of this form, or it contains a PIN.
-        """
+        """Read a URI."""
         path, _, query = text.removeprefix(SCHEME).partition("?")
         path_fields, query_fields = _fields(path, ";"), _fields(query, "&")
         if "pin-value" in query_fields:
@@ -212,12 +205,7 @@ class TokenSigner:
 
     @classmethod
     def open(cls, uri: KeyUri, pin: str) -> Self:
-        """Log in and find the key.
-
-        Raises:
-            TokenRefused: no such token or key, or the PIN is wrong.
-            KeyRefused: not a P-256 key, or an extractable one.
-        """
+        """Log in and find the key."""
         session = _session(uri, pin)
         pkcs11 = _library()
         try:
@@ -235,11 +223,7 @@ class TokenSigner:
 
     @classmethod
     def create(cls, uri: KeyUri, pin: str) -> Self:
-        """Generate a new key in the token.
-
-        Raises:
-            TokenRefused: no such token, the PIN is wrong, or the label is in use.
-        """
+        """Generate a new key in the token."""
         session = _session(uri, pin)
         pkcs11 = _library()
         from pkcs11.util.ec import encode_named_curve_parameters  # noqa: PLC0415  (an extra)
@@ -271,11 +255,7 @@ class TokenSigner:
         return self._public_key
 
     def sign(self, message: bytes) -> bytes:
-        """ES256 over `message`: 64 bytes, r || s (RFC 9053 section 2.1).
-
-        Raises:
-            TokenRefused: the token was removed, or refuses.
-        """
+        """ES256 over `message`: 64 bytes, r || s (RFC 9053 section 2.1)."""
         pkcs11 = _library()
         try:
             # CKM_ECDSA takes the digest: the token need not support hashing.

@@ -48,31 +48,19 @@ _BETWEEN: Final = bytes.fromhex("225820")
 
 
 def require_p256(key: object) -> ec.EllipticCurvePublicKey:
-    """Return `key` if it is a P-256 public key.
-
-    Raises:
-        KeyRefused: another curve or another algorithm.
-    """
+    """Return `key` if it is a P-256 public key."""
     if not isinstance(key, ec.EllipticCurvePublicKey) or not isinstance(key.curve, ec.SECP256R1):
         raise KeyRefused("the key is not a P-256 key", "create the key with `rossec node request`")
     return key
 
 
 def thumbprint(key: ec.EllipticCurvePublicKey) -> bytes:
-    """Return the 32-byte COSE key thumbprint of a P-256 key (RFC 9679, SHA-256).
-
-    Raises:
-        KeyRefused: not a P-256 key.
-    """
+    """Return the 32-byte COSE key thumbprint of a P-256 key (RFC 9679, SHA-256)."""
     return thumbprint_of(to_coordinates(key))
 
 
 def thumbprint_of(coordinates: bytes) -> bytes:
-    """The thumbprint of the key with these x and y, 64 octets; whether it is one is not checked.
-
-    Raises:
-        KeyRefused: of another length.
-    """
+    """The thumbprint of the key with these x and y, 64 octets; whether it is one is not checked."""
     if len(coordinates) != 2 * _COORDINATE:
         raise KeyRefused("a key of a wrong length where x and y are expected")
     x, y = coordinates[:_COORDINATE], coordinates[_COORDINATE:]
@@ -80,20 +68,12 @@ def thumbprint_of(coordinates: bytes) -> bytes:
 
 
 def to_coordinates(key: ec.EllipticCurvePublicKey) -> bytes:
-    """Return x and y of a P-256 key, 64 octets.
-
-    Raises:
-        KeyRefused: not a P-256 key.
-    """
+    """Return x and y of a P-256 key, 64 octets."""
     return require_p256(key).public_bytes(Encoding.X962, PublicFormat.UncompressedPoint)[1:]
 
 
 def from_coordinates(data: bytes) -> ec.EllipticCurvePublicKey:
-    """Return the P-256 key with the coordinates x and y, 64 octets.
-
-    Raises:
-        KeyRefused: not a point of the curve.
-    """
+    """Return the P-256 key with the coordinates x and y, 64 octets."""
     if len(data) != 2 * _COORDINATE:
         raise KeyRefused("a key of a wrong length where x and y are expected")
     try:
@@ -225,12 +205,7 @@ class Profile:
         return _SIGN1_TAG + encode([self.protected, {}, body, signature])
 
     def payload_to_sign(self, message: bytes, *, limit: int = MAX_SIZE) -> Value:
-        """The payload in `message`, which a signer is asked to sign: see `sign`.
-
-        Raises:
-            SignatureError: not what a statement of this kind has signed.
-            EncodingError: its payload is not strict deterministic CBOR.
-        """
+        """The payload in `message`, which a signer is asked to sign: see `sign`."""
         start = len(self._signed_frame)
         start += _HEAD_SIZES.get(message[start], 1) if start < len(message) else 0
         body = message[start:]
@@ -239,30 +214,17 @@ class Profile:
         return decode(body, limit=limit)
 
     def open(self, data: bytes, key: ec.EllipticCurvePublicKey, *, limit: int = MAX_SIZE) -> Value:
-        """Verify `data` against `key` and return its payload.
-
-        Raises:
-            SignatureError: wrong frame, wrong kind of statement, or not signed by `key`.
-            EncodingError: not strict deterministic CBOR.
-        """
+        """Verify `data` against `key` and return its payload."""
         return decode(self.open_body(data, key, limit=limit), limit=limit)
 
     def open_body(self, data: bytes, key: ec.EllipticCurvePublicKey, *, limit: int = MAX_SIZE) -> bytes:
-        """Verify `data` against `key` and return its payload as signed, *not* decoded.
-
-        Raises:
-            SignatureError, EncodingError: as `open` does.
-        """
+        """Verify `data` against `key` and return its payload as signed, *not* decoded."""
         body, signature = self._split(data, limit)
         _verify(key, signature, self._signed_frame + head(_BYTES, len(body)) + body)
         return body
 
     def check(self, data: bytes, key: ec.EllipticCurvePublicKey, payload: Value) -> None:
-        """Return if `data` states exactly `payload`, signed by `key`; nothing of it is decoded.
-
-        Raises:
-            SignatureError: it states something else, or `key` did not sign it.
-        """
+        """Return if `data` states exactly `payload`, signed by `key`; nothing of it is decoded."""
         body = encode(payload)
         text = head(_BYTES, len(body)) + body
         statement = self._frame + text + _SIGNATURE_HEAD

@@ -79,11 +79,7 @@ def digest(data: bytes) -> bytes:
 
 
 def sign_list(signer: Signer, revocations: RevocationList) -> bytes:
-    """Sign `revocations` with the authority's key.
-
-    Raises:
-        RevocationRefused: an invalid list, as for `open_list`.
-    """
+    """Sign `revocations` with the authority's key."""
     _check_list(revocations)
     entries: list[Value] = [*sorted(revocations.entries)]
     return LIST_PROFILE.sign(
@@ -99,11 +95,7 @@ def sign_list(signer: Signer, revocations: RevocationList) -> bytes:
 
 
 def open_list(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationList:
-    """Verify and read a list; its age is not checked here.
-
-    Raises:
-        RevocationRefused: not signed by the authority, malformed, or not a valid list.
-    """
+    """Verify and read a list; its age is not checked here."""
     match _open(LIST_PROFILE, data, ca_key, MAX_LIST):
         case {4: exp, 6: iat, -70001: epoch, -70002: seq, -70003: list() as items, **rest} if not rest:
             revocations = RevocationList(
@@ -116,11 +108,7 @@ def open_list(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationList:
 
 
 def sign_timestamp(signer: Signer, timestamp: Timestamp) -> bytes:
-    """Sign `timestamp` with the master's key.
-
-    Raises:
-        RevocationRefused: an invalid timestamp.
-    """
+    """Sign `timestamp` with the master's key."""
     _check_timestamp(timestamp)
     return TIMESTAMP_PROFILE.sign(
         signer,
@@ -129,11 +117,7 @@ def sign_timestamp(signer: Signer, timestamp: Timestamp) -> bytes:
 
 
 def open_timestamp(data: bytes, key: ec.EllipticCurvePublicKey) -> Timestamp:
-    """Verify and read a timestamp; its age is not checked here. `key` is the master's.
-
-    Raises:
-        RevocationRefused: not signed by `key`, malformed, or not a valid timestamp.
-    """
+    """Verify and read a timestamp; its age is not checked here. `key` is the master's."""
     match _open(TIMESTAMP_PROFILE, data, key, MAX_TIMESTAMP):
         case {6: iat, -70002: seq, -70004: bytes() as list_digest, -70005: max_age, **rest} if not rest:
             timestamp = Timestamp(_number(seq), list_digest, _number(iat), _number(max_age))
@@ -169,7 +153,6 @@ def _check_list(revocations: RevocationList) -> None:
 
 
 def check_entry(entry: object) -> bytes:
-    """Return `entry` if it has the form of a grant id or a key thumbprint."""
     if not isinstance(entry, bytes) or len(entry) not in _SIZES:
         raise RevocationRefused("an entry is a grant id of 16 bytes or a key thumbprint of 32")
     return entry
@@ -264,11 +247,7 @@ def sign_tree(signer: Signer, tree: RevocationTree) -> bytes:
 
 
 def open_tree(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationTree:
-    """Verify and read a tree; its age is not checked here.
-
-    Raises:
-        RevocationRefused: not signed by the authority, malformed, or not a valid tree.
-    """
+    """Verify and read a tree; its age is not checked here."""
     try:
         value = TREE.open(data, ca_key, limit=MAX_TREE)
     except (SignatureError, EncodingError) as error:
@@ -322,11 +301,7 @@ def _entry(data: bytes, position: int) -> tuple[bytes, int]:
 
 
 class TreeEntries:
-    """All entries of a tree; creates the proofs.
-
-    Raises:
-        RevocationRefused: an invalid entry.
-    """
+    """All entries of a tree; creates the proofs."""
 
     def __init__(self, entries: Collection[bytes]) -> None:
         self._entries = sorted({check_entry(entry) for entry in entries})
@@ -334,11 +309,7 @@ class TreeEntries:
 
     @classmethod
     def read(cls, data: bytes) -> "TreeEntries":
-        """Read what `encoded` wrote.
-
-        Raises:
-            RevocationRefused: it is malformed.
-        """
+        """Read what `encoded` wrote."""
         return finished(cls.reading(data))
 
     @classmethod
@@ -378,11 +349,7 @@ class TreeEntries:
         return len(self._entries), self._tree.root()
 
     def check(self, tree: RevocationTree) -> None:
-        """Return if these are the entries of `tree`.
-
-        Raises:
-            RevocationRefused: otherwise.
-        """
+        """Return if these are the entries of `tree`."""
         if self.size_and_root != (tree.size, tree.root):
             raise RevocationRefused(*_NOT_THOSE)
 
@@ -400,7 +367,6 @@ class TreeEntries:
 
 
 def is_revoked(tree: RevocationTree, entry: bytes, proof: bytes) -> bool:
-    """Whether `proof` shows that `entry` is in `tree`, or that it is not."""
     leaves = [_leaf(tree, part) for part in _parts(proof)]
     match leaves:
         case [(_, leaf)] if leaf == entry:

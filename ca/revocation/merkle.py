@@ -20,12 +20,10 @@ EMPTY_ROOT: Final = hashlib.sha256().digest()
 
 
 def leaf_hash(data: bytes) -> bytes:
-    """The hash of a leaf with the content `data`."""
     return hashlib.sha256(b"\0" + data).digest()
 
 
 def node_hash(left: bytes, right: bytes) -> bytes:
-    """The hash of an inner node."""
     return hashlib.sha256(b"\1" + left + right).digest()
 
 
@@ -33,7 +31,6 @@ class Tree:
     """An append-only tree that stores all hashes; earlier sizes can be queried too."""
 
     def __init__(self, leaves: Iterable[bytes] = ()) -> None:
-        """Start with the contents `leaves`."""
         self._levels: list[list[bytes]] = [[]]  # hashes of complete subtrees of 1, 2, 4 ... leaves
         for data in leaves:
             self.append(data)
@@ -52,31 +49,19 @@ class Tree:
         self._levels.append([digest])
 
     def root(self, size: int | None = None) -> bytes:
-        """The root over the first `size` leaves, by default over all.
-
-        Raises:
-            ProofRefused: the tree is smaller.
-        """
+        """The root over the first `size` leaves, by default over all."""
         size = self._size(size)
         return self._hash(0, size) if size else EMPTY_ROOT
 
     def inclusion(self, index: int, size: int | None = None) -> list[bytes]:
-        """The proof that leaf `index` is in the tree of the first `size` leaves.
-
-        Raises:
-            ProofRefused: it is not.
-        """
+        """The proof that leaf `index` is in the tree of the first `size` leaves."""
         size = self._size(size)
         if not 0 <= index < size:
             raise ProofRefused(f"there is no leaf {index} in a tree of {size}")
         return self._path(index, 0, size)
 
     def consistency(self, first: int, second: int | None = None) -> list[bytes]:
-        """The proof that the tree of `second` leaves extends the one of `first`.
-
-        Raises:
-            ProofRefused: it does not, or `first` is 0, for which there is no proof.
-        """
+        """The proof that the tree of `second` leaves extends the one of `first`."""
         second = self._size(second)
         if not 0 < first <= second:
             raise ProofRefused(f"a tree of {second} leaves does not extend one of {first}")

@@ -96,7 +96,6 @@ class Revocations:
         floor: tuple[int, int] = NO_FLOOR,
         fresh: int | None = None,
     ) -> None:
-        """Start without a list; lists below `floor` = (epoch, seq) are refused."""
         self._key = anchor_key
         self._floor = floor
         self.fresh = fresh
@@ -147,11 +146,7 @@ class Revocations:
         return list(self._unproved)
 
     def add_proof(self, entry: bytes, proof: bytes) -> None:
-        """Add the proof that `entry` is in the current tree, or is not.
-
-        Raises:
-            RevocationRefused: it shows neither.
-        """
+        """Add the proof that `entry` is in the current tree, or is not."""
         if not isinstance(self._list, RevocationTree):
             return  # replaced by a list meanwhile, which needs no proofs
         revoked = is_revoked(self._list, check_entry(entry), proof)
@@ -164,11 +159,7 @@ class Revocations:
         self._absent.add(entry)
 
     def set_entries(self, tree_entries: TreeEntries) -> None:
-        """Set all entries of the current tree: no proofs are needed any more.
-
-        Raises:
-            RevocationRefused: these are not its entries, or there is no tree.
-        """
+        """Set all entries of the current tree: no proofs are needed any more."""
         if not isinstance(self._list, RevocationTree):
             raise RevocationRefused("entries of a tree, but there is no tree")
         tree_entries.check(self._list)
@@ -183,10 +174,6 @@ class Revocations:
         after all checks and before the list takes effect; if it raises, nothing changes. An expired
         list is applied too: what it revokes stays revoked, and `check` refuses everything else. A
         new list needs a new confirmation. With a tree, what was known to be revoked stays so.
-
-        Raises:
-            RevocationRefused: not a list signed by the authority.
-            RollbackRefused: older than one seen, or different with the same number.
         """
         revocations = open_statement(data, self._key)
         self.check_number(revocations)
@@ -204,12 +191,7 @@ class Revocations:
         return added
 
     def confirm(self, timestamp: Timestamp, now: int) -> None:
-        """Apply a timestamp, opened with `open_timestamp`: the current list is the newest.
-
-        Raises:
-            RevocationRefused: for another list.
-            ClocksDisagree: too old, or from the future.
-        """
+        """Apply a timestamp, opened with `open_timestamp`: the current list is the newest."""
         if self._list is None:
             raise RevocationRefused("a timestamp came before any revocation list", _HINT_STALE)
         if timestamp.seq != self._list.seq or timestamp.digest != digest(self._data):
@@ -231,13 +213,7 @@ class Revocations:
         self._confirmed = None
 
     def check(self, entry: bytes, now: int) -> None:
-        """Return if `entry` (a grant id or key thumbprint) is known not to be revoked.
-
-        Raises:
-            Revoked: it is on the list, fresh or not.
-            RevocationsStale: its status is unknown.
-            RevocationRefused: `entry` is neither grant id nor thumbprint.
-        """
+        """Return if `entry` (a grant id or key thumbprint) is known not to be revoked."""
         if check_entry(entry) in self.entries:
             raise Revoked(f"{entry.hex()} is revoked", "ask the authority's operator for the reason")
         unproved = not self._complete and entry not in self._absent
@@ -248,11 +224,7 @@ class Revocations:
             raise RevocationsStale(f"no proof received yet that {entry.hex()} is not revoked", _HINT_STALE)
 
     def check_fresh(self, now: int) -> None:
-        """Return if the current list is confirmed and valid at `now`.
-
-        Raises:
-            RevocationsStale: no list, an expired list, no confirmation, or an outdated one.
-        """
+        """Return if the current list is confirmed and valid at `now`."""
         if self._list is None:
             raise RevocationsStale(NO_LIST_YET, _HINT_STALE)
         if now >= self._list.expires:
@@ -273,11 +245,7 @@ class Revocations:
         return timestamp.issued + (timestamp.max_age if self.fresh is None else self.fresh)
 
     def check_number(self, new: RevocationList | RevocationTree) -> None:
-        """Return if a list or tree may follow the current one, or is the same.
-
-        Raises:
-            RollbackRefused: older than one seen, or different with the same number.
-        """
+        """Return if a list or tree may follow the current one, or is the same."""
         if new.number < self._floor:
             raise RollbackRefused(
                 f"revocation list {_text(new.number)} is older than {_text(self._floor)}",
@@ -291,11 +259,7 @@ class Revocations:
 
 
 def open_statement(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationList | RevocationTree:
-    """Verify and read a list or a tree.
-
-    Raises:
-        RevocationRefused: not signed by the authority, malformed, or neither.
-    """
+    """Verify and read a list or a tree."""
     return open_tree(data, ca_key) if is_tree(data) else open_list(data, ca_key)
 
 
@@ -360,13 +324,6 @@ class Standing:
 
         Args:
             chain: the certificates of the master that signed the timestamp, DER, the leaf first.
-
-        Raises:
-            NotAdmitted: the domain is not listed, or the chain is not that of a master of it.
-            CertificateRefused: the chain is invalid under that domain's root.
-            RevocationRefused: the list or the timestamp is; `RollbackRefused`, `ClocksDisagree`.
-            Revoked: the master's key.
-            RevocationsStale: no timestamp; or, of a tree, no proof yet for the master's key.
         """
         listed, held = self._listed(domain), self._held(domain)
         if held is None:
@@ -391,13 +348,7 @@ class Standing:
         return added
 
     def check(self, domain: str, entry: bytes, now: int) -> None:
-        """Return if `entry` is known not to be revoked by the authority of `domain`.
-
-        Raises:
-            Revoked: it is.
-            RevocationsStale: its status is unknown.
-            NotAdmitted: the domain is not listed.
-        """
+        """Return if `entry` is known not to be revoked by the authority of `domain`."""
         if domain == self.anchors.own.domain:
             self.own.check(entry, now)
             return
@@ -415,11 +366,6 @@ class Standing:
 
         All its keys are checked: stale data on the first must not hide that its intermediate is
         revoked. Those of a foreigner on the own list too, so that this side can refuse one at once.
-
-        Raises:
-            Revoked: one of its keys is revoked, by the own authority or its own one.
-            NotAdmitted: the trust in its domain has ended, or does not extend to its name.
-            RevocationsStale: this is not known.
         """
         checks: list[Callable[[bytes, int], None]] = [self.own.check]
         if peer.is_foreign:
@@ -442,10 +388,6 @@ class Standing:
         """Return if the newest list of domains lets a connection with `peer` stand.
 
         A list that has expired cuts nobody.
-
-        Raises:
-            NotAdmitted: its domain is gone, past its end, has another root or label, or the name
-                is no longer admitted.
         """
         if not peer.is_foreign:
             return

@@ -60,7 +60,6 @@ _FAULTS: Final[dict[int, tuple[str, str]]] = {
 
 
 def fault(path: Path, error: sqlite3.Error) -> StoreError:
-    """The exception to raise for an SQLite `error` of the record at `path`."""
     code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF  # the primary code
     if code in _DAMAGED:
         return RecordUnusable(f"{path} is damaged: {error}", "restore it from a backup, with --list")
@@ -259,7 +258,6 @@ _SET: Final = re.compile(r"in \(([^()]*)\)")
 
 
 def create(db: sqlite3.Connection) -> None:
-    """Create the tables of a new record."""
     append_only = (*APPEND_ONLY, ANSWERS, *DECISIONS, *APPROVALS, *DOMAINS, *THINGS)
     for statement in (*_TABLES, *append_only_triggers(append_only)):
         db.execute(statement)
@@ -304,7 +302,6 @@ def version(db: sqlite3.Connection) -> int:
 
 
 def check(db: sqlite3.Connection) -> None:
-    """Return if the tables are those created here, with strict types."""
     rows = db.execute("SELECT name, sql FROM sqlite_master WHERE type = 'table'")
     found = {name: _normal(sql) for name, sql in rows}
     for statement in _TABLES:
@@ -331,14 +328,12 @@ def append_entry(
 
 
 def append_only_triggers(tables: tuple[str, ...]) -> Iterator[str]:
-    """The triggers that refuse every change of `tables`."""
     for table in tables:
         for verb in ("UPDATE", "DELETE"):
             yield _NO_CHANGE.format(table=table, verb=verb)
 
 
 def request_triggers() -> tuple[str, str, str]:
-    """The triggers of requests for identities, from `TRANSITIONS`."""
     transitions = ", ".join(
         f"'{old}>{new}'" for old, following in TRANSITIONS.items() for new in sorted(following)
     )
@@ -349,7 +344,6 @@ _OF_VERSION_1: Final = ("certificate", "grant", "revocation", "list")  # kinds o
 
 
 def migrate(db: sqlite3.Connection) -> None:
-    """Bring a record up to the present version; another command may have done it."""
     if version(db) == 1:
         _to_version_2(db)
         _finish(db, 2)
@@ -448,11 +442,7 @@ class Database:
 
     @classmethod
     def create(cls, path: Path) -> Self:
-        """Create a new, empty record, readable only by its owner.
-
-        Raises:
-            StoreError: the file exists, or its directory does not.
-        """
+        """Create a new, empty record, readable only by its owner."""
         try:
             os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR | os.O_CLOEXEC, 0o600))
         except OSError as error:
@@ -468,13 +458,7 @@ class Database:
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Open an existing record; an older version is migrated first.
-
-        Raises:
-            StoreError: no file, not a record of rossec, damaged, or of a newer version; or it
-                cannot be used now.
-            PathRefused: another user owns it, or could have written it.
-        """
+        """Open an existing record; an older version is migrated first."""
         if not path.is_file():
             raise StoreError(f"there is no record at {path}", "restore it from a backup")
         if path.stat().st_mode & 0o077:
@@ -500,33 +484,21 @@ class Database:
         self.connection.close()
 
     def snapshot(self) -> bytes:
-        """The whole file as of this moment, also while others write.
-
-        Raises:
-            StoreError: the file is damaged or closed.
-        """
+        """The whole file as of this moment, also while others write."""
         try:
             return self.connection.serialize()
         except sqlite3.Error as error:
             raise fault(self._path, error) from error
 
     def rows(self, query: str, *values: object) -> list[Any]:
-        """The rows that `query` selects.
-
-        Raises:
-            StoreError: the file is damaged or closed.
-        """
+        """The rows that `query` selects."""
         try:
             return self.connection.execute(query, values).fetchall()
         except sqlite3.Error as error:
             raise fault(self._path, error) from error
 
     def check(self) -> None:
-        """Return if the file is undamaged and has only the triggers and views of rossec.
-
-        Raises:
-            StoreError: see `ca.store.database.check_no_foreign_objects`; or the file is damaged.
-        """
+        """Return if the file is undamaged and has only the triggers and views of rossec."""
         try:
             check_no_foreign_objects(self.connection)
             found = self.connection.execute("PRAGMA quick_check").fetchall()
@@ -540,9 +512,6 @@ class Database:
         """An exclusive transaction: all of it, durably, or nothing.
 
         A nested one is rolled back alone if it fails, and committed with the outer one.
-
-        Raises:
-            StoreError: an entry is refused, the file cannot be written, or it was replaced.
         """
         try:
             begin, commit, rollback = _SAVEPOINT if self.connection.in_transaction else _TRANSACTION

@@ -58,8 +58,6 @@ _BEGINS = "(name >= ? AND name < ?)"  # by the index on names, where substr() re
 
 
 class IdentityTable:
-    """The table of certificates."""
-
     def __init__(self, database: Database) -> None:
         self._database = database
 
@@ -221,8 +219,6 @@ _EXPIRES = f"changed + CASE state {_RETENTION} ELSE {1 << 53} END"
 
 
 class RequestTable:
-    """The table of requests."""
-
     def __init__(self, database: Database, identities: IdentityTable) -> None:
         self._database = database
         self._identities = identities
@@ -402,8 +398,6 @@ class InvitationUse(NamedTuple):
 
 
 class InvitationTable:
-    """The tables of invitations, their uses and their ends."""
-
     def __init__(self, database: Database) -> None:
         self._database = database
 

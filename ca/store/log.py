@@ -63,7 +63,6 @@ Row = tuple[Any, ...]
 
 
 def replay_approvals(entries: Iterable[LogEntry], rows: Mapping[str, Iterable[Row]], tree: Tree) -> None:
-    """Check every passkey and approval; `rows` are those of the tables, by kind of entry."""
     replay = _Replay(rows, tree)
     for entry in entries:
         step = replay.steps.get(entry.what)
@@ -136,8 +135,6 @@ _LOG_HINT = "somebody changed the record: restore a backup, and find out who"
 
 
 class AuthorityLog:
-    """The log of one record."""
-
     def __init__(self, database: Database) -> None:
         self._database = database
 
@@ -254,8 +251,6 @@ _COLUMNS = "id, name, cose_key, aaguid, rp_id, origin, approval, at"
 
 
 class PasskeyTable:
-    """The passkeys of one record."""
-
     def __init__(self, database: Database) -> None:
         self._database = database
 
@@ -329,8 +324,6 @@ class ApprovalEnd(NamedTuple):
 
 
 class ApprovalTable:
-    """The approvals of one record."""
-
     def __init__(self, database: Database, passkeys: PasskeyTable, log: AuthorityLog) -> None:
         self._database = database
         self._passkeys = passkeys

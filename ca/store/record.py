@@ -48,31 +48,19 @@ class Store:
 
     @classmethod
     def create(cls, path: Path) -> Self:
-        """Create a new, empty record, readable only by its owner.
-
-        Raises:
-            StoreError: the file exists, or its directory does not.
-        """
+        """Create a new, empty record, readable only by its owner."""
         return cls(Database.create(path))
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Open an existing record; an older version is migrated first.
-
-        Raises:
-            StoreError: no file, not a record of rossec, damaged, or of a newer version.
-        """
+        """Open an existing record; an older version is migrated first."""
         return cls(Database.open(path))
 
     def close(self) -> None:
         self.database.close()
 
     def transaction(self) -> AbstractContextManager[sqlite3.Connection]:
-        """A transaction: all steps or none, and no other command in between.
-
-        Raises:
-            StoreError: as `ca.store.database.Database.transaction`.
-        """
+        """A transaction: all steps or none, and no other command in between."""
         return self.database.transaction()
 
     def add_certificate(
@@ -89,13 +77,6 @@ class Store:
         `request` is the digest of the approved request it answers, or of the renewal; `replace_key`
         and `renews` allow another key (`ca.store.identities`). The key that `replace_key` replaces
         is revoked in the same transaction: no crash leaves two keys for one name.
-
-        Raises:
-            KeyChanged, RenewalRefused: the name has another key.
-            NameCovered: another valid identity has a wildcard tail that covers the name, or the
-                reverse.
-            RequestClosed: the request is not approved, or has its certificate already.
-            StoreError: the key is revoked, or the serial is taken.
         """
         with self.database.transaction() as db:
             self.identities.check_names(row.name, row.thumbprint, now, row.covers)
@@ -120,11 +101,7 @@ class Store:
         return frozenset(row.thumbprint for row in self.identities.unrevoked(name, now))
 
     def valid_certificate(self, name: str, now: int) -> CertificateRow:
-        """The newest identity of `name` that is still valid and not revoked.
-
-        Raises:
-            StoreError: there is none.
-        """
+        """The newest identity of `name` that is still valid and not revoked."""
         alive = self.identities.valid(name, now)
         if not alive:
             if self.identities.unrevoked(name, now):
@@ -158,11 +135,7 @@ class Store:
         return alive[-1]
 
     def renewable_certificate(self, name: str, now: int, *, expired: bool) -> CertificateRow:
-        """As `valid_certificate`; with `expired` also the newest one, if it is over.
-
-        Raises:
-            StoreError: there is none; its key was revoked, or that of its intermediate.
-        """
+        """As `valid_certificate`; with `expired` also the newest one, if it is over."""
         ended = self._newest_unrevoked(name) if expired else None
         if ended is None or self.identities.unrevoked(name, now):
             return self.valid_certificate(name, now)
@@ -185,11 +158,7 @@ class Store:
         return "" if near is None else f"did you mean {near}? else "
 
     def add_grant(self, row: GrantRow, now: int, rules: str = "") -> None:
-        """Record a grant before it is delivered; `rules`: those of the policy it came from.
-
-        Raises:
-            StoreError: the id is taken.
-        """
+        """Record a grant before it is delivered; `rules`: those of the policy it came from."""
         with self.database.transaction() as db:
             db.execute("INSERT INTO grant_ VALUES (?, ?, ?, ?, ?, ?)", (*row, now))
             append_entry(db, now, "grant", row.name, row.id.hex(), digest_of(row))
@@ -248,11 +217,7 @@ class Store:
         return frozenset(row.entry for row in self.revocations())
 
     def remove_passkey(self, id: bytes, reason: str, now: int) -> None:  # noqa: A002 - as in the row
-        """End a passkey, and every approval by it that was not carried out.
-
-        Raises:
-            PasskeyUnknown: there is none, or it has ended.
-        """
+        """End a passkey, and every approval by it that was not carried out."""
         with self.database.transaction():
             self.passkeys.end(id, reason, now)
             for approval in self.approvals.waiting():
@@ -265,11 +230,7 @@ class Store:
         return (1, 1) if number is None else (number[0], number[1] + 1)
 
     def save_list(self, number: tuple[int, int], data: bytes, now: int) -> None:
-        """Record a signed revocation list.
-
-        Raises:
-            StoreError: its number is taken.
-        """
+        """Record a signed revocation list."""
         with self.database.transaction() as db:
             db.execute("INSERT INTO list VALUES (?, ?, ?, ?)", (*number, data, now))
             append_entry(db, now, "list", f"{number[0]}.{number[1]}", "", digest_of((*number, data)))

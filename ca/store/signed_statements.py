@@ -58,8 +58,6 @@ class DomainRow(NamedTuple):
 
 
 class ForeignCertificateRow(NamedTuple):
-    """A certificate of a foreign node: its key, the root key above it, its name there."""
-
     thumbprint: bytes
     root: bytes
     name: str
@@ -68,8 +66,6 @@ class ForeignCertificateRow(NamedTuple):
 
 
 class DomainTable:
-    """The foreign domains of one record."""
-
     def __init__(self, database: Database) -> None:
         self._database = database
 
@@ -149,11 +145,7 @@ class DomainTable:
 
 
 def check_domains_apart(known: DomainRow, domain: str, label: str, root: bytes) -> None:
-    """Return if a domain with this name, label and root key may be trusted beside `known`.
-
-    Raises:
-        StoreError: they share one or two of the three, but not all.
-    """
+    """Return if a domain with this name, label and root key may be trusted beside `known`."""
     same = (known.domain == domain, known.label == label, known.root == root)
     if all(same) or not any(same):
         return
@@ -181,7 +173,6 @@ Row = tuple[Any, ...]
 def replay_domains(
     entries: Iterable[LogEntry], rows: Mapping[str, Iterable[Row]], key: ec.EllipticCurvePublicKey
 ) -> None:
-    """Check every domain and list; `rows` are those of the tables, by kind; `key` is the root's."""
     replay = _Replay(rows, key)
     for entry in entries:
         step = replay.steps.get(entry.what)
@@ -253,8 +244,6 @@ class ThingRow(NamedTuple):
 
 
 class ThingTable:
-    """The statements of one record."""
-
     def __init__(self, database: Database) -> None:
         self._database = database
 
@@ -305,7 +294,6 @@ class ThingTable:
 
 
 def check_things_apart(known: ThingStatement, new: ThingStatement) -> None:
-    """Return if both may be in force at the same time."""
     same_thing = known.credential.thumbprint == new.credential.thumbprint
     if (known.name, known.border) == (new.name, new.border) and known.credential == new.credential:
         return
@@ -330,7 +318,6 @@ _REVOCATION: Final = "revocation"
 
 
 def replay_things(entries: Iterable[LogEntry], rows: Iterable[Row], key: ec.EllipticCurvePublicKey) -> None:
-    """Check every statement; `rows` are those of the table, `key` is the root's."""
     made, in_force = iter(rows), dict[str, ThingStatement]()
     for entry in entries:
         if entry.what == _REVOCATION:

@@ -57,8 +57,6 @@ class CertificateRow(NamedTuple):
 
 
 class GrantRow(NamedTuple):
-    """One signed grant."""
-
     id: bytes
     name: str
     data: bytes
@@ -67,8 +65,6 @@ class GrantRow(NamedTuple):
 
 
 class RevocationRow(NamedTuple):
-    """One grant id or key thumbprint that was revoked, why and when."""
-
     entry: bytes
     reason: str
     at: int
@@ -148,7 +144,6 @@ class RequestRow(NamedTuple):
 
 
 def advance(row: RequestRow, state: RequestState, now: int, reason: str = "") -> RequestRow:
-    """Return the request in its next state."""
     if state not in TRANSITIONS[row.state]:
         raise RequestClosed(
             f"the request of {row.name} is {row.state} and cannot be {state}", _HINTS[row.state]
@@ -183,8 +178,6 @@ class LogEntry(NamedTuple):
 
 @dataclass(frozen=True)
 class Head:
-    """The state of the log at `issued`: number of entries, and root."""
-
     size: int
     root: bytes
     issued: int
@@ -201,17 +194,14 @@ def digest_of(row: Sequence[int | str | bytes]) -> bytes:
 
 
 def extend_peaks(peaks: bytes, entry: LogEntry) -> bytes:
-    """The concatenated peaks after `entry`; those before it are `peaks`."""
     return b"".join(merkle.extend(split_peaks(peaks), entry.number, leaf(entry)))
 
 
 def split_peaks(peaks: bytes) -> tuple[bytes, ...]:
-    """The list of concatenated `peaks`."""
     return tuple(peaks[start : start + HASH_SIZE] for start in range(0, len(peaks), HASH_SIZE))
 
 
 def check_entries(rows: Iterable[tuple[LogEntry, bytes]]) -> merkle.Tree:
-    """Return the tree of all entries, each given with the peaks recorded with it."""
     tree, peaks = merkle.Tree(), b""
     for position, (entry, recorded) in enumerate(rows):
         if entry.number != position:
@@ -224,7 +214,6 @@ def check_entries(rows: Iterable[tuple[LogEntry, bytes]]) -> merkle.Tree:
 
 
 def check_head(tree: merkle.Tree, head: Head) -> None:
-    """Return if the log extends this head."""
     if head.size > len(tree):
         raise LogDamaged(
             f"the log has {len(tree)} entries where {head.size} were signed: its end is missing", _HINT
@@ -239,11 +228,7 @@ def sign_head(signer: Signer, head: Head) -> bytes:
 
 
 def open_head(data: bytes, key: ec.EllipticCurvePublicKey) -> Head:
-    """Verify and read a head.
-
-    Raises:
-        LogDamaged: not signed by the authority, or not a head.
-    """
+    """Verify and read a head."""
     try:
         value = HEAD_PROFILE.open(data, key, limit=MAX_HEAD)
     except (SignatureError, EncodingError) as error:

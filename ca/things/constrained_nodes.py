@@ -68,12 +68,7 @@ class ThingKey:
 
     @classmethod
     def of(cls, key: ec.EllipticCurvePublicKey, kid: bytes, subject: str = "") -> "ThingKey":
-        """The credential of a P-256 key.
-
-        Raises:
-            KeyRefused: another curve.
-            ThingRefused: kid or subject is not in form.
-        """
+        """The credential of a P-256 key."""
         return cls(kid, to_coordinates(key), subject)
 
     @cached_property
@@ -117,11 +112,7 @@ class ThingSecret:
 
     @classmethod
     def of(cls, secret: bytes, kid: bytes) -> "ThingSecret":
-        """What is said about `secret`.
-
-        Raises:
-            ThingRefused: it has not 16 octets, or kid is not in form.
-        """
+        """What is said about `secret`."""
         return cls(kid, secret_thumbprint(secret))
 
     @property
@@ -146,12 +137,7 @@ def secret_thumbprint(secret: bytes) -> bytes:
 
 
 def read_ccs(data: bytes) -> ThingKey:
-    """Read the credential of a thing, as bytes of its CCS.
-
-    Raises:
-        ThingRefused: not of the one form, or too large for small libraries.
-        KeyRefused: its key is not a point of P-256.
-    """
+    """Read the credential of a thing, as bytes of its CCS."""
     if len(data) > MAX_CCS:
         raise ThingRefused(f"a credential of {len(data)} octets, at most {MAX_CCS}", _HINT)
     try:
@@ -169,11 +155,7 @@ def read_ccs(data: bytes) -> ThingKey:
 
 
 def read_description(data: bytes) -> ThingSecret:
-    """Read what `ThingSecret.description` wrote.
-
-    Raises:
-        ThingRefused: anything else.
-    """
+    """Read what `ThingSecret.description` wrote."""
     hint = "give the file that `rossec border add NAME --psk` wrote, not the secret"
     try:
         match decode(data, limit=MAX_CCS):
@@ -189,7 +171,6 @@ def read_description(data: bytes) -> ThingSecret:
 
 
 def read_key(confirmation: Value, subject: str) -> ThingKey:
-    """The key in a claim `cnf`."""
     match confirmation:
         case {1: {1: 2, 2: bytes() as kid, -1: 1, -2: bytes() as x, -3: bytes() as y, **more}, **rest} if (
             not rest and not more and len(x) == len(y) == _COORDINATE
@@ -203,7 +184,6 @@ def read_key(confirmation: Value, subject: str) -> ThingKey:
 
 
 def read_confirmation(confirmation: Value, subject: str) -> Credential:
-    """The credential in the claim `cnf` of a statement: of either class."""
     match confirmation:
         case {3: bytes() as kid, 5: bytes() as thumbprint, **rest} if not rest:
             if subject:
@@ -214,7 +194,6 @@ def read_confirmation(confirmation: Value, subject: str) -> Credential:
 
 
 def write_confirmation(credential: Credential) -> dict[int | str, Value]:
-    """The claim `cnf` for a credential."""
     if isinstance(credential, ThingKey):
         return credential.confirmation
     return {3: credential.kid, 5: credential.thumbprint}
@@ -226,11 +205,7 @@ _TEXT: Final = re.compile(
 
 
 def secret_text(kid: bytes, secret: bytes) -> str:
-    """The text for a thing with this kid and secret.
-
-    Raises:
-        ThingRefused: one of them has a wrong length.
-    """
+    """The text for a thing with this kid and secret."""
     text = f"OSCORE:{kid.hex()}:{secret.hex()}".upper()
     parse_secret(text)
     return text
@@ -297,11 +272,7 @@ class ThingStatement:
         return _id(encode(_claims(self)))
 
     def check_time(self, now: int) -> None:
-        """Return if it is valid at `now`.
-
-        Raises:
-            ThingOutdated: it has expired, or is not valid yet.
-        """
+        """Return if it is valid at `now`."""
         if now >= self.expires:
             late = now - self.expires
             renew = f"renew it where the authority is: rossec ca thing {self.name} --renew"
@@ -314,12 +285,7 @@ class ThingStatement:
 
 
 def check_thing_name(name: str) -> str:
-    """Return `name` if a thing may have it.
-
-    Raises:
-        NameRefused: not an absolute ROS name.
-        ThingRefused: that of the authority, a master or a relay, or an alias.
-    """
+    """Return `name` if a thing may have it."""
     check_name(name)
     if is_reserved(name) or is_alias(name):
         raise ThingRefused(f"{name} cannot be the name of a thing", "choose another, as /things/lamp")
@@ -358,16 +324,11 @@ def verify_statement(data: bytes, ca_key: ec.EllipticCurvePublicKey, *, domain: 
 
 
 def peek_statement(data: bytes) -> ThingStatement:
-    """Read a statement *without* verifying it: to show it.
-
-    Raises:
-        ThingRefused: malformed.
-    """
+    """Read a statement *without* verifying it: to show it."""
     return _read(_body(data))
 
 
 def statement_id(data: bytes) -> bytes:
-    """The 16 octets that identify a statement: the same for every valid signature."""
     body = _body(data)
     _read(body)
     return _id(body)

@@ -74,11 +74,7 @@ def clock_field(name: str, zone: str) -> Callable[[int], int]:
 
 
 def parse_timestamp(text: str) -> int:
-    """Seconds since the epoch of an RFC 3339 time such as `2026-11-20T18:00:00Z`.
-
-    Raises:
-        ConditionRefused: not such a time.
-    """
+    """Seconds since the epoch of an RFC 3339 time such as `2026-11-20T18:00:00Z`."""
     try:
         if _TIMESTAMP.fullmatch(text) is not None:
             return int(datetime.fromisoformat(text).timestamp())
@@ -129,20 +125,12 @@ class Condition:
 
 
 def check_syntax(text: str) -> None:
-    """Check the syntax of `text`, not the fields it names.
-
-    Raises:
-        ConditionRefused: invalid syntax.
-    """
+    """Check the syntax of `text`, not the fields it names."""
     parse_expression(text)
 
 
 def compile_condition(layout: Layout | None, text: str) -> Condition:
-    """Compile `text` for messages of `layout`; None if there is no message.
-
-    Raises:
-        ConditionRefused: outside the language, unknown field, or types that do not fit.
-    """
+    """Compile `text` for messages of `layout`; None if there is no message."""
     compiler = _Compiler(layout)
     kind, code = compiler.compile(parse_expression(text))
     if kind != "bool":

@@ -39,15 +39,11 @@ COMPARISONS: Final = ("==", "!=", "<", "<=", ">", ">=")
 
 @dataclass(frozen=True)
 class Literal:
-    """A literal value."""
-
     value: bool | int | float | str
 
 
 @dataclass(frozen=True)
 class Path:
-    """`msg.a.b`: a field of the message."""
-
     names: tuple[str, ...]
 
 
@@ -58,8 +54,6 @@ class Now:
 
 @dataclass(frozen=True)
 class FunctionCall:
-    """`target.name(arguments)`, or `name(arguments)` without a target."""
-
     target: "Expression | None"
     name: str
     arguments: tuple["Expression", ...]
@@ -67,16 +61,12 @@ class FunctionCall:
 
 @dataclass(frozen=True)
 class Unary:
-    """`!` or `-`."""
-
     operator: str
     operand: "Expression"
 
 
 @dataclass(frozen=True)
 class Binary:
-    """Two operands and the operator between them."""
-
     operator: str
     left: "Expression"
     right: "Expression"
@@ -84,8 +74,6 @@ class Binary:
 
 @dataclass(frozen=True)
 class Membership:
-    """`operand in [a, b]`."""
-
     operand: "Expression"
     items: tuple["Expression", ...]
 
@@ -94,15 +82,12 @@ Expression: TypeAlias = Literal | Path | Now | FunctionCall | Unary | Binary | M
 
 
 class Token(NamedTuple):
-    """A token and its kind; the end of the text has kind "end"."""
-
     kind: str
     text: str
     at: int
 
 
 def parse_expression(text: str) -> Expression:
-    """Parse a condition."""
     if len(text) > MAX_CONDITION:
         raise ConditionRefused(f"a condition of more than {MAX_CONDITION} characters")
     return _Parser(_tokens(text)).parse()

@@ -103,11 +103,7 @@ class CommonState:
         self._until = 0.0
 
     def hysteresis(self, field: FieldKey) -> HysteresisState:
-        """The state of a field.
-
-        Raises:
-            MemoryExhausted: there are too many.
-        """
+        """The state of a field."""
         found = self._states.get(field)
         if found is None:
             if len(self._states) >= _MAX_FIELDS:
@@ -159,11 +155,7 @@ class BodyFields:
 
 
 def group_of(decision: Decision) -> Group:
-    """What the hysteresis of a decision is common to.
-
-    Raises:
-        RestrictionMismatch: its restrictions name two bodies.
-    """
+    """What the hysteresis of a decision is common to."""
     bodies = {each.body for each in decision.restrictions if each.body is not None}
     if len(bodies) > 1:
         raise RestrictionMismatch(
@@ -191,7 +183,6 @@ _FLOAT_MAX: Final = {"f": float.fromhex("0x1.fffffep+127"), "d": sys.float_info.
 
 
 def round_floats(kind: Primitive, step: float) -> Rounding:
-    """For float32 and float64; computed in 64 bits, like the values of genpy."""
     step = float(step)
     largest = _FLOAT_MAX[kind.code]
     cells = largest / step
@@ -229,7 +220,6 @@ def round_floats(kind: Primitive, step: float) -> Rounding:
 
 
 def round_integers(kind: Primitive, step: float) -> Rounding:
-    """For all integers; exact."""
     bits = 8 * kind.size
     low, high = (0, (1 << bits) - 1) if kind.code.isupper() else (-(1 << bits - 1), (1 << bits - 1) - 1)
     if not float(step).is_integer() or step > high:
@@ -347,12 +337,7 @@ def _distance(edge: tuple[Point, Point], x: float, y: float) -> float:
 
 
 def read_plan(texts: Mapping[str, object]) -> tuple[Room, ...]:
-    """The rooms of a plan, in the order of their names.
-
-    Raises:
-        FilterRefused: no room, too many rooms or corners, a name or a text of another form, or a
-            room without area.
-    """
+    """The rooms of a plan, in the order of their names."""
     if not 0 < len(texts) <= MAX_ROOMS:
         raise FilterRefused(f"rooms needs 1 to {MAX_ROOMS} rooms", _EXAMPLE)
     rooms = tuple(_room(name, texts[name]) for name in sorted(texts))
@@ -422,8 +407,6 @@ def snapping(
 
 
 def snap_rows(snap: Callable[..., Place], width: int) -> Callable[[Vector], Vector]:
-    """The same for arrays, of `width` values for each position."""
-
     def vector(values: Vector) -> Vector:
         found = [snap(*row) for row in values.reshape(-1, width).tolist()]
         return np.array(found, values.dtype).reshape(values.shape)

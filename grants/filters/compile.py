@@ -49,11 +49,7 @@ class Filter:
     _rewrite: Callable[[Buffer], list[Buffer]]
 
     def __call__(self, message: Buffer) -> list[Buffer]:
-        """Return the filtered message in pieces; kept parts of a large one are views into it.
-
-        Raises:
-            MessageRefused: the message does not have the layout of the type.
-        """
+        """Return the filtered message in pieces; kept parts of a large one are views into it."""
         try:
             return self._rewrite(message if len(message) < _SMALL else memoryview(message))
         except LAYOUT_ERRORS:
@@ -70,10 +66,6 @@ def compile_filter(
 
     `keys` by name are for `hash`; without them the rules are only checked, and a message to be
     hashed is refused. `states` finds the state of a field with hysteresis; without it, it is new.
-
-    Raises:
-        FilterRefused: an unknown field or operator, a treatment that does not fit the field's
-            type, a key that is missing, or two rules for one field.
     """
     given = tuple(rules)
     last = [rule for rule in given if rule.operator in AFTER_OTHERS]
@@ -365,11 +357,7 @@ PRESETS: Final[dict[str, Preset]] = {
 
 
 def preset(name: str) -> Preset:
-    """The preset `name`.
-
-    Raises:
-        FilterRefused: unknown preset.
-    """
+    """The preset `name`."""
     if name not in PRESETS:
         raise FilterRefused(f"no preset {name[:40]!r}", f"expected one of {', '.join(PRESETS)}")
     return PRESETS[name]

@@ -27,11 +27,7 @@ _KEY_NAME: Final = re.compile(r"[a-z][a-z0-9_-]{0,31}", re.ASCII)
 
 
 def check_key_name(name: object) -> str:
-    """Return `name` if it is a valid name of a filter key: it may become a file name.
-
-    Raises:
-        FilterRefused: not 1 to 32 lower case letters, digits, `-` and `_`, a letter first.
-    """
+    """Return `name` if it is a valid name of a filter key: it may become a file name."""
     if not isinstance(name, str) or _KEY_NAME.fullmatch(name) is None:
         raise FilterRefused(f"not a key name: {str(name)[:40]!r}", "for example {hash: {key: ward}}")
     return name
@@ -70,7 +66,6 @@ def _personal(name: str) -> str:
 def pseudonyms(
     name: object, length: int, keys: Keys | None, *, personal: bool = False
 ) -> "Callable[[Buffer], tuple[Buffer, int]]":
-    """The function from a text to the first `length` hexadecimal digits of its HMAC."""
     name = check_key_name(name)
     if keys is None:
         return _no_key

@@ -147,11 +147,7 @@ class Layout:
 
 
 def parse(type_name: str, definition: str) -> Layout:
-    """Read a definition text with all it depends on.
-
-    Raises:
-        DefinitionRefused: malformed, recursive, incomplete or too large.
-    """
+    """Read a definition text with all it depends on."""
     if len(definition) > MAX_TEXT:
         raise DefinitionRefused(
             f"{len(definition)} characters of definition where at most {MAX_TEXT} are allowed"
@@ -169,14 +165,12 @@ def _contains_messages(kind: Type) -> bool:
 
 
 def dependencies(type_name: str, definition: str) -> frozenset[str]:
-    """The message types that the fields of one definition (a .msg file) use."""
     _, declared = _statements(type_name, definition.split("\n"))
     bases = ((_base(type_name, text)[0], text) for text in declared.values())
     return frozenset(_full_name(type_name, base, text) for base, text in bases if base not in _BUILT_IN)
 
 
 def service_md5(request: Layout, response: Layout) -> str:
-    """ROS's checksum of a service: over both parts, concatenated (genmsg, `_compute_hash`)."""
     return _md5(request.md5_text + response.md5_text)
 
 

@@ -51,8 +51,6 @@ from grants.filters.operators import (
 
 @dataclass(frozen=True)
 class Column:
-    """`count` values of one format, side by side in every element of an array."""
-
     offset: int
     code: str
     count: int
@@ -64,7 +62,6 @@ class Column:
 
 
 def columns(node: Node, offset: int) -> list[Column]:
-    """The treated values of one fixed-size element that begins at `offset`."""
     match node:
         case StructTreatment(kind, parts):
             found = []
@@ -112,7 +109,6 @@ def table(node: Node, size: int) -> Table:
 
 
 def table_from_columns(found: list[Column], size: int) -> Table:
-    """The table with these columns."""
     merged = _merged(found)
     names = [f"f{n}" for n in range(len(merged))]
     dtype: np.dtype[Any] = np.dtype(
@@ -167,7 +163,6 @@ def _elements_rewriter(table: Table) -> Callable[[Buffer, int, int], Buffer]:
 
 
 def preserves_sizes(node: Node) -> bool:
-    """Whether all treatments in `node` preserve every size."""
     if isinstance(node, Keep) or node.kind.size is not None:
         return True
     if isinstance(node, StructTreatment):
@@ -186,8 +181,6 @@ class _Region:
 
 
 class ArrayCollector(Cursor):
-    """A cursor that records where the treated values of elements begin."""
-
     def __init__(self, source: SourceWriter) -> None:
         super().__init__(source)
         self._declared = source.line("")
@@ -253,7 +246,6 @@ MIN_COLLECTED: Final = 24  # elements from which numpy is faster
 
 
 def generate(node: Node) -> Callable[[Buffer], list[Buffer]]:
-    """The function from a message to the pieces of the treated message."""
     source = SourceWriter("b")
     writer = _Writer(source)
     writer.write(node)

@@ -128,31 +128,23 @@ TreatmentForType: TypeAlias = Callable[[Type], Treatment]
 
 @dataclass(frozen=True)
 class Keep:
-    """Left as it is."""
-
     kind: Type
 
 
 @dataclass(frozen=True)
 class FieldTreatment:
-    """A whole value of `kind` under one treatment (`Numbers` only for a `Primitive`)."""
-
     kind: Type
     treatment: Constant | Numbers | ContentTreatment | SiblingTreatment
 
 
 @dataclass(frozen=True)
 class StructTreatment:
-    """A message, field by field."""
-
     kind: Struct
     parts: tuple["Node", ...]
 
 
 @dataclass(frozen=True)
 class ArrayTreatment:
-    """An array, with one treatment for every element."""
-
     kind: Array
     element: "Node"
 
@@ -161,7 +153,6 @@ Node: TypeAlias = Keep | FieldTreatment | StructTreatment | ArrayTreatment
 
 
 def has_hysteresis(node: Node) -> bool:
-    """Whether a treatment in `node` has hysteresis."""
     match node:
         case FieldTreatment(_, Numbers(hysteresis=hysteresis)):
             return hysteresis is not None
@@ -175,14 +166,12 @@ Parameters: TypeAlias = dict[str, Scalar]
 
 
 def expect(parameters: Parameters, *names: str) -> None:
-    """Return if there are these parameters and no others."""
     if parameters.keys() != set(names):
         wanted = ", ".join(names) or "no parameters"
         raise FilterRefused(f"expected {wanted}, found {', '.join(sorted(parameters)) or 'none'}")
 
 
 def number(parameters: Parameters, name: str) -> float:
-    """The number `name`, within 64 bits if it is an integer."""
     value = parameters.get(name)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise FilterRefused(f"{name} must be a number")
@@ -194,7 +183,6 @@ def number(parameters: Parameters, name: str) -> float:
 
 
 def integer(parameters: Parameters, name: str, maximum: int, minimum: int = 1) -> int:
-    """The whole number `name`."""
     value = parameters.get(name)
     if isinstance(value, bool) or not isinstance(value, int) or not minimum <= value <= maximum:
         raise FilterRefused(f"{name} must be a whole number from {minimum} to {maximum}")
@@ -208,7 +196,6 @@ _FLOATS: Final = (PRIMITIVES["float32"], PRIMITIVES["float64"])
 
 
 def rooms(parameters: Parameters) -> TreatmentForType:
-    """A position becomes the point of its room; see `grants.filters.coarsening`."""
     reach = number(parameters, _HYSTERESIS) if _HYSTERESIS in parameters else None
     if reach is not None and not 0 < reach <= _MAX_REACH:
         raise FilterRefused(f"hysteresis of rooms is above zero and at most {_MAX_REACH} m")
@@ -516,10 +503,6 @@ def treatment_for(rule: FilterRule, keys: Keys | None = None) -> TreatmentForTyp
     Args:
         rule: the rule.
         keys: by name, for `hash`. None: only check the rule; messages to be hashed are refused.
-
-    Raises:
-        FilterRefused: unknown operator, other parameters than the operator's, or a key that is
-            not in `keys`. The returned function raises it for a type the operator cannot treat.
     """
     if rule.operator not in OPERATORS:
         close = difflib.get_close_matches(rule.operator, OPERATORS, 1)

@@ -73,8 +73,6 @@ _ROOM_FIELDS: Final = ("x", "y")
 
 
 class Through(Enum):
-    """How much of a value comes through one operator."""
-
     NOTHING = "the same whatever is sent"
     STEPS = "one value for each interval of at least a size"
     RANGE = "as it is within a range, which it never leaves"
@@ -83,15 +81,12 @@ class Through(Enum):
 
 
 class Passing(NamedTuple):
-    """`size` is that of STEPS; `is_joint`: of cells of several fields together."""
-
     through: Through
     size: float = 0.0
     is_joint: bool = False
 
 
 def passing(rule: FilterRule, kind: Kind, path: str) -> Passing:
-    """What `rule` lets through of the value at `path`, of type `kind`, which it covers."""
     return _OPERATORS[rule.operator](dict(rule.parameters), kind, path)
 
 
@@ -199,10 +194,6 @@ class Sight:
 
     `frames`: the leaves that name frames, which conditions may read: as in `vocabulary.assess` a
     frame is a setting of the robot, which the condition names, and no value that changes.
-
-    Raises:
-        GrantError: the filters do not fit the layout; its methods: they depend on other fields, so
-            nothing is known.
     """
 
     def __init__(self, layout: Layout, verdict: Verdict, frames: Collection[str] = frozenset()) -> None:
@@ -355,11 +346,7 @@ def check_tests(policy: Policy, layout_of: LayoutOf) -> list[Outcome]:
 
 
 def require_tests(policy: Policy, layout_of: LayoutOf) -> None:
-    """Return if every test of `policy` holds.
-
-    Raises:
-        PolicyRefused: with the first failure.
-    """
+    """Return if every test of `policy` holds."""
     failures = [each for each in check_tests(policy, layout_of) if not each]
     if failures:
         first = failures[0]

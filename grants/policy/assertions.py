@@ -30,12 +30,10 @@ _NANO: Final = 10**9
 
 
 def leaves(layout: Layout) -> dict[str, Primitive | Text]:
-    """The fields that hold one value, by path; those of an array by the path of the array."""
     return dict(_leaves(layout.root, ""))
 
 
 def below(paths: Mapping[str, Primitive | Text], path: str) -> list[str]:
-    """The leaves that are the field at `path`, or a part of it."""
     plain = path.replace("[*]", "")
     return [
         leaf
@@ -45,7 +43,6 @@ def below(paths: Mapping[str, Primitive | Text], path: str) -> list[str]:
 
 
 def serialize(layout: Layout, values: Mapping[str, Value]) -> bytes:
-    """A message with these values."""
     return b"".join(_write(layout.root, "", values))
 
 
@@ -136,8 +133,6 @@ Limit: TypeAlias = float | str
 
 
 class Says(StrEnum):
-    """What an assertion says of a right."""
-
     MAY = "may"
     MAY_NOT = "may_not"
     ASKS = "asks"
@@ -145,8 +140,6 @@ class Says(StrEnum):
 
 @dataclass(frozen=True)
 class Claim:
-    """Of one right on one name or pattern."""
-
     says: Says
     right: Right
     name: str
@@ -155,8 +148,6 @@ class Claim:
 
 @dataclass(frozen=True)
 class SeenField:
-    """Of one field of a topic, or of one word of the vocabulary, such as `position`."""
-
     topic: str
     path: str
     limit: Limit
@@ -189,7 +180,6 @@ def read_tests(
     groups: Mapping[str, tuple[SubjectPattern, ...]],
     mistakes: Mistakes,
 ) -> tuple[Assertion, ...]:
-    """Read `tests`; one about a group is one about each of its members."""
     named = {name: (who,) for name, who in identities.items()}
     reader = _Reader({**named, **groups}, mistakes)
     return tuple(each for item in source.items(part) for each in reader.read(item))

@@ -36,8 +36,6 @@ class _Branch:
 
 
 class Index:
-    """The clauses of one policy by right and name."""
-
     def __init__(self, policy: Policy) -> None:
         self._roots: dict[Right, _Branch] = {}
         self._rules: dict[str, dict[int, PolicyRule]] = {}  # by exact node name, or _ANY_NODE
@@ -95,7 +93,6 @@ class Index:
 
 
 def hits(rules: Iterable[PolicyRule], subject: Subject, right: Right, requested: str) -> Iterator[Hit]:
-    """Every clause of `rules` that decides on `requested`, a name or a pattern, for `subject`."""
     return applied((rule for rule in rules if rule.applies_to(subject)), subject, right, requested)
 
 
@@ -114,7 +111,6 @@ def applied(rules: Iterable[PolicyRule], subject: Subject, right: Right, request
 
 
 def is_pattern(requested: str) -> bool:
-    """Whether what is requested is more than one name."""
     return "*" in requested or TAIL in requested
 
 
@@ -220,11 +216,6 @@ class Decider:
 
         `name` may be an own name as a rule has it, `{node}/pose`. A tail pattern is denied to
         every node but that of the tail.
-
-        Raises:
-            PatternRefused: `name` is invalid.
-            NameRefused: `subject.name` is not an absolute name.
-            PolicyRefused: not exactly one right.
         """
         check_name(subject.name)
         if right.bit_count() != 1:

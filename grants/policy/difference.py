@@ -73,12 +73,10 @@ class Before(NamedTuple):
 
 
 def kept(subject: Subject, wanted: WantedRight) -> Change:
-    """A right that stays as it is."""
     return Change(Kind.KEPT, subject, *wanted.atom, _text(wanted), wanted.rules)
 
 
 def change_of(subject: Subject, wanted: WantedRight, before: "Before | None" = None) -> Change:
-    """A right that is signed: new, or instead of what it was `before`."""
     if before is None:
         return Change(Kind.NEW, subject, *wanted.atom, _text(wanted), wanted.rules)
     longest = max(wanted.lifetime, wanted.renew_until)
@@ -89,7 +87,6 @@ def change_of(subject: Subject, wanted: WantedRight, before: "Before | None" = N
 
 
 def withdrawn(subject: Subject, atom: Atom, verdict: Verdict, before: Before) -> Change:
-    """A right that goes; `verdict` is the decision on it now."""
     rules = tuple(dict.fromkeys(verdict.rules))
     return Change(Kind.GONE, subject, *atom, _lines(before.entries), rules)
 

@@ -108,11 +108,7 @@ def empty(robot: str = "robot") -> str:
 
 
 def add_rules(text: str, rules: Iterable[NewRule]) -> str:
-    """`text` with `rules` added; an existing rule with the same id is extended.
-
-    Raises:
-        PolicyRefused: the text cannot be rewritten so that nothing else in it changes.
-    """
+    """`text` with `rules` added; an existing rule with the same id is extended."""
     rules = list(rules)
     yaml = _yaml()
     data = yaml.load(text)
@@ -255,11 +251,7 @@ class Observation:
 
 
 def from_graph(state: object, types: object = ()) -> list[Observation]:
-    """The observations in results of `getSystemState` and `getTopicTypes`.
-
-    Raises:
-        PolicyRefused: a malformed result.
-    """
+    """The observations in results of `getSystemState` and `getTopicTypes`."""
     rights = (Right.PUBLISH, Right.SUBSCRIBE, Right.PROVIDE)
     try:
         kinds = {str(topic): str(kind) for topic, kind in _list(types)}
@@ -274,11 +266,7 @@ def from_graph(state: object, types: object = ()) -> list[Observation]:
 
 
 def from_log(lines: Iterable[str]) -> list[Observation]:
-    """The observations in a denial log.
-
-    Raises:
-        PolicyRefused: an invalid line, by its number.
-    """
+    """The observations in a denial log."""
     found: set[Observation] = set()
     for number, line in enumerate(lines, 1):
         if line.strip():

@@ -66,7 +66,6 @@ _DENSE: Final = (Aspect.POSITION, Aspect.SURROUNDINGS)
 
 
 def parameters(scene: Scene) -> Iterator[Finding]:
-    """Each filter of each view, by the table of its operator."""
     for views in scene.views.values():
         for view in views:
             for rule, paths in _treated(view).items():
@@ -74,7 +73,6 @@ def parameters(scene: Scene) -> Iterator[Finding]:
 
 
 def rates(scene: Scene) -> Iterator[Finding]:
-    """A coarse value, or an empty message, at the full rate or a high one."""
     for views in scene.views.values():
         for view in views:
             rounded = any(view.filter_on(path).operator in _CELLS for path in view.coarse(Aspect.POSITION))
@@ -242,7 +240,6 @@ _LONG: Final = 366 * 86400
 
 
 def reasons_and_times(scene: Scene) -> Iterator[Finding]:
-    """Rules without a reason, and with no lifetime or a long one."""
     for rule in scene.policy.rules:
         if not rule.why:
             yield _of(rule, "no-reason", "gives no reason", "add why: ...")
@@ -256,7 +253,6 @@ def reasons_and_times(scene: Scene) -> Iterator[Finding]:
 
 
 def width(scene: Scene) -> Iterator[Finding]:
-    """Rights to act on more than the own names."""
     for rule in _giving(scene):
         for clause in rule.clauses:
             if all(_owns(who, clause.pattern) for who in rule.who):
@@ -299,7 +295,6 @@ def _are_many(who: Iterable[SubjectPattern]) -> bool:
 
 
 def stale(scene: Scene) -> Iterator[Finding]:
-    """Connections that outlive withheld revocation data."""
     for rule in _giving(scene):
         if rule.keep_when_stale:
             what = ", ".join(sorted({clause.pattern for clause in rule.clauses}))
@@ -309,7 +304,6 @@ def stale(scene: Scene) -> Iterator[Finding]:
 
 
 def shadowed(scene: Scene) -> Iterator[Finding]:
-    """Rights that another rule always denies, and prompts that are always allowed."""
     denials = [rule for rule in scene.policy.rules if rule.effect is Effect.DENY]
     allowing = [rule for rule in scene.policy.rules if rule.effect is Effect.ALLOW]
     for rule in _giving(scene):
@@ -359,7 +353,6 @@ def _is_wider(one: SubjectPattern, other: SubjectPattern) -> bool:
 
 
 def unused(scene: Scene) -> Iterator[Finding]:
-    """Identities, groups, filters and types that no rule uses."""
     policy = scene.policy
     used = {who.label for rule in policy.rules for who in (*rule.who, *rule.exceptions)}
     for name in sorted(policy.identities.keys() - used):
@@ -405,7 +398,6 @@ def _of(
 
 
 def oracles(scene: Scene) -> Iterator[Finding]:
-    """Conditions on fields that filters hide from the same receiver."""
     for views in scene.views.values():
         for view in views:
             if view.filters:

@@ -26,8 +26,6 @@ from grants.policy.privacy import leaf_paths
 
 @dataclass(frozen=True)
 class Advice:
-    """One kind of advice: what it says, and what to do."""
-
     says: str
     do: str
 
@@ -186,8 +184,6 @@ class Suggestion:
 
 @dataclass(frozen=True, order=True)
 class Finding:
-    """One piece of advice on one line of a policy; `code` is a key of `ADVICE`."""
-
     line: int
     code: str
     message: str
@@ -281,7 +277,6 @@ def _closed(view: View, path: str) -> FilterRule:
 
 
 def replacing(view: View, old: FilterRule, better: FilterRule) -> tuple[str, tuple[Suggestion, ...]]:
-    """The text of `better` in place of the filter `old`, else of a cleared field."""
     for candidate in (better, FilterRule(old.path, "clear")):
         if fits(view, (candidate,), old):
             return written(candidate), changes(view, (candidate,), old)
@@ -289,7 +284,6 @@ def replacing(view: View, old: FilterRule, better: FilterRule) -> tuple[str, tup
 
 
 def coarsening(view: View) -> tuple[str, tuple[Suggestion, ...]]:
-    """A filter for a topic that is seen exactly: a preset for its type, else cleared fields."""
     if view.is_below_pattern:
         return f"name the topics it needs instead of {view.verdict.clauses[0].pattern}", ()
     if view.layout is None:
@@ -306,7 +300,6 @@ def coarsening(view: View) -> tuple[str, tuple[Suggestion, ...]]:
 
 
 def closing_all(view: View, telling: Sequence[str]) -> tuple[str, tuple[Suggestion, ...]]:
-    """Filters that close these leaves of a topic that is seen exactly."""
     if view.is_below_pattern:
         return f"name the topics it needs instead of {view.verdict.clauses[0].pattern}", ()
     rules, begin = _cleared(view, telling), f"filter {view.topic} as well"
@@ -323,12 +316,10 @@ def _cleared(view: View, telling: Sequence[str]) -> tuple[FilterRule, ...]:
 
 
 def limiting(view: View, rate: float = COARSE_RATE) -> tuple[str, tuple[Suggestion, ...]]:
-    """A rate for the rule that filters the topic."""
     return f"add limit: {{rate: {rate:g}}}", (Suggestion(view.rule.id, rate=rate),)
 
 
 def fits(view: View, rules: Iterable[FilterRule], beside: FilterRule | None = None) -> bool:
-    """Whether the filters of one rule compile with `rules` in place of those of the same paths."""
     new = {rule.path: rule for rule in rules}
     if view.layout is None or not new:
         return False
@@ -344,7 +335,6 @@ def fits(view: View, rules: Iterable[FilterRule], beside: FilterRule | None = No
 def changes(
     view: View, rules: Iterable[FilterRule], beside: FilterRule | None = None
 ) -> tuple[Suggestion, ...]:
-    """The same as changes of that rule, if it names the topic itself."""
     rule, clause = view.place(beside)
     if clause.pattern != view.topic:
         return ()
@@ -352,7 +342,6 @@ def changes(
 
 
 def written(rule: FilterRule) -> str:
-    """As in a policy: `header.stamp: {round: 10}`."""
     path = f'"{rule.path}"' if "[" in rule.path else rule.path
     parameters = dict(rule.parameters)
     if not parameters:

@@ -38,7 +38,6 @@ _CELLS: Final = (Aspect.TIME, Aspect.COUNT)  # without a value there are no cell
 
 
 def beside_position(scene: Scene) -> Iterator[Finding]:
-    """What follows a filtered position in the same message, and is open."""
     for view in _views(scene):
         treated = view.treated(*_PLACES)
         coarse = view.coarse(*_PLACES)
@@ -58,7 +57,6 @@ def other_coordinates(scene: Scene) -> Iterator[Finding]:
 
 
 def other_names(scene: Scene) -> Iterator[Finding]:
-    """One name of a thing hidden, another not."""
     for view in _views(scene):
         treated, rest = view.treated(Aspect.NAME), view.exact(Aspect.NAME)
         if treated and rest:
@@ -79,8 +77,6 @@ def _open(view: View, code: str, hidden: str, open_fields: list[str], why: str) 
 
 
 class Related(NamedTuple):
-    """A kind of data, and what gives it away on another topic if it is seen exactly there."""
-
     own: tuple[Aspect, ...]
     told_by: tuple[Aspect, ...]
 
@@ -130,7 +126,6 @@ _EVERYWHERE: Final = (
 
 
 def related(scene: Scene) -> Iterator[Finding]:
-    """What a receiver sees exactly beside something of the same row that is hidden."""
     for views in scene.views.values():
         found: dict[tuple[str, str], tuple[View, View, list[str]]] = {}
         for row in RELATED:
@@ -208,7 +203,6 @@ def _is_beside(view: View, slotted: View) -> bool:
 
 
 def services(scene: Scene) -> Iterator[Finding]:
-    """Services that answer with the pose, the way or the map, beside a coarse position."""
     for receiver, views in scene.views.items():
         coarse = next((view for view in views if view.treated(Aspect.POSITION)), None)
         for name in _callable(scene, receiver) if coarse is not None else ():
@@ -267,7 +261,6 @@ _SHOWN_BY: Final[dict[Aspect, tuple[Aspect, ...]]] = {
 
 
 def relatives(scene: Scene) -> Iterator[Finding]:
-    """Topics that a receiver sees exactly beside one that shows the same coarsely."""
     for views in scene.views.values():
         for aspect, others in _SHOWN_BY.items():
             coarse = _first_treated(views, aspect)
@@ -292,7 +285,6 @@ def saved_poses(scene: Scene) -> Iterator[Finding]:
 
 
 def unknown(scene: Scene) -> Iterator[Finding]:
-    """Topics of which nothing is known, beside a coarse position or picture."""
     for views in scene.views.values():
         coarse = _first_treated(views, Aspect.POSITION, Aspect.IMAGE)
         told = {_pattern(view) for view in views if view.is_below_pattern}
@@ -362,7 +354,6 @@ def _is_own(view: View) -> bool:
 
 
 def second_receivers(scene: Scene) -> Iterator[Finding]:
-    """Nodes of one owner, of which one sees exactly what the other sees coarsely."""
     for one, other in _of_one_owner(list(scene.views)):
         coarse = _first_treated(scene.views[one], Aspect.POSITION)
         if coarse is None or _first_treated(scene.views[other], Aspect.POSITION) is not None:
@@ -470,7 +461,6 @@ def _names_above(receiver: Receiver) -> Iterator[str]:
 
 
 def pseudonyms(scene: Scene) -> Iterator[Finding]:
-    """Pseudonyms under one key for two receivers; `per: receiver` makes a key for each."""
     first: dict[object, View] = {}
     for views in scene.views.values():
         for view in views:
@@ -499,7 +489,6 @@ def _shared(one: View, other: View, rule: FilterRule) -> Finding:
 
 
 def wheels(scene: Scene) -> Iterator[Finding]:
-    """Joints in steps beside a coarse position: if they are wheels, their turns are the path."""
     for views in scene.views.values():
         coarse = _first_treated(views, Aspect.POSITION)
         for view in views if coarse is not None else ():

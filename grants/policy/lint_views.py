@@ -28,8 +28,6 @@ from grants.vocabulary.contents import Content, Description, FieldContent
 
 
 class Aspect(StrEnum):
-    """What a field shows."""
-
     POSITION = "position"
     HEADING = "orientation"
     MOVEMENT = "movement"
@@ -116,13 +114,11 @@ EVERYWHERE: Final = ("/tf", "/odom", "/amcl_pose", "/scan", "/cmd_vel", "/camera
 
 
 def aspects(described: Description, topic: str = "") -> dict[str, Aspect]:
-    """What each leaf of a message shows, by its path; leaves that show nothing are left out."""
     found = {field.path: _aspect(field, described, topic) for field in described.fields}
     return {path: aspect for path, aspect in found.items() if aspect is not Aspect.NOTHING}
 
 
 def is_known(described: Description) -> bool:
-    """Whether it is known what the type shows: no field is unknown, or names say enough."""
     if all(field.content is not Content.UNKNOWN for field in described.fields):
         return True
     return any(_by_name(field) is not Aspect.NOTHING for field in described.fields)
@@ -202,8 +198,6 @@ _DEGREE_FLOOR: Final = 0.0001  # eleven metres, what a receiver in a street errs
 
 
 class Precision(StrEnum):
-    """What is left of a field."""
-
     EXACT = "exact"
     COARSE = "coarse"
     HIDDEN = "hidden"
@@ -211,8 +205,6 @@ class Precision(StrEnum):
 
 @dataclass(frozen=True)
 class Receiver:
-    """A sample node, and the subject of the policy it stands for."""
-
     subject: Subject
     who: SubjectPattern
 
@@ -223,8 +215,6 @@ class Receiver:
 
 @dataclass(frozen=True)
 class View:
-    """What a receiver sees of one topic, or of all topics of a pattern."""
-
     receiver: Receiver
     topic: str
     verdict: Verdict
@@ -342,7 +332,6 @@ def _left_by(rule: FilterRule, aspect: Aspect, path: str) -> Precision:
 
 
 def too_small(rule: FilterRule) -> bool:
-    """Whether squares of pixels hide nothing: they are small, and many fit across a picture."""
     given = dict(rule.parameters)
     block, across = given.get("block"), given.get("across")
     if isinstance(across, int) and across <= MOST_ACROSS:
@@ -351,7 +340,6 @@ def too_small(rule: FilterRule) -> bool:
 
 
 def too_fine(rule: FilterRule, aspect: Aspect, path: str) -> bool:
-    """Whether a step is smaller than what sensors of this kind err."""
     step = dict(rule.parameters).get("step")
     degrees = path.rpartition(".")[2] in _DEGREES
     floor = _DEGREE_FLOOR if degrees else _FLOORS.get(aspect, 0.0)
@@ -360,8 +348,6 @@ def too_fine(rule: FilterRule, aspect: Aspect, path: str) -> bool:
 
 @dataclass(frozen=True)
 class Scene:
-    """A policy, and everything that its receivers see."""
-
     policy: Policy
     layout_of: LayoutOf
     _layouts: dict[str, Layout] = field(default_factory=dict)
@@ -412,7 +398,6 @@ def _topics(policy: Policy, rules: Iterable[PolicyRule], subject: Subject) -> li
 
 
 def receivers(policy: Policy) -> list[Receiver]:
-    """The receivers of everything that rules allow or prompt for, each once."""
     found: dict[Subject, Receiver] = {}
     pinned = [who for who in _subjects(policy) if who.key is not None]
     for who in _subjects(policy):

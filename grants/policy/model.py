@@ -109,7 +109,6 @@ LayoutOfType = Callable[[str, YamlScalar], Layout | None]
 
 
 def read_rooms(part: Part | None, mistakes: Mistakes) -> Treatment | None:
-    """Read `{NAME: CORNERS}`, a plan in metres in the frame of the positions."""
     mapping = source.mapping(part, "rooms", mistakes)
     if mapping is None:
         return None
@@ -130,7 +129,6 @@ def read_vocabulary(
     layout_of: LayoutOfType,
     mistakes: Mistakes,
 ) -> Vocabulary:
-    """Read `{TYPE or TOPIC: {FIELD: WORD or CONTENT}}` and `rooms`; `types` are those of topics."""
     mapping = source.mapping(part, "vocabulary", mistakes)
     found: dict[bool, dict[str, Fields]] = {True: {}, False: {}}
 
@@ -327,8 +325,6 @@ def _labels(subjects: Iterable[SubjectPattern]) -> str:
 
 @dataclass(frozen=True)
 class Defaults:
-    """Values for rules without their own; an unanswered prompt is a denial."""
-
     decision: Effect = Effect.DENY
     lifetime: int = LIFETIME
     renew_until: int = 0

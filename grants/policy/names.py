@@ -27,13 +27,11 @@ _ANY: Final = "*"  # a segment that only wildcards match
 
 
 def segments(pattern: str) -> tuple[str, ...]:
-    """The segments of a checked pattern."""
     return tuple(pattern[1:].split("/"))
 
 
 @lru_cache(maxsize=4096)
 def includes(outer: str, inner: str, *, tree: bool = False) -> bool:
-    """Whether `outer` covers every name that `inner` covers (`tree`: or a parent of it)."""
     wide, narrow = segments(outer), segments(inner)
     seen: set[tuple[int, frozenset[int]]] = set()
     todo = [(0, frozenset({0}))]
@@ -60,17 +58,14 @@ def intersects(one: str, other: str) -> bool:
 
 @lru_cache(maxsize=4096)
 def intersects_tree(pattern: str, name: str) -> bool:
-    """Whether the trees below names of `pattern` and of `name` have a common key."""
     return _walk(segments(pattern), segments(name), lambda a, b: a or b)
 
 
 def overlaps(pattern: str, right: Right, requested: str) -> bool:
-    """Whether a rule on `pattern` overlaps with `requested`: enough for a denial."""
     return intersects_tree(pattern, requested) if right & TREE_RIGHTS else intersects(pattern, requested)
 
 
 def gives(pattern: str, right: Right, requested: str) -> bool:
-    """Whether a rule on `pattern` gives all of `requested`."""
     return includes(pattern, requested, tree=bool(right & TREE_RIGHTS))
 
 
@@ -119,16 +114,11 @@ _BRACES: Final = re.compile(r"\{[^{}]*\}|[{}]")
 
 
 def is_own(text: str) -> bool:
-    """Whether a pattern that `check_rule_pattern` returned stands for the asking node's names."""
     return text.startswith(NODE)
 
 
 def check_rule_pattern(text: str) -> str:
-    """Return a pattern of a rule: as `check_pattern`, or own names, which begin with `{node}`.
-
-    Raises:
-        PatternRefused: neither; also other words in braces, and `{node}` or `~` elsewhere.
-    """
+    """Return a pattern of a rule: as `check_pattern`, or own names, which begin with `{node}`."""
     if text == NODE:
         return text
     head, slash, rest = text.partition("/")
@@ -162,7 +152,6 @@ def resolve(pattern: str, node: str, *, tail: bool) -> str | None:
 
 
 def any_node(pattern: str) -> str:
-    """The names that a pattern of a rule has for some node or other, as a pattern."""
     return f"/**{pattern.removeprefix(NODE)}" if is_own(pattern) else pattern
 
 

@@ -53,8 +53,6 @@ class ReceiverAccess:
 
 @dataclass(frozen=True, order=True)
 class PrivacyRow:
-    """One field, one receiver; `tells` is the field's word, `sees` what is seen of the topic."""
-
     topic: str
     type: str
     receiver: str
@@ -69,7 +67,6 @@ class PrivacyRow:
 
 
 def from_policy(decider: Decider) -> list[ReceiverAccess]:
-    """The access that the policy allows: every subscription that no denial overrides."""
     found: dict[tuple[str, str], ReceiverAccess] = {}
     for rule in decider.policy.rules:
         if rule.effect is not Effect.ALLOW:
@@ -106,7 +103,6 @@ def rows(
     layout_of: Callable[[str], Layout],
     vocabulary: Vocabulary | None = None,
 ) -> list[PrivacyRow]:
-    """Field by field; a topic of unknown type is one row. `vocabulary` is that of the policy."""
     found: list[PrivacyRow] = []
     for access in accesses:
         filters = [rule for item in access.restrictions for rule in item.filters]
@@ -195,7 +191,6 @@ def _walk(kind: Type, path: str, found: list[str]) -> None:
 
 
 def lines(found: Sequence[PrivacyRow]) -> list[str]:
-    """The report for a terminal: fields with the same treatment together."""
     report: list[str] = []
     groups: dict[tuple[str, ...], dict[str, list[str]]] = {}
     for row in found:
@@ -211,7 +206,6 @@ def lines(found: Sequence[PrivacyRow]) -> list[str]:
 
 
 def as_json(found: Sequence[PrivacyRow]) -> list[dict[str, str]]:
-    """The rows for programs."""
     return [asdict(row) for row in found]
 
 

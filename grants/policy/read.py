@@ -56,7 +56,6 @@ _HARMFUL: Final = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
 
 
 def flaw_of(title: str) -> str:
-    """Why this is no title; empty if it is one."""
     kinds = [unicodedata.category(char) for char in title]
     spaces = {char for kind, char in zip(kinds, title, strict=True) if kind == "Zs"}
     flaws = (
@@ -82,7 +81,6 @@ def _longest_run(kinds: Iterable[str]) -> int:
 def read_titles(
     part: Part | None, groups: Mapping[str, tuple[SubjectPattern, ...]], mistakes: Mistakes
 ) -> dict[str, str]:
-    """Titles by the name of a node, a topic or a pattern; of a group by each name in it."""
     mapping = source.mapping(part, "title", mistakes)
     found: dict[str, str] = {}
     of_groups: dict[str, str] = {}
@@ -159,9 +157,6 @@ def load(
             is unknown.
         file: its name, for mistakes.
         known_types: names to suggest for a misspelt type.
-
-    Raises:
-        PolicyRefused: with every mistake of the file.
     """
     mistakes = Mistakes(file)
     top = read_source(text, mistakes)
@@ -470,7 +465,6 @@ def _titles() -> dict[str, Any]:
 
 
 def schema() -> dict[str, Any]:
-    """The schema, for the operators of this version."""
     rule = _rule()
     rights = rule.pop("$defs")["rights"]
     identity = _object({"node": _PATTERN, "key": {"type": "string", "pattern": "^sha256:[0-9a-f]{64}$"}})
@@ -532,5 +526,4 @@ def schema() -> dict[str, Any]:
 
 
 def schema_text() -> str:
-    """The schema as the text of the file."""
     return json.dumps(schema(), indent=2) + "\n"

@@ -61,23 +61,18 @@ _FIELD: Final = re.compile(r"\bmsg((?:\.[A-Za-z]\w*)+)", re.ASCII)
 
 @dataclass(frozen=True)
 class FieldRule:
-    """A filter rule and its position."""
-
     position: SourcePosition
     rule: FilterRule
 
 
 @dataclass(frozen=True)
 class ConditionRule:
-    """A condition and its position; `reads_message` if it names fields of the message."""
-
     position: SourcePosition
     text: str
     reads_message: bool
 
 
 def read_fields(part: YamlMapping, mistakes: Mistakes) -> tuple[FieldRule, ...]:
-    """Read `{path: {operator: parameter}}`."""
     rules = (_read_field(key, value, mistakes) for key, value in part.entries.values())
     return tuple(rule for rule in rules if rule is not None)
 
@@ -135,7 +130,6 @@ def _example(operator: str) -> str:
 def check_fields(
     layout: Layout, rules: tuple[FieldRule, ...], position: SourcePosition, mistakes: Mistakes
 ) -> bool:
-    """Whether the rules fit messages of `layout`: each alone, then together."""
     fits = True
     for item in rules:
         fits = _fits(layout, (item,), item.position, mistakes) and fits
@@ -153,7 +147,6 @@ def _fits(layout: Layout, rules: tuple[FieldRule, ...], position: SourcePosition
 
 
 def check_preset(layout: Layout, name: str, position: SourcePosition, mistakes: Mistakes) -> bool:
-    """Whether the preset `name` exists for messages of `layout`."""
     try:
         preset(name).restriction(layout)
     except FilterRefused as error:
@@ -184,7 +177,6 @@ def read_condition(part: Part, mistakes: Mistakes) -> ConditionRule | None:
 
 
 def check_condition(layout: Layout, condition: ConditionRule, mistakes: Mistakes) -> bool:
-    """Whether the condition fits messages of `layout`."""
     try:
         compile_condition(layout, condition.text)
     except ConditionRefused as error:
@@ -197,7 +189,6 @@ def check_condition(layout: Layout, condition: ConditionRule, mistakes: Mistakes
 
 
 def suggest_field(layout: Layout, path: str) -> str:
-    """For an invalid path: a hint with the most similar field; else empty."""
     kind: Type = layout.root
     for step in path.split("."):
         while isinstance(kind, Array):
@@ -291,8 +282,6 @@ def _body(part: Part | None, mistakes: Mistakes) -> str | None:
 
 @dataclass(frozen=True)
 class TopicLevels:
-    """The levels of one topic."""
-
     position: SourcePosition
     levels: Levels = field(default_factory=dict)
 
@@ -300,7 +289,6 @@ class TopicLevels:
 def read_see(
     part: Part | None, topics: Sequence[str], name: str, mistakes: Mistakes
 ) -> dict[str, TopicLevels]:
-    """The levels of every topic that `see` of the rule `name` says some of."""
     mapping = source.mapping(part, f"see of rule {name}", mistakes)
     if mapping is None:
         return {}
@@ -396,7 +384,6 @@ def why_unsignable(permissions: tuple[Permission, ...]) -> str:
 def divide(
     rights: Iterable[_Right], entries: Callable[[_Right], Sequence[Permission]]
 ) -> Iterator[tuple[_Right, ...]]:
-    """The rights by grant, in order; `entries` of one right stay together."""
     part: list[_Right] = []
     size = number = 0
     for each in rights:

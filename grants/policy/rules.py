@@ -182,8 +182,6 @@ class _TopicFilter:
 
 
 class RuleReader:
-    """Reads rules in the context of the policy."""
-
     def __init__(
         self,
         mistakes: Mistakes,
@@ -454,7 +452,6 @@ def read_basics(part: Part | None, mistakes: Mistakes) -> tuple[str, ...] | None
 def basics_rule(
     extras: Iterable[str], line: int, defaults: Defaults, rules: Iterable[PolicyRule]
 ) -> PolicyRule:
-    """The rule of `basics` in this line, beside the other rules of the policy."""
     clauses = [Clause(right, name) for right, names in BASICS.items() for name in names]
     for extra in extras:
         right, names = EXTRAS[extra]

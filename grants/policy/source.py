@@ -82,7 +82,6 @@ class Bounds:
 
 
 def events(text: str, bounds: Bounds, *, tags: bool = False) -> Iterator[Any]:
-    """The events of the one document in `text`; with `tags`, scalars may have the tags of `load`."""
     if len(text) > bounds.size:
         raise YamlRefused(f"{len(text)} characters where at most {bounds.size} are allowed")
     depth = documents = 0
@@ -135,7 +134,6 @@ def load_yaml(text: str, bounds: Bounds | None = None) -> object:
 
 
 def is_quoted(event: Any) -> bool:
-    """Whether a scalar is quoted, so always text."""
     return event.style in _QUOTED
 
 
@@ -220,7 +218,6 @@ def _over_limit(depth: int, documents: int, number: int, bounds: Bounds) -> str:
 
 
 def position(mark: Any) -> tuple[int, int]:
-    """Line and column of a mark, from 1."""
     return (1, 1) if mark is None else (mark.line + 1, mark.column + 1)
 
 
@@ -233,8 +230,6 @@ _MAX_SUGGESTIONS = 12
 
 
 class SourcePosition(Protocol):
-    """A position in the file, line and column counted from 1."""
-
     @property
     def line(self) -> int: ...
 
@@ -264,21 +259,13 @@ class Mistakes:
     found: list[Mistake] = field(default_factory=list)
 
     def add(self, position: SourcePosition, message: str, hint: str = "") -> None:
-        """Record one mistake.
-
-        Raises:
-            PolicyRefused: the maximum number is reached.
-        """
+        """Record one mistake."""
         self.found.append(Mistake(position.line, position.column, message, hint, self.file))
         if len(self.found) >= MAX_MISTAKES:
             self.raise_all()
 
     def raise_if_any(self) -> None:
-        """Raise `PolicyRefused` with all mistakes, in the order of the file, if there are any.
-
-        Raises:
-            PolicyRefused: there are mistakes.
-        """
+        """Raise `PolicyRefused` with all mistakes, in the order of the file, if there are any."""
         if self.found:
             self.raise_all()
 
@@ -323,8 +310,6 @@ class YamlScalar:
 
 @dataclass(frozen=True, eq=False)
 class YamlSequence:
-    """A sequence."""
-
     items: "tuple[Part, ...]"
     line: int
     column: int
@@ -332,8 +317,6 @@ class YamlSequence:
 
 @dataclass(frozen=True, eq=False)
 class YamlMapping:
-    """A mapping: for each key its position and the value."""
-
     entries: "dict[str, tuple[YamlScalar, Part]]"
     line: int
     column: int
@@ -347,11 +330,7 @@ Part: TypeAlias = YamlScalar | YamlSequence | YamlMapping
 
 
 def read_source(text: str, mistakes: Mistakes, bounds: Bounds = BOUNDS) -> Part | None:
-    """Read one YAML document; duplicate keys are recorded as mistakes and omitted.
-
-    Raises:
-        PolicyRefused: not one document of the subset; other mistakes are then discarded.
-    """
+    """Read one YAML document; duplicate keys are recorded as mistakes and omitted."""
     try:
         return _Builder(events(text, bounds), mistakes).document()
     except YamlRefused as error:
@@ -475,13 +454,11 @@ def by_name(
 
 
 def again(key: Part, what: str, first: Part, mistakes: Mistakes) -> None:
-    """Record that a key says what another has said before, whatever its spelling."""
     message = f"{what} a second time, first in {first.line}:{first.column}"
     mistakes.add(key, message, "keep one of them")
 
 
 def text(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
-    """A non-empty text."""
     if part is None:
         return None
     if isinstance(part, YamlScalar) and isinstance(part.value, str) and 0 < len(part.value) <= _MAX_TEXT:
@@ -491,7 +468,6 @@ def text(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
 
 
 def items(part: Part | None) -> tuple[Part, ...]:
-    """One part, or the parts of a list."""
     if part is None:
         return ()
     return part.items if isinstance(part, YamlSequence) else (part,)
@@ -513,7 +489,6 @@ def duration(part: Part | None, what: str, mistakes: Mistakes, *, never: bool = 
 
 
 def pattern(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
-    """A name pattern, or own names of the asking node, as `{node}/...`."""
     value = _pattern_text(part, what, mistakes)
     if value is None or part is None:
         return None
@@ -532,7 +507,6 @@ def _pattern_text(part: Part | None, what: str, mistakes: Mistakes) -> str | Non
 
 
 def own_pattern(part: Part | None, what: str, right: Right, mistakes: Mistakes) -> str | None:
-    """A pattern of names of this domain; of names of others only the own graph is shown."""
     value = _pattern_text(part, what, mistakes)
     if value is None or part is None:
         return None
@@ -545,7 +519,6 @@ def own_pattern(part: Part | None, what: str, right: Right, mistakes: Mistakes) 
 
 
 def subject(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
-    """A pattern of node names: of this domain, or `hospital:/rounds/*`, which becomes an alias."""
     value = text(part, what, mistakes)
     if value is None or part is None:
         return None
@@ -562,7 +535,6 @@ def subject(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
 
 
 def key(part: Part | None, mistakes: Mistakes) -> bytes | None:
-    """A key thumbprint, `sha256:` and 64 hexadecimal digits."""
     if part is None:
         return None
     value = part.value if isinstance(part, YamlScalar) else None
@@ -575,7 +547,6 @@ def key(part: Part | None, mistakes: Mistakes) -> bytes | None:
 
 
 def number(part: Part | None, what: str, mistakes: Mistakes) -> float | None:
-    """A number above zero."""
     if part is None:
         return None
     value = part.value if isinstance(part, YamlScalar) else None
@@ -586,7 +557,6 @@ def number(part: Part | None, what: str, mistakes: Mistakes) -> float | None:
 
 
 def choice(part: Part | None, what: str, known: Collection[str], mistakes: Mistakes) -> str | None:
-    """One of the known values."""
     if part is None:
         return None
     value = str(part.value) if isinstance(part, YamlScalar) else ""

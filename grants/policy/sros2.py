@@ -69,12 +69,7 @@ _ROS2_ONLY: Final = (
 
 
 def import_sros2(xml: str) -> tuple[str, list[str]]:
-    """A policy text, and what is not as in the XML, one line each: it allows less.
-
-    Raises:
-        PolicyRefused: not XML, XML with a DTD, not an SROS2 policy, or one that denies more than
-            can be written here.
-    """
+    """A policy text, and what is not as in the XML, one line each: it allows less."""
     root = _parse(xml)
     found = _Found()
     if root.get("version") != VERSION:

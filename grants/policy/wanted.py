@@ -34,15 +34,12 @@ from grants.request import RequestedRight
 
 @dataclass(frozen=True)
 class Plan:
-    """The rights a node requests, by decision."""
-
     allowed: tuple[Verdict, ...]
     prompted: tuple[Verdict, ...]
     denied: tuple[Verdict, ...]
 
 
 def plan(decider: Decider, subject: Subject, rights: Iterable[RequestedRight]) -> Plan:
-    """Decide on every requested right separately."""
     verdicts = [
         decider.decide(subject, requested.right, requested.pattern) for requested in sorted(set(rights))
     ]
@@ -51,11 +48,7 @@ def plan(decider: Decider, subject: Subject, rights: Iterable[RequestedRight]) -
 
 
 def approve(verdict: Verdict) -> Verdict:
-    """The verdict after a person approved it; its restrictions stay.
-
-    Raises:
-        PolicyRefused: the policy denies it: a denial cannot be approved.
-    """
+    """The verdict after a person approved it; its restrictions stay."""
     if verdict.effect is Effect.DENY:
         reason = verdict.rules[0].reason if verdict.rules else "no rule allows it"
         raise PolicyRefused(
@@ -66,11 +59,7 @@ def approve(verdict: Verdict) -> Verdict:
 
 
 def approximate(verdict: Verdict, restriction: Restriction) -> Verdict:
-    """The verdict, additionally restricted by `restriction`.
-
-    Raises:
-        PolicyRefused: not a subscription.
-    """
+    """The verdict, additionally restricted by `restriction`."""
     if verdict.right is not Right.SUBSCRIBE:
         raise PolicyRefused(
             f"{verdict.right.label} {verdict.name} cannot be approximate", "only subscriptions can"
@@ -99,9 +88,6 @@ def drafts(
     Tail patterns have drafts of their own, as a verifier that does not know them refuses a grant.
 
     `skew`: seconds by which they are backdated, for hosts whose clock is behind.
-
-    Raises:
-        PolicyRefused: a verdict other than ALLOW.
     """
     groups: dict[tuple[Subject, int, int, bool], list[Verdict]] = {}
     for verdict in verdicts:
@@ -222,11 +208,7 @@ class WantedState:
         self._last: tuple[Subject | None, list[PolicyRule], _Key] = (None, [], ())
 
     def of(self, subject: Subject) -> Wanted:
-        """What the policy gives `subject` outright.
-
-        Raises:
-            NameRefused: `subject.name` is not an absolute name.
-        """
+        """What the policy gives `subject` outright."""
         rules, key = self._rules_of(subject)
         if key not in self._wanted:
             rights: dict[Atom, WantedRight] = {}

@@ -112,8 +112,6 @@ Fields = Mapping[str, Content]
 
 
 class Meaning(NamedTuple):
-    """The words of a content; `own` is the word it is shown under, if any."""
-
     own: DataWord | None
     tells: frozenset[DataWord]
     hints: frozenset[DataWord] = frozenset()
@@ -180,7 +178,6 @@ FRAMES: Final = frozenset({Content.FRAME, Content.CHILD_FRAME})
 
 
 def fields_by(**contents: str) -> Fields:
-    """Fields by content: `fields_by(coordinate="x y", child_frame="child_frame_id")`."""
     return {
         field: Content(content.replace("_", "-"))
         for content, fields in contents.items()

@@ -92,7 +92,6 @@ _CHARGE: Final[dict[Content, Treatment | None]] = {Content.CHARGE: in_steps(0.25
 
 
 def position_in(metres: float, degrees: float) -> dict[Content, Treatment | None]:
-    """A position in cells: of metres in a frame, of degrees on the earth."""
     return {
         Content.COORDINATE: in_steps(metres),
         Content.DEGREES: in_steps(degrees),
@@ -146,7 +145,6 @@ LEVEL_TABLE: Final[_Table] = {
 
 
 def level_of(word: DataWord, level: str) -> Level:
-    """A level by its name; `exact` does nothing."""
     return Level() if level == EXACT else LEVEL_TABLE[word, level]
 
 
@@ -164,11 +162,7 @@ _AREA: Final = level_of(DataWord.POSITION, "area").treatments[Content.COORDINATE
 
 
 def plan_treatment(plan: dict[str, Scalar]) -> Treatment:
-    """The operator for a plan: corners by name, as in docs/spec/grant.md, section 6.4.
-
-    Raises:
-        FilterRefused: it is not a plan, or a room in it is smaller than one.
-    """
+    """The operator for a plan: corners by name, as in docs/spec/grant.md, section 6.4."""
     if "hysteresis" in plan:
         raise FilterRefused("no room can be called hysteresis", "call it otherwise")
     found = Treatment(OPERATOR, tuple(sorted({**plan, "hysteresis": HYSTERESIS}.items())))
@@ -206,7 +200,6 @@ def _area(corners: tuple[tuple[float, float], ...]) -> float:
 
 
 def in_rooms(layout: Layout, rule: FilterRule, rooms: Treatment) -> FilterRule:
-    """`rule`, or `rooms` in its place if it shows the cell of a room of a whole position."""
     given = (rule.operator, rule.parameters)
     if given not in (_ROOM, _AREA) or not _is_position(layout.root, rule.path, rooms):
         return rule
@@ -263,10 +256,6 @@ def resolve(
     """The filter that holds `levels` on messages of `layout`, described by `description`.
 
     With `rooms` a position at the room is the point of its room, instead of a cell's middle.
-
-    Raises:
-        FilterRefused: a field is unknown, or what shall be exact would tell what shall not; an
-            area of a position that has rooms.
     """
     coarse = {word: level for word, level in levels.items() if level != EXACT}
     _check_known(description, coarse)

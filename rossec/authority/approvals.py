@@ -52,8 +52,6 @@ class PendingApproval:
 
 
 class Denial(NamedTuple):
-    """A requested right that was denied without a person, and why."""
-
     stored: StoredRequest
     reason: str
 
@@ -77,11 +75,7 @@ class ApprovalQueue:
         self._store.close()
 
     def add_request(self, data: bytes) -> GrantRequest:
-        """Record one request, verified with the key its node was enrolled with.
-
-        Raises:
-            HintedError: not a request of an enrolled node, or known already.
-        """
+        """Record one request, verified with the key its node was enrolled with."""
         named = peek_request(data).node
         row = self._store.valid_certificate(named, self._now)
         key = x509.load_der_x509_certificate(row.der).public_key()
@@ -91,11 +85,7 @@ class ApprovalQueue:
         return request
 
     def read_inbox(self) -> list[str]:
-        """Record the requests in the inbox directory; returns one line for each invalid one.
-
-        Raises:
-            RecordUnusable: the requests stay in the inbox.
-        """
+        """Record the requests in the inbox directory; returns one line for each invalid one."""
         errors: list[str] = []
         with self._store.transaction():  # excludes other commands
             paths = requests.inbox_files(self._home.path)
@@ -142,11 +132,7 @@ class ApprovalQueue:
         return approvals
 
     def chosen(self, beginning: str) -> list[PendingApproval]:
-        """The rights that wait for a person, of the one request whose id begins so.
-
-        Raises:
-            ConfigurationError: there is none, or more than one.
-        """
+        """The rights that wait for a person, of the one request whose id begins so."""
         found = [
             item
             for item in self.pending()
@@ -168,13 +154,7 @@ class ApprovalQueue:
         change: VerdictChange,
         reason: str,
     ) -> list[tuple[Draft, bytes]]:
-        """Sign the verdicts, modified by `change`; returns the grants with their drafts.
-
-        Raises:
-            PolicyRefused: one is denied, or cannot be expressed as a grant; nothing is signed.
-            StoreError: one was answered meanwhile, or its key revoked; nothing is signed.
-            ConfigurationError: the policy was changed meanwhile; nothing is signed.
-        """
+        """Sign the verdicts, modified by `change`; returns the grants with their drafts."""
         chosen = list(approvals)
         made = self.drafts(authority.domain, chosen, change)
         answers = GrantRequestStore(authority.store.database)
@@ -191,10 +171,6 @@ class ApprovalQueue:
         """Sign what the policy allows; what cannot be in a grant is denied alone, and returned.
 
         All together if that is possible, else each request alone, and of one each right.
-
-        Raises:
-            ConfigurationError: the policy was changed meanwhile.
-            HintedError: nothing can be signed at all.
         """
         chosen = list(approvals)
         try:
@@ -225,9 +201,6 @@ class ApprovalQueue:
         """The grants to sign for the verdicts, modified by `change`.
 
         With the rules of those that the policy allows by itself.
-
-        Raises:
-            PolicyRefused: as `sign`.
         """
         groups: dict[str, list[Verdict]] = {}
         for approval in approvals:
@@ -273,11 +246,7 @@ def _parts(approvals: list[PendingApproval]) -> list[list[PendingApproval]]:
 
 
 def verdict_change(file: PolicyFile, coarse: str | None, now: int, *, only_today: bool) -> VerdictChange:
-    """How a person restricts a verdict: through the filter `coarse`, until midnight.
-
-    Raises:
-        ConfigurationError: neither the policy nor a preset has the filter.
-    """
+    """How a person restricts a verdict: through the filter `coarse`, until midnight."""
     if coarse is not None and coarse not in {*file.policy.filters, *PRESETS}:
         known = ", ".join({**file.policy.filters, **PRESETS})
         raise ConfigurationError(f"no filter {coarse!r} in {file.path}", f"there are: {known}")

@@ -73,12 +73,10 @@ def owner(name: str) -> Owned | None:
 
 
 def undeclared(directory: Path) -> list[str]:
-    """The files in an authority's directory that no part of rossec has written."""
     return [name for name in _files(directory) if owner(name) is None]
 
 
 def kept(directory: Path) -> dict[str, bytes]:
-    """What a backup has of an authority's directory, except the record."""
     content: dict[str, bytes] = {}
     for name in _files(directory):
         found = owner(name)
@@ -95,7 +93,6 @@ def staying(directory: Path) -> list[str]:
 
 
 def read(directory: Path, name: str) -> bytes:
-    """One file of an authority's directory."""
     gone = ConfigurationError(f"{directory / name} was removed meanwhile", "do it again")
     return read_own(directory / name, MAX_BACKUP, gone, link=name == policyfile.NAME)
 
@@ -116,7 +113,6 @@ def restorable(content: Mapping[str, bytes]) -> tuple[dict[str, bytes], list[str
 
 
 def mode(name: str) -> int:
-    """The mode of the file `name`."""
     found = owner(name)
     return 0o644 if found is not None and found.public else 0o600
 
@@ -134,8 +130,6 @@ _TAKE_OVER: Final = "only to revoke what a newer list revokes: rossec ca refresh
 
 @dataclass(frozen=True)
 class Restored:
-    """The result of a restore: the directory, and the number of log entries."""
-
     home: AuthorityHome
     entries: int
     restored_revocations: int  # revocations added from a newer list, or the replaced authority
@@ -146,7 +140,6 @@ class Restored:
 
 
 def back_up(home: AuthorityHome, passphrase: str) -> bytes:
-    """Return a backup of the authority, encrypted with `passphrase`."""
     content = kept(home.path)
     with contextlib.closing(home.store()) as store:
         content[RECORD] = store.database.snapshot()
@@ -170,7 +163,6 @@ def restore(
     module: str | None = None,
     policy_of_backup: bool = False,
 ) -> Restored:
-    """Restore an authority into ROSSEC_HOME `home`."""
     said = _Said(over, forget, needs_list and newest_list is None, policy_of_backup)
     target = home / "ca"
     with _staging_beside(target) as staging:

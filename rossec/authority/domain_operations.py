@@ -36,7 +36,6 @@ from rossec.ros.names import UPDATE_DOMAINS
 
 
 def split(alias: str) -> tuple[str, str]:
-    """The label and the name there."""
     found = split_alias(alias)
     if found is None:
         raise ConfigurationError(f"{alias} is a node of this domain", "leave --certificate out")
@@ -44,7 +43,6 @@ def split(alias: str) -> tuple[str, str]:
 
 
 def verify(store: Store, alias: str, pem: bytes, now: int) -> tuple[Identity, bytes]:
-    """The identity a certificate of the node `alias` proves, and the thumbprint of its root."""
     label, _ = split(alias)
     row = store.domains.get(label)
     entry = row.read()
@@ -58,7 +56,6 @@ def verify(store: Store, alias: str, pem: bytes, now: int) -> tuple[Identity, by
 
 
 def holder(store: Store, alias: str, now: int) -> bytes:
-    """The key of a foreign node, by the newest certificate of it in the record."""
     if found := split_alias(alias):
         store.domains.get(found[0])
     for subject in subjects(store, now):
@@ -92,7 +89,6 @@ def unrevoked_keys(store: Store, root: bytes, alias: str) -> frozenset[bytes]:
 
 
 def subjects(store: Store, now: int) -> Iterator[Subject]:
-    """The foreign nodes that are admitted now, by alias, with the key of the newest certificate."""
     revoked = store.revoked_entries()
     for row in store.domains.accepted():
         entry = row.read()
@@ -216,7 +212,6 @@ def living_grants(store: Store, label: str, now: int) -> list[GrantRow]:
 
 
 def check_label_free(store: Store, domain: ForeignDomain, now: int) -> None:
-    """Return if no grant can live that names the label of `domain` and means another one."""
     root = domain.anchor.thumbprint
     former = [row for row in store.domains.labelled(domain.label) if row.root != root]
     if not former:
@@ -233,11 +228,7 @@ def check_label_free(store: Store, domain: ForeignDomain, now: int) -> None:
 
 
 def find_row(store: Store, label: str) -> DomainRow:
-    """The trusted domain with this label, or the last one that had it.
-
-    Raises:
-        DomainUnknown: there never was one.
-    """
+    """The trusted domain with this label, or the last one that had it."""
     try:
         return store.domains.get(label)
     except DomainUnknown:

@@ -227,11 +227,7 @@ class GrantDelivery(ABC):
 
 
 def require_delivered(refused: Iterable[RefusedDeposit]) -> None:
-    """Return if the master has every grant; of those it has, a copy here is not needed.
-
-    Raises:
-        NotDelivered: it refuses some, each of which was said.
-    """
+    """Return if the master has every grant; of those it has, a copy here is not needed."""
     lacking = [each for each in refused if not each.is_here]
     if lacking:
         grants = "1 grant is" if len(lacking) == 1 else f"{len(lacking)} grants are"
@@ -255,8 +251,6 @@ SignedGrant = tuple[Draft, bytes]
 
 
 class Decided(NamedTuple):
-    """The grants signed, how many rights are allowed and wait for a person, and what is denied."""
-
     grants: list[SignedGrant]
     allowed: int
     waiting: int
@@ -464,11 +458,7 @@ class PolicyOperations(ABC):
 
 
 def require_complete(plan: "PolicyPlan") -> None:
-    """Return if all that the policy allows can be in grants.
-
-    Raises:
-        PolicyIncomplete: some of it cannot.
-    """
+    """Return if all that the policy allows can be in grants."""
     if plan.refused:
         more = len(plan.refused) - 1
         rest = f" (and {more} more)" if more else ""

@@ -55,12 +55,10 @@ def trusted(home: Path) -> frozenset[str]:
 
 
 def exists(home: Path) -> bool:
-    """Whether modules were named for ROSSEC_HOME `home`."""
     return (home / FILE).is_symlink() or (home / FILE).exists()
 
 
 def trust(home: Path, module: str) -> None:
-    """Record that the operator named `module`; durable on return."""
     check_absolute(module)
     known = trusted(home)
     if module in known:
@@ -71,7 +69,6 @@ def trust(home: Path, module: str) -> None:
 
 
 def check_absolute(module: str) -> None:
-    """Return if `module` is one file wherever a command runs."""
     if not module.startswith("/") or not module.isprintable():
         raise TokenRefused(
             f"{module!a} is not the absolute path of a PKCS#11 module",
@@ -80,7 +77,6 @@ def check_absolute(module: str) -> None:
 
 
 def require(uri: KeyUri, modules: Collection[str], home: Path) -> KeyUri:
-    """Return `uri` if the operator named its module."""
     if uri.module not in modules:
         raise TokenRefused(
             f"the key is in a token behind {uri.module!a}, a module that is not trusted here",
@@ -90,7 +86,6 @@ def require(uri: KeyUri, modules: Collection[str], home: Path) -> KeyUri:
 
 
 def restored_uri(data: bytes, home: Path, named: str | None) -> KeyUri:
-    """Where the key of a backup is, behind a module that the operator names."""
     uri = KeyUri.parse(data.decode(errors="replace").strip())
     if named is not None:
         check_absolute(named)
@@ -130,11 +125,7 @@ class AuthorityHome:
 
     @classmethod
     def at(cls, home: Path) -> Self:
-        """The authority below ROSSEC_HOME.
-
-        Raises:
-            ConfigurationError: there is none.
-        """
+        """The authority below ROSSEC_HOME."""
         path = home / "ca"
         if not (path / "ca.pem").exists():
             raise ConfigurationError(f"there is no authority in {home}", environment.missing_authority(home))
@@ -142,11 +133,7 @@ class AuthorityHome:
 
     @staticmethod
     def check_new(home: Path) -> Path:
-        """The directory of a new authority below ROSSEC_HOME.
-
-        Raises:
-            ConfigurationError: there is one already.
-        """
+        """The directory of a new authority below ROSSEC_HOME."""
         path = home / "ca"
         if path.exists():
             raise ConfigurationError(
@@ -160,10 +147,6 @@ class AuthorityHome:
 
         Its key is in a file encrypted with `passphrase`; with `uri` it is generated in that token,
         and `passphrase` is the PIN.
-
-        Raises:
-            TokenRefused: the token cannot generate the key.
-            ConfigurationError: there is one already; it is not changed.
         """
         path = cls.check_new(home)
         check_domain(domain)
@@ -204,19 +187,11 @@ class AuthorityHome:
         return NodeHome(self.path / NODE, OWN_NODE)
 
     def unlock(self, passphrase: str) -> SigningAuthority:
-        """Load the key.
-
-        Raises:
-            PassphraseRefused: the passphrase is wrong.
-        """
+        """Load the key."""
         return self.open(self.load_key(passphrase))
 
     def open(self, signer: Signer) -> SigningAuthority:
-        """The authority with `signer`, its key.
-
-        Raises:
-            IssueRefused: it is another key.
-        """
+        """The authority with `signer`, its key."""
         authority = Authority(signer, self.anchor().certificate, self.intermediate())
         return SigningAuthority(authority, self.store(), self.path)
 
@@ -224,10 +199,6 @@ class AuthorityHome:
         """The key: in a file that `secret` decrypts, or in the token for which it is the PIN.
 
         `modules`: those of PKCS#11 that the operator named; by default those named for the home.
-
-        Raises:
-            PassphraseRefused, TokenRefused: it is wrong, there is no such token, or the operator
-                did not name its module (`token_modules`).
         """
         uri = self.key_uri()
         if uri is None:
@@ -237,11 +208,7 @@ class AuthorityHome:
         return TokenSigner.open(require(uri, known, home), secret)
 
     def key_uri(self) -> KeyUri | None:
-        """Where the key is, if it is in a token.
-
-        Raises:
-            TokenRefused: the file names none.
-        """
+        """Where the key is, if it is in a token."""
         path = self.path / KEY_URI
         if not path.exists():
             return None
@@ -274,22 +241,14 @@ class AuthorityHome:
         return der
 
     def revocation_list(self) -> bytes:
-        """The newest signed list.
-
-        Raises:
-            ConfigurationError: none was signed yet.
-        """
+        """The newest signed list."""
         data = self.store().newest_list()
         if data is None:
             raise ConfigurationError("no revocation list was signed yet", "next: rossec ca refresh")
         return data
 
     def newest_statement(self) -> tuple[bytes, bytes]:
-        """The newest signed list, or tree and its entries; a list has none.
-
-        Raises:
-            ConfigurationError: none was signed yet, or the entries are missing.
-        """
+        """The newest signed list, or tree and its entries; a list has none."""
         data = self.revocation_list()
         return data, self._tree_entries(data) if is_tree(data) else b""
 
@@ -304,11 +263,7 @@ class AuthorityHome:
         return data
 
     def domain_list(self) -> tuple[bytes, DomainList] | None:
-        """The newest signed list of domains, and what it says; None: there is none.
-
-        Raises:
-            DomainsRefused: it is not signed by the authority.
-        """
+        """The newest signed list of domains, and what it says; None: there is none."""
         with contextlib.closing(self.store()) as store:
             data = store.domains.newest_list()
         return (data, open_domains(data, self.anchor())) if data else None
@@ -369,11 +324,7 @@ def format_fingerprint(thumbprint: bytes) -> str:
 
 
 def check_new(node: NodeHome) -> None:
-    """Return if `node` has nothing in this ROSSEC_HOME yet.
-
-    Raises:
-        ConfigurationError: it has; nothing of it is replaced.
-    """
+    """Return if `node` has nothing in this ROSSEC_HOME yet."""
     if node.path.exists():
         raise ConfigurationError(
             f"{node.name} is in {node.path} already",
@@ -382,12 +333,7 @@ def check_new(node: NodeHome) -> None:
 
 
 def enroll_here(authority: SigningAuthority, node: NodeHome, now: int) -> int:
-    """Make the key of `node`, sign its identity and install it; returns when it expires.
-
-    Raises:
-        ConfigurationError: as `check_new`.
-        HintedError: as `SigningAuthority.issue`.
-    """
+    """Make the key of `node`, sign its identity and install it; returns when it expires."""
     check_new(node)
     node.create_request(authority.domain)
     bundle = authority.issue(node.request(), now, LIFETIME, source="this host")

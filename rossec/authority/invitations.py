@@ -55,7 +55,6 @@ _OTHER: Final = RefuseReason.DENIED  # a revoked key, an identity that is not va
 
 
 def join(authority: SigningAuthority, request: JoinRequest, now: int) -> JoinAnswer:
-    """Decide a request to join; what is issued is recorded, with its use, before this returns."""
     invitation = _proved(authority.store, request)
     if invitation is None:
         return Refused(RefuseReason.REFUSED)
@@ -75,7 +74,6 @@ def join(authority: SigningAuthority, request: JoinRequest, now: int) -> JoinAns
 
 
 def join_locked(store: Store, request: JoinRequest, now: int) -> JoinAnswer:
-    """The answer while the authority is locked: only the holder of an open invitation is told so."""
     invitation = _proved(store, request)
     if invitation is None:
         return Refused(RefuseReason.REFUSED)
@@ -111,7 +109,6 @@ def is_proved(store: Store, asked: JoinClaim | JoinRequest) -> bool:
 
 
 def source(invitation: InvitationRow) -> str:
-    """Where the requests of an invitation come from, for the approver."""
     return f"invitation {invitation.id.hex()[:8]}"
 
 
@@ -208,14 +205,7 @@ def invite(
     *,
     wildcard: bool = False,
 ) -> InvitationCode:
-    """Record an invitation for `uses` new names within `pattern`; returns its code, a secret.
-
-    Raises:
-        PatternRefused: not a pattern of names.
-        NameRefused: with `wildcard`, names that cannot have a tail.
-        ConfigurationError: it would allow reserved names only.
-        CodeRefused: the address does not fit into a code.
-    """
+    """Record an invitation for `uses` new names within `pattern`; returns its code, a secret."""
     check_invitation(pattern, wildcard=wildcard)
     code, row = make_invitation(home, pattern, uses, expires, address, now, wildcard=wildcard)
     store = home.store()
@@ -227,11 +217,7 @@ def invite(
 
 
 def check_invitation(pattern: str, *, wildcard: bool) -> None:
-    """Return if there can be an invitation for names within `pattern`.
-
-    Raises:
-        PatternRefused, NameRefused, ConfigurationError: as `invite`.
-    """
+    """Return if there can be an invitation for names within `pattern`."""
     check_pattern(pattern)
     if wildcard and "*" not in pattern:
         check_wildcard(check_name(pattern))
@@ -246,11 +232,7 @@ def check_invitation(pattern: str, *, wildcard: bool) -> None:
 def make_invitation(
     home: AuthorityHome, pattern: str, uses: int, expires: int, address: str, now: int, *, wildcard: bool
 ) -> tuple[InvitationCode, InvitationRow]:
-    """A new code, and the row that has to be recorded before it is shown.
-
-    Raises:
-        CodeRefused: the address does not fit into a code.
-    """
+    """A new code, and the row that has to be recorded before it is shown."""
     root = sha256(home.anchor().certificate).digest()
     secret = secrets.token_bytes(SECRET_SIZE)
     code = InvitationCode(root, secret, expires, address, pattern, wildcard=wildcard)
@@ -264,11 +246,7 @@ def invitations(store: Store) -> list[InvitationStatus]:
 
 
 def find(store: Store, beginning: str) -> InvitationStatus:
-    """The one invitation whose id begins so.
-
-    Raises:
-        ConfigurationError: there is none, or more than one.
-    """
+    """The one invitation whose id begins so."""
     given = beginning.lower()
     found = [each for each in invitations(store) if given and each.row.id.hex().startswith(given)]
     if len(found) != 1:

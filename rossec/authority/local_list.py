@@ -24,11 +24,7 @@ class LocalList:
         self._seen_domains: _Stamp = ()
 
     def newest(self) -> tuple[bytes, bytes] | None:
-        """The newest list or tree, with the entries of a tree; None: there is no authority.
-
-        Raises:
-            ConfigurationError: nothing was signed yet, or the entries are missing.
-        """
+        """The newest list or tree, with the entries of a tree; None: there is no authority."""
         authority = self._authority()
         if authority is None:
             return None

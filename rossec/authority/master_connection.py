@@ -22,10 +22,6 @@ async def master_connection(
     Any master of the own domain will do: what is delivered is signed, and who calls names a URI.
     Those of other domains are not, so that the list of them is not needed here. `deadline`: seconds
     for a call, some of which wait.
-
-    Raises:
-        ConfigurationError: not a URI, or another node answers there.
-        HintedError, OSError, TimeoutError: it is unreachable.
     """
     host, port = names.parse_uri(uri, "the master's URI")
     context = SecureContext(

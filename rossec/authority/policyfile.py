@@ -72,13 +72,7 @@ class PolicyFile:
 
     @classmethod
     def read(cls, path: Path, *, own: bool = False) -> Self:
-        """Read the policy in `path`; with `own`, only if no other user can write it.
-
-        Raises:
-            ConfigurationError: there is no such file, or it is not UTF-8.
-            PathRefused: another user could have written it.
-            PolicyRefused: with all its mistakes.
-        """
+        """Read the policy in `path`; with `own`, only if no other user can write it."""
         missing = ConfigurationError(f"there is no policy in {path}", "next: rossec policy init")
         try:
             text = (
@@ -91,12 +85,7 @@ class PolicyFile:
         return cls(path, text, parse_policy(text, str(path)))
 
     def replace(self, text: str) -> "PolicyFile":
-        """Replace the text, which is checked first: a policy with mistakes is never written.
-
-        Raises:
-            PolicyRefused: with all its mistakes.
-            ConfigurationError: the file was changed meanwhile; it is not written.
-        """
+        """Replace the text, which is checked first: a policy with mistakes is never written."""
         policy = parse_policy(text, str(self.path))
         with files.locked_directory(self.path.parent):
             if self.path.exists():  # otherwise it is a new file
@@ -106,11 +95,7 @@ class PolicyFile:
         return PolicyFile(self.path, text, policy)
 
     def check_unchanged(self) -> None:
-        """Return if the file still has the text that was read.
-
-        Raises:
-            ConfigurationError: it was changed meanwhile.
-        """
+        """Return if the file still has the text that was read."""
         gone = ConfigurationError(f"{self.path} is gone, nothing was done", "write a policy first")
         if files.read(self.path, MAX_SIZE, gone) != self.text.encode():
             raise ConfigurationError(
@@ -119,11 +104,7 @@ class PolicyFile:
             )
 
     def require_tests(self) -> None:
-        """Return if every test in the policy holds.
-
-        Raises:
-            PolicyRefused: one does not.
-        """
+        """Return if every test in the policy holds."""
         from grants.policy.assertion_check import require_tests  # noqa: PLC0415 - few need it
 
         if self.policy.tests:
@@ -379,7 +360,6 @@ def sign_planned(authority: SigningAuthority, plan: PolicyPlan, now: int) -> lis
 def take_away(
     authority: SigningAuthority, plan: PolicyPlan, now: int
 ) -> tuple[RevocationList | None, PolicyPlan]:
-    """Revoke what is only taken away, if something else is signed; returns what is left to do."""
     taken = plan.taken
     if not taken or not plan.signs:
         return None, plan
@@ -459,11 +439,7 @@ def grant_outright(
 
 
 def check_record(authority: SigningAuthority, plan: PolicyPlan) -> None:
-    """Return if a plan made now would do the same.
-
-    Raises:
-        ConfigurationError: it would not.
-    """
+    """Return if a plan made now would do the same."""
     if authority.store.log.head(0).size == plan.entries:
         return
     again = make_plan(authority.store, plan.policy, plan.options, plan.moment)
@@ -487,8 +463,6 @@ def _reason(plan: PolicyPlan) -> str:
 
 
 class OptOut(NamedTuple):
-    """A denial in the policy: of the topic `name`, or of all topics to the node `name`."""
-
     policy: PolicyFile
     rule: str
     name: str
@@ -504,7 +478,6 @@ class OptOut(NamedTuple):
 
 
 def add_denial(policy: PolicyFile, name: str, now: int, *, is_node: bool) -> OptOut:
-    """Write the denial into the policy; see `PolicyFile.replace`."""
     day = time.strftime("%Y-%m-%d", time.gmtime(now))
     prefix = "opt-out" + name.replace("/", "-").replace("*", "any")[:60]
     rule = NewRule(

@@ -55,17 +55,12 @@ def renew(
 
     `check(entry, now)` raises for revoked entries; the default uses the authority's record. The
     host of an intermediate has no such record and passes `Revocations.check`.
-
-    Raises:
-        RenewalRefused: invalid, not due, or the identity was renewed by another key before.
-        CertificateRefused, RequestRefused, Revoked: as `ca.certificates.open_renewal`.
     """
     with authority.store.transaction():
         return _renew(authority, data, now, check or _check_in_record(authority), lifetime)
 
 
 def renew_recorded(authority: SigningAuthority, data: bytes, now: int) -> bytes:
-    """As `renew`, at the authority itself: only what its record knows, for as long as before."""
     with authority.store.transaction():
         check = _check_in_record(authority)
         renewal = open_renewal(data, authority.authority.anchor, now, check)
@@ -147,7 +142,6 @@ def _identity(authority: SigningAuthority, row: CertificateRow, now: int) -> Ide
 
 
 def renew_own_node(authority: SigningAuthority, now: int) -> int:
-    """Renew the authority's own node, even if expired; returns its `not_after`."""
     own = NodeHome(authority.path / "node", OWN_NODE)
     key = KeySigner(private_keys.load_private(own.path / "node.key"))
     request = build_request(key, authority.domain, OWN_NODE)
@@ -168,7 +162,6 @@ def sign_intermediate(
     may_enroll: bool,
     lifetime: int = INTERMEDIATE_LIFETIME,
 ) -> tuple[str, bytes]:
-    """Sign and record an intermediate; returns its name for revocation, and its bundle (PEM)."""
     authority.refresh_list(now)
     root = authority.authority
     der = root.issue_intermediate(csr, now=now, serial=_serial(), may_enroll=may_enroll, lifetime=lifetime)
@@ -239,7 +232,6 @@ OWNED: Final = (files.Owned(r"intermediate\.csr"), files.Owned(r"intermediate\.p
 
 
 def begin(home: Path, domain: str, passphrase: str) -> Path:
-    """Create the key of an intermediate and its request for the root; returns its path."""
     path = home / "ca"
     if (path / "ca.pem").exists():
         raise ConfigurationError(
@@ -256,7 +248,6 @@ def begin(home: Path, domain: str, passphrase: str) -> Path:
 
 
 def install(home: Path, bundle: bytes, passphrase: str, now: int) -> Intermediate:
-    """Install what the root signed; a newer certificate for the same key replaces the older."""
     path = home / "ca"
     der, root = _split(bundle)
     anchor = TrustAnchor.load(root)

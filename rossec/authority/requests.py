@@ -35,8 +35,6 @@ class StoredRequest(NamedTuple):
 
 
 class StoredAnswer(NamedTuple):
-    """One requested right in the record, and its answer."""
-
     stored: StoredRequest
     answer: str
     reason: str
@@ -51,22 +49,14 @@ class GrantRequestStore:
         self._database = database
 
     def add(self, request: GrantRequest, data: bytes, now: int) -> None:
-        """Record a verified request.
-
-        Raises:
-            StoreError: it is recorded already.
-        """
+        """Record a verified request."""
         with self._transaction() as db:
             row = (request.id, request.node, data, now)
             db.execute("INSERT INTO grant_request VALUES (?, ?, ?, ?)", row)
             append_entry(db, now, "grant request", request.node, request.id.hex(), digest_of(row))
 
     def answer(self, stored: StoredRequest, answer: str, reason: str, now: int) -> None:
-        """Record the answer to one requested right.
-
-        Raises:
-            StoreError: it was answered already.
-        """
+        """Record the answer to one requested right."""
         with self._transaction() as db:
             requested = stored.requested
             row = (stored.request.id, int(requested.right), requested.pattern, answer, reason, now)
@@ -124,7 +114,6 @@ class GrantRequestStore:
 
 
 def put_in_inbox(authority: Path, request: GrantRequest, data: bytes) -> Path:
-    """Write a request to the inbox of the authority of the same ROSSEC_HOME."""
     files.make_private_directory(authority / "inbox")
     path = authority / "inbox" / f"{request.id.hex()}.request"
     files.replace(path, data)
@@ -132,10 +121,8 @@ def put_in_inbox(authority: Path, request: GrantRequest, data: bytes) -> Path:
 
 
 def inbox_files(authority: Path) -> list[Path]:
-    """The files in the inbox, sorted by name; at most `MAX_INBOX`."""
     return sorted((authority / "inbox").glob("*.request"))[:MAX_INBOX]
 
 
 def read_request(path: Path) -> bytes:
-    """Read a request file, with a size limit."""
     return files.read(path, MAX_FILE)

@@ -52,7 +52,6 @@ class NewerLists:
 
 
 def read_files(path: Path, entries: Path | None) -> tuple[bytes, bytes | None]:
-    """A list or tree, and its entries: in `entries`, else beside it under the name they have."""
     beside = path.with_name(ENTRIES)
     if entries is None and beside.exists():
         entries = beside
@@ -66,7 +65,6 @@ def read_newer(
     entries: bytes | None,
     newest_domains: bytes | None,
 ) -> NewerLists:
-    """What the lists say that the operator gave for a restore of `authority`."""
     anchor = authority.authority.anchor
     revoked, epoch = read_revoked(newest_list, entries, anchor)
     held = authority.store.newest_list()
@@ -82,7 +80,6 @@ def read_newer(
 
 
 def require_list(authority: SigningAuthority, home: Path, now: int) -> None:
-    """Return if no list is needed to restore `authority` into ROSSEC_HOME `home`."""
     if not authority.authority.is_root:
         return
     here = newest_here(home, authority.authority.anchor)
@@ -119,7 +116,6 @@ def newest_here(home: Path, anchor: TrustAnchor) -> Path | None:
 def read_revoked(
     data: bytes | None, entries: bytes | None, anchor: TrustAnchor
 ) -> tuple[frozenset[bytes], int]:
-    """What a signed list or tree revokes, and its epoch; nothing without one."""
     if data is None:
         return frozenset(), 0
     if not is_tree(data):

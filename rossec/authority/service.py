@@ -256,10 +256,6 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
         """The authority with its key: that of its service where one runs (`rossec ca serve`).
 
         Otherwise it asks for the passphrase, unless this was done before.
-
-        Raises:
-            AuthorityLocked: the service runs, and does not hold the key.
-            PassphraseRefused: it is wrong; the next call asks again.
         """
         if self._unlocked is None:
             home = self.home
@@ -288,12 +284,7 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
         )
 
     def request(self, beginning: str) -> RequestRow:
-        """The one request for an identity whose id begins so, every digit of it.
-
-        Raises:
-            ConfigurationError: not hexadecimal digits.
-            StoreError: there is none, or more than one.
-        """
+        """The one request for an identity whose id begins so, every digit of it."""
         if not set(beginning) <= set(hexdigits):
             raise ConfigurationError(f"{beginning!a} is not a request id", "see: rossec ca requests")
         with contextlib.closing(self.home.store()) as store:
@@ -353,11 +344,7 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
         return authority.sign_list(at), renewed
 
     def take_over_revocations(self, data: bytes, entries: bytes | None) -> int:
-        """Revoke what a signed list revokes that this record lacks; returns how many.
-
-        Raises:
-            RevocationRefused, BackupRefused: it is not the authority's, or a tree without entries.
-        """
+        """Revoke what a signed list revokes that this record lacks; returns how many."""
         return restored_lists.take_over(self.unlock(), data, entries, self._now())[1]
 
     def complete_list(self) -> None:
@@ -446,11 +433,7 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
         return open_delegation(data, authority.signer.public_key), call
 
     def deliver_delegation(self, delegation: OpenDelegation, call: MasterCall) -> None:
-        """Deliver what `delegate` returned; from then on grants count as renewed.
-
-        Raises:
-            NotDelivered: as `deliver`; nothing counts as renewed by it.
-        """
+        """Deliver what `delegate` returned; from then on grants count as renewed."""
         self.deliver(call)
         self.home.confirm_delegation(delegation.id, self._now())
 
@@ -458,12 +441,7 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
         return self.unlock().revoke_delegations(reason, self._now())
 
     def publish(self) -> None:
-        """Deliver the newest list to the master, and the list of domains if there is one.
-
-        Raises:
-            ConfigurationError: the list has expired: no grant is valid under it.
-            NotDelivered: as `deliver`.
-        """
+        """Deliver the newest list to the master, and the list of domains if there is one."""
         home, at = self.home, self._now()
         data, entries = home.newest_statement()
         expires = open_statement(data, home.anchor().public_key).expires
@@ -479,12 +457,7 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
         self.publish_domains()
 
     def deliver(self, call: MasterCall) -> object:
-        """Deliver a statement to the master; returns the value of its answer.
-
-        Raises:
-            ConfigurationError: the identity of the authority's own node has expired.
-            NotDelivered: the master is unreachable or refuses it; the statement stays recorded.
-        """
+        """Deliver a statement to the master; returns the value of its answer."""
         try:
             call.node.identity(self._now())
         except CertificateExpired as error:

@@ -79,7 +79,6 @@ OF_ALL: Final = (
 
 
 def check_own_names(permissions: Iterable[Permission]) -> None:
-    """Return if an authority may grant these: of others' names it shows its own graph, no more."""
     for permission in permissions:
         if is_alias(permission.pattern) and permission.rights & ~Right.GRAPH:
             raise ConfigurationError(
@@ -89,7 +88,6 @@ def check_own_names(permissions: Iterable[Permission]) -> None:
 
 
 def check_tail(draft: Draft, valid: Iterable[CertificateRow]) -> None:
-    """Return if no names of anonymous nodes are granted, or the holder has their wildcard tail."""
     if not draft.has_tail_patterns:
         return
     tails = [row.wildcard for row in valid if row.thumbprint == draft.holder]
@@ -128,7 +126,6 @@ def missing_entries(store: Store, key: ec.EllipticCurvePublicKey, now: int) -> f
 
 
 def tree_entries(store: Store, tree: RevocationTree) -> TreeEntries:
-    """The entries of a signed tree, from the record."""
     listing = TreeEntries(required_entries(store, tree.issued))
     listing.check(tree)
     return listing
@@ -152,13 +149,11 @@ DOMAIN_LIST_REFRESH: Final = 7 * 86400
 
 
 def required_domains(store: Store, now: int) -> tuple[ForeignDomain, ...]:
-    """The foreign domains that are trusted at `now`, sorted by name."""
     found = [row.read() for row in store.domains.accepted()]
     return tuple(each for each in found if now < each.until)
 
 
 def required_masters(store: Store, now: int) -> tuple[bytes, ...]:
-    """The keys of the domain's masters, as x and y, sorted."""
     rows = store.identities.valid_masters(now)
     return tuple(sorted({to_coordinates(svid.key_of(svid.parse(row.der))) for row in rows}))
 
@@ -177,7 +172,6 @@ def is_domain_list_due(store: Store, anchor: TrustAnchor, now: int) -> bool:
 def sign_domain_list(
     authority: Authority, store: Store, now: int, *, new_epoch: bool = False, above: int = 0
 ) -> DomainList:
-    """Sign and record a list with the next number; `new_epoch`, `above`: as for a revocation list."""
     with store.transaction():
         epoch, seq = store.domains.next_number()
         if new_epoch:
@@ -259,7 +253,6 @@ def ended_with_router(store: Store, border: str, now: int) -> frozenset[bytes]:
 
 
 def end_with_router(store: Store, border: str, now: int) -> None:
-    """Record the end of what `ended_with_router` names: the router `border` has a new key."""
     for entry in sorted(ended_with_router(store, border, now)):
         store.revoke(entry, f"{border} has a new key", now)
 
@@ -328,10 +321,6 @@ class SigningAuthority:
         A repeated request gets the same certificate. With `wildcard` the identity is for anonymous
         nodes as well. `replace_key` is the request's name again, if its key may replace another
         one; that key is revoked, and the list must be delivered.
-
-        Raises:
-            KeyChanged, NameContested, NameCovered: the name belongs to another key.
-            RequestClosed: it was denied, or its identity is not valid any more.
         """
         asked = check_request(request, self.domain, wildcard=wildcard)
         if replace_key is not None:
@@ -382,12 +371,7 @@ class SigningAuthority:
         return self.bundle(row.der)
 
     def issue_grant(self, draft: Draft, now: int, rules: str = "") -> bytes:
-        """Sign and record a grant; `rules`: those of the policy it came from, if it did.
-
-        Raises:
-            ConfigurationError: this is an intermediate, whose grants no node accepts.
-            StoreError: its key was revoked since the draft was made.
-        """
+        """Sign and record a grant; `rules`: those of the policy it came from, if it did."""
         (data,) = self.issue_grants([(draft, rules)], now)
         return data
 
@@ -397,9 +381,6 @@ class SigningAuthority:
         """Sign grants, each with its rules, and record all of them or none.
 
         `check` raises if they must not be recorded; no other command changes the record after it.
-
-        Raises:
-            ConfigurationError, StoreError: as `issue_grant`.
         """
         self._check_root("sign grants")
         for draft, _ in drafts:
@@ -423,9 +404,6 @@ class SigningAuthority:
         """Let the master with the key `holder` renew grants; recorded before it is delivered.
 
         `serial`: 16 bytes, random if not given. With the same serial and time it is the same one.
-
-        Raises:
-            RenewalMalformed: the lifetime is too long.
         """
         self.refresh_list(now)
         begin = now - SKEW
@@ -440,11 +418,7 @@ class SigningAuthority:
         return data
 
     def revoke_delegations(self, reason: str, now: int) -> tuple[RevocationList, int]:
-        """Revoke every delegation that has not expired; returns the list, and their number.
-
-        Raises:
-            ConfigurationError: there is none.
-        """
+        """Revoke every delegation that has not expired; returns the list, and their number."""
         given = delegations(self.path, self.signer.public_key)
         living = frozenset(item.id for item in given if now < item.expires)
         with self.store.transaction():
@@ -461,11 +435,7 @@ class SigningAuthority:
         return self._revoke(entries, reason, now)
 
     def revoke_identity(self, name: str, reason: str, now: int) -> tuple[RevocationList, int]:
-        """Revoke every key of `name`; returns the new list, and the number of keys.
-
-        Raises:
-            ConfigurationError: there is none, or it is the authority's own.
-        """
+        """Revoke every key of `name`; returns the new list, and the number of keys."""
         if name == OWN_NODE:
             raise ConfigurationError(
                 f"{name} is the authority's own node, which delivers lists to the master",
@@ -517,12 +487,7 @@ class SigningAuthority:
                 self.sign_domains(now)
 
     def sign_domains(self, now: int, *, new_epoch: bool = False, above: int = 0) -> DomainList:
-        """Sign the list of domains with the next number; see `domain_list` and `sign_list`.
-
-        Raises:
-            ConfigurationError: this is an intermediate.
-            DomainsRefused: there are too many.
-        """
+        """Sign the list of domains with the next number; see `domain_list` and `sign_list`."""
         self._check_root("say which domains are trusted")
         with self.store.transaction():
             listed = sign_domain_list(self.authority, self.store, now, new_epoch=new_epoch, above=above)
@@ -535,9 +500,6 @@ class SigningAuthority:
         With `new_epoch` it is newer than every list before, also those this record lacks: the epoch
         is the time, so that a backup restored twice does not use the same number twice. `above` is
         an epoch that was used since, perhaps with a clock that was ahead.
-
-        Raises:
-            ConfigurationError: this is an intermediate.
         """
         self._check_root()
         with self.store.transaction():
@@ -563,14 +525,12 @@ class SigningAuthority:
 
 
 def delegations(authority: Path, key: ec.EllipticCurvePublicKey) -> list[OpenDelegation]:
-    """Every delegation signed by the authority with this directory and key."""
     missing = ConfigurationError("no delegation")
     found = sorted((authority / DELEGATIONS).glob("*.cose"))
     return [open_delegation(files.read_own(path, _SIZE_LIMIT, missing), key) for path in found]
 
 
 def certificate_row(identity: Identity) -> record_CertificateRow:
-    """The row that records an identity."""
     return record_CertificateRow(
         identity.serial,
         identity.name,

@@ -64,9 +64,6 @@ class Server:
         events: what is told of them.
         host: where it listens; `::` for everywhere, IPv4 as well.
         port: 0 for any.
-
-    Raises:
-        ConfigurationError: it cannot listen there.
     """
 
     def __init__(
@@ -185,8 +182,6 @@ _log = logging.getLogger("rossec.border")
 
 
 class BorderNode(Node):
-    """The border router's own node; it tells what it learns."""
-
     def __init__(
         self,
         name: str,
@@ -248,11 +243,7 @@ class BorderRouter:
         self._shared: SharedIdentity
 
     async def start(self) -> None:
-        """Open the session, then serve things.
-
-        Raises:
-            HintedError, OSError: the master is out of reach or refuses; it cannot listen.
-        """
+        """Open the session, then serve things."""
         node = self.node
         self.roster.reload()
         await node.__aenter__()
@@ -429,7 +420,6 @@ MAX_STATUS: Final = 4 * 1024 * 1024
 
 
 def describe_status(router: BorderRouter, now: int) -> dict[str, Any]:
-    """The state of a router."""
     endpoint = router.server.endpoint
     host, port = router.server.address
     counts = endpoint.counts
@@ -465,12 +455,10 @@ def _thing(router: BorderRouter, name: str) -> dict[str, Any]:
 
 
 def write_status(directory: Path, status: dict[str, Any]) -> None:
-    """Store it. Raises `NotWritten`."""
     files.replace(directory / STATUS_FILE, json.dumps(status, separators=(",", ":")).encode())
 
 
 def read_status(directory: Path, now: int) -> dict[str, Any]:
-    """What the router said last."""
     idle = ConfigurationError("no border router runs here", "start it: rossec border")
     data = files.read_own(directory / STATUS_FILE, MAX_STATUS, idle)
     try:

@@ -169,8 +169,6 @@ Cancel = Callable[[], None]
 
 
 class Ask(Protocol):
-    """Asks the thing."""
-
     def __call__(self, request: Request, on_answer: OnAnswer) -> Cancel | None:
         # Send a request; returns what cancels it. None: the thing is not there.
         ...

@@ -234,7 +234,6 @@ class MasterVisits:
 
 
 async def quietly(work: Awaitable[object], what: str) -> bool:
-    """Await `work`; a refusal or an unreachable master is logged. Returns whether it was done."""
     try:
         await work
     except (AnswerRefused, HintedError, OSError, TimeoutError, Fault) as error:
@@ -254,10 +253,6 @@ class ThingNode:
         home: its directory, with its key, its identity and its grants.
         shared: what it shares with the other nodes of this process.
         uri_host: the host that it registers.
-
-    Raises:
-        ConfigurationError: no identity, another node's, or of another authority.
-        CertificateRefused, KeyRefused: the identity or the key is invalid.
     """
 
     __slots__ = (

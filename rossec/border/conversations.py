@@ -250,8 +250,6 @@ class _Host:
 
 
 class Intake:
-    """Waiting datagrams."""
-
     def __init__(self) -> None:
         self._waiting: OrderedDict[bytes, _Host] = OrderedDict()
         self._things: OrderedDict[Address, TokenBucket] = OrderedDict()

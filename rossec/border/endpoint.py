@@ -60,8 +60,6 @@ OnAnswer = Callable[[Answer | ThingUnreachable], None]
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What is asked of a thing."""
-
     code: Code
     path: tuple[str, ...]
     body: bytes = b""
@@ -70,8 +68,6 @@ class Request:
 
 
 class PendingRequest:
-    """One request until its last answer; an observation until it is cancelled."""
-
     __slots__ = (
         "conversation",
         "deadline",
@@ -292,8 +288,6 @@ _ALONE: Final = 0x18  # from here on a connection identifier of one octet is no 
 
 
 class Served(Protocol):
-    """Which things are served."""
-
     def by_key(self, kid: bytes) -> tuple[str, ThingKey] | None: ...
 
     def by_secret(self, kid: bytes) -> tuple[str, bytes] | None:
@@ -302,8 +296,6 @@ class Served(Protocol):
 
 
 class Events(Protocol):
-    """What happens."""
-
     def registered(self, conversation: Conversation) -> None: ...
 
     def left(self, name: str) -> None: ...
@@ -313,8 +305,6 @@ class Events(Protocol):
 
 @dataclass
 class Counts:
-    """What has happened so far."""
-
     datagrams: int = 0
     refused: int = 0
     over_budget: int = 0

@@ -42,8 +42,6 @@ FindKey = Callable[[bytes], ThingKey | None]
 
 @dataclass(frozen=True, slots=True)
 class Authenticated:
-    """A thing that has proved its key: which, its context, and message_4."""
-
     key: ThingKey
     context: OscoreContext
     message_4: bytes

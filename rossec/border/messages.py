@@ -65,7 +65,6 @@ __all__ = [
 
 
 def read(data: bytes) -> Message:
-    """The message in a datagram."""
     if not 4 <= len(data) <= MAX_DATAGRAM:
         raise DatagramRefused(f"a datagram of {len(data)} octets")
     if data[0] & 0x0F > 8 or (data[1] == 0 and len(data) != 4):
@@ -83,22 +82,18 @@ def write(message: Message) -> bytes:
 
 
 def empty(kind: Type, mid: int) -> bytes:
-    """An empty acknowledgement or reset."""
     return bytes((0x40 | kind << 4, 0)) + mid.to_bytes(2)
 
 
 def is_empty(message: Message) -> bool:
-    """Whether it has no code: an acknowledgement alone, a reset, or a ping."""
     return int(message.code) == 0
 
 
 def number_of(message: Message) -> int:
-    """Its message ID."""
     return int(message.mid or 0)
 
 
 def answer(request: Message, response: Message, mid: int) -> Message:
-    """Make `response` the answer to `request`: piggybacked, or with `mid` if that was a NON."""
     response.token = request.token
     confirmed = request.mtype == CON
     response.mtype = ACK if confirmed else NON
@@ -107,7 +102,6 @@ def answer(request: Message, response: Message, mid: int) -> Message:
 
 
 def refusal(code: Code) -> Message:
-    """An unprotected error: the same for every reason."""
     return Message(code=code)
 
 
@@ -115,8 +109,6 @@ _SLACK: Final = 256
 
 
 class Timers:
-    """Calls that are due at a time; the clock is the caller's."""
-
     def __init__(self) -> None:
         self._heap: list[tuple[float, int]] = []
         self._calls: dict[int, Callable[[float], None]] = {}
@@ -233,9 +225,6 @@ class OscoreContext(oscore.CanProtect, oscore.CanUnprotect, oscore.SecurityConte
         sender: the ID of this side.
         recipient: the ID of the other side; another one.
         id_context: of contexts that are derived several times from one secret.
-
-    Raises:
-        DatagramRefused: both sides have the same ID, or one of them is too long.
     """
 
     echo_recovery = b"unused"
@@ -276,7 +265,6 @@ class OscoreContext(oscore.CanProtect, oscore.CanUnprotect, oscore.SecurityConte
 
 
 def unprotected(message: Message) -> tuple[bytes, bytes | None]:
-    """The kid and the kid context that a protected request names."""
     try:
         _, _, found, _ = oscore.CanUnprotect._extract_encrypted0(message)  # noqa: SLF001
     except Exception as error:  # noqa: BLE001 - as above
@@ -333,7 +321,6 @@ def wrapped(value: bytes) -> bytes:
 
 
 def unwrapped(kid_context: bytes) -> bytes:
-    """The value in a kid context."""
     try:
         value = decode(kid_context, limit=MAX_ID1 + 2)
     except EncodingError as error:
@@ -387,10 +374,8 @@ class Challenges:
 
 
 def border_context(secret: bytes, kid: bytes, id_context: bytes) -> OscoreContext:
-    """The border router's context with the thing `kid`."""
     return OscoreContext(secret, _SALT, BORDER_ID, kid, id_context)
 
 
 def thing_context(secret: bytes, kid: bytes, id_context: bytes) -> OscoreContext:
-    """The same context as the thing has it."""
     return OscoreContext(secret, _SALT, kid, BORDER_ID, id_context)

@@ -58,7 +58,6 @@ class Resource:
 
 
 def read_links(data: bytes, thing: str) -> list[Resource]:
-    """The resources in a list that are for ROS; others are ignored."""
     if len(data) > MAX_LIST:
         raise ThingLinksRefused(f"a list of resources of {len(data)} octets, at most {MAX_LIST}")
     try:
@@ -142,7 +141,6 @@ _BOOL: Final = PRIMITIVES["bool"]
 
 
 def to_ros(body: bytes, form: int, layout: Layout) -> bytes:
-    """The ROS message in the body of a resource."""
     if len(body) > MAX_BODY:
         raise BodyRefused(f"a body of {len(body)} octets, at most {MAX_BODY}")
     if form != CBOR_BODY:
@@ -158,7 +156,6 @@ def to_ros(body: bytes, form: int, layout: Layout) -> bytes:
 
 
 def from_ros(message: bytes, form: int, layout: Layout) -> bytes:
-    """The body for a ROS message."""
     if form != CBOR_BODY:
         body = message
         _check_whole(message, layout)

@@ -76,8 +76,6 @@ HINT_SILENT: Final = "it may be a plain ROS node, which has no identity, or over
 
 
 class OpenStreams(Protocol):
-    """Keeps the open connections of an identity, to present its renewed certificate on them."""
-
     def add(self, stream: "PresentsIdentity") -> None: ...
 
 
@@ -378,11 +376,7 @@ class Connection(Outbound[PeerT]):
         return self._buffer.free()
 
     def receive_data(self, data: Bytes, now: int) -> list[Event[PeerT]]:
-        """Take bytes from the peer. `get_buffer` and `buffer_updated` save the copy.
-
-        Raises:
-            ChannelError: the connection has ended; `data_to_send` may hold a last flight.
-        """
+        """Take bytes from the peer. `get_buffer` and `buffer_updated` save the copy."""
         events: list[Event[PeerT]] = []
         rest = memoryview(data)
         while len(rest) > 0:
@@ -394,11 +388,7 @@ class Connection(Outbound[PeerT]):
         return events
 
     def buffer_updated(self, count: int, now: int) -> list[Event[PeerT]]:
-        """Take the `count` bytes that were written into `get_buffer`.
-
-        Raises:
-            ChannelError: as for `receive_data`.
-        """
+        """Take the `count` bytes that were written into `get_buffer`."""
         self._now = now
         self._buffer.filled(count)
         events = self._events = []
@@ -418,12 +408,7 @@ class Connection(Outbound[PeerT]):
         return events
 
     def receive_eof(self) -> None:
-        """The peer ended the TCP stream.
-
-        Raises:
-            ConnectionTruncated: without its authenticated close.
-            HandshakeFailed: before the handshake was done.
-        """
+        """The peer ended the TCP stream."""
         if self.state in ENDED:
             self.state = ConnectionState.CLOSED
             return

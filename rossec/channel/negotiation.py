@@ -134,8 +134,6 @@ class IdentityRenewed(Generic[PeerT]):
 
 @dataclass(frozen=True, slots=True)
 class RenewalRefused:
-    """A certificate that the peer presented is refused; the one before stays in force."""
-
     reason: HintedError
 
 
@@ -259,16 +257,12 @@ class Preamble:
 
 
 class NegotiationStep(NamedTuple, Generic[PeerT]):
-    """The result of a message; `peer` once it is authenticated."""
-
     state: ConnectionState
     reply: bytes = b""
     peer: PeerT | None = None
 
 
 class Negotiation(Generic[PeerT]):
-    """The handshake of one connection, with at most one retry for another cipher suite."""
-
     def __init__(self, edhoc: Initiator[PeerT] | Responder[PeerT]) -> None:
         self._edhoc = edhoc
         self._retried = False

@@ -68,16 +68,11 @@ Verdict: TypeAlias = Accepted | PlainCaller | None
 
 
 def first_bytes(protocol: WireProtocol) -> bytes:
-    """What the initiator sends before message_1, in the same flight."""
     return _TCPROS if protocol is WireProtocol.TCPROS else _REQUEST
 
 
 def classify_caller(data: bytes) -> Verdict:
-    """Classify what a caller sent so far (at least its first bytes, at most `MAX_OPENING` matter).
-
-    Raises:
-        ProtocolViolation: neither ROS nor rossec; no answer is possible.
-    """
+    """Classify what a caller sent so far (at least its first bytes, at most `MAX_OPENING` matter)."""
     if len(data) < 4:
         return None
     if data[:4] in _METHODS:
@@ -126,19 +121,16 @@ def _body_length(fields: dict[bytes, bytes]) -> int:
 
 
 def refusal(protocol: WireProtocol) -> bytes:
-    """The answer to a plain caller, in its own protocol; reveals nothing of this node."""
     return tcpros_refusal(REFUSAL) if protocol is WireProtocol.TCPROS else http_refusal(REFUSAL)
 
 
 def tcpros_refusal(text: str) -> bytes:
-    """A TCPROS connection header with the one field `error`."""
     field = b"error=" + text.encode()
     body = len(field).to_bytes(4, "little") + field
     return len(body).to_bytes(4, "little") + body
 
 
 def http_refusal(text: str) -> bytes:
-    """An XML-RPC reply `[-1, text, 0]`, in the HTTP which roscpp's XmlRpc++ reads as well."""
     escaped = text.replace("&", "&amp;").replace("<", "&lt;")
     body = (
         "<?xml version='1.0'?>\n<methodResponse><params><param><value><array><data>"
@@ -199,11 +191,7 @@ _ONE_OF: Final = f"one of: {', '.join(POST_QUANTUM)}"
 
 
 def post_quantum(environ: Mapping[str, str], option: str | None = None) -> tuple[int, ...]:
-    """The suites to offer and accept, in order of preference.
-
-    Raises:
-        ConfigurationError: neither `off`, `prefer` nor `require`; the hint has the nearest.
-    """
+    """The suites to offer and accept, in order of preference."""
     where, word = (VARIABLE, environ.get(VARIABLE, DEFAULT))
     if option is not None:
         where, word = "the post-quantum policy", option

@@ -32,8 +32,6 @@ Bytes: TypeAlias = bytes | bytearray | memoryview
 
 
 class Frame(IntEnum):
-    """What a frame is."""
-
     HANDSHAKE = 1
     ERROR = 2
     DATA = 3  # more of this unit follows
@@ -75,7 +73,6 @@ class ChannelLimits:
 
 
 def frame(kind: Frame, body: bytes, epoch: int = 0) -> bytes:
-    """A frame in clear: handshake and error messages."""
     return header(kind, epoch, len(body)) + body
 
 
@@ -85,7 +82,6 @@ def header(kind: Frame, epoch: int, length: int) -> bytes:
 
 
 def check_header(head: bytes, epoch: int) -> int:
-    """Return the length of the body, before anything is buffered for it."""
     word = int.from_bytes(head)
     shortest, longest = _LENGTHS[word >> 28]
     if word >> 24 & 15 != epoch & 15:
@@ -97,8 +93,6 @@ def check_header(head: bytes, epoch: int) -> int:
 
 
 class Direction:
-    """One direction in one epoch: a key, a nonce base, what was used up."""
-
     __slots__ = ("_aead", "_iv", "epoch", "octets", "records")
 
     def __init__(self, suite: Suite, exporter: EdhocExporter, label: int, epoch: int) -> None:
@@ -215,7 +209,6 @@ def padded(plaintext: Bytes, multiple: int) -> bytes | None:
 
 
 def unpadded(plaintext: bytes) -> bytes:
-    """The data that `padded` padded."""
     data = plaintext.rstrip(b"\0")
     if not data[:-1] or data[-1] != 1:
         raise ProtocolViolation("a padded record without data, or without its end")

@@ -213,8 +213,6 @@ _JOINED: Final = 4  # whole records in the buffer; beyond a megabyte nothing is 
 
 
 class Session:
-    """Both directions of an open connection; `now` is when it opened."""
-
     def __init__(self, epochs: Epochs, limits: ChannelLimits, now: int) -> None:
         self._epochs = epochs
         self._limits = limits

@@ -81,8 +81,6 @@ def rossec(verbose: bool) -> None:
 
 
 class OneLine(logging.Formatter):
-    """Log lines that hold what peers sent, and can neither be forged nor steer the terminal."""
-
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - the base's name
         return printable(super().formatMessage(record))
 

@@ -194,8 +194,6 @@ _EXAMPLE: Final = "rossec gateway --from hospital /robot/pose"
 
 
 class GatewayGroup(LazyGroup):
-    """Takes what stands behind `--from` out of the command line: click has no such options."""
-
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         if any(word.partition("=")[0] == "--from" for word in args):
             from rossec.cli.gateway.words import split  # noqa: PLC0415 - not needed for help

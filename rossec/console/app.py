@@ -71,7 +71,6 @@ HSTS: Final = "max-age=31536000"
 
 
 def security_headers(*, immutable: bool = False, hsts: bool = False) -> list[tuple[bytes, bytes]]:
-    """The headers of a response as ASGI writes them."""
     headers = dict(HEADERS)
     if immutable:
         headers["Cache-Control"] = IMMUTABLE
@@ -89,8 +88,6 @@ _log = logging.getLogger("rossec.console")
 
 
 class Facts(NamedTuple):
-    """What a request says, as far as the rules ask."""
-
     method: str
     hosts: tuple[str, ...]  # of every `Host` header
     origins: tuple[str, ...]
@@ -100,8 +97,6 @@ class Facts(NamedTuple):
 
 
 class GuardRule(NamedTuple):
-    """What must hold, and the answer where it does not."""
-
     name: str
     holds: Callable[[Facts, "Allowed", Match | None], bool]
     status: int
@@ -110,8 +105,6 @@ class GuardRule(NamedTuple):
 
 
 class Allowed(NamedTuple):
-    """The addresses of this console."""
-
     hosts: frozenset[str]
     origins: tuple[str, ...]
 
@@ -284,7 +277,6 @@ def _as_refusal(error: HintedError | TimeoutError) -> HintedError:
 
 
 def facts_of(scope: Scope, *, has_session: bool) -> Facts:
-    """What a request says."""
     headers = Headers(scope=scope)
     return Facts(
         scope["method"],
@@ -402,7 +394,6 @@ def _endpoint(page: Page, context: ConsoleContext) -> Callable[[Request], Awaita
 
 
 def wants_page(request: Request) -> bool:
-    """Whether a person will read the answer."""
     return not wants_json(request.headers)
 
 
@@ -415,14 +406,12 @@ async def _names(context: ConsoleContext) -> Names:
 
 
 def status_of(error: HintedError) -> int:
-    """The HTTP status that says what an error says."""
     if isinstance(error, HttpRefused):
         return error.status
     return 503 if isinstance(error, KeyServiceFailed) else 422
 
 
 def show_error(request: Request, context: ConsoleContext, error: HintedError) -> Response:
-    """A refusal as a page, or as JSON for a script."""
     status = status_of(error)
     if wants_json(request.headers):
         told = {"error": printable(error), "hint": printable(error.hint)}

@@ -93,8 +93,6 @@ Form = Mapping[str, str]
 
 
 class Act(NamedTuple):
-    """What is to be approved; `next` is the page afterwards, `{id}` in it the approval's id."""
-
     kind: str
     arguments: list[Value]
     next: str
@@ -102,24 +100,18 @@ class Act(NamedTuple):
 
 
 class RunningEnrollments(Protocol):
-    """`Enrollments`, as far as approving needs it."""
-
     def get(self, number: str) -> Enrollment: ...
 
     def approved(self, number: str, outcome: Outcome) -> None: ...
 
 
 class RequestSource(Protocol):
-    """The service, as far as approving needs it."""
-
     async def identity_requests(self) -> tuple[IdentityRequestView, ...]: ...
 
     async def questions(self) -> tuple[GrantQuestion, ...]: ...
 
 
 class Sources(Protocol):
-    """What a form's answers are looked up in; the console's context is one."""
-
     @property
     def enrollments(self) -> RunningEnrollments: ...
 
@@ -134,7 +126,6 @@ Reader = Callable[[Sources, Form], Awaitable[Act]]
 
 
 async def read(sources: Sources, kind: str, form: Form) -> Act:
-    """What the form of a page asks to be approved."""
     if kind not in READERS:
         raise FormRefused(f"nothing of the kind {kind!a} can be approved", _RELOAD)
     expected, reader = READERS[kind]
@@ -144,7 +135,6 @@ async def read(sources: Sources, kind: str, form: Form) -> Act:
 
 
 def carried_out(sources: Sources, act: Act, outcome: Outcome, session: bytes) -> str:
-    """Take note of an approval of `session`; returns the page that shows what comes of it."""
     if act.kind == "enroll" and act.subject:
         sources.enrollments.approved(act.subject, outcome)
     if act.kind == "invitation":
@@ -251,11 +241,7 @@ READERS: Final[Mapping[str, tuple[tuple[frozenset[str], ...], Reader]]] = {
 
 
 def certificate_request(text: str) -> bytes:
-    """The DER of a pasted request: PEM, or its base64 alone.
-
-    Raises:
-        FormRefused: neither, or too long.
-    """
+    """The DER of a pasted request: PEM, or its base64 alone."""
     pem = _PEM.fullmatch(text)
     digits = "".join((pem[1] if pem else text).split())
     hint = "on the host: base64 intermediate.csr, and paste all of it"
@@ -269,7 +255,6 @@ def certificate_request(text: str) -> bytes:
 
 
 def reason(form: Form) -> str:
-    """The reason that a person gives, in one line; it may be empty."""
     given = form["reason"]
     if len(given) > MAX_REASON or (given and not given.isprintable()):
         raise FormRefused(f"a reason is one line of at most {MAX_REASON} characters", "shorten it")
@@ -277,7 +262,6 @@ def reason(form: Form) -> str:
 
 
 def check_typed(form: Form, name: str) -> None:
-    """Return if the person has typed this name: its slash at the beginning may be left out."""
     if form["name"].strip(" ") not in (name, name.removeprefix("/")):
         raise FormRefused(
             f"you typed {form['name'][:MAX_REASON]!a}, the name is {name}", f"type {name} to go on"
@@ -333,8 +317,6 @@ class _Pending(NamedTuple):
 
 
 class PendingActs:
-    """The acts that wait for a passkey, by the statement's id."""
-
     def __init__(self) -> None:
         self._acts: SharedTable[bytes, _Pending] = SharedTable(MAX_PENDING)
 
@@ -389,8 +371,6 @@ class Way(NamedTuple):
 
 
 class Duration(NamedTuple):
-    """A button: value and label, what it means, and whether the policy allows so long."""
-
     value: str
     label: str
     detail: str
@@ -407,7 +387,6 @@ class Looks(NamedTuple):
 
 
 def sentence(question: GrantQuestion, facts: Iterable[FactView]) -> tuple[Part, ...]:
-    """`/heating wants to see where /robot is`."""
     senders: dict[str, set[str]] = {}
     for fact in facts:
         if fact.kind == "publisher":
@@ -441,7 +420,6 @@ def ways(given: Sequence[tuple[str, Sequence[AskedRight]]], most: int = 6) -> li
 
 
 def strictness(rights: Iterable[AskedRight]) -> tuple[int, float, int]:
-    """How little it shows: levels of the vocabulary, then how seldom, then how many fields less."""
     levels, interval, number = 0, 0.0, 0
     for right in rights:
         found = _restrictions(right)
@@ -461,7 +439,6 @@ def acts(rights: Iterable[AskedRight]) -> bool:
 
 
 def why_no_coarser(question: GrantQuestion) -> str:
-    """Why there is no coarser choice; empty where there is one."""
     right = question.rights[0]
     if question.coarse:
         return ""
@@ -524,7 +501,6 @@ def answer(given: QuestionAnswer) -> tuple[Part, ...]:
 
 
 def drives(right: AskedRight) -> bool:
-    """Whether it is the right to steer."""
     name = right.pattern.rpartition("/")[2]
     is_driving = right.type in DRIVING or name.endswith("cmd_vel")
     return right.right == Right.PUBLISH and is_driving

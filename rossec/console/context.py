@@ -129,8 +129,6 @@ class NewsFeed:
 
 
 class Scanner(Protocol):
-    """Reads codes out of pictures, in a process of its own."""
-
     async def read(self, frame: bytes) -> str | None: ...
 
 

@@ -66,16 +66,12 @@ class Known(Enum):
 
 
 class Destination(NamedTuple):
-    """Where the node waits, and what showed its code."""
-
     host: str
     port: int
     kind: str
 
 
 class EnrollmentService(Protocol):
-    """The operations of the service that an enrollment needs."""
-
     async def nodes(self) -> tuple[NodeView, ...]: ...
 
     async def identity_requests(self) -> tuple[IdentityRequestView, ...]: ...

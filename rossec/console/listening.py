@@ -30,11 +30,7 @@ _NONE: Final = ConfigurationError("no console runs", "start it in another termin
 
 @contextmanager
 def only_console(directory: Path) -> Iterator[None]:
-    """Be the console of this authority; its address is removed in the end.
-
-    Raises:
-        ConfigurationError: another one runs.
-    """
+    """Be the console of this authority; its address is removed in the end."""
     (directory / _LOCK).parent.mkdir(mode=0o700, exist_ok=True)
     busy = ConfigurationError(
         "another console of this authority runs",
@@ -49,22 +45,14 @@ def only_console(directory: Path) -> Iterator[None]:
 
 
 def write_address(directory: Path, origin: str) -> None:
-    """Write the console's origin.
-
-    Raises:
-        ConfigurationError, NotWritten, PathRefused: it cannot be written.
-    """
+    """Write the console's origin."""
     path = directory / NAME
     files.make_private_directory(path.parent)
     files.replace(path, origin.encode())
 
 
 def read_address(directory: Path) -> str:
-    """The console's origin.
-
-    Raises:
-        ConfigurationError: no console runs.
-    """
+    """The console's origin."""
     return files.read_own(directory / NAME, _MAX, _NONE).decode(errors="replace")
 
 
@@ -72,11 +60,7 @@ BACKLOG: Final = 128
 
 
 def listen(endpoint: Endpoint) -> list[socket.socket]:
-    """Sockets that listen where `endpoint` says; a host without IPv6 has one less.
-
-    Raises:
-        ConfigurationError: the port or the path is used by another program, or not allowed.
-    """
+    """Sockets that listen where `endpoint` says; a host without IPv6 has one less."""
     if endpoint.unix_path is not None:
         return [listen_for_proxy(endpoint.unix_path, shared=endpoint.proxy_user is not None)]
     return listen_tcp(endpoint.addresses, endpoint.port)

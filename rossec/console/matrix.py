@@ -54,8 +54,6 @@ class Heard(NamedTuple):
 
 
 class Endings:
-    """What this console was told of it."""
-
     def __init__(self) -> None:
         self._heard = Heard()
 
@@ -178,11 +176,7 @@ class Matrix(NamedTuple):
 def held_grants(
     nodes: Iterable[NodeView], grants: Iterable[GrantView], now: int, heard: Heard
 ) -> tuple[HeldGrant, ...]:
-    """Every grant with its end, newest first; `heard`: what every node knows to have ended.
-
-    Raises:
-        GrantMalformed: the record has one that cannot be read.
-    """
+    """Every grant with its end, newest first; `heard`: what every node knows to have ended."""
     keys = {node.key: node for node in nodes}
     found = [_held(view, peek(view.data), keys, now, heard) for view in grants]
     return tuple(sorted(found, key=lambda held: (-held.view.at, held.view.id)))
@@ -233,7 +227,6 @@ def build(
 
 
 def publishers_of(topic: str, held: Iterable[HeldGrant], facts: Iterable[FactView]) -> tuple[str, ...]:
-    """The nodes that send a topic: by the graph, and by grants in force."""
     running = {fact.node for fact in facts if (fact.kind, fact.name) == ("publisher", topic)}
     granted = {
         each.grant.subject
@@ -244,7 +237,6 @@ def publishers_of(topic: str, held: Iterable[HeldGrant], facts: Iterable[FactVie
 
 
 def permissions_on(grant: Grant, right: Right, topic: str) -> list[Permission]:
-    """The permissions that give `right` on a topic, or on all that the pattern `topic` covers."""
     named = topic.replace("**", _ANY).replace("*", _ANY).replace(TAIL, f"_{_ANY}")
     return [
         each for each in grant.permissions if right in each.rights and pattern_covers(each.pattern, named)
@@ -336,8 +328,6 @@ Wanted = Callable[[str, str], bool]
 
 
 class ReportReceiver(NamedTuple):
-    """Who receives it: why, until when, and by what (a rule, a grant)."""
-
     name: str
     why: str
     until: str
@@ -345,16 +335,12 @@ class ReportReceiver(NamedTuple):
 
 
 class ReportFields(NamedTuple):
-    """Fields that are treated alike."""
-
     treatment: str
     is_open: bool
     fields: tuple[str, ...]
 
 
 class ReportGroup(NamedTuple):
-    """Receivers that get the same; `sees` is what that tells, in words."""
-
     receivers: tuple[ReportReceiver, ...]
     when: str
     fields: tuple[ReportFields, ...]
@@ -370,7 +356,6 @@ class ReportTopic(NamedTuple):
 
 
 def everything(_receiver: str, _field: str) -> bool:
-    """The whole report."""
     return True
 
 

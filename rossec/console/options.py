@@ -94,11 +94,7 @@ class Endpoint:
 
 
 def read_options(options: Options, hostname: str) -> Endpoint:
-    """The endpoint for `options` on the host called `hostname`.
-
-    Raises:
-        ConfigurationError: options that do not go together, or a name that cannot be used.
-    """
+    """The endpoint for `options` on the host called `hostname`."""
     _check_pairs(options)
     if options.unix_path is not None:
         return _behind_proxy(options, options.unix_path)
@@ -127,11 +123,7 @@ def read_options(options: Options, hostname: str) -> Endpoint:
 
 
 def check_name(name: str) -> str:
-    """The DNS name `name` in lower case.
-
-    Raises:
-        ConfigurationError: an address, or not a DNS name.
-    """
+    """The DNS name `name` in lower case."""
     if _is_address(name):
         raise ConfigurationError(
             f"{name} is an address: a passkey cannot belong to one",
@@ -147,11 +139,7 @@ def check_name(name: str) -> str:
 
 
 def check_origin(endpoint: Endpoint, recorded: Collection[str], *, rename: bool) -> None:
-    """Check that the passkeys that exist, made at the origins `recorded`, can approve here.
-
-    Raises:
-        ConfigurationError: all are of other origins, and `rename` was not given.
-    """
+    """Check that the passkeys that exist, made at the origins `recorded`, can approve here."""
     if rename or not recorded or endpoint.origin in recorded:
         return
     others = ", ".join(sorted(recorded))

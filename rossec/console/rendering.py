@@ -49,8 +49,6 @@ MAX_FRAME: Final = 256 * 1024  # a picture from a camera
 
 
 class Access(Enum):
-    """Who may ask for a page: anyone who reaches the console, or who has logged in."""
-
     PUBLIC = "public"
     SESSION = "session"
 
@@ -74,7 +72,6 @@ class Page(NamedTuple):
 
 
 def for_looking(pages: Iterable[Page]) -> tuple[Page, ...]:
-    """The pages of a console that only shows: no form that does something, and no page of one."""
     found = tuple(pages)
     acting = {page.path for page in found if "POST" in page.methods and not page.looks}
     return tuple(page for page in found if page.path not in acting)
@@ -88,8 +85,6 @@ class Match(NamedTuple):
 
 
 class PageTable:
-    """Finds pages by path and method, the first that fits."""
-
     def __init__(self, pages: Iterable[Page]) -> None:
         self._pages = [(compile_path(page.path)[0], page) for page in pages]
 
@@ -111,11 +106,7 @@ _HINT: Final = "go back, load the page again, and try once more"
 
 
 async def read_form(request: Request) -> dict[str, str]:
-    """The fields of a form.
-
-    Raises:
-        HttpRefused: another type, malformed, not UTF-8, or a field that comes twice.
-    """
+    """The fields of a form."""
     body = await request.body()
     if not body:
         return {}  # a form of a button alone
@@ -135,11 +126,7 @@ async def read_form(request: Request) -> dict[str, str]:
 
 
 async def read_json(request: Request) -> dict[str, Any]:
-    """The JSON object of a script.
-
-    Raises:
-        HttpRefused: another type, malformed, or not an object with each name once.
-    """
+    """The JSON object of a script."""
     _require_type(request, _JSON)
     try:
         value = json.loads((await request.body()).decode(), object_pairs_hook=_once)
@@ -154,9 +141,6 @@ def text_field(fields: dict[str, Any], name: str, limit: int = 200) -> str:
     """A field that is text of at most `limit` characters; absent: empty.
 
     JSON can escape half of a surrogate pair, which is no text (RFC 8259 section 8.2).
-
-    Raises:
-        HttpRefused: of another type, or longer.
     """
     value = fields.get(name, "")
     if not isinstance(value, str) or len(value) > limit or _HALVES.search(value):
@@ -165,20 +149,12 @@ def text_field(fields: dict[str, Any], name: str, limit: int = 200) -> str:
 
 
 def bytes_field(fields: dict[str, Any], name: str) -> bytes:
-    """A field that is bytes, as base64url without padding, as WebAuthn's JSON has them.
-
-    Raises:
-        HttpRefused: absent, of another type, or malformed.
-    """
+    """A field that is bytes, as base64url without padding, as WebAuthn's JSON has them."""
     return from_base64url(text_field(fields, name, limit=16 * 1024))
 
 
 def from_base64url(text: str) -> bytes:
-    """The bytes of a base64url text without padding.
-
-    Raises:
-        HttpRefused: empty or malformed.
-    """
+    """The bytes of a base64url text without padding."""
     try:
         data = base64.b64decode(text + "=" * (-len(text) % 4), altchars=b"-_", validate=True)
     except (binascii.Error, ValueError) as error:
@@ -216,8 +192,6 @@ _DIGEST: Final = 16  # hex digits: an address, not a proof
 
 
 class Asset(NamedTuple):
-    """A static file."""
-
     path: str
     content: bytes
     type: str
@@ -225,17 +199,14 @@ class Asset(NamedTuple):
 
 @cache
 def assets() -> dict[str, Asset]:
-    """Every static file by its name."""
     return {path.name: _read(path) for path in sorted(STATIC_FOLDER.iterdir()) if path.is_file()}
 
 
 def asset_path(name: str) -> str:
-    """The address of a static file."""
     return assets()[name].path
 
 
 async def show_asset(request: Request, _context: ConsoleContext) -> Response:
-    """Answer with the file."""
     found = assets().get(request.path_params["name"])
     if found is None or found.path != request.url.path:
         raise HttpRefused("there is no such file", "load the page again", status=404)
@@ -257,8 +228,6 @@ _NAMES: ContextVar[Names] = ContextVar("names", default=NONE)
 
 
 class Place(NamedTuple):
-    """An entry of the navigation."""
-
     path: str
     label: str
 
@@ -321,7 +290,6 @@ def render_text(template: str, names: Names = NONE, **values: Any) -> str:
 
 @cache
 def environment() -> Environment:
-    """The templates, with what they can use; made once."""
     made = Environment(
         loader=FileSystemLoader(TEMPLATE_FOLDER),
         autoescape=True,

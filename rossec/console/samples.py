@@ -73,15 +73,12 @@ class SeenTopic(NamedTuple):
 
 
 class Preview(Protocol):
-    """Where the pages get real messages from."""
-
     def recorded(self, topic: str) -> Recorded | None:
         # The last minute of a topic; None if it is not received, or nothing came.
         ...
 
 
 def see(recorded: Recorded, receiver: str, restrictions: Iterable[Restriction]) -> SeenTopic:
-    """What `receiver` gets of `recorded` under all of `restrictions`."""
     applied = tuple(restrictions)
     if recorded.is_made_up:
         applied = tuple(_without_conditions(applied))
@@ -114,7 +111,6 @@ def _without_conditions(given: Iterable[Restriction]) -> Iterable[Restriction]:
 
 
 def as_mapping(message: Any) -> Mapping[str, Any]:
-    """The fields of a message by name; arrays of numbers stay as they are."""
     return {name: _plain(field_value(message, name)) for name in field_names(message)}
 
 
@@ -328,7 +324,6 @@ MAX_FRAME: Final = MAX_DATA + 4096
 
 
 def write_preview(message: PreviewMessage) -> bytes:
-    """The frame of a message."""
     return frame([message.topic, message.type, int(message.at * 1000), message.data])
 
 
@@ -338,7 +333,6 @@ def preview_size(head: bytes) -> int:
 
 
 def read_preview(body: bytes) -> PreviewMessage:
-    """Read the body of a frame."""
     try:
         value = decode(body, limit=MAX_FRAME)
     except EncodingError as error:

@@ -161,8 +161,6 @@ MAX_ADDRESSES: Final = 256
 
 
 class FailureLimit:
-    """The failures of the last minute, by address."""
-
     def __init__(self) -> None:
         self._failures: OrderedDict[str, deque[float]] = OrderedDict()
 
@@ -189,8 +187,6 @@ MAX_WAITING: Final = 4
 
 
 class Turns:
-    """The questions that wait, by their source: of IPv6 by the network."""
-
     def __init__(self) -> None:
         self._waiting: Counter[str] = Counter()
 

@@ -49,17 +49,14 @@ _UNITS: Final = ((YEAR, "year"), (DAY, "day"), (HOUR, "hour"), (MINUTE, "minute"
 
 
 def name(text: object) -> str:
-    """A name of a node or a topic, on one line and bounded; an alias as `hospital:/robot/pose`."""
     return printable(shown(text) if isinstance(text, str) else text, MAX_NAME)
 
 
 def count(number: int, what: str) -> str:
-    """`1 node`, `2 nodes`."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def listing(items: Iterable[str], limit: int = 4) -> str:
-    """`a, b and c`; of more than `limit`: `a, b, c, d and 3 more`."""
     given = list(items)
     shown, rest = given[:limit], len(given) - limit
     if rest > 0:
@@ -68,7 +65,6 @@ def listing(items: Iterable[str], limit: int = 4) -> str:
 
 
 def rights(given: Right) -> str:
-    """`see and send`."""
     return listing((RIGHTS[right] for right in given), len(RIGHTS))
 
 
@@ -81,7 +77,6 @@ def duration(seconds: int) -> str:
 
 
 def ago(at: int, now: int) -> str:
-    """`just now`, `16 minutes ago`; a time that is still to come is `just now` too."""
     return "just now" if now - at < MINUTE else f"{duration(now - at)} ago"
 
 
@@ -97,14 +92,12 @@ def day(time: int) -> str:
 
 
 def term(expires: int, cap: int, now: int) -> str:
-    """How long a grant lasts: it is renewed, without asking, until `cap`."""
     if cap <= expires:
         return left(expires, now)
     return f"renewed by itself, {left(cap, now)}" if cap > now else "over"
 
 
 def topic(pattern: str) -> str:
-    """A pattern of names, as text: `everything below /robot`; of anonymous nodes `/rviz_…/pose`."""
     if pattern == "/**":
         return "everything"
     if pattern.endswith("/**") and "*" not in pattern[:-3]:
@@ -185,7 +178,6 @@ _COMPARED: Final[Mapping[str, str]] = {
 
 
 def field_name(path: str, type_name: str | None = None) -> str:
-    """What the field at `path` is called; an unknown one by its path."""
     own = _OWN_NAMES.get((type_name or "", path))
     return own if own is not None else _field(path)[1]
 
@@ -209,7 +201,6 @@ def _value(value: Scalar) -> str:
 
 
 def filter_rule(rule: FilterRule, type_name: str | None = None) -> str:
-    """One rule: `position to 2 m`."""
     _, _, unit = _field(rule.path)
     said = field_name(rule.path, type_name)
     given = {parameter: _value(value) for parameter, value in rule.parameters}
@@ -230,7 +221,6 @@ def _squares(given: Mapping[str, str]) -> str:
 
 
 def filters(rules: Iterable[FilterRule], type_name: str | None = None) -> list[str]:
-    """Every rule, the most important first; each text once."""
     ordered = sorted(rules, key=lambda rule: (_field(rule.path)[0], rule.path))
     return list(dict.fromkeys(filter_rule(rule, type_name) for rule in ordered))
 
@@ -241,12 +231,10 @@ def rate(number: float) -> str:
 
 
 def slot(seconds: int) -> str:
-    """`one at the start of each 60 s`."""
     return f"one at the start of each {seconds} s"
 
 
 def restriction(given: Restriction) -> list[str]:
-    """What a restriction does, part by part: filters, limits, conditions."""
     parts = filters(given.filters, given.type)
     if given.rate is not None:
         parts.append(rate(given.rate))
@@ -256,7 +244,6 @@ def restriction(given: Restriction) -> list[str]:
 
 
 def condition(text: str, type_name: str | None = None) -> str:
-    """A condition in words if it compares one field with one value; else as it is written."""
     found = _COMPARISON.fullmatch(text)
     if found is None:
         return printable(text, 200)

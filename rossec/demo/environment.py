@@ -66,11 +66,7 @@ class DemoEnvironment:
         self._processes: list[DemoProcess] = []
 
     async def command(self, *arguments: str, quiet: bool = False) -> str:
-        """Run `rossec ARGUMENTS` here, print its output, and return it.
-
-        Raises:
-            DemoFailed: the command did not succeed.
-        """
+        """Run `rossec ARGUMENTS` here, print its output, and return it."""
         self.printer.print(f"$ rossec {self._relative(shlex.join(arguments))}")
         code, output = await asyncio.to_thread(self._run, arguments)
         if code:
@@ -109,11 +105,7 @@ class DemoEnvironment:
         return started
 
     async def until_one_ends(self) -> None:
-        """Wait until a process ends that nobody stopped.
-
-        Raises:
-            DemoFailed: always, with what it logged.
-        """
+        """Wait until a process ends that nobody stopped."""
         waiting = [asyncio.ensure_future(each.wait()) for each in self._processes]
         try:
             await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
@@ -132,8 +124,6 @@ class DemoEnvironment:
 
 
 class DemoProcess:
-    """A running process and what it reported so far."""
-
     def __init__(self, name: str, process: asyncio.subprocess.Process, log: Path) -> None:
         self.name = name
         self.reports: list[Report] = []

@@ -43,7 +43,6 @@ _SILENCE: Final = 1.5
 
 
 async def run_steps(demo: DemoEnvironment) -> None:
-    """Run every step in `demo`, whose directory is empty."""
     with demo.printer.step("the home gets its own authority"):
         await found_authority(demo)
     with demo.printer.step("four nodes make their keys and are enrolled by their QR codes"):
@@ -69,7 +68,6 @@ async def found_authority(demo: DemoEnvironment) -> None:
 
 
 async def enroll(demo: DemoEnvironment, names: Sequence[str] = NODES, shown: str = "/robot") -> None:
-    """Each key stays in its node's directory; the code authenticates the request."""
     codes = []
     for name in names:
         await demo.command("node", "request", name, "--domain", "home", quiet=True)
@@ -84,7 +82,6 @@ async def enroll(demo: DemoEnvironment, names: Sequence[str] = NODES, shown: str
 
 
 async def sign_grants(demo: DemoEnvironment) -> str:
-    """Sign the grants; returns the id of the one that will be revoked."""
     sign = ("grant", "sign")
     always = (*passphrase(demo), "--for", "1d")
     publishes = [item for topic, _ in (POSE, SCAN, CAMERA) for item in ("--publish", topic)]
@@ -110,7 +107,6 @@ async def sign_grants(demo: DemoEnvironment) -> str:
 
 
 async def start(demo: DemoEnvironment) -> tuple[DemoProcess, DemoProcess, DemoProcess, int]:
-    """Start all processes; returns robot, doctor, heating, and the robot's topic port."""
     master = await demo.start("rossec", "master", "--port", "0", "--json", name="master")
     ready = await master.expect("starting", lambda report: "ready" in report)
     demo.set("ROS_MASTER_URI", ready["ready"])
@@ -128,7 +124,6 @@ async def start(demo: DemoEnvironment) -> tuple[DemoProcess, DemoProcess, DemoPr
 
 
 async def compare(demo: DemoEnvironment, doctor: DemoProcess, heating: DemoProcess) -> None:
-    """The same message, side by side, as each of the two received it."""
     for _ in range(3):
         coarse = await heating.expect("a pose", on_topic(POSE[0]), after=len(heating.reports))
         exact = await doctor.expect("the same pose", partial(same_message, coarse))
@@ -143,7 +138,6 @@ async def compare(demo: DemoEnvironment, doctor: DemoProcess, heating: DemoProce
 
 
 async def connect_intruder(demo: DemoEnvironment, port: int) -> None:
-    """The intruder has the doctor's name, certified by an authority of its own."""
     other = DemoEnvironment(demo.root / "intruder", demo.printer, {}, demo.run)
     other.root.mkdir(mode=0o700)
     create(other.root / "passphrase", secrets.token_urlsafe(18).encode())
@@ -163,7 +157,6 @@ async def connect_intruder(demo: DemoEnvironment, port: int) -> None:
 
 
 async def revoke(demo: DemoEnvironment, doctor: DemoProcess, grant: str) -> None:
-    """Revoke while images arrive, and measure when the last one came."""
     await doctor.expect("an image", on_topic(CAMERA[0]), after=len(doctor.reports))
     given = time.time()
     await demo.command("grant", "revoke", grant, "--reason", "the visit is over", *passphrase(demo))
@@ -183,12 +176,10 @@ async def revoke(demo: DemoEnvironment, doctor: DemoProcess, grant: str) -> None
 
 
 def passphrase(demo: DemoEnvironment) -> tuple[str, str]:
-    """The option with the file that has it."""
     return "--passphrase-file", str(demo.root / "passphrase")
 
 
 def directory(demo: DemoEnvironment, name: str) -> Path:
-    """Of a node."""
     return NodeHome.of(demo.root, name).path
 
 
@@ -197,12 +188,10 @@ def _request_of(demo: DemoEnvironment) -> Callable[[str], str]:
 
 
 def on_topic(topic: str) -> Callable[[Report], bool]:
-    """Whether a report is about a message of this topic."""
     return lambda report: report.get("topic") == topic
 
 
 def same_message(one: Report, other: Report) -> bool:
-    """Whether two reports are about one message."""
     return (one["topic"], one["seq"]) == (other.get("topic"), other.get("seq"))
 
 
@@ -231,11 +220,7 @@ _BORDER_STEPS_SILENCE: Final = 3.5  # seconds after the revocation; the lamp mea
 
 
 async def run_border_steps(demo: DemoEnvironment) -> None:
-    """Run every step in `demo`, whose directory is empty.
-
-    Raises:
-        DemoFailed: a step did not do what it says.
-    """
+    """Run every step in `demo`, whose directory is empty."""
     with demo.printer.step("a home with an authority, a border router and two receivers"):
         await found_authority(demo)
         await enroll(demo, BORDER_NODES, "/border")
@@ -254,7 +239,6 @@ async def run_border_steps(demo: DemoEnvironment) -> None:
 
 
 async def add_lamp(demo: DemoEnvironment) -> Path:
-    """Returns the directory of the lamp, where its key is."""
     things = demo.root / "lamp"
     things.mkdir(mode=0o700)
     await demo.command("border", "credential", str(things / "border.ccs"))
@@ -281,7 +265,6 @@ async def add_lamp(demo: DemoEnvironment) -> Path:
 
 
 async def sign_border_grants(demo: DemoEnvironment) -> None:
-    """The heating sees steps of five degrees."""
     sign, always = ("grant", "sign"), (*passphrase(demo), "--for", "1d")
     lamp = ("--publish", TEMPERATURE[0], "--subscribe", LIGHT[0])
     doctor = ("--subscribe", TEMPERATURE[0], "--publish", LIGHT[0])
@@ -301,7 +284,6 @@ async def sign_border_grants(demo: DemoEnvironment) -> None:
 
 
 async def start_border(demo: DemoEnvironment, things: Path) -> tuple[DemoProcess, DemoProcess, DemoProcess]:
-    """Start all processes; returns lamp, doctor and heating."""
     master = await demo.start("rossec", "master", "--port", "0", "--json", name="master")
     ready = await master.expect("starting", lambda report: "ready" in report)
     demo.set("ROS_MASTER_URI", ready["ready"])
@@ -321,7 +303,6 @@ async def start_border(demo: DemoEnvironment, things: Path) -> tuple[DemoProcess
 
 
 async def compare_lamp(demo: DemoEnvironment, doctor: DemoProcess, heating: DemoProcess) -> None:
-    """The same measurement, side by side, as each of the two received it."""
     for _ in range(2):
         coarse = await heating.expect("a temperature", on_topic(TEMPERATURE[0]), after=len(heating.reports))
         exact = await doctor.expect("the same temperature", partial(same_message, coarse))
@@ -337,14 +318,12 @@ def check_coarse_lamp(exact: Report, coarse: Report) -> None:
 
 
 async def switch(demo: DemoEnvironment, lamp: DemoProcess) -> None:
-    """One message of the doctor; the lamp says what it does."""
     await demo.command("topic", "pub", *LIGHT, "{data: true}", "--as", "/doctor", "--count", "3", quiet=True)
     await lamp.expect("light", _said("the light is on"))
     demo.printer.print("the lamp says: the light is on")
 
 
 async def revoke_lamp(demo: DemoEnvironment, doctor: DemoProcess) -> None:
-    """Revoke while temperatures arrive, and measure when the last one came."""
     await doctor.expect("a temperature", on_topic(TEMPERATURE[0]), after=len(doctor.reports))
     given = clock.time()
     await demo.command("ca", "revoke", "--thing", LAMP, "--reason", "lost", *passphrase(demo))
@@ -387,14 +366,11 @@ rules: []
 
 
 class WaitingNode(NamedTuple):
-    """A node that waits to be added: the text of its code, and where it lives."""
-
     code: str
     environment: DemoEnvironment
 
 
 async def ask(demo: DemoEnvironment) -> None:
-    """A lamp is enrolled, and asks."""
     create(demo.root / "ca" / "policy.yaml", POLICY.encode())
     await demo.command("node", "request", TRIED_LAMP, "--domain", "home", quiet=True)
     request, answer = (str(directory(demo, TRIED_LAMP) / f"node.{end}") for end in ("csr", "pem"))
@@ -404,11 +380,7 @@ async def ask(demo: DemoEnvironment) -> None:
 
 
 async def show_code(demo: DemoEnvironment) -> WaitingNode:
-    """Start a node that shows its code; the caller stops its environment.
-
-    Raises:
-        DemoFailed: it does not.
-    """
+    """Start a node that shows its code; the caller stops its environment."""
     other = DemoEnvironment(demo.root / "fridge", demo.printer, {"ROS_IP": "127.0.0.1"}, demo.run)
     other.root.mkdir(mode=0o700)
     node = await other.start(
@@ -430,9 +402,6 @@ async def begin_story(demo: DemoEnvironment, port: int) -> str:
     Args:
         demo: runs the commands and holds the processes, which the caller stops.
         port: of the console.
-
-    Raises:
-        DemoFailed: a step did not do what it says.
     """
     with demo.printer.step("the home gets its own authority"):
         await found_authority(demo)

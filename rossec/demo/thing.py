@@ -22,8 +22,6 @@ _PLACES: Final = (_HERE / "border", _HERE.parents[1] / "examples" / "border")
 
 
 class Reporter(io.TextIOBase):
-    """Turns lines of text into reports on `out`."""
-
     def __init__(self, out: TextIO) -> None:
         self._out = out
         self._line = ""
@@ -39,7 +37,6 @@ class Reporter(io.TextIOBase):
 
 
 def find(places: Sequence[Path] = _PLACES) -> Path:
-    """Where the example is."""
     for place in places:
         if (place / NAME).is_file():
             return place / NAME
@@ -47,7 +44,6 @@ def find(places: Sequence[Path] = _PLACES) -> Path:
 
 
 def main(directory: str, arguments: Sequence[str]) -> None:
-    """Run the example in `directory`, where its key is."""
     program = find()
     os.chdir(directory)
     sys.path.insert(0, str(program.parent))  # what it imports lies beside it

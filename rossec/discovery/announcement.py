@@ -77,7 +77,6 @@ class Announcement:
 
 
 def sign(signer: Signer, chain: tuple[bytes, ...], announcement: Announcement) -> bytes:
-    """The datagram, signed with the master's key."""
     _check(announcement)
     certificates: list[Value] = [*chain]
     version: dict[int | str, Value] = {} if announcement.version is None else {_VERSION: announcement.version}
@@ -104,8 +103,6 @@ def sign(signer: Signer, chain: tuple[bytes, ...], announcement: Announcement) -
 
 @dataclass(frozen=True)
 class Claim:
-    """A datagram that is well-formed and current; nothing in it is verified yet."""
-
     data: bytes
     announcement: Announcement
     chain: tuple[bytes, ...]
@@ -130,7 +127,6 @@ class Claim:
 
 
 def read_claim(data: bytes, now: int) -> Claim:
-    """Check size, form and age of an untrusted datagram; no signature is verified."""
     try:
         announcement, chain = _read(PROFILE.peek(data, limit=MAX_SIZE))
     except CAError as error:
@@ -192,8 +188,6 @@ MAX_VERIFIED: Final = 64
 
 
 class Budget:
-    """The limits on signature checks for each source."""
-
     def __init__(self, share: float = SHARE, total: float = TOTAL) -> None:
         self._share = share
         self._shares: OrderedDict[Hashable, TokenBucket] = OrderedDict()
@@ -241,8 +235,6 @@ _OTHER: Final = "other reasons"
 
 @dataclass(frozen=True)
 class DatagramSource:
-    """Where a datagram came from: an address with its scope, and the link it arrived on."""
-
     address: str
     link: int
 
@@ -311,9 +303,6 @@ class Candidates:
         Args:
             now: seconds since the epoch.
             clock: seconds of a monotonic clock.
-
-        Raises:
-            AnnouncementRefused: counted in `refused` by its message.
         """
         try:
             claim = read_claim(data, now)

@@ -61,8 +61,6 @@ _ANCILLARY: Final = socket.CMSG_SPACE(struct.calcsize("i")) + socket.CMSG_SPACE(
 
 
 class MulticastSocket:
-    """Sends to and receives from the group on every link, also those that come up later."""
-
     def __init__(self, *, listen: bool, port: int = PORT) -> None:
         self._port = port
         self._socket = socket.socket(socket.AF_INET6, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
@@ -144,11 +142,6 @@ async def announce(
     Args:
         name: its certified name.
         version: of its graph now; counts up.
-
-    Raises:
-        ConfigurationError: other hosts cannot reach it there.
-        AnnouncementRefused: its name is too long for a datagram.
-        OSError: no IPv6 on this host.
     """
     host, port = parse_uri(uri, "the master's URI")
     if is_loopback(host):
@@ -196,7 +189,6 @@ async def find(
     patience: float = PATIENCE,
     settle: float = SETTLE,
 ) -> list[Candidate]:
-    """The masters of this trust domain that can be reached, the best link first."""
     candidates = Candidates(anchor, revoked)
     async with listening(candidates):
         end, found = time.monotonic() + patience, False
@@ -286,9 +278,6 @@ async def discover_master(
         identity: the node that will use it, or its directory, whose authority certifies the master;
             None: any node of this home, if all of them trust the same authority.
         settle: seconds to measure the links, once a master is found.
-
-    Raises:
-        ConfigurationError, MasterNotFound: no trust anchor, or no master found.
     """
     if environ.get(VARIABLE) != DISCOVER:
         return dict(environ)
@@ -307,11 +296,7 @@ async def discover_master(
 async def masters(
     home: Path, identity: str | NodeHome | None, patience: float = PATIENCE, settle: float = SETTLE
 ) -> list[Candidate]:
-    """The masters that a node of this home would trust, the best link first.
-
-    Raises:
-        ConfigurationError, MasterNotFound: no trust anchor, or no master found.
-    """
+    """The masters that a node of this home would trust, the best link first."""
     anchor, revoked = trusted(home, identity)
     return await find(anchor, revoked, patience=patience, settle=settle)
 
@@ -323,11 +308,7 @@ def uri_of(candidate: Candidate) -> str:
 
 
 def trusted(home: Path, identity: str | NodeHome | None) -> tuple[TrustAnchor, frozenset[bytes]]:
-    """The trust anchor of the nodes of this home, and what they know to be revoked.
-
-    Raises:
-        ConfigurationError: no node is enrolled, or they trust different authorities.
-    """
+    """The trust anchor of the nodes of this home, and what they know to be revoked."""
     nodes = _named(home, identity)
     anchors = {anchor.thumbprint: anchor for anchor in map(_anchor, nodes)}
     if not anchors:

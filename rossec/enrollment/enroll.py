@@ -74,7 +74,6 @@ class WaitingNode:
         on_refusal: Callable[[str], None],
         patience: float = PATIENCE,
     ) -> None:
-        """`on_refusal` is called with each refusal as one printable line."""
         self.core = core
         self._clock = clock
         self._on_refusal = on_refusal
@@ -91,11 +90,7 @@ class WaitingNode:
         await self.server.listen(host, port)
 
     async def until(self, *states: NodeState, every: Callable[[int], None]) -> None:
-        """Wait for one of `states`; `every` is called each second with the seconds left.
-
-        Raises:
-            EnrollmentRefused: it ended in another state; the reason.
-        """
+        """Wait for one of `states`; `every` is called each second with the seconds left."""
         while self.core.state not in states:
             if self.core.end_reason is not None:
                 raise self.core.end_reason
@@ -107,11 +102,7 @@ class WaitingNode:
             self.core.tick(self._clock())
 
     def confirm(self, digits: str, activate: Callable[[Pending], None]) -> None:
-        """A person confirmed: `activate` writes the identity, then the authority is notified.
-
-        Raises:
-            EnrollmentRefused: the digits are wrong, or there is nothing to confirm.
-        """
+        """A person confirmed: `activate` writes the identity, then the authority is notified."""
         try:
             pending = self.core.confirm(digits, self._clock())
             activate(pending)
@@ -203,8 +194,6 @@ _CREDENTIALS: Final = struct.Struct("3i")  # pid, uid, gid: unix(7), SO_PEERCRED
 
 
 async def serve(directory: Path, answer: Callable[[Answer], Answer]) -> asyncio.Server:
-    """Answer requests on the socket in `directory`."""
-
     async def call(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
             if _is_ours(writer.get_extra_info("socket")):
@@ -227,12 +216,10 @@ async def serve(directory: Path, answer: Callable[[Answer], Answer]) -> asyncio.
 
 
 def remove(directory: Path) -> None:
-    """Remove the socket."""
     (directory / _NAME).unlink(missing_ok=True)
 
 
 def ask(directory: Path, request: Answer) -> Answer:
-    """Ask the waiting process."""
     sock = _connect(directory)
     if sock is None:
         raise ConfigurationError("no enrollment of this node is waiting", "first: rossec node enroll NAME")
@@ -300,12 +287,7 @@ RETRY_DELAY: Final = 0.5
 
 
 async def fetch(core: AuthorityEnrollment, host: str, port: int, clock: Callable[[], int]) -> None:
-    """Fetch the node's request into `core.request`.
-
-    Raises:
-        EnrollmentRefused, RequestRefused: it is not the one of the code, or invalid.
-        PeerUnreachable: no answer, or not in this protocol.
-    """
+    """Fetch the node's request into `core.request`."""
     try:
         async with _connection(host, port) as (reader, writer), asyncio.timeout(_AUTHORITY_PATIENCE):
             sessions.send(writer, core.fetch())
@@ -325,12 +307,7 @@ async def deliver(
     clock: Callable[[], int],
     show: Callable[[str], None],
 ) -> None:
-    """Deliver `offer`, `show` the digits, and return when the node reports that it is enrolled.
-
-    Raises:
-        EnrollmentRefused: the node refused, or there is a man in the middle.
-        NotDelivered: the node closed the connection and no longer answers.
-    """
+    """Deliver `offer`, `show` the digits, and return when the node reports that it is enrolled."""
     failures, state = 0, core.state
     while failures < _TRIES:
         try:
@@ -384,11 +361,7 @@ SCANNER: Final = (sys.executable, "-I", "-m", "rossec.enrollment.scanner")
 
 
 def code_in_file(path: Path, stdin: BinaryIO) -> str:
-    """The text of the one code in a picture; `-` is standard input.
-
-    Raises:
-        ConfigurationError: not a picture, too large, not exactly one code, or the extra is missing.
-    """
+    """The text of the one code in a picture; `-` is standard input."""
     if str(path) == "-":
         return code_in(stdin.read(MAX_FILE + 1))
     with path.open("rb") as file:

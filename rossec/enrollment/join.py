@@ -58,7 +58,6 @@ _S = AuthorityJoinState
 
 
 async def no_names(_: JoinClaim) -> NameAnswer:
-    """The answer of an authority of an earlier version to every claim."""
     return Refused(RefuseReason.REFUSED)
 
 
@@ -167,12 +166,7 @@ RETRY_DELAY: Final = 0.5  # seconds, then twice as long each time, and up to as 
 
 
 async def ask_name(code: InvitationCode, metadata: bytes, clock: Callable[[], int]) -> str:
-    """The name that the authority's rules give for `metadata`: nothing is made or recorded.
-
-    Raises:
-        EnrollmentRefused: the authority refuses or gives no names, or the peer is not it.
-        PeerUnreachable: no answer.
-    """
+    """The name that the authority's rules give for `metadata`: nothing is made or recorded."""
 
     async def session() -> str:
         core = NodeJoin(code, secrets.token_bytes(NONCE_SIZE))
@@ -190,11 +184,6 @@ async def join(
 
     `request` returns this node's CSR (DER) for a trust domain: the same one each time. With
     `metadata` the authority issues only the name that its rules give for them (`ask_name`).
-
-    Raises:
-        JoinWaiting: not yet; the same request may be sent again.
-        EnrollmentRefused: the authority refused, or the peer is not the authority.
-        PeerUnreachable: no answer.
     """
 
     async def session() -> JoinedIdentity:

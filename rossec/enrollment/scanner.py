@@ -26,14 +26,12 @@ _FORMATS: Final = ("PNG", "JPEG", "WEBP", "BMP", "PPM")
 
 
 def texts(data: bytes) -> list[str]:
-    """The texts of the rossec codes in a picture, each once."""
     zxingcpp, image = _library(), _open(data)
     found = zxingcpp.read_barcodes(image, formats=zxingcpp.BarcodeFormat.QRCode)
     return sorted({code.text for code in found if code.text.startswith(PREFIX)})[:MAX_CODES]
 
 
 def main() -> int:
-    """Answer one picture on standard input; returns the exit code."""
     _limit(resource.RLIMIT_AS, MEMORY)
     _limit(resource.RLIMIT_CPU, SECONDS)
     _limit(resource.RLIMIT_CORE, 0)

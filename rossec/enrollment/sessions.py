@@ -18,13 +18,11 @@ from rossec.net.limits import HalfOpen, HalfOpenCount, HalfOpenSlot
 
 
 async def receive(reader: asyncio.StreamReader) -> bytes:
-    """The next message; its size is checked before it is read."""
     size = length(await reader.readexactly(HEADER_SIZE))
     return await reader.readexactly(size)
 
 
 def send(writer: asyncio.StreamWriter, message: bytes) -> None:
-    """Queue a message; they are few and small."""
     writer.write(frame(message))
 
 

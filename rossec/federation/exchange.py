@@ -55,8 +55,6 @@ MAX_CHAINS: Final = 256
 
 
 class Chains:
-    """The newest chain of each key, bounded."""
-
     def __init__(self) -> None:
         self._chains: OrderedDict[bytes, tuple[bytes, ...]] = OrderedDict()
 
@@ -213,7 +211,6 @@ _UNKNOWN: Final = (AnswerRefused, Fault)  # also of a master that does not know 
 
 
 async def in_turns(steps: Generator[None, None, _T]) -> _T:
-    """What the steps return; other calls are answered between two of them."""
     while True:
         try:
             next(steps)
@@ -230,13 +227,11 @@ def held_revocations(own: OwnMaster) -> bytes:
 
 
 async def present_own(client: RpcClient, own: OwnMaster) -> None:
-    """Show the grants of the own domain: a master needs `param-get` as any node does."""
     if tokens := list(own.grants())[:MAX_PRESENTED]:
         await client.ask(PRESENT_GRANTS, own.name, tokens)
 
 
 async def settle(client: RpcClient, own: OwnMaster, peer: Identity, answer: SiteChange | None = None) -> None:
-    """Settle both lists; after an answer, those whose digests in it are others than here."""
     if answer is None or answer.revocations != held_revocations(own):
         await settle_revocations(client, own, peer)
     if answer is None or answer.domains != own.state.trust.domains.digest():
@@ -244,7 +239,6 @@ async def settle(client: RpcClient, own: OwnMaster, peer: Identity, answer: Site
 
 
 async def settle_revocations(client: RpcClient, own: OwnMaster, peer: Identity) -> None:
-    """Of both revocation lists the newer one is in force at both masters afterwards."""
     held = own.state.trust.list_data
     match await client.ask(_SINCE, own.name, digest(held)):
         case [bytes() as theirs, bytes()]:

@@ -48,9 +48,6 @@ class SiteSettings:
         domain: the label of its foreign domain; empty: it is of the own domain.
         parameters: patterns of the parameters to mirror, with the names they have there.
         via: the label that the relay of this site has for the peer behind which the master is.
-
-    Raises:
-        ConfigurationError: one of them is not in form.
     """
 
     label: str
@@ -94,11 +91,7 @@ class SiteSettings:
 
 
 def checked_sites(sites: Iterable[SiteSettings]) -> dict[str, SiteSettings]:
-    """The sites by label.
-
-    Raises:
-        ConfigurationError: a label or a master is there twice, or there are too many.
-    """
+    """The sites by label."""
     found: dict[str, SiteSettings] = {}
     for each in sites:
         if each.label in found:
@@ -120,7 +113,6 @@ def checked_sites(sites: Iterable[SiteSettings]) -> dict[str, SiteSettings]:
 
 
 def read_sites(data: bytes, name: str) -> dict[str, SiteSettings]:
-    """Read the file that `rossec federation add` writes, called `name`; a closed schema."""
     if len(data) > MAX_FILE:
         raise ConfigurationError(f"{name} is longer than {MAX_FILE} bytes")
     try:
@@ -135,7 +127,6 @@ def read_sites(data: bytes, name: str) -> dict[str, SiteSettings]:
 
 
 def write_sites(sites: Mapping[str, SiteSettings]) -> bytes:
-    """The content of the file."""
     rows = [_row(each) for _, each in sorted(sites.items())]
     return json.dumps({"rossec-federation": _FORM, "sites": rows}, indent=1).encode() + b"\n"
 
@@ -183,11 +174,7 @@ class FederationConfig:
 
 
 def read_config(part: Any, name: str) -> FederationConfig:
-    """Read the part, of a file called `name`; None is an empty one.
-
-    Raises:
-        ConfigurationError: something in it is not allowed.
-    """
+    """Read the part, of a file called `name`; None is an empty one."""
     announced, sites = False, tuple[SiteSettings, ...]()
     for key, where, value in _entries(part, name, "federation", _KEYS):
         if key == "sites":
@@ -257,22 +244,14 @@ class SiteFile:
         self._read: tuple[tuple[int, ...], dict[str, SiteSettings]] = (), {}
 
     def sites(self) -> Iterable[SiteSettings]:
-        """The sites as of now; the file is read only when it has changed.
-
-        Raises:
-            ConfigurationError: it is not of this form.
-        """
+        """The sites as of now; the file is read only when it has changed."""
         version = self._version()
         if version != self._read[0]:
             self._read = version, self._load()
         return tuple(self._read[1].values())
 
     def change(self, edit: Callable[[dict[str, SiteSettings]], None]) -> None:
-        """Let `edit` change the sites, and write them.
-
-        Raises:
-            ConfigurationError: the file is not of this form, or there is no such directory.
-        """
+        """Let `edit` change the sites, and write them."""
         if not self._directory.is_dir():
             raise ConfigurationError(
                 f"there is no master in {self._directory}",

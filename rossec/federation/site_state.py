@@ -43,8 +43,6 @@ _SPREAD: Final = 0.2  # or all masters of a site would return at the same moment
 
 
 class Phase(Enum):
-    """How far a site is followed."""
-
     IDLE = "idle"
     DIALLING = "dialling"
     GREETING = "greeting"
@@ -54,8 +52,6 @@ class Phase(Enum):
 
 
 class Event(Enum):
-    """What happens to a site."""
-
     DUE = "it is time to dial"
     CONNECTED = "there is a connection"
     ANSWERED = "the site has answered, and the answer is taken over"
@@ -67,8 +63,6 @@ class Event(Enum):
 
 
 class Effect(Enum):
-    """What becomes of the site's facts."""
-
     NONE = "nothing"
     MARK = "they are marked as lost"
     EXPIRE = "they go, and connections with the site's nodes stay"

@@ -57,14 +57,10 @@ _log = logging.getLogger("rossec.gateway")
 
 
 class Subscription(Protocol):
-    """What ends a subscription."""
-
     async def close(self) -> None: ...
 
 
 class RawTopics(Protocol):
-    """The part of `rossec.node.topics.Topics` that is needed."""
-
     async def publish_raw(
         self, topic: str, type_name: str, on_demand: Any, *, queue_size: int
     ) -> RawPublisher: ...

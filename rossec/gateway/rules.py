@@ -68,11 +68,7 @@ class TopicRule:
 
 
 def rule(label: str, pattern: str, wishes: Wishes) -> TopicRule:
-    """A rule of what a person wrote.
-
-    Raises:
-        ConfigurationError: no label, or no pattern of the origin's names.
-    """
+    """A rule of what a person wrote."""
     try:
         check_label(label)
     except HintedError as error:
@@ -119,8 +115,6 @@ BATCH: Final = 512  # facts or topics in one step
 
 
 class Candidate(NamedTuple):
-    """A topic that a rule covers and that has a publisher at its origin."""
-
     alias: str
     served: str
     rule: TopicRule
@@ -183,7 +177,6 @@ def _candidate(alias: str, rules: Sequence[TopicRule], type_name: str) -> Candid
 def chosen(
     candidates: Iterable[Candidate], serving: Collection[str], most: int = MAX_TOPICS
 ) -> list[Candidate]:
-    """Those of the candidates that there is room for."""
     by_label: dict[str, list[Candidate]] = {}
     for each in candidates:
         by_label.setdefault(each.rule.label, []).append(each)
@@ -202,8 +195,6 @@ class TypeChanged(ConnectionHeaderRefused):
 
 
 class Sources:
-    """Those that are connected."""
-
     def __init__(self) -> None:
         self.type: Definition | None = None
         self._connected: set[RawSource] = set()
@@ -249,8 +240,6 @@ LONGEST_PAUSE: Final = 15.0
 
 
 class Phase(Enum):
-    """How far a topic is."""
-
     IDLE = "idle"  # nobody is subscribed here
     SUBSCRIBED = "subscribed"
     LINGERING = "lingering"  # subscribed at the origin, and nobody here
@@ -258,8 +247,6 @@ class Phase(Enum):
 
 
 class Event(Enum):
-    """What happens to a topic."""
-
     WANTED = "somebody here is subscribed"
     UNWANTED = "nobody here is subscribed any more"
     DUE = "the time is over"
@@ -267,8 +254,6 @@ class Event(Enum):
 
 
 class Action(Enum):
-    """What is to be done."""
-
     NOTHING = "nothing"
     SUBSCRIBE = "subscribe at the origin"
     LEAVE = "end the subscription"

@@ -31,12 +31,10 @@ _SET: Final = "set ROS_IP to an address of this host: ip address"
 
 
 def variable_of(variables: Mapping[str, str]) -> str:
-    """Which variable says the address: as in ROS, ROS_HOSTNAME before ROS_IP."""
     return "ROS_HOSTNAME" if "ROS_HOSTNAME" in variables else "ROS_IP"
 
 
 def check_own_address(address: str, variable: str) -> str:
-    """What to say of an address of this host; a name is asked of the resolver."""
     what = f"{variable} is {printable(address)}"
     found = resolved(address)
     if not found:
@@ -147,12 +145,10 @@ _ELSEWHERE: Final = ((socket.AF_INET, "192.0.2.1", "127.0.0.1"), (socket.AF_INET
 
 
 def join(host: str, port: int) -> str:
-    """`host:port`, with brackets around an IPv6 address."""
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
 def split(text: str, default: int = DEFAULT_PORT) -> tuple[str, int]:
-    """Host and port of `text`; without a port the `default` one."""
     host, port = text, str(default)
     if text.startswith("["):
         host, _, rest = text[1:].partition("]")
@@ -165,7 +161,6 @@ def split(text: str, default: int = DEFAULT_PORT) -> tuple[str, int]:
 
 
 def own_addresses() -> list[str]:
-    """The addresses at which others can probably reach this host, IPv4 first; else loopback."""
     found = [_towards(family, where) for family, where, _ in _ELSEWHERE]
     usable = [address for address in found if address and not is_loopback(address)]
     return usable or [loopback for _, _, loopback in _ELSEWHERE]

@@ -57,7 +57,6 @@ Entry = dict[str, Any]
 
 
 def mark(signer: Signer, before: str, at: float) -> Entry:
-    """The first line of a file, without its hash; `before` is the hash it continues from."""
     text = _FIRST_FILE if before == FIRST else _NEXT_FILE
     point = signer.public_key.public_bytes(Encoding.X962, PublicFormat.UncompressedPoint)
     entry: Entry = {"at": at, "before": before, "level": "info", "text": text, _KEY: point.hex()}
@@ -71,9 +70,6 @@ def check_beginning(first: Entry, key: bytes | None = None, after: str | None = 
         first: the first line, whose hash was verified.
         key: thumbprint of the master's key, if it is known.
         after: the hash of the line before, if it is known.
-
-    Raises:
-        ConfigurationError: the beginning is missing or forged.
     """
     before = first.get("before")
     if _SIGNATURE in first:
@@ -120,14 +116,12 @@ _log = logging.getLogger("rossec.master.audit")
 
 
 def with_hash(entry: Entry, before: str) -> Entry:
-    """The entry with its hash."""
     text = json.dumps(entry, sort_keys=True, separators=(",", ":"))
     data = f"{before}\n{text}".encode(errors="surrogatepass")  # a foreign line may contain surrogates
     return {**entry, "hash": hashlib.sha256(data).hexdigest()}
 
 
 def encode(entry: Entry) -> str:
-    """One line, without the line break."""
     return json.dumps(entry, sort_keys=True, separators=(",", ":"))
 
 
@@ -161,7 +155,6 @@ def _entry(line: str) -> Entry | None:
 
 
 def verify(entries: Iterable[Entry], before: str | None = None) -> str:
-    """The hash of the last entry, if the chain is intact; `before` is the hash before the first."""
     last = before
     for number, entry in enumerate(entries, 1):
         rest = {key: value for key, value in entry.items() if key != "hash"}
@@ -180,12 +173,7 @@ class AuditFile(logging.Handler):
     def __init__(
         self, path: Path, clock: Callable[[], float] = host_time, signer: Signer | None = None
     ) -> None:
-        """Begin or continue the file at `path`; `signer` has the master's key.
-
-        Raises:
-            PathRefused: another user could have written it.
-            OSError: it cannot be written.
-        """
+        """Begin or continue the file at `path`; `signer` has the master's key."""
         super().__init__(logging.INFO)
         self._signer = signer
         self._path = path
@@ -282,11 +270,7 @@ AUDIT: Final = "rossec.audit"
 
 @contextmanager
 def audit_written(path: Path, signer: Signer) -> Iterator[AuditFile]:
-    """Write what is logged to `rossec.audit` to the audit file at `path`.
-
-    Raises:
-        PathRefused, OSError: as of `AuditFile`.
-    """
+    """Write what is logged to `rossec.audit` to the audit file at `path`."""
     handler = AuditFile(path, signer=signer)
     log, root = logging.getLogger(AUDIT), logging.getLogger()
     level = log.level

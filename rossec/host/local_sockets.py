@@ -37,11 +37,7 @@ from rossec.errors import ConfigurationError, PeerUserRefused
 
 @contextmanager
 def process_lock(path: Path, busy: ConfigurationError) -> Iterator[None]:
-    """Hold the lock file `path`.
-
-    Raises:
-        ConfigurationError: `busy`, when another process holds it.
-    """
+    """Hold the lock file `path`."""
     descriptor = files.lock_file(path, busy)
     try:
         yield
@@ -53,12 +49,7 @@ MAX_PATH: Final = 107  # bytes, unix(7)
 
 
 def listen_at(path: Path, backlog: int = 100) -> socket.socket:
-    """Listen at `path`, where no file is; the caller removes a stale socket, under its lock.
-
-    Raises:
-        ConfigurationError: the path is too long.
-        OSError: the path exists, or cannot be made.
-    """
+    """Listen at `path`, where no file is; the caller removes a stale socket, under its lock."""
     if len(os.fsencode(path)) > MAX_PATH:
         raise ConfigurationError(
             f"{path} is too long for the path of a socket: at most {MAX_PATH} bytes",
@@ -78,11 +69,7 @@ def listen_at(path: Path, backlog: int = 100) -> socket.socket:
 
 
 def raw_socket(sock: object) -> socket.socket:
-    """The socket behind asyncio's TransportSocket, which lacks methods.
-
-    Raises:
-        PeerUserRefused: there is none, so nobody knows who is there.
-    """
+    """The socket behind asyncio's TransportSocket, which lacks methods."""
     found = getattr(sock, "_sock", sock)
     if not isinstance(found, socket.socket):
         raise PeerUserRefused("the connection has no socket")
@@ -119,7 +106,6 @@ def holder_in(tables: Iterable[str], local: Endpoint, remote: Endpoint) -> Holde
 
 
 def listeners_in(tables: Iterable[str], endpoint: Endpoint) -> list[Holder]:
-    """The holders of sockets that listen on `endpoint`. Pure."""
     address, port = endpoint
     wanted = {_hex(endpoint, 0), _hex(endpoint, 1), _hex(("::", port), 0)}
     if ":" not in address:
@@ -138,7 +124,6 @@ def _rows(tables: Iterable[str]) -> Iterator[tuple[str, Holder]]:
 
 
 def tables() -> list[str]:
-    """The kernel's tables of TCP sockets, as they are now."""
     return [path.read_text() for path in TABLES if path.exists()]
 
 
@@ -153,11 +138,7 @@ class UnixPeer(NamedTuple):
 
 
 def unix_peer(sock: socket.socket) -> UnixPeer:
-    """The other end of a connected unix socket (SO_PEERCRED, unix(7)).
-
-    Raises:
-        OSError: not connected.
-    """
+    """The other end of a connected unix socket (SO_PEERCRED, unix(7))."""
     size = struct.calcsize("3i")
     credentials = sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
     process, user, _ = struct.unpack("3i", credentials)
@@ -165,14 +146,12 @@ def unix_peer(sock: socket.socket) -> UnixPeer:
 
 
 def user_of(sock: socket.socket) -> int:
-    """The user id at the other end of a connected unix or TCP socket of this host."""
     if sock.family == socket.AF_UNIX:
         return unix_peer(sock).user
     return holder_of(sock).user
 
 
 def holder_of(sock: socket.socket) -> Holder:
-    """The holder of the other end of a TCP connection within this host."""
     local, remote = sock.getpeername()[:2], sock.getsockname()[:2]
     holder = find_holder(local, remote)
     if holder is not None:
@@ -211,12 +190,7 @@ def is_known(user: int) -> bool:
 
 
 def require_user(sock: socket.socket, users: Collection[int]) -> int:
-    """Return the user id at the other end.
-
-    Raises:
-        PeerUserRefused: not one of `users`, or unknown.
-        OSError: as `user_of`.
-    """
+    """Return the user id at the other end."""
     user = user_of(sock)
     if user not in users or not is_known(user):
         raise PeerUserRefused(f"user {user} may not use this connection", _HINT)
@@ -248,8 +222,6 @@ _FOUND: Final = struct.Struct("=BB2x4s16s16s12x12xII")  # inet_diag_msg
 
 
 class SocketEntry(NamedTuple):
-    """One socket: its state, the user who created it, its inode (0: no process holds it)."""
-
     state: int
     local: tuple[bytes, int]
     remote: tuple[bytes, int]
@@ -301,7 +273,6 @@ def _ask(request: bytes) -> SocketEntry:
 
 
 def parse(data: bytes) -> SocketEntry:
-    """The socket in an answer. Pure."""
     if len(data) < _HEAD.size:
         raise OSError(errno.EPROTO, "an answer cut short")
     length, kind, *_ = _HEAD.unpack_from(data)

@@ -114,8 +114,6 @@ def notify(state: str, environ: Mapping[str, str] = os.environ) -> bool:
 
 
 class JsonFormatter(logging.Formatter):
-    """One JSON object a line."""
-
     def format(self, record: logging.LogRecord) -> str:
         entry: dict[str, Any] = {
             "at": round(record.created, 3),

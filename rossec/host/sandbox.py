@@ -46,7 +46,6 @@ class _PathBeneath(ctypes.Structure):
 
 
 def read_only(paths: Iterable[Path]) -> None:
-    """Open nothing from now on but what is at or below `paths`, for reading; others may be missing."""
     attributes = _Ruleset(_ALL)
     ruleset = _call(_CREATE_RULESET, ctypes.byref(attributes), ctypes.sizeof(attributes), 0)
     try:
@@ -184,9 +183,6 @@ def protect_memory() -> None:
     """Let no process of the same user read this one's memory, and write no core file.
 
     Programs started later are not affected, but cannot gain privileges (set-user-id).
-
-    Raises:
-        OSError: the kernel refuses.
     """
     _prctl(_PR_SET_DUMPABLE, 0)
     _prctl(_PR_SET_NO_NEW_PRIVS, 1)

@@ -87,7 +87,6 @@ from rossec.ros.tcpros import MESSAGE_LIMIT, FrameReader, Framing
 
 
 def definition_of(kind: Any) -> Definition:
-    """Name, checksum and definition of the message class `kind`."""
     return Definition(kind._type, kind._md5sum, kind._full_text)  # noqa: SLF001 - genpy's
 
 
@@ -115,7 +114,6 @@ _LENGTH: Final = struct.Struct("<I")
 
 
 def receive(sock: RosSocket) -> dict[str, bytes]:
-    """The fields of the header the peer sends."""
     end = time.monotonic() + DEADLINE
     (length,) = _LENGTH.unpack(_exactly(sock, _LENGTH.size, end))
     if length > tcpros.HEADER_LIMIT:
@@ -138,12 +136,10 @@ def _exactly(sock: RosSocket, size: int, end: float) -> bytes:
 
 
 def for_rospy(fields: Mapping[str, bytes]) -> dict[str, str]:
-    """The fields as text, without the one that holds grants."""
     return {key: value.decode(errors="replace") for key, value in fields.items() if key != FIELD}
 
 
 def refuse(sock: RosSocket, error: HintedError) -> None:
-    """Send an authenticated peer the reason; it may be gone."""
     sock.settimeout(DEADLINE)
     with suppress(HintedError, OSError):
         sock.send_unit(tcpros.error_header(f"rossec: {printable(error)}"))
@@ -159,8 +155,6 @@ _HINT_PLAIN: Final = "secure it, or name what it offers in allow_plain while you
 
 
 class Connections:
-    """The hooks of one process. Their arguments are those of the functions they replace."""
-
     def __init__(self, process: SecuredProcess) -> None:
         self._process = process
 
@@ -376,8 +370,6 @@ def _description(protocol: Any) -> str:
 
 
 class ServiceProbe(RosSocket):
-    """A socket whose one message is the header of a probe."""
-
     def __init__(self, process: SecuredProcess, sock: socket.socket) -> None:
         super().__init__(process, sock)
         self._process = process
@@ -415,8 +407,6 @@ _SLICE: Final = 0.5  # seconds between checks whether the subscriber is still in
 
 
 class SubscriptionLoop:
-    """The subscriptions of one process."""
-
     def __init__(self, process: SecuredProcess) -> None:
         self._process = process
 

@@ -43,8 +43,6 @@ from rossec.ros.names import parse_uri
 
 
 class ModuleProxy:
-    """Behaves as a module; some of its names are replaced."""
-
     def __init__(self, module: ModuleType, **replaced: object) -> None:
         self._module = module
         self.__dict__.update(replaced)
@@ -62,8 +60,6 @@ StartNode = Callable[..., Any]
 
 
 class Hook(NamedTuple):
-    """`owner.name` becomes `new`; `parameters` are those of the function that was there."""
-
     owner: Any
     name: str
     new: object
@@ -71,7 +67,6 @@ class Hook(NamedTuple):
 
 
 def rospy_version() -> str:
-    """The version of the rospy that is imported."""
     try:
         found = version("rospy")
     except PackageNotFoundError:
@@ -97,7 +92,6 @@ def check_in_time() -> None:
 
 
 def hooks(process: SecuredProcess, start_node: StartNode) -> list[Hook]:
-    """Every hook, in the order in which they are set."""
     return [
         *_connection_hooks(process),
         *_topic_hooks(process),
@@ -222,7 +216,6 @@ def install(table: list[Hook]) -> None:
 
 
 def hook_tools(process: SecuredProcess) -> None:
-    """Hook the ROS tools that the program imported: they connect to nodes themselves."""
     rosnode, rosservice = sys.modules.get("rosnode"), sys.modules.get("rosservice")
     table = []
     if rosnode is not None:
@@ -233,7 +226,6 @@ def hook_tools(process: SecuredProcess) -> None:
 
 
 def watch_forks(process: SecuredProcess) -> None:
-    """The node starts: a child forked from now on says that nobody receives it."""
     forked_node.start(process.reporter.warn)
 
 
@@ -245,7 +237,6 @@ def _probes(process: SecuredProcess) -> Callable[..., ServiceProbe]:
 
 
 def check(table: list[Hook]) -> None:
-    """Check that every hook is in place."""
     for hook in table:
         if inspect.getattr_static(hook.owner, hook.name, None) is not hook.new:
             raise ConfigurationError(

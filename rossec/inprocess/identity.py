@@ -207,7 +207,6 @@ def _first(sock: socket.socket) -> bytes:
 
 
 def plain_fields(data: bytes) -> dict[str, bytes]:
-    """The fields of a plain caller's connection header; empty if it is invalid."""
     if len(data) < _PREFIX or struct.unpack_from("<I", data)[0] != len(data) - _PREFIX:
         return {}
     try:
@@ -235,8 +234,6 @@ Stream = SecureSocket[Identity]
 
 
 class Connector:
-    """Makes the secure connections of one process, both ways."""
-
     def __init__(self, local_identity: LocalIdentity, own_addresses: OwnAddresses | None = None) -> None:
         self._local_identity = local_identity
         self._own_addresses = OwnAddresses() if own_addresses is None else own_addresses
@@ -276,8 +273,6 @@ class Connector:
 
 
 class Renewing:
-    """A socket over a connection, if it is connected."""
-
     _stream: Stream | PlainStream | None = None
 
     def on_renewal(self, callback: Callable[[Renewal[Identity]], None]) -> None:

@@ -56,11 +56,7 @@ def read(
     node: str | None = None,
     allow_plain: Sequence[str] | None = None,
 ) -> Options:
-    """The options from the arguments, the environment and the file's text.
-
-    Raises:
-        ConfigurationError: one of them is invalid.
-    """
+    """The options from the arguments, the environment and the file's text."""
     table = _table(text) if text is not None else {}
     name = _first(node, environ.get("ROSSEC_NODE"), table.get("node"))
     plain = _first(allow_plain, _split(environ.get("ROSSEC_ALLOW_PLAIN")), table.get("allow_plain"))
@@ -122,11 +118,7 @@ class PlainConnection:
 
 
 class PlainPeers:
-    """The entries of `allow_plain`.
-
-    Raises:
-        ConfigurationError: an entry is invalid.
-    """
+    """The entries of `allow_plain`."""
 
     def __init__(self, entries: Iterable[str] = ()) -> None:
         self.entries = tuple(entries)

@@ -115,8 +115,6 @@ _PERIOD: Final = 10.0
 
 
 class Reporter:
-    """Hands each new text to `write`, in a thread of its own."""
-
     def __init__(self, write: Callable[[str], None]) -> None:
         self._write = write
         self._reported: OrderedDict[str, None] = OrderedDict()
@@ -184,8 +182,6 @@ class Reporter:
 
 
 class LogBridge(logging.Handler):
-    """Warnings of our own loggers, for which rospy's configuration has only a file."""
-
     def __init__(self, reporter: Reporter) -> None:
         super().__init__(logging.WARNING)
         self._reporter = reporter
@@ -209,8 +205,6 @@ _log = logging.getLogger("rossec.rospy")
 
 
 class BackgroundLoop:
-    """The background loop of one process, and the hooks of its membership."""
-
     def __init__(
         self, local_identity: LocalIdentity, registrations: Registrations, master: tuple[str, int]
     ) -> None:
@@ -358,8 +352,6 @@ _NAMELESS: Final = (
 
 
 class SecuredProcess:
-    """One secured process."""
-
     def __init__(self, reporter: Reporter, plain: PlainPeers = PlainPeers()) -> None:  # noqa: B008 - constant
         self.reporter = reporter
         self.plain = plain

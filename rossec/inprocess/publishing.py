@@ -248,7 +248,6 @@ def _flat(messages: list[Pieces]) -> list[Bytes]:
 
 
 def write_data(transport: Any, data: Pieces) -> bool:
-    """As `TCPROSTransport.write_data`: for publishers without a queue, and for services."""
     calls = isinstance(transport.protocol, TCPROSServiceClient)
     if isinstance(data, bytes):
         data = _filtered(transport, data)
@@ -281,7 +280,6 @@ _deflation: Final = SharedDeflation()  # publishing calls the queues of one mess
 
 
 def queue_for(connection: Any, queue_size: int) -> SendQueue:
-    """The queue of an admitted subscriber, in place of rospy's `QueuedConnection`."""
     wishes: Wishes = connection.socket.wishes
     if wishes:
         return WishQueue(connection, queue_size, wishes)
@@ -289,8 +287,6 @@ def queue_for(connection: Any, queue_size: int) -> SendQueue:
 
 
 class WishQueue(SendQueue):
-    """As `SendQueue`, for a subscriber with `wishes`."""
-
     def __init__(self, connection: Any, queue_size: int, wishes: Wishes) -> None:
         size = 1 if wishes.newest else queue_size
         self._waiting: deque[Deflatable] = deque(maxlen=size if size > 0 else None)
@@ -366,7 +362,6 @@ forked_node: Final = _ForkedNode()
 
 
 def publish(topic: Any, message: Any, connection_override: Any = None) -> bool | None:
-    """As `_PublisherImpl.publish`, with the same arguments."""
     if forked_node.is_child:
         forked_node.say()
         return False

@@ -30,11 +30,6 @@ def ask(right: str, name: str, *, why: str, wait: float = 0.0) -> bool:
         name: an absolute name or pattern.
         why: the reason, for the person or the policy that decides.
         wait: how long to wait for the answer; 0: do not wait.
-
-    Raises:
-        ConfigurationError: not secured, without a name yet, an unknown right, or one that another
-            domain's authority gives.
-        GrantError: an invalid pattern, or a reason that is too long.
     """
     local_identity = secured().local_identity
     wanted = _right(right)

@@ -177,7 +177,6 @@ _start_block: Final = _StartBlock()
 
 
 def secured() -> SecuredProcess:
-    """The secured process."""
     if _secured is None:
         raise ConfigurationError("this program is not secured", "call rossec.secure() first")
     return _secured.process

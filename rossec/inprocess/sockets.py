@@ -48,7 +48,6 @@ ROSRPC: Final = "rosrpc://"
 
 
 def bracketed(uri: str) -> str:
-    """`uri` with brackets around an IPv6 literal that lacks them; any other as it is."""
     scheme, mark, rest = uri.partition("://")
     authority, slash, path = rest.partition("/")
     host, colon, port = authority.rpartition(":")
@@ -58,7 +57,6 @@ def bracketed(uri: str) -> str:
 
 
 def parse_rosrpc(uri: str) -> tuple[str, int]:
-    """Host and port of a service's URI."""
     authority = uri.removeprefix(ROSRPC).partition("/")[0]
     host, _, port = authority.rpartition(":")
     if not uri.startswith(ROSRPC) or not host or not port.isdecimal():
@@ -84,7 +82,6 @@ _ENDED: Final = (errno.ECONNRESET, errno.EPIPE, errno.ENOTCONN)
 
 @contextmanager
 def resets() -> Iterator[None]:
-    """Raise our errors as `ConnectionResetError`, which rospy handles in an open connection."""
     try:
         yield
     except HintedError as error:
@@ -93,7 +90,6 @@ def resets() -> Iterator[None]:
 
 @contextmanager
 def tried_again() -> Iterator[None]:
-    """Raise a reset while a connection is made as `ConnectionAbortedError`."""
     try:
         yield
     except OSError as error:
@@ -109,8 +105,6 @@ Pieces = tuple[Bytes, ...]
 
 
 class ServiceFilter(Protocol):
-    """One side of a service's connection; `framing` knows whether a call has begun."""
-
     framing: Framing
 
     def incoming(self, data: bytes) -> tuple[bytes, Pieces]: ...
@@ -176,8 +170,6 @@ class ServerFilter:
 
 
 class ClientFilter:
-    """The caller's side, where the provider's grant restricts requests and responses."""
-
     def __init__(
         self, guard: ServiceGuard | None, now: Callable[[], float], limit: int = MESSAGE_LIMIT
     ) -> None:
@@ -219,8 +211,6 @@ Admitted: TypeAlias = "AuthorizedConnection[RosSocket, Guard | None] | PlainConn
 
 
 class SocketOwner(Protocol):
-    """The process that a socket belongs to."""
-
     @property
     def connector(self) -> Connector: ...
 

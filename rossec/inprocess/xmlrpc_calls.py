@@ -75,14 +75,10 @@ _PAUSE: Final = 0.001  # seconds between two steps, for the other threads
 
 
 class PresentedGrants:
-    """The grants that the peer of one connection has presented."""
-
     grants: bytes | None = None
 
 
 class XmlRpcServer:
-    """Serves this node's API."""
-
     def __init__(self, process: SecuredProcess) -> None:
         self._process = process
 
@@ -225,7 +221,6 @@ def _load(calls: CallServer, request: bytes | Oversized, *, master: bool) -> Cal
 
 
 def in_steps(steps: Generator[None, None, ResultT], turn: Lock) -> ResultT:
-    """The result of parsing, with pauses; one at a time of those with the same `turn`."""
     with turn:
         while True:
             try:
@@ -262,8 +257,6 @@ _WITH_SERVICE_URI: Final = ("registerService", "unregisterService")
 
 
 class XmlRpcClient:
-    """The calling side of one process."""
-
     def __init__(self, process: SecuredProcess) -> None:
         self._process = process
         self._stock_request: Any = getattr(xmlrpc.client.ServerProxy, REQUEST)
@@ -272,8 +265,6 @@ class XmlRpcClient:
         client = self
 
         class SecureProxy(xmlrpc.client.ServerProxy):
-            """Calls over the secure channel."""
-
             def __init__(self, uri: str, *_: Any, **__: Any) -> None:
                 super().__init__(uri)
                 self._rossec_uri = uri

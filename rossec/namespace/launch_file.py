@@ -44,8 +44,6 @@ class Span(NamedTuple):
 
 @dataclass
 class Tag:
-    """A start tag: where it is, and where each attribute's value is (inside the quotes)."""
-
     span: Span
     empty: bool
     values: dict[str, Span]
@@ -57,8 +55,6 @@ class Tag:
 
 @dataclass
 class Element:
-    """An element of metadata; `whole` covers it from `<` to `>`."""
-
     name: str
     line: int
     attributes: dict[str, str]
@@ -76,8 +72,6 @@ class Element:
 
 @dataclass
 class LaunchNode:
-    """A `<node>` with metadata: its name in the file, its tag, its elements of metadata."""
-
     name: str
     line: int
     tag: Tag
@@ -110,11 +104,7 @@ class Launch:
 
 
 def scan(data: bytes) -> Launch:
-    """Find the nodes with metadata, and the includes.
-
-    Raises:
-        MetadataRefused: malformed, too long, or metadata that make no sense; it names the line.
-    """
+    """Find the nodes with metadata, and the includes."""
     check_document(data, WHAT)
     reader = _Reader(data)
     try:
@@ -131,7 +121,6 @@ def scan(data: bytes) -> Launch:
 
 
 def refuse(line: int, message: str, hint: str = "") -> NoReturn:
-    """Raise for something on a line of the file."""
     raise MetadataRefused(f"line {line}: {message}", hint)
 
 
@@ -277,8 +266,6 @@ class Edit(NamedTuple):
 
 
 class NamedEntry(NamedTuple):
-    """A topic or service of a node: its name in the program, and the one it gets."""
-
     kind: Kind
     source: str
     name: str
@@ -293,11 +280,7 @@ class NamedNode(NamedTuple):
 
 
 def named(launch: Launch, name_of: NameOf) -> list[NamedNode]:
-    """The names for the nodes of a file, in its order.
-
-    Raises:
-        RossecError: there is none, or two nodes get the same; the message names the line.
-    """
+    """The names for the nodes of a file, in its order."""
     found = [_named(node, name_of) for node in launch.nodes]
     lines: dict[str, int] = {}
     for node in found:

@@ -100,12 +100,10 @@ _MODE: Final = 0o644
 
 
 def service_type() -> ServiceType:
-    """The type, registered in this process."""
     return register_service_type(TYPE, _text(_SRV))
 
 
 def write(directory: Path) -> Path:
-    """Write the package into `directory`, as a folder of its name; returns that."""
     package = directory / PACKAGE
     if package.exists():
         raise ConfigurationError(f"{package} exists and is not overwritten", "remove it first")
@@ -144,11 +142,7 @@ class TopicNames:
         self._turns = CallerTurns(CHILDREN, WAITING)
 
     async def answer(self, request: Any, caller: Identity) -> dict[str, object]:
-        """The response to one request of `caller`.
-
-        Raises:
-            ServiceFailed: there is no name; the caller is told why.
-        """
+        """The response to one request of `caller`."""
         async with self._turns.turn(caller.thumbprint):
             metadata = request.metadata if request.metadata.strip() else await self._own(caller)
             try:

@@ -80,7 +80,6 @@ _WARM_UP: Final = NameRequest(
 
 
 def main() -> None:
-    """Serve standard input, confined; say in the first frame that it is so, or why not."""
     answer(_WARM_UP)  # everything that is imported or read later, while files can be opened
     answer(NameRequest(b"<", b""))
     try:
@@ -97,7 +96,6 @@ def main() -> None:
 
 
 def confine() -> None:
-    """Give up everything but memory, two descriptors and fork()."""
     os.nice(_NICE)
     for what, most in (
         (resource.RLIMIT_AS, MEMORY),
@@ -115,14 +113,12 @@ def confine() -> None:
 
 
 def limit(what: int, most: int) -> None:
-    """Lower a limit, for ever."""
     _, hard = resource.getrlimit(what)
     bound = most if hard == resource.RLIM_INFINITY else min(most, hard)
     resource.setrlimit(what, (bound, bound))
 
 
 def serve(source: int, sink: int) -> None:
-    """Answer requests until there are no more."""
     while head := _read(source, requests.HEAD):
         body = _read(source, requests.size(bytes(head), requests.MAX_REQUEST))
         given = ask(body)
@@ -133,7 +129,6 @@ def serve(source: int, sink: int) -> None:
 
 
 def ask(body: bytearray) -> bytearray:
-    """The answer of a process of its own to `body`."""
     source, sink = os.pipe()
     own = os.getpid()
     child = os.fork()
@@ -155,7 +150,6 @@ def ask(body: bytearray) -> bytearray:
 
 
 def work(body: bytearray, sink: int, parent: int) -> NoReturn:
-    """Answer one request into `sink`, with nothing else open, and end."""
     code = 1
     try:
         restrict(sink, parent)
@@ -166,7 +160,6 @@ def work(body: bytearray, sink: int, parent: int) -> NoReturn:
 
 
 def restrict(sink: int, parent: int) -> None:
-    """Bind this process, forked for one request by `parent`, to computing and writing into `sink`."""
     if sandbox.LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
         raise OSError(ctypes.get_errno(), "prctl")
     if os.getppid() != parent:  # it ended before it was asked to take this process along

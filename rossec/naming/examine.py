@@ -31,7 +31,6 @@ _ROTATIONS: Final = 8
 
 
 def orders(document: bytes) -> Iterator[bytes]:
-    """The document in other orders, at the node and inside of its topics and services."""
     root = parse(document)
     children = list(root)
     inner = [list(child) for child in children]
@@ -105,8 +104,6 @@ class Report:
 
 @dataclass(frozen=True)
 class Place:
-    """A node, topic or service in metadata."""
-
     file: str
     line: int
     kind: Kind
@@ -120,11 +117,7 @@ class Place:
 async def examine(
     rules: RuleRunner, documents: Iterable[tuple[str, bytes]], covered: Covered | None = None
 ) -> Report:
-    """Try `rules` on `documents`: names of files, and their content.
-
-    Raises:
-        RulesNotConfined: no rules can be applied here.
-    """
+    """Try `rules` on `documents`: names of files, and their content."""
     report, names = Report(), defaultdict[tuple[Kind, str], list[Place]](list)
     for file, document in documents:
         try:

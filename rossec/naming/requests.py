@@ -63,20 +63,12 @@ _SPACE: Final = b" \t\r\n"
 
 
 def check_rules(data: bytes) -> bytes:
-    """Return `data` if it may be parsed as rules.
-
-    Raises:
-        RulesRefused: too long, with a document type, or in another encoding.
-    """
+    """Return `data` if it may be parsed as rules."""
     return _check(data, "rules", RulesRefused)
 
 
 def check_document(data: bytes, what: str = "metadata") -> bytes:
-    """Return `data` if it may be parsed as `what`: metadata, or a launch file.
-
-    Raises:
-        MetadataRefused: as for `check_rules`.
-    """
+    """Return `data` if it may be parsed as `what`: metadata, or a launch file."""
     return _check(data, what, MetadataRefused)
 
 
@@ -145,8 +137,6 @@ class Entry:
 
 @dataclass(frozen=True)
 class Metadata:
-    """One node, with its topics and services in the order of the document."""
-
     owner: str | None = None
     name: str | None = None
     group: str | None = None
@@ -159,7 +149,6 @@ class Metadata:
 
 
 def read(data: bytes) -> Metadata:
-    """Read metadata."""
     root = parse(data)
     if root.tag != "node":
         raise MetadataRefused(f"metadata are a <node>, not <{root.tag[:60]}>", _HINT)
@@ -175,7 +164,6 @@ def read(data: bytes) -> Metadata:
 
 
 def parse(data: bytes, what: str = "metadata") -> "Element":
-    """The root element of a checked document."""
     check_document(data, what)
     try:
         root: Element = ElementTree.fromstring(data, forbid_dtd=True)
@@ -188,7 +176,6 @@ def parse(data: bytes, what: str = "metadata") -> "Element":
 
 
 def check_query(kind: Kind, which: str) -> tuple[Kind, str]:
-    """Return what a name is asked for: a node has no `which`, a topic or service one of a line."""
     if (kind is Kind.NODE) is not (which == ""):
         raise MetadataRefused(
             "a topic or service is asked for by its name in the metadata", "a node has none"
@@ -251,8 +238,6 @@ _ODD: Final = "the process that applies rules answers in another form"
 
 @dataclass(frozen=True)
 class NameRequest:
-    """Rules, metadata, and what is asked; no metadata: compile the rules."""
-
     rules: bytes
     metadata: bytes
     queries: tuple[tuple[Kind, str], ...] = ()
@@ -263,7 +248,6 @@ Result = str | RossecError
 
 
 def frame(body: bytes) -> bytes:
-    """A body with its length in front."""
     return len(body).to_bytes(HEAD) + body
 
 
@@ -276,13 +260,11 @@ def size(head: bytes, limit: int) -> int:
 
 
 def write_request(request: NameRequest) -> bytes:
-    """The body for `request`."""
     queries: list[Value] = [[kind.value, which] for kind, which in request.queries]
     return encode([request.rules, request.metadata, queries, request.thesis_defaults])
 
 
 def read_request(body: bytes) -> NameRequest:
-    """Read the body of a request."""
     match decode(body, limit=MAX_REQUEST):
         case [bytes() as rules, bytes() as metadata, list() as queries, bool() as thesis]:
             return NameRequest(rules, metadata, tuple(map(_query, queries)), thesis)
@@ -299,12 +281,10 @@ def _query(item: Value) -> tuple[Kind, str]:
 
 
 def write_names(results: list[Result]) -> bytes:
-    """The body for the names of all queries."""
     return encode([0, [_written(result) for result in results]])
 
 
 def write_error(error: RossecError) -> bytes:
-    """The body for an error."""
     return encode(_written(error))
 
 
@@ -315,7 +295,6 @@ def _written(result: Result) -> Value:
 
 
 def read_names(body: bytes, count: int) -> list[Result]:
-    """Read names, `count` of them; a refused one is its error."""
     items = _value(body)
     if not isinstance(items, list) or len(items) != count:
         raise RulesExceeded(_ODD)
@@ -372,7 +351,6 @@ THESIS_DEFAULTS: Final = ("unknown-group", "unknown-node", "unknown-location")
 
 
 def check_proposed(text: str, *, thesis_defaults: bool = False) -> str:
-    """Return `text` if rules may give it as a name."""
     try:
         check_name(_legal(text) if thesis_defaults else text)
     except NameRefused as error:

@@ -32,12 +32,10 @@ RULES: Final = "names.xsl"
 
 
 def shipped_rules(name: str = RULES) -> bytes:
-    """The shipped rules `name`."""
     return files("rossec.naming").joinpath("rules", name).read_bytes()
 
 
 def shipped_example(name: str) -> bytes:
-    """The shipped example `name`: metadata `phone.xml`."""
     return files("rossec.naming").joinpath("examples", name).read_bytes()
 
 
@@ -46,8 +44,6 @@ START: Final = 20.0  # seconds until it is confined
 
 
 class RuleProcess:
-    """A process that answers one request after the other; close it in any case."""
-
     def __init__(self, process: "subprocess.Popen[bytes]", sock: socket.socket) -> None:
         self._process = process
         self._socket = sock
@@ -138,11 +134,7 @@ LIBRARY: Final = "lxml"
 
 
 def require_extra(library: str = LIBRARY) -> None:
-    """Return if rules can be applied here.
-
-    Raises:
-        NamesExtraMissing: the library for it is not installed.
-    """
+    """Return if rules can be applied here."""
     if importlib.util.find_spec(library) is None:
         raise NamesExtraMissing(
             f"names by rules need {library}, which is not installed",
@@ -180,14 +172,7 @@ class RuleRunner:
         self._is_closed = False
 
     async def __aenter__(self) -> Self:
-        """Start the first process and compile the rules once.
-
-        Raises:
-            NamesExtraMissing: lxml is not installed.
-            RulesRefused: the rules are malformed or use what they may not; the line is named.
-            RulesExceeded: to compile them took too much.
-            RulesNotConfined: the process cannot be started or confined.
-        """
+        """Start the first process and compile the rules once."""
         require_extra()
         requests.check_rules(self._rules)
         try:
@@ -203,25 +188,14 @@ class RuleRunner:
         self.close()
 
     async def name(self, metadata: bytes, kind: Kind = Kind.NODE, which: str = "") -> str:
-        """The name of the node, or of its topic or service `which`.
-
-        Raises:
-            MetadataRefused: malformed or too long.
-            NameUndefined: the rules give none, or several.
-            ProposedNameRefused: what they give is no ROS name, or a reserved one.
-            RulesRefused, RulesExceeded, RulesNotConfined: the rules fail, or take too much.
-        """
+        """The name of the node, or of its topic or service `which`."""
         (result,) = await self.names(metadata, [(kind, which)])
         if isinstance(result, RossecError):
             raise result
         return result
 
     async def names(self, metadata: bytes, queries: Sequence[tuple[Kind, str]]) -> list[Result]:
-        """The names for all `queries`, in their order; each a name, or the error instead.
-
-        Raises:
-            MetadataRefused, RulesRefused, RulesExceeded, RulesNotConfined: for all of them.
-        """
+        """The names for all `queries`, in their order; each a name, or the error instead."""
         requests.check_document(metadata)
         asked = tuple(check_query(*query) for query in queries)
         if not asked:

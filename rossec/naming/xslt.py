@@ -42,7 +42,6 @@ _HINT: Final = 'write <parameter name="group" path="//node/group" default="unkno
 
 
 def expand(root: Any, *, thesis_defaults: bool = False) -> None:
-    """Replace every `<parameter>` in the tree of lxml below `root`, which is changed."""
     for element in list(root.iter(PARAMETER)):
         _check(element)
         _replace(element, _default(element.get("default", ""), keep=thesis_defaults))
@@ -133,7 +132,6 @@ _CALL: Final = re.compile(r"(?:([\w.-]+)\s*:\s*)?(?<![\w.-])([^\W\d][\w.-]*)\s*\
 
 
 def calls(expression: str) -> Iterator[tuple[str | None, str]]:
-    """Prefix, if any, and name of every function that `expression` calls."""
     return _calls(_LITERAL.sub(" '' ", expression))
 
 
@@ -193,7 +191,6 @@ _SCAN_HINT: Final = "rules are XSLT 1.0 without imports, documents and extension
 
 
 def scan(root: Any) -> None:
-    """Check the tree of lxml below `root`."""
     for element in root.iter():
         if not isinstance(element.tag, str):
             if element.tag.__name__ != "Comment":
@@ -262,7 +259,6 @@ def answer(request: NameRequest) -> bytes:
 
 
 def compile_rules(rules: bytes, *, thesis_defaults: bool = False) -> Any:
-    """The transformation that `rules` are."""
     tree = _parse(requests.check_rules(rules), RulesRefused, "rules")
     root = tree.getroot()
     if root.tag not in _ROOTS:

@@ -41,8 +41,6 @@ from rossec.net.limits import ACCEPTED, DIALLED, HalfOpen, HalfOpenCount
 
 
 class OpenStreams:
-    """The open connections of one identity."""
-
     def __init__(self) -> None:
         self._lock = Lock()
         self._streams: WeakSet[PresentsIdentity] = WeakSet()

@@ -44,7 +44,6 @@ VERSION: Final = 1
 
 
 def read_document(data: bytes, form: str, keys: frozenset[str], *, limit: int, hint: str) -> dict[str, Any]:
-    """The entries of a document of this form, without the entry that names it."""
     if len(data) > limit:
         raise ConfigurationError(f"a {form} file has at most {limit} bytes", hint)
     try:
@@ -62,12 +61,10 @@ def read_document(data: bytes, form: str, keys: frozenset[str], *, limit: int, h
 
 
 def write_document(form: str, entries: Mapping[str, Any]) -> bytes:
-    """What `read_document` reads."""
     return json.dumps({form: VERSION, **entries}, indent=1).encode() + b"\n"
 
 
 def is_texts(value: object) -> bool:
-    """Whether a value is a list of texts."""
     return isinstance(value, list) and all(isinstance(each, str) for each in value)
 
 
@@ -100,9 +97,6 @@ class Peer:
             and nobody has said it.
         relay: the name it is certified for; empty: its card is not here.
         mailbox: the key of its mailbox for this relay; empty likewise.
-
-    Raises:
-        ConfigurationError: one of them is not in form.
     """
 
     label: str
@@ -143,11 +137,7 @@ class Peer:
         return display_name(self.domain or "", self.relay) if self.relay else ""
 
     def check(self, found: Identity) -> None:
-        """Return if an authenticated relay is this peer.
-
-        Raises:
-            RelayRefused: it is another node, or its card is not here.
-        """
+        """Return if an authenticated relay is this peer."""
         alias = split_alias(found.name) if found.is_foreign else None
         label, name = ("", found.name) if alias is None else alias
         if not self.is_complete or (label, name) != (self.domain, self.relay):
@@ -163,7 +153,6 @@ Peers = Mapping[str, Peer]
 
 
 def checked_peers(peers: Iterable[Peer]) -> dict[str, Peer]:
-    """The peers by label."""
     found: dict[str, Peer] = {}
     for each in peers:
         for other in found.values():
@@ -185,7 +174,6 @@ def _check_apart(one: Peer, other: Peer) -> None:
 
 
 def read_peers(data: bytes, name: str) -> dict[str, Peer]:
-    """Read the file of peers, called `name`; a closed schema."""
     try:
         found = read_document(data, _FORM, frozenset({"peers"}), limit=MAX_PEERS_FILE, hint=_HINT)
     except ConfigurationError as error:
@@ -197,7 +185,6 @@ def read_peers(data: bytes, name: str) -> dict[str, Peer]:
 
 
 def write_peers(peers: Peers) -> bytes:
-    """The content of the file."""
     rows = [asdict(each) for _, each in sorted(peers.items())]
     return write_document(_FORM, {"peers": rows})
 
@@ -245,11 +232,7 @@ class RelayCard:
 
     @classmethod
     def read(cls, data: bytes) -> Self:
-        """Read a card; a closed schema.
-
-        Raises:
-            RelayRefused: anything else.
-        """
+        """Read a card; a closed schema."""
         keys = frozenset(each.name for each in fields(cls))
         refused = RelayRefused("this is not the card of a relay", _RELAY_CARDS_HINT)
         try:
@@ -307,11 +290,7 @@ class Routers:
 
     @classmethod
     def read(cls, data: bytes) -> Self:
-        """The content of a seat file.
-
-        Raises:
-            ConfigurationError: it is not one.
-        """
+        """The content of a seat file."""
         found = read_document(
             data,
             _ROUTERS_FORM,
@@ -329,11 +308,7 @@ class Routers:
 
 
 def check_seat(seat: str) -> str:
-    """`seat`, if it is the name of one.
-
-    Raises:
-        ConfigurationError: it is not.
-    """
+    """`seat`, if it is the name of one."""
     if not is_seat(seat):
         raise ConfigurationError(
             f"{seat[:40]!a} is not the name of a seat", "at most 32 of the characters a-z and 0-9"
@@ -342,14 +317,12 @@ def check_seat(seat: str) -> str:
 
 
 def check_password(password: str) -> str:
-    """`password`, if it is one that a router made; it is in no message."""
     if not _PASSWORD.fullmatch(password):
         raise ConfigurationError("the password of a seat is not in form", _AGAIN)
     return password
 
 
 def check_locator(locator: str) -> tuple[str, str, int]:
-    """Protocol, host (without brackets) and port of a locator."""
     match = _LOCATOR.fullmatch(locator)
     if match is None or not 0 < int(match["port"]) < 1 << 16:
         raise ConfigurationError(
@@ -360,7 +333,6 @@ def check_locator(locator: str) -> tuple[str, str, int]:
 
 
 def is_encrypted(locator: str) -> bool:
-    """Whether a locator's router is verified, and what is sent to it encrypted."""
     return not locator.startswith("tcp/")
 
 

@@ -44,14 +44,10 @@ from rossec.overlay.zenoh_carrier import Carrier
 
 
 class MailboxReader(Protocol):
-    """A mailbox that is read."""
-
     def close(self) -> None: ...
 
 
 class FrameCarrier(Protocol):
-    """Carries frames to mailboxes: any of them may be lost, come twice, or late."""
-
     @property
     def heard_at(self) -> float: ...
 
@@ -301,7 +297,6 @@ def idle_round_trip(stream: BaseStream) -> float:
 
 
 def stats_of(stream: BaseStream) -> LinkStats:
-    """What the link under a stream measured."""
     if not isinstance(stream.transport, LinkTransport):
         raise TypeError("this connection is not over a link")
     return stream.transport.link.stats
@@ -444,11 +439,7 @@ class RouterNetwork:
         return self._carrier.router
 
     async def dial(self, mailbox: str) -> aio_SecureStream[Identity]:
-        """A link to whoever reads this mailbox.
-
-        Raises:
-            RossecError, TimeoutError: nobody answers, or the handshake fails.
-        """
+        """A link to whoever reads this mailbox."""
         return await dial_link(self._carrier, mailbox, self.seat, self._context)
 
     def listen(
@@ -457,8 +448,5 @@ class RouterNetwork:
         """Call `serve` with each authenticated link that arrives in this mailbox.
 
         Unfinished handshakes are limited for each `label`, that of the peer it was told to.
-
-        Raises:
-            OverlayUnavailable: the session with the routers is closed.
         """
         return LinkListener(self._carrier, mailbox, self._context, serve, address=f"a link from {label}")

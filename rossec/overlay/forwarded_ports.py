@@ -33,8 +33,6 @@ _HINT: Final = "run a relay for each part of the site"
 
 
 class PeerTarget(NamedTuple):
-    """What a door stands for: a target at the site of a peer, which has this label here."""
-
     peer: str
     target: StreamTarget
 

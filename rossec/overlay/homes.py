@@ -48,12 +48,7 @@ class RelayFiles:
         self._read: tuple[tuple[int, ...], Peers] = (), {}
 
     def peers(self) -> Peers:
-        """The peers as of now; the file is read only when it has changed.
-
-        Raises:
-            ConfigurationError: it is not of this form.
-            PathRefused: others could have written it.
-        """
+        """The peers as of now; the file is read only when it has changed."""
         version = self._version()
         if version != self._read[0]:
             self._read = version, self._load()
@@ -72,21 +67,12 @@ class RelayFiles:
         return self._seat.exists()
 
     def routers(self) -> Routers:
-        """The routers, and the seat there.
-
-        Raises:
-            ConfigurationError: there is no seat file, or it is not one.
-            PathRefused: others could have written it.
-        """
+        """The routers, and the seat there."""
         missing = ConfigurationError(f"{self.home.name} has no seat at a router", _NO_SEAT)
         return Routers.read(files.read_own(self._seat, documents.MAX_SEAT_FILE, missing))
 
     def keep_seat(self, data: bytes) -> Routers:
-        """Keep a seat file, checked, in place of one of before.
-
-        Raises:
-            ConfigurationError: it is not one, or the relay is not enrolled.
-        """
+        """Keep a seat file, checked, in place of one of before."""
         self._check_enrolled()
         found = Routers.read(data)
         files.replace(self._seat, data)
@@ -136,12 +122,7 @@ class RouterHome:
         )
 
     def prepare(self) -> None:
-        """Make what a first start needs: the directory, the authority, an empty list of seats.
-
-        Raises:
-            ConfigurationError: what is there is damaged.
-            PathRefused: others can write there.
-        """
+        """Make what a first start needs: the directory, the authority, an empty list of seats."""
         files.make_private_directory(self.path)
         with files.locked_directory(self.path):
             if not (self.path / AUTHORITY_KEY).exists():
@@ -157,11 +138,7 @@ class RouterHome:
         return process_lock(self.path / _LOCK, busy)
 
     def authority(self) -> RouterAuthority:
-        """The TLS authority of the operator's routers.
-
-        Raises:
-            ConfigurationError: there is none, or it is damaged, or others can read its key.
-        """
+        """The TLS authority of the operator's routers."""
         key = self._private(AUTHORITY_KEY, _MAX_PEM)
         pem = files.read_own(self.path / AUTHORITY, _MAX_PEM, self._missing(AUTHORITY))
         return RouterAuthority.load(key, pem)
@@ -171,30 +148,18 @@ class RouterHome:
         files.create(self.path / AUTHORITY_KEY, key_pem(authority.key))
 
     def seats(self) -> Seats:
-        """The seats as of now.
-
-        Raises:
-            ConfigurationError: there is no such file, it is damaged, or others can read it.
-        """
+        """The seats as of now."""
         return Seats.read(self._private(SEATS, router_settings.MAX_SEATS_FILE))
 
     def change_seats(self, change: Callable[[Seats], Seats]) -> Seats:
-        """Let `change` make other seats of them, and keep those; a running router takes them over.
-
-        Raises:
-            ConfigurationError: as for `seats`, or what `change` raises.
-        """
+        """Let `change` make other seats of them, and keep those; a running router takes them over."""
         with files.locked_directory(self.path):
             changed = change(self.seats())
             files.replace(self.path / SEATS, changed.write())
         return changed
 
     def settings(self) -> RouterSettings:
-        """What the router was told last; before it was told anything, the defaults.
-
-        Raises:
-            ConfigurationError: the file is damaged.
-        """
+        """What the router was told last; before it was told anything, the defaults."""
         if not (self.path / SETTINGS).exists():
             return RouterSettings()
         missing = self._missing(SETTINGS)
@@ -202,11 +167,7 @@ class RouterHome:
         return RouterSettings.read(data)
 
     def tell(self, **given: tuple[str, ...]) -> RouterSettings:
-        """Settings with those that were `given`, not empty, in the place of the old ones; kept.
-
-        Raises:
-            ConfigurationError: they are not in form, or the file is damaged.
-        """
+        """Settings with those that were `given`, not empty, in the place of the old ones; kept."""
         with files.locked_directory(self.path):
             old = self.settings()
             found = replace(old, **{name: each for name, each in given.items() if each})
@@ -215,11 +176,7 @@ class RouterHome:
         return found
 
     def seat_file(self, seat: str) -> Routers:
-        """What a relay needs for a seat; `OPEN_SEAT` is that of everybody, without a password.
-
-        Raises:
-            ConfigurationError: there is no such seat, or no address of this router is known.
-        """
+        """What a relay needs for a seat; `OPEN_SEAT` is that of everybody, without a password."""
         password = "" if seat == OPEN_SEAT else self.seats().password(seat)
         locators = self.settings().locators
         encrypted = any(map(is_encrypted, locators))
@@ -227,20 +184,11 @@ class RouterHome:
         return Routers(locators, seat, password, root)
 
     def share(self) -> Share:
-        """What another router of the operator needs.
-
-        Raises:
-            ConfigurationError: no address of this router is known, or a file is damaged.
-        """
+        """What another router of the operator needs."""
         return Share(self.authority(), self.seats(), self.settings().locators)
 
     def take(self, share: Share) -> None:
-        """Take over what another router shares; what this one has of the same authority gives way.
-
-        Raises:
-            ConfigurationError: this router has another authority.
-            PathRefused: others can write there.
-        """
+        """Take over what another router shares; what this one has of the same authority gives way."""
         files.make_private_directory(self.path)
         with files.locked_directory(self.path):
             if not (self.path / AUTHORITY_KEY).exists():
@@ -255,11 +203,7 @@ class RouterHome:
         self.tell(join=tuple(each for each in share.join if each not in own))
 
     def write_for_zenoh(self, settings: RouterSettings, seats_: Seats | None) -> None:
-        """Bring the files that Zenoh reads up to date: users, and a certificate that is not old.
-
-        Raises:
-            ConfigurationError: the authority is damaged, or not valid now.
-        """
+        """Bring the files that Zenoh reads up to date: users, and a certificate that is not old."""
         if seats_ is not None:
             files.replace(self.files.users, seats_.dictionary())
         authority, hosts, now = self.authority(), settings.certified, clock.now()

@@ -20,8 +20,6 @@ from rossec.overlay.link_halves import FIRST_WINDOW, KEEPALIVE, LINGER, SILENCE,
 
 
 class LinkState(IntEnum):
-    """Where a link is."""
-
     IDLE = auto()  # called from here, and nothing written yet
     OPENING = auto()  # OPEN was sent
     RUNNING = auto()
@@ -58,8 +56,6 @@ _HIGH_WATER: Final = 64 * 1024  # bytes not sent yet, above which a writer shoul
 
 
 class Link:
-    """A link of this side. `reply_key`: the mailbox of the side that opened it."""
-
     def __init__(self, link_id: bytes, reply_key: str, now: float, *, opener: bool) -> None:
         if len(link_id) != frames.LINK_ID:
             raise ValueError(f"a link identifier has {frames.LINK_ID} bytes")

@@ -29,21 +29,15 @@ _SEAT: Final = re.compile(r"[a-z0-9]{1,32}")
 
 
 def is_seat(name: str) -> bool:
-    """Whether `name` may be that of a seat."""
     return _SEAT.fullmatch(name) is not None
 
 
 def is_mailbox(key: str) -> bool:
-    """Whether `key` is the key of exactly one mailbox."""
     return _KEY.fullmatch(key) is not None
 
 
 def mailbox(seat: str, box: bytes) -> str:
-    """The key of the mailbox `box` (16 random bytes) of a seat.
-
-    Raises:
-        ValueError: not a seat's name, or a box of another length.
-    """
+    """The key of the mailbox `box` (16 random bytes) of a seat."""
     key = f"rossec/1/{seat}/{box.hex()}"
     if not is_mailbox(key):
         raise ValueError("not the key of a mailbox")
@@ -63,8 +57,6 @@ _LAST: Final = 1 << 62
 
 
 class Kind(IntEnum):
-    """What a frame is."""
-
     OPEN = 1  # the first of a link, with where to answer
     DATA = 2
     ACK = 3  # offset: how far the peer's frames were seen to go; body: what came beyond `received`
@@ -85,8 +77,6 @@ _LENGTHS: Final[dict[int, tuple[int, int]]] = {
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A frame in form; `body` is a view of what was received."""
-
     kind: int
     link: bytes
     offset: int
@@ -96,7 +86,6 @@ class Frame:
 
 
 def head(kind: Kind, link: bytes, offset: int, received: int, limit: int) -> bytes:
-    """What stands before the body."""
     return _HEAD.pack(kind, link, offset, received, limit)
 
 
@@ -106,12 +95,10 @@ def link_of(data: bytes) -> bytes | None:
 
 
 def kind_of(data: bytes) -> int:
-    """The kind of a frame that `link_of` knows a link of."""
     return data[0]
 
 
 def read(data: bytes) -> Frame:
-    """Read one frame."""
     if not HEAD <= len(data) <= MAX_FRAME:
         raise LinkEnded("a frame of a forbidden length")
     kind, link, offset, received, limit = _HEAD.unpack_from(data)
@@ -124,7 +111,6 @@ def read(data: bytes) -> Frame:
 
 
 def return_address(reply_key: str, size: int) -> bytes:
-    """The body of a PROBE, and the beginning of that of an OPEN: where to answer, and padding."""
     key = reply_key.encode("ascii")
     padding = max(0, size - 3 - len(key))
     return bytes((len(key),)) + key + padding.to_bytes(2) + bytes(padding)
@@ -144,12 +130,10 @@ def split_return_address(body: memoryview) -> tuple[str, memoryview]:
 
 
 def pack_ranges(ranges: list[tuple[int, int]]) -> bytes:
-    """The body of an ACK: (first, end) of what came beyond the first gap, in order."""
     return b"".join(_RANGE.pack(first, end) for first, end in ranges[:MAX_RANGES])
 
 
 def read_ranges(frame: Frame) -> list[tuple[int, int]]:
-    """The ranges of an ACK."""
     if len(frame.body) % _RANGE.size:
         raise LinkEnded("an acknowledgement with half a range")
     ranges = list(_RANGE.iter_unpack(frame.body))
@@ -162,7 +146,6 @@ def read_ranges(frame: Frame) -> list[tuple[int, int]]:
 
 
 def joined(head_: bytes, pieces: list[Bytes]) -> bytes:
-    """A frame of its head and the pieces of its body: the one copy that is made of them."""
     return b"".join((head_, *pieces))
 
 

@@ -71,10 +71,6 @@ class RelayMember:
     Attributes:
         context: for connections with masters and nodes.
         link_context: for links: certificates are sent by value, as links are made rarely.
-
-    Raises:
-        ConfigurationError: no identity, or another node's.
-        CertificateRefused, KeyRefused: the identity or the key is invalid.
     """
 
     def __init__(self, name: str, environ: Mapping[str, str]) -> None:
@@ -109,11 +105,7 @@ class RelayMember:
         self._membership.start()
 
     async def wait_ended(self) -> None:
-        """Wait until it ends by itself.
-
-        Raises:
-            BaseException: what a task crashed with; every link is cut.
-        """
+        """Wait until it ends by itself."""
         await asyncio.shield(self._ended)
 
     async def close(self) -> None:
@@ -137,10 +129,6 @@ class RelayMember:
 
         A foreign relay may come while its domain's revocations are stale, or the masters of two
         domains could never tell each other: `check_target` says for what.
-
-        Raises:
-            CAError: the relay is revoked, not trusted any more, or this is not known.
-            LimitExceeded: there are too many links with it.
         """
         self._connections.accept(link, link.peer, link.abort)  # a list may arrive meanwhile
         self._links.add(link)
@@ -156,12 +144,7 @@ class RelayMember:
                 self.standing.own.check(key, clock.now())
 
     def check_target(self, peer: Identity, kind: str) -> None:
-        """Return if a link with `peer` may lead to a target of this kind now.
-
-        Raises:
-            CAError: the peer may not come, or nobody has said lately that it may, and the target
-                is not a master, which judges by itself.
-        """
+        """Return if a link with `peer` may lead to a target of this kind now."""
         try:
             self.check_peer(peer)
         except RevocationsStale:
@@ -217,8 +200,6 @@ Dial = Callable[[], Awaitable[SecureStream[Identity]]]
 
 
 class DoorTable(Protocol):
-    """The doors of this relay. Several masters may want one target: it has one door."""
-
     async def open(self, target: Target, master: str) -> Door: ...
 
     def release(self, target: Target, master: str) -> None: ...

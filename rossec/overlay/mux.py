@@ -46,8 +46,6 @@ _WIDTHS: Final = {24: (1, 24), 25: (2, 1 << 8), 26: (4, 1 << 16)}  # bytes, and 
 
 
 class StreamTarget(NamedTuple):
-    """What a stream leads to, at the site of the called relay, by the names used there."""
-
     kind: str
     name: str
 
@@ -71,8 +69,6 @@ _LENGTHS: Final = (4, 3, 3, 2, 2)  # items of a unit, by its verb
 
 @dataclass(frozen=True, slots=True)
 class Open:
-    """The caller opens a stream."""
-
     stream: int
     target: StreamTarget
 
@@ -95,15 +91,11 @@ class Credit:
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """The sender sends nothing more in this stream."""
-
     stream: int
 
 
 @dataclass(frozen=True, slots=True)
 class Reset:
-    """The stream is refused, or broken off."""
-
     stream: int
 
 
@@ -111,7 +103,6 @@ Unit: TypeAlias = Open | Data | Credit | End | Reset
 
 
 def open_unit(stream: int, target: StreamTarget) -> bytes:
-    """`[stream, 0, kind, name]`."""
     name = target.name.encode()
     kind = KINDS.index(target.kind)
     return _begin(Verb.OPEN, stream) + head(_UINT, kind) + head(_TEXT, len(name)) + name
@@ -123,17 +114,14 @@ def data_head(stream: int, length: int) -> bytes:
 
 
 def credit_unit(stream: int, amount: int) -> bytes:
-    """`[stream, 2, amount]`."""
     return _begin(Verb.CREDIT, stream) + head(_UINT, amount)
 
 
 def end_unit(stream: int) -> bytes:
-    """`[stream, 3]`."""
     return _begin(Verb.END, stream)
 
 
 def reset_unit(stream: int) -> bytes:
-    """`[stream, 4]`."""
     return _begin(Verb.RESET, stream)
 
 
@@ -299,23 +287,17 @@ LAST_STREAM: Final = (1 << 32) - 1
 
 
 class Role(Enum):
-    """Which side of the link this is."""
-
     CALLER = auto()
     CALLED = auto()
 
 
 class Phase(Enum):
-    """Which directions of a stream are open."""
-
     OPEN = auto()
     ENDED_HERE = auto()  # this side sends nothing more
     ENDED_THERE = auto()
 
 
 class Side(Enum):
-    """Who ends a direction."""
-
     HERE = auto()
     THERE = auto()
 
@@ -330,16 +312,12 @@ _AFTER_END: Final[dict[tuple[Phase, Side], Phase | None]] = {  # None: the strea
 
 @dataclass(frozen=True, slots=True)
 class Opened:
-    """The caller opened a stream: connect it to its target."""
-
     stream: int
     target: StreamTarget
 
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """A stream of the caller was refused, as it has too many: send `reply`."""
-
     stream: int
     target: StreamTarget
     reply: bytes
@@ -367,8 +345,6 @@ class _Stream:
 
 
 class Mux:
-    """One side of the streams of a link; the next one opened has the number `first`."""
-
     def __init__(self, role: Role, first: int = 0) -> None:
         self._streams: dict[int, _Stream] = {}
         self._for_name: Counter[StreamTarget] = Counter()

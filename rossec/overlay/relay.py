@@ -59,8 +59,6 @@ DialPeer: TypeAlias = Callable[[Peer], Awaitable[SecureStream[Identity]]]
 
 
 class LinkState(Enum):
-    """What people are told of a link."""
-
     IDLE = "idle"
     DIALLING = "dialling"
     LINKED = "linked"
@@ -203,14 +201,10 @@ _Serve: TypeAlias = Callable[[SecureStream[Identity]], Awaitable[None]]
 
 
 class Closable(Protocol):
-    """What reads a mailbox."""
-
     async def close(self) -> None: ...
 
 
 class LinkNetwork(Protocol):
-    """The routers, as a relay uses them: see `rossec.overlay.endpoint`."""
-
     @property
     def router(self) -> str: ...
 
@@ -251,11 +245,7 @@ class Relay:
         self._problem = ""
 
     async def run(self) -> None:
-        """Relay until cancelled.
-
-        Raises:
-            BaseException: what a part of it crashed with; every link is cut.
-        """
+        """Relay until cancelled."""
         self._member.start()
         await self._take_peers()
         self._masters.start()

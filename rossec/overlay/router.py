@@ -23,8 +23,6 @@ CLOSING: Final = 5.0  # seconds
 
 
 class Session(Protocol):
-    """What is used here of `zenoh.Session`."""
-
     @property
     def info(self) -> Any: ...
 
@@ -50,13 +48,7 @@ class Router:
         self._joined = 0
 
     async def start(self) -> None:
-        """Listen.
-
-        Raises:
-            ConfigurationError: there are no seats, or there are though it is open; a file is
-                damaged.
-            OverlayUnavailable: zenoh is not installed, or cannot listen there.
-        """
+        """Listen."""
         self._seats_version = self._home.seats_version()
         await self._begin(seats_of(self._home, is_open=self._is_open))
 
@@ -120,11 +112,7 @@ class Router:
 
 
 def seats_of(home: RouterHome, *, is_open: bool) -> Seats | None:
-    """The seats of a router that begins; None: it is open to all.
-
-    Raises:
-        ConfigurationError: there are none, and it was not said that it is open, or both.
-    """
+    """The seats of a router that begins; None: it is open to all."""
     seats = home.seats()
     if is_open and seats.names:
         raise ConfigurationError(

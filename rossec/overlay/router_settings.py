@@ -140,7 +140,6 @@ class Seats:
 
 
 def open_access_control() -> Entry:
-    """Zenoh's `access_control` of a router without seats: all have one, and nothing but that."""
     return _access_control(
         _forwarding(_mailboxes(OPEN_SEAT)), [{"id": "everybody"}], [_policy("everybody", *_FORWARD)]
     )
@@ -279,11 +278,7 @@ class RouterSettings:
 
     @classmethod
     def read(cls, data: bytes) -> Self:
-        """The content of the file.
-
-        Raises:
-            ConfigurationError: it is not one.
-        """
+        """The content of the file."""
         keys = frozenset(each.name for each in fields(cls))
         found = read_document(
             data, _ROUTER_SETTINGS_FORM, keys, limit=MAX_SETTINGS_FILE, hint=_ROUTER_SETTINGS_HINT
@@ -306,11 +301,7 @@ class RouterSettings:
 
     @property
     def locators(self) -> tuple[str, ...]:
-        """Where relays find it, and then the routers that it joins.
-
-        Raises:
-            ConfigurationError: it listens at every address, and no host was said.
-        """
+        """Where relays find it, and then the routers that it joins."""
         own = self.own_locators
         if not own:
             raise ConfigurationError(
@@ -332,8 +323,6 @@ class RouterSettings:
 
 @dataclass(frozen=True)
 class RouterFiles:
-    """The files that Zenoh reads by itself."""
-
     users: Path
     root_certificate: Path
     key: Path
@@ -341,11 +330,7 @@ class RouterFiles:
 
 
 def zenoh_settings(settings: RouterSettings, seats: Seats | None, files: RouterFiles) -> dict[str, object]:
-    """Paths of Zenoh's configuration with their values; without seats the router is open to all.
-
-    Raises:
-        ConfigurationError: it has seats, and joins another without TLS.
-    """
+    """Paths of Zenoh's configuration with their values; without seats the router is open to all."""
     found = {
         **COMMON,
         "mode": "router",

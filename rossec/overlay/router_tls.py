@@ -109,12 +109,10 @@ class RouterAuthority:
 
 
 def key_pem(key: ec.EllipticCurvePrivateKey) -> bytes:
-    """PKCS#8, without a passphrase."""
     return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
 
 
 def load_key(pem: bytes) -> ec.EllipticCurvePrivateKey:
-    """A private key."""
     try:
         key = load_pem_private_key(pem, None)
     except (ValueError, TypeError):
@@ -200,11 +198,7 @@ class Share:
 
     @classmethod
     def read(cls, data: bytes) -> Self:
-        """The content of the file.
-
-        Raises:
-            ConfigurationError: it is not one.
-        """
+        """The content of the file."""
         found = read_document(data, _FORM, _KEYS, limit=MAX_SHARE_FILE, hint=_HINT)
         match found:
             case {

@@ -51,8 +51,6 @@ Found = TypeVar("Found")
 
 
 class StreamEnd(Protocol):
-    """What a pump needs of its stream, by the stream's number."""
-
     def buffer_for(self, stream: int) -> memoryview | None:
         # Where to read bytes for the stream; None: not now, `Pump.resume` says when.
         ...
@@ -69,8 +67,6 @@ class StreamEnd(Protocol):
 
 
 class Pump:
-    """The connection; without a socket until `connect`. `over` is set when it is closed."""
-
     def __init__(self, stream: int, end: StreamEnd) -> None:
         self._stream = stream
         self._end = end
@@ -192,8 +188,6 @@ Dial: TypeAlias = Callable[[StreamTarget, Pump], Awaitable[socket.socket]]
 
 
 class LinkStream(Protocol):
-    """What is used of `rossec.net.aio.SecureStream`."""
-
     @property
     def backlog(self) -> int:
         # Bytes that were written and not sent.
@@ -215,7 +209,6 @@ class LinkStream(Protocol):
 
 
 async def refuse_streams(target: StreamTarget, _pump: Pump) -> socket.socket:
-    """The `Dial` of the caller's side, where nothing is opened."""
     raise StreamRefused(f"a stream to {target} where none is opened")
 
 

@@ -155,8 +155,6 @@ Raises a `HintedError` where the master refuses, or cannot be asked.
 
 
 class NodePorts(Protocol):
-    """As `rossec.overlay.targets.TopicPorts`: numeric addresses, at which it was looked."""
-
     async def of(self, name: str, host: str, port: int) -> tuple[str, int]: ...
 
     async def provider(self, host: str, port: int) -> tuple[str, int]: ...
@@ -165,8 +163,6 @@ class NodePorts(Protocol):
 
 
 class Targets:
-    """Connects streams to targets of this site."""
-
     def __init__(self, resolve: Resolve, node_ports: NodePorts) -> None:
         self._resolve = resolve
         self._node_ports = node_ports
@@ -209,7 +205,6 @@ def _protocol(first: bytes) -> opening_WireProtocol | None:
 
 
 async def dial_from(source: str, host: str, port: int) -> socket.socket:
-    """A connection to `host`; from the address `source`, if it is this host."""
     loop = asyncio.get_running_loop()
     found = await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     here = [address for *_, (address, *_) in found if _is_here(str(address))]

@@ -31,8 +31,6 @@ class Orders(NamedTuple):
 
 
 class WantedDoors:
-    """The targets that a master wants."""
-
     def __init__(self) -> None:
         self.seen = 0
         self._held: dict[Target, Door] = {}

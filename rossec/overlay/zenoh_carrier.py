@@ -37,8 +37,6 @@ MOST_WAITING: Final = 4 * 1024 * 1024  # bytes, as one link may have on the way
 
 
 class SendQueue:
-    """The way of messages to `send`, which may take long; no message overtakes another."""
-
     def __init__(self, send: Callable[[str, bytes], None]) -> None:
         self._send = send
         self._thread: ThreadPoolExecutor | None = None
@@ -86,7 +84,6 @@ _TURN_OVERHEAD: Final = 16 * 1024  # bytes that are opened in the time a message
 
 
 def open_session(settings: Mapping[str, object]) -> "zenoh.Session":
-    """A session with these settings (`rossec.overlay.router_settings`); blocks until it is open."""
     try:
         import zenoh  # noqa: PLC0415 - as above
     except ImportError as error:
@@ -103,8 +100,6 @@ def open_session(settings: Mapping[str, object]) -> "zenoh.Session":
 
 
 class Subscription:
-    """A mailbox that is read; made by `Carrier.subscribe`."""
-
     __slots__ = ("_callback", "_carrier", "key", "subscriber", "waiting")
 
     def __init__(self, carrier: "Carrier", key: str, callback: Callable[[bytes], None]) -> None:
@@ -153,11 +148,7 @@ class Carrier:
 
     @classmethod
     async def open(cls, routers: Routers) -> Self:
-        """Connect to one of the routers.
-
-        Raises:
-            OverlayUnavailable: zenoh is not installed, or no router takes this seat.
-        """
+        """Connect to one of the routers."""
         return cls(routers, await _open(routers))
 
     @property
@@ -186,11 +177,7 @@ class Carrier:
     # -- receiving
 
     def subscribe(self, key: str, callback: Callable[[bytes], None]) -> Subscription:
-        """Call back on the loop with each message that arrives in this mailbox.
-
-        Raises:
-            OverlayUnavailable: the session does not take it.
-        """
+        """Call back on the loop with each message that arrives in this mailbox."""
         subscription = Subscription(self, key, callback)
         self._declare(subscription)
         self._subscriptions.add(subscription)

@@ -69,20 +69,13 @@ def granted_name(peer: Identity, topic: str, own: str = "") -> str:
     Args:
         own: the certified name of this node, if it may be a gateway. To a gateway an alias is the
             origin's alone: it could be led to forward what it serves itself.
-
-    Raises:
-        NameRefused: a gateway cannot serve it: no alias of a name, or one that is too long.
     """
     served = is_alias(topic) and is_own_gateway(peer) and not is_gateway(own)
     return served_name(topic) if served else topic
 
 
 def wire_name(peer: Identity, topic: str, own: str = "") -> str:
-    """The name by which `peer` is asked for the subscribed `topic`; `own` as of `granted_name`.
-
-    Raises:
-        NameRefused: below `/remote`, but no alias; or as `granted_name`.
-    """
+    """The name by which `peer` is asked for the subscribed `topic`; `own` as of `granted_name`."""
     return origin_of(granted_name(peer, topic, own))
 
 
@@ -206,7 +199,6 @@ _ARRAY_HEAD, _BYTES_HEAD = 3, 5  # at most, in CBOR
 
 
 def fitting(tokens: Iterable[bytes]) -> Iterator[bytes]:
-    """The first of the tokens that a field of a connection header has room for."""
     room, left = MAX_PRESENTED - _ARRAY_HEAD, MAX_GRANTS
     for token in tokens:
         size = len(token) + _BYTES_HEAD
@@ -282,11 +274,7 @@ class Access:
         self._held.setdefault(grant.id, HeldGrant(grant, data, data, grant.not_before))
 
     def hold_renewed(self, token: bytes, now: int) -> None:
-        """Replace a grant this node holds with the token the master renewed.
-
-        Raises:
-            GrantError: it is invalid, or this node does not hold the grant.
-        """
+        """Replace a grant this node holds with the token the master renewed."""
         domain = peek(token).domain
         grant = self._tokens.open(token, domain, now)
         known = self._held.get(grant.id)
@@ -339,10 +327,6 @@ class Access:
         """Take over a newer list (empty: the one held is the newest) and its timestamp.
 
         A valid list is kept even when the timestamp is not accepted.
-
-        Raises:
-            RevocationsStale: the master sends the list without a timestamp.
-            CAError: the list or timestamp is refused or missing, or the master's key is revoked.
         """
         if not timestamp and not revocations and self._revocations.current is None:
             raise CAError(*NO_LIST)
@@ -382,9 +366,6 @@ class Access:
         """Header field that proves `right` on `name`: the array of the grants that cover it.
 
         A peer accepts a limited number and size; those that expire last are sent.
-
-        Raises:
-            NotAdmitted, NameRefused: an alias of no domain.
         """
         covering = [held.token for held in self._covering(right, name, now)]
         return encode(list[Value](fitting(covering)))
@@ -444,13 +425,7 @@ class Access:
     def authorize(
         self, peer: Identity, presented: bytes | None, right: Right, name: str, now: int
     ) -> Decision:
-        """Decide whether `peer`, which presents `presented`, may use `right` on `name` now.
-
-        Raises:
-            GrantError: the subclass for what is missing or wrong.
-            CAError: the peer or one of its grants is revoked, or revocations are stale; or it is no
-                gateway, and offers what only they do.
-        """
+        """Decide whether `peer`, which presents `presented`, may use `right` on `name` now."""
         self.check_peer(peer, now)
         if right & _OFFERS and is_in_gateway(name) and not is_own_gateway(peer):
             verb = "publishes" if right & Right.PUBLISH else "provides"
@@ -483,8 +458,6 @@ def _remedy(peer: Identity, right: Right, name: str) -> str:
 
 
 class HandshakeAccess(Protocol):
-    """Proves this node's rights and authorizes peers."""
-
     def present(self, right: Right, name: str, now: int) -> bytes: ...
 
     def is_master(self, peer: Identity) -> bool: ...
@@ -497,8 +470,6 @@ class HandshakeAccess(Protocol):
 
 
 class HeldGrants(Protocol):
-    """The grants this node holds."""
-
     @property
     def epoch(self) -> int: ...
 

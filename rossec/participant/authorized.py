@@ -53,8 +53,6 @@ STALE_GRACE: Final = 60
 
 
 class PeerStream(Protocol):
-    """A stream whose peer is authenticated."""
-
     @property
     def peer(self) -> Identity: ...
 
@@ -219,8 +217,6 @@ _log = logging.getLogger("rossec.node")
 
 
 class RenewableStream(Protocol):
-    """A stream on which both sides may renew what they presented."""
-
     def on_renewal(self, callback: Callable[[Renewal[Identity]], None]) -> None: ...
 
     def present_grants(self, data: bytes) -> bool: ...
@@ -247,8 +243,6 @@ class _Budgets:
 
 
 class RenewedGrants:
-    """Those of the connections of one identity."""
-
     def __init__(self, access: HandshakeAccess) -> None:
         self._access = access
         self._budgets = _Budgets()

@@ -132,9 +132,6 @@ class ConnectionTable(Generic[StreamT]):
         """Count a connection of `peer` until `forget` is called with the same key.
 
         A foreign authority certifies any number of keys, so its domain counts as one peer.
-
-        Raises:
-            LimitExceeded: it has too many already, or too many that are not authorized.
         """
         source, name = (peer, peer) if isinstance(peer, str) else (_source(peer), peer.name)
         most = PEER_CONNECTIONS if self._most is None else self._most
@@ -176,11 +173,7 @@ class ConnectionTable(Generic[StreamT]):
         return min((connection.ends for connection in self), default=None)
 
     def add(self, connection: AuthorizedConnection[StreamT, Any]) -> None:
-        """Add a connection; no data may have passed yet.
-
-        Raises:
-            ChannelClosed: it is not allowed any more; it is not added.
-        """
+        """Add a connection; no data may have passed yet."""
         with self._lock:
             self._authorized.add(connection)
             accepted = self._accepted.get(connection.stream)
@@ -220,11 +213,7 @@ class ConnectionTable(Generic[StreamT]):
             self.discard(connection)
 
     def check(self, connection: AuthorizedConnection[StreamT, Any]) -> None:
-        """Return while the connection may stay open.
-
-        Raises:
-            ChannelClosed: it must end, and is aborted.
-        """
+        """Return while the connection may stay open."""
         now = clock.now()
         with self._standing_lock:
             reason = connection.termination_reason(self._standing, now)
@@ -382,11 +371,7 @@ class OwnAddresses:
         return self.host != "" and _plain(host) == _plain(self.host) and port in self._ports
 
     def check_redirect(self, first: Address, then: Address) -> None:
-        """Refuse a redirect from another node back to this one.
-
-        Raises:
-            ConnectionHeaderRefused: `first` is not this node and sent `then`, which is.
-        """
+        """Refuse a redirect from another node back to this one."""
         if self.is_own(then) and not self.is_own(first):
             host, port = first
             raise ConnectionHeaderRefused(f"the node at {host} port {port} sends this node to itself")
@@ -423,10 +408,6 @@ class Dialer:
         """Connect to the TCPROS port that the node at `uri` names in its answer to `requestTopic`.
 
         At a relay's door that is the door again: the node names an address of its own network.
-
-        Raises:
-            RossecError: out of reach, or no connection offered.
-            CAError: the peer is revoked, or this is not known.
         """
         api = names.parse_uri(uri, "a publisher's URI")
         named = await self._request_topic(await self.rpc(*api), topic)

@@ -65,7 +65,6 @@ _OTHERS: Final = {
 
 
 def what_to_install(type_name: str) -> str:
-    """What brings the definition of a type to a host."""
     package = type_name.partition("/")[0]
     ours = f"of ROS for Ubuntu: ros-noetic-{_dashed(package)}"
     if (theirs := _debian(package)) is not None:
@@ -121,12 +120,7 @@ class Definition:
 
     @cached_property
     def layout(self) -> Layout:
-        """Where the fields of a message are in its bytes.
-
-        Raises:
-            DefinitionRefused: the text is not a definition.
-            ConnectionHeaderRefused: its md5sum is another one.
-        """
+        """Where the fields of a message are in its bytes."""
         shape = layout.parse(self.name, self.definition)
         if shape.md5 != self.md5sum:
             raise ConnectionHeaderRefused(
@@ -152,9 +146,6 @@ def from_header(fields: Mapping[str, bytes]) -> Definition:
     """The type one side of a connection claims in its header; the definition may be missing.
 
     It is checked where it is needed: `Definition.layout` refuses text that is not UTF-8.
-
-    Raises:
-        ConnectionHeaderRefused: the type or md5sum is missing or is not text.
     """
     definition = fields.get("message_definition", b"").decode(errors="surrogateescape")
     return Definition(text(fields, "type"), text(fields, "md5sum"), definition)
@@ -174,9 +165,6 @@ def receiver_definition(
         own: the receiver's type: `*` for any, and roscpp sends no definition.
         claimed: the type the publisher claims.
         find_installed: called for types that the grant names, and no others.
-
-    Raises:
-        ConnectionHeaderRefused, GrantError: it is not known, or the right is for another type.
     """
     if own.definition or not needs_definition(decision):
         return sender_definition(own, decision, find_installed)
@@ -201,10 +189,6 @@ def sender_definition(own: Definition, decision: Decision, find_installed: FindD
     It may repeat the claim of its own publisher, as `topic_tools relay` does: where the type is
     installed on this host, both definitions must be the same. Where it says less than its type
     has, nested types or all of it, the one that is installed here counts.
-
-    Raises:
-        ConnectionHeaderRefused, GrantError: they differ, or the text is not a definition or is of
-        another type.
     """
     if not needs_definition(decision):
         return own
@@ -245,9 +229,6 @@ def forwarded_definition(sent: Definition, decision: Decision, find_installed: F
 
     As `sender_definition`, but where the md5sum does not prove it this host has to know the type:
     the restrictions of a subscriber may protect it from the sender.
-
-    Raises:
-        ConnectionHeaderRefused, GrantError: as there; or the type is not installed.
     """
     if needs_definition(decision) and not _is_proven(sent):
         trusted = find_installed(sent.name)
@@ -297,10 +278,6 @@ def guard_for(
 
     `memory` finds what earlier connections of the same key have used up. Without a guard, the
     watchdog still closes the connection when the right expires.
-
-    Raises:
-        ConnectionHeaderRefused, DefinitionRefused: `kind` has no valid definition.
-        GrantError: the restrictions are for another type.
     """
     if not decision.restrictions:
         return None

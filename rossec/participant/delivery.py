@@ -68,9 +68,6 @@ class Wishes:
         rate: at most so many messages a second, 0.001 to 10000, to three decimals; None: all.
         newest: of the messages that wait for a slow line only the newest is sent.
         deflate: messages are sent compressed.
-
-    Raises:
-        ConfigurationError: the rate is none of these.
     """
 
     rate: float | None = None
@@ -101,11 +98,7 @@ NO_WISHES: Final = Wishes()
 
 
 def requested_wishes(fields: Mapping[str, bytes]) -> Wishes:
-    """What the header of a subscriber wishes.
-
-    Raises:
-        ConnectionHeaderRefused: a field is malformed, or a rate is out of range.
-    """
+    """What the header of a subscriber wishes."""
     if _FIELDS.isdisjoint(fields):
         return NO_WISHES
     return Wishes(_rate(fields), _is_set(fields, NEWEST), _is_set(fields, DEFLATE))
@@ -124,21 +117,13 @@ def carried_out(wishes: Wishes, decision: Decision) -> Wishes:
 
 
 def check_carried_out(wishes: Wishes, decision: Decision) -> None:
-    """Return if the wishes that are carried out on a connection may be under another decision.
-
-    Raises:
-        ConnectionHeaderRefused: they may not: the peer and this node agree anew.
-    """
+    """Return if the wishes that are carried out on a connection may be under another decision."""
     if carried_out(wishes, decision) != wishes:
         raise ConnectionHeaderRefused("messages that are filtered now were to be sent deflated")
 
 
 def taken_wishes(answer: Mapping[str, bytes], asked: Wishes) -> Wishes:
-    """What the publisher with this answer carries out: those that were asked, or some of them.
-
-    Raises:
-        ConnectionHeaderRefused: a field is malformed, or says what was not asked.
-    """
+    """What the publisher with this answer carries out: those that were asked, or some of them."""
     taken = requested_wishes(answer)
     if taken.rate not in (None, asked.rate) or taken.newest > asked.newest:
         raise ConnectionHeaderRefused("the publisher answers another wish than it was asked")
@@ -213,11 +198,7 @@ def deflated(pieces: Sequence[Buffer]) -> bytes:
 
 
 def claimed_size(content: bytes, limit: int) -> int:
-    """The size of the message that `content` says it has.
-
-    Raises:
-        FrameRefused: more than `limit`, no more than the content itself, or no content.
-    """
+    """The size of the message that `content` says it has."""
     if content[:1] == STORED:
         size = len(content) - 1
     elif content[:1] == DEFLATED and len(content) > _START:
@@ -232,11 +213,7 @@ def claimed_size(content: bytes, limit: int) -> int:
 
 
 def inflated(content: bytes, limit: int) -> bytes:
-    """The message of `content`, at most `limit` bytes.
-
-    Raises:
-        FrameRefused: as `claimed_size`; or it is not what it says, or more follows it.
-    """
+    """The message of `content`, at most `limit` bytes."""
     size = claimed_size(content, limit)
     if content[:1] == STORED:
         return content[1:]

@@ -46,7 +46,6 @@ Fields = dict[str, bytes]
 
 
 def check_caller(fields: Mapping[str, bytes], peer: Identity) -> None:
-    """Compare the `callerid` of a peer with its certificate."""
     caller = text(fields, "callerid")
     if not peer.covers(caller):
         raise CallerMismatch(
@@ -66,11 +65,7 @@ def refuse_on_wire(name: str) -> str:
 
 
 def text(fields: Mapping[str, bytes], key: str) -> str:
-    """Field `key` as printable text of at most 4096 characters.
-
-    Raises:
-        ConnectionHeaderRefused: missing, not UTF-8, or with control characters.
-    """
+    """Field `key` as printable text of at most 4096 characters."""
     value = fields.get(key)
     if value is None:
         raise ConnectionHeaderRefused(f"the connection header has no {key!r}")
@@ -97,11 +92,7 @@ Rename = Callable[[str], str]
 
 
 def refuse_offer(name: str, done: str) -> str:
-    """Return `name`, which is to be published, provided or set, unless it is below `/remote`.
-
-    Raises:
-        ConfigurationError: it is.
-    """
+    """Return `name`, which is to be published, provided or set, unless it is below `/remote`."""
     if is_alias(name):
         raise ConfigurationError(
             f"{name} cannot be {done} here: {NOT_OFFERED}",
@@ -126,12 +117,7 @@ def offer_refusal(method: str, params: Sequence[object]) -> list[object] | None:
 
 
 def fields_on_wire(fields: Mapping[str, bytes]) -> Fields:
-    """A connection header for a peer: with the origin's name of the topic or service.
-
-    Raises:
-        NameRefused: below `/remote`, but no alias.
-        ConnectionHeaderRefused: the name is not text.
-    """
+    """A connection header for a peer: with the origin's name of the topic or service."""
     named = {key: origin_of(text(fields, key)).encode() for key in _NAMES if key in fields}
     return {**fields, **named}
 
@@ -288,23 +274,14 @@ def publisher_header(
 
 
 def requested_topic(fields: Mapping[str, bytes]) -> str:
-    """Topic a connecting subscriber asks for.
-
-    Raises:
-        ConnectionHeaderRefused: no topic, a name that is not text, or an alias.
-    """
+    """Topic a connecting subscriber asks for."""
     return refuse_on_wire(text(fields, "topic"))
 
 
 def admit_subscriber(
     fields: Mapping[str, bytes], peer: Identity, access: HandshakeAccess, now: int
 ) -> Decision:
-    """Decide on a subscriber from its header, before anything about the topic is looked up.
-
-    Raises:
-        CallerMismatch, ConnectionHeaderRefused: the header does not fit the peer.
-        GrantError, CAError: the peer may not subscribe.
-    """
+    """Decide on a subscriber from its header, before anything about the topic is looked up."""
     check_caller(fields, peer)
     topic = requested_topic(fields)
     return access.authorize(peer, fields.get(FIELD), Right.SUBSCRIBE, topic, now)
@@ -317,10 +294,6 @@ def admit_publisher(
 
     The caller applies the decision's restrictions to each message (`topic_guard.guard_for`), by the
     receiver's definition: the publisher's may differ under the same md5sum.
-
-    Raises:
-        CallerMismatch, ConnectionHeaderRefused: the topic, type or callerid does not match.
-        GrantError, CAError: the peer may not publish.
     """
     if "error" in fields:
         raise ConnectionHeaderRefused(f"{shown(peer.name)} refuses: {text(fields, 'error')}")
@@ -334,11 +307,7 @@ def admit_publisher(
 
 
 def check_type(fields: Mapping[str, bytes], expected: ExpectedTopic) -> None:
-    """Compare type and md5sum as TCPROS does; `*` matches any, on either side.
-
-    Raises:
-        ConnectionHeaderRefused: the two sides have different types.
-    """
+    """Compare type and md5sum as TCPROS does; `*` matches any, on either side."""
     name, md5sum = text(fields, "type"), text(fields, "md5sum")
     if not _matches(name, expected.type_name) or not _matches(md5sum, expected.md5sum):
         raise ConnectionHeaderRefused(
@@ -408,16 +377,11 @@ def caller_proof(service: str, access: HandshakeAccess, now: int) -> Fields:
 
 
 def provider_proof(service: str, access: HandshakeAccess, now: int) -> Fields:
-    """The field a server adds to its answer; it proves the right to provide."""
     return {FIELD: access.present(Right.PROVIDE, service, now)}
 
 
 def requested_service(fields: Mapping[str, bytes]) -> str:
-    """Service a connecting client asks for.
-
-    Raises:
-        ConnectionHeaderRefused: no service, a name that is not text, or an alias.
-    """
+    """Service a connecting client asks for."""
     return refuse_on_wire(text(fields, "service"))
 
 
@@ -426,10 +390,6 @@ def admit_caller(fields: Mapping[str, bytes], peer: Identity, access: HandshakeA
 
     A decision with restrictions must be applied to each request, or refused with
     `Decision.require_unrestricted`: the header of a service carries no definition to apply them by.
-
-    Raises:
-        CallerMismatch, ConnectionHeaderRefused: the header does not fit the peer.
-        GrantError, CAError: the peer may not call.
     """
     check_caller(fields, peer)
     return access.authorize(peer, fields.get(FIELD), Right.CALL, requested_service(fields), now)
@@ -438,12 +398,7 @@ def admit_caller(fields: Mapping[str, bytes], peer: Identity, access: HandshakeA
 def admit_provider(
     fields: Mapping[str, bytes], peer: Identity, service: str, access: HandshakeAccess, now: int
 ) -> Decision:
-    """Decide on a server from the header it answered with.
-
-    Raises:
-        CallerMismatch, ConnectionHeaderRefused: it refuses, or its callerid does not match.
-        GrantError, CAError: the peer may not provide.
-    """
+    """Decide on a server from the header it answered with."""
     if "error" in fields:
         raise ConnectionHeaderRefused(f"{shown(peer.name)} refuses: {text(fields, 'error')}")
     check_caller(fields, peer)
@@ -451,11 +406,7 @@ def admit_provider(
 
 
 def check_md5(fields: Mapping[str, bytes], service: str, md5sum: str) -> None:
-    """Compare the md5sums as ROS does, which ignores the type's name; `*` matches any.
-
-    Raises:
-        ConnectionHeaderRefused: the two sides have different definitions.
-    """
+    """Compare the md5sums as ROS does, which ignores the type's name; `*` matches any."""
     peer_md5sum = text(fields, "md5sum")
     if peer_md5sum != md5sum and ANY_TYPE not in {peer_md5sum, md5sum}:
         raise ConnectionHeaderRefused(

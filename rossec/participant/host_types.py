@@ -45,11 +45,7 @@ def known_type(name: str) -> Definition | None:
 
 
 def definition_of(name: str) -> str:
-    """The definition text of the type `name`: that by which this host's guards would read it.
-
-    Raises:
-        MessageError: an unknown type.
-    """
+    """The definition text of the type `name`: that by which this host's guards would read it."""
     found = known_type(name)
     if found is not None:
         return found.definition
@@ -89,7 +85,6 @@ def _read(name: str) -> str | None:
 
 
 def places(variables: Mapping[str, str]) -> list[str]:
-    """Where packages are: ROS_PACKAGE_PATH, then what is installed."""
     given = variables.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
     return list(dict.fromkeys(place for place in (*given, *INSTALLED) if place))
 

@@ -163,9 +163,6 @@ class GrantDelivery:
         """Fetch everything, at the beginning of a session; what was refused is judged again.
 
         A master that forged a grant, or a clock that was wrong, keeps it away no longer than that.
-
-        Raises:
-            RossecError: the master is out of reach, or sends a malformed answer.
         """
         self._received.clear()
         try:
@@ -184,11 +181,7 @@ class GrantDelivery:
         return b"".join(list(ids)[:MAX_KNOWN])
 
     def take(self, answer: object) -> bool:
-        """Hold the valid grants of an answer; returns whether more follow.
-
-        Raises:
-            AnswerMalformed: not `{"grants": [bytes], "more": bool}`.
-        """
+        """Hold the valid grants of an answer; returns whether more follow."""
         match answer:
             case {"grants": list() as grants, "more": bool() as more} if not more or grants:
                 for data in grants:

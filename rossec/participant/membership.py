@@ -243,11 +243,6 @@ class LoadedIdentity:
         home: the directory.
         name: the name the node runs under, which its identity covers.
         master: the certified name of its own master.
-
-    Raises:
-        ConfigurationError: no identity, or another node's.
-        CertificateRefused, KeyRefused: the identity or the key is invalid.
-        RevocationRefused, DomainsRefused: a saved list is not the authority's.
     """
 
     def __init__(self, home: NodeHome, name: str, master: str = MASTER) -> None:
@@ -264,8 +259,6 @@ class LoadedIdentity:
 
 
 class MembershipAccess(HeldGrants, HandshakeAccess, Provable, Protocol):
-    """The grants and the revocation data of this node."""
-
     @property
     def foreign_domains(self) -> frozenset[str]: ...
 
@@ -284,8 +277,6 @@ class MembershipAccess(HeldGrants, HandshakeAccess, Provable, Protocol):
 
 
 class MembershipHooks(Protocol):
-    """What differs between the forms of a node."""
-
     async def dial_master(self) -> SecureStream[Identity]: ...
 
     async def dial_watch(self) -> SecureStream[Identity]: ...
@@ -381,11 +372,7 @@ class Membership:
         await self.session.close()
 
     def update_revocations(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
-        """Take a newer list (empty: the one held) and a timestamp, then close what they end.
-
-        Raises:
-            CAError: either is refused. What a valid list revokes is closed nevertheless.
-        """
+        """Take a newer list (empty: the one held) and a timestamp, then close what they end."""
         now, before = clock.now(), self._identity.revocations.data
         try:
             self._access.update_revocations(
@@ -397,12 +384,7 @@ class Membership:
                 self.rights_version += 1
 
     def take_push(self, method: str, params: tuple[object, ...], master: Identity) -> None:
-        """Take what the master pushes, one of `SIGNED_UPDATES`; `params` without the caller_id.
-
-        Raises:
-            CAError: it is refused. What it revokes or ends is closed nevertheless.
-            CallRefused: not such a call.
-        """
+        """Take what the master pushes, one of `SIGNED_UPDATES`; `params` without the caller_id."""
         match method, params:
             case names.REVOCATION_UPDATE, (bytes() as revocations, bytes() as timestamp):
                 self.update_revocations(revocations, timestamp, master)

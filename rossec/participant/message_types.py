@@ -60,9 +60,6 @@ class MessageType(Definition):
         """Create a message with every field at its zero value, then set `fields`.
 
         A field that is a keyword of Python is named as it is or as its attribute: `from_`.
-
-        Raises:
-            MessageError: a field the type does not have.
         """
         message = _zero(_ros2_name(self.name))
         names = _field_names(_ros2_name(self.name))
@@ -75,11 +72,7 @@ class MessageType(Definition):
         return message
 
     def serialize(self, message: Message) -> memoryview:
-        """ROS 1 wire bytes of `message`, without the length prefix.
-
-        Raises:
-            MessageError: the value of a field has a wrong type or range.
-        """
+        """ROS 1 wire bytes of `message`, without the length prefix."""
         try:
             data: memoryview = _store().serialize_ros1(message, _ros2_name(self.name))
         except Exception as error:
@@ -89,11 +82,7 @@ class MessageType(Definition):
         return data
 
     def deserialize(self, data: bytes | memoryview) -> Message:
-        """Message from its ROS 1 wire bytes.
-
-        Raises:
-            MessageError: bytes that are not exactly one message of this type.
-        """
+        """Message from its ROS 1 wire bytes."""
         try:
             return _store().deserialize_ros1(data, _ros2_name(self.name))
         except Exception as error:
@@ -105,9 +94,6 @@ def message_type(name: str) -> MessageType:
     """Look up a type by its ROS name, for example `geometry_msgs/PoseStamped`.
 
     A type that is not a standard one, nor was registered, is that of its package on this host.
-
-    Raises:
-        MessageError: an unknown type.
     """
     try:
         return registered_type(name)
@@ -134,11 +120,7 @@ def type_names() -> list[str]:
 
 
 def register_type(name: str, definition: str) -> MessageType:
-    """Add the type `name` from the text of its `.msg` file; nested types must be known already.
-
-    Raises:
-        MessageError: the text is not a message definition, or the name is taken by another type.
-    """
+    """Add the type `name` from the text of its `.msg` file; nested types must be known already."""
     register_types({name: definition})
     return message_type(name)
 
@@ -178,7 +160,6 @@ def field_names(message: Message) -> list[str]:
 
 
 def attribute_of(field: str) -> str:
-    """The attribute of a message that has `field`: a keyword of Python has `_` behind it."""
     return str(normalize_fieldname(field))
 
 

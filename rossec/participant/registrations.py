@@ -326,11 +326,7 @@ class GraphView:
         return self.instance, self._cursor
 
     def take(self, answer: object) -> ObservedChange:
-        """Take over an answer; facts that are sent again but have not changed are not reported.
-
-        Raises:
-            AnswerMalformed: it is invalid.
-        """
+        """Take over an answer; facts that are sent again but have not changed are not reported."""
         match answer:
             case {
                 "instance": str() as instance,
@@ -355,11 +351,7 @@ class GraphView:
 
 
 def facts_of(rows: list[object]) -> frozenset[Fact]:
-    """The facts in a part of an answer.
-
-    Raises:
-        AnswerMalformed: something else.
-    """
+    """The facts in a part of an answer."""
     found: set[Fact] = set()
     for row in rows:
         match row:

@@ -73,11 +73,7 @@ class Renewals:
         return chosen
 
     def take(self, requested: list[HeldGrant], answer: object, now: int) -> int:
-        """Hold the renewed grants; returns how many of `requested` were renewed.
-
-        Raises:
-            AnswerMalformed: not one token, or an empty one, for each of `requested`.
-        """
+        """Hold the renewed grants; returns how many of `requested` were renewed."""
         if not isinstance(answer, list) or len(answer) != len(requested):
             raise AnswerMalformed("the master's answer has a different number of grants than requested")
         return sum(self._hold(held, token, now) for held, token in zip(requested, answer, strict=True))
@@ -97,16 +93,11 @@ class Renewals:
 class MasterCall(Protocol):
     """Calls a method of the master."""
 
-    def __call__(self, method: str, *params: object) -> Awaitable[object]:
-        """The value of its answer."""
+    def __call__(self, method: str, *params: object) -> Awaitable[object]: ...
 
 
 async def renew(call: MasterCall, renewals: Renewals, now: int) -> int:
-    """Renew the grants that are due; returns how many were renewed.
-
-    Raises:
-        RossecError: the master refuses, sends a malformed answer, or is out of reach.
-    """
+    """Renew the grants that are due; returns how many were renewed."""
     due = renewals.due(now)
     if not due:
         return 0
@@ -181,11 +172,7 @@ class IdentityRenewal:
         return True
 
     def take(self, bundle: object, now: int) -> None:
-        """Write a new identity to the disk, then use it.
-
-        Raises:
-            CAError, RossecError: it is invalid, or another node's; the old one stays.
-        """
+        """Write a new identity to the disk, then use it."""
         if not isinstance(bundle, bytes):
             raise AnswerMalformed("an identity that is not bytes")
         self._use(self._home.install(bundle, now))
@@ -232,11 +219,7 @@ class IdentityRenewal:
 
 
 async def renew_identity(call: MasterCall, renewal: IdentityRenewal, now: int) -> bool:
-    """Renew the identity if it is due; returns whether it was renewed.
-
-    Raises:
-        RossecError: the master is out of reach.
-    """
+    """Renew the identity if it is due; returns whether it was renewed."""
     request = renewal.request(now)
     if request is None:
         return False
@@ -256,8 +239,6 @@ MAX_PROOFS_PER_CALL: Final = 64  # entries in one call: the limit of the master
 
 
 class Provable(Protocol):
-    """`Access`, or an object that locks it."""
-
     @property
     def unproved(self) -> list[bytes]: ...
 
@@ -265,11 +246,7 @@ class Provable(Protocol):
 
 
 async def prove(call: MasterCall, revocations: Provable) -> int:
-    """Request the proofs that are wanted; returns how many were accepted.
-
-    Raises:
-        RossecError: the master refuses, sends a malformed answer, or is out of reach.
-    """
+    """Request the proofs that are wanted; returns how many were accepted."""
     wanted = revocations.unproved[:MAX_PROOFS_PER_CALL]
     return take(revocations, wanted, await call(REVOCATION_PROOFS, wanted)) if wanted else 0
 

@@ -83,11 +83,7 @@ class ServiceType:
 
 @cache
 def service_type(name: str) -> ServiceType:
-    """Look up a service type by its ROS name, for example `std_srvs/SetBool`.
-
-    Raises:
-        MessageError: an unknown type.
-    """
+    """Look up a service type by its ROS name, for example `std_srvs/SetBool`."""
     if name in _STANDARD:
         _register(name, _STANDARD[name])
     try:
@@ -101,11 +97,7 @@ def service_type(name: str) -> ServiceType:
 
 
 def part_type(name: str) -> MessageType:
-    """A message type, or one part of a service type (`std_srvs/SetBoolRequest`).
-
-    Raises:
-        MessageError: an unknown type.
-    """
+    """A message type, or one part of a service type (`std_srvs/SetBoolRequest`)."""
     whole = name.removesuffix("Request").removesuffix("Response")
     if whole in _STANDARD:
         service_type(whole)
@@ -113,11 +105,7 @@ def part_type(name: str) -> MessageType:
 
 
 def register_service_type(name: str, definition: str) -> ServiceType:
-    """Add the type `name` from the text of its `.srv` file; nested types must be known already.
-
-    Raises:
-        MessageError: the text is not a service definition, or the name is taken by another type.
-    """
+    """Add the type `name` from the text of its `.srv` file; nested types must be known already."""
     if name in _STANDARD:
         service_type(name)  # so that another definition of it is a conflict
     _register(name, definition)
@@ -149,10 +137,6 @@ class ServiceGuard:
     Args:
         filter_key: finds a key for pseudonyms by its name.
         memory: finds what earlier connections of the same key have used up.
-
-    Raises:
-        GrantError: a restriction is for another type.
-        ConfigurationError: a key for pseudonyms cannot be read.
     """
 
     def __init__(
@@ -168,19 +152,11 @@ class ServiceGuard:
         self._response = Guard(kind.response_layout, response, keys, memory.child("response"))
 
     def request(self, data: Buffer, now: float) -> Pieces:
-        """The request as it may be forwarded.
-
-        Raises:
-            ServiceRefused, GrantError: it may not be.
-        """
+        """The request as it may be forwarded."""
         return self._filter(self._request, "request", data, now)
 
     def response(self, data: Buffer, now: float) -> Pieces:
-        """The response as it may be forwarded.
-
-        Raises:
-            ServiceRefused, GrantError: it may not be.
-        """
+        """The response as it may be forwarded."""
         return self._filter(self._response, "response", data, now)
 
     def _filter(self, guard: Guard, what: str, data: Buffer, now: float) -> Pieces:

@@ -47,19 +47,13 @@ SLAVE_CALLS: Final[Mapping[str, Right]] = {
 
 
 def is_relay(peer: Identity) -> bool:
-    """Whether `peer` is a relay of the own domain."""
     return is_relay_name(peer.name) and not peer.is_foreign
 
 
 def check_slave_call(
     method: str, peer: Identity, node: str, presented: bytes | None, access: HandshakeAccess, now: int
 ) -> None:
-    """Return if `peer`, with the grants `presented`, may call `method` of the node `node`.
-
-    Raises:
-        CallRefused: only the master or a relay may call it, or there is no such method.
-        GrantError, CAError: the right is missing, or the peer is revoked.
-    """
+    """Return if `peer`, with the grants `presented`, may call `method` of the node `node`."""
     access.check_peer(peer, now)
     known = method in MASTER_ONLY or method in SLAVE_CALLS
     if method in OPEN or (known and access.is_master(peer)):
@@ -89,8 +83,6 @@ NO_TRANSPORT: Final = (
 
 
 class SlaveEvents(Protocol):
-    """Handles the calls in the node."""
-
     def publishers_changed(self, topic: str, uris: list[str]) -> None: ...
 
     def parameter_changed(self, key: str, value: object) -> None: ...
@@ -110,8 +102,6 @@ class SlaveEvents(Protocol):
 
 @dataclass(frozen=True)
 class SlaveMethod:
-    """The rule of one method: the types of the parameters after caller_id, and who may call."""
-
     kinds: tuple[type, ...]
     default: object
     master_only: bool = True
@@ -223,7 +213,6 @@ class SlaveApi:
     async def __call__(
         self, method: str, params: tuple[object, ...], peer: Identity, *, authorized: bool = False
     ) -> object:
-        """Answer one call of the authenticated `peer`: always `[code, status, value]`."""
         refused = refusal(method, params, peer, authorized=authorized, master=self._master)
         if refused is not None:
             return refused

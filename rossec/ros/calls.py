@@ -143,7 +143,6 @@ def dump_compact_call(turn: int, method: str, params: Sequence[object]) -> bytes
 
 
 def load_compact_call(data: bytes, turn: int, *, limit: int = BODY_LIMIT) -> Call:
-    """The call that fills `data`, which must have this number."""
     reader = _reader(data, limit)
     try:
         if data[1:4] == _BEGINNINGS[turn] and 0x83 <= data[0] < 0x98 and data[4] < 24:
@@ -159,7 +158,6 @@ def load_compact_call(data: bytes, turn: int, *, limit: int = BODY_LIMIT) -> Cal
 
 
 def compact_call_steps(data: bytes, turn: int, *, limit: int = BODY_LIMIT) -> Generator[None, None, Call]:
-    """As `load_call`, in steps: it yields after each."""
     reader = _reader(data, limit)
     try:
         size, method = _begin(reader, turn)
@@ -196,7 +194,6 @@ def load_compact_answer(data: bytes, turn: int, method: str, *, limit: int = BOD
 def compact_answer_steps(
     data: bytes, turn: int, method: str, *, limit: int = BODY_LIMIT
 ) -> Generator[None, None, object]:
-    """As `load_answer`, in steps: it yields after each."""
     reader = _reader(data, limit)
     try:
         count, depth, value_of = _shape(reader, turn)
@@ -336,11 +333,7 @@ class CallClient:
         return self._method is not None or (not self.is_compact and self._http.closing)
 
     def request(self, method: str, params: Sequence[object]) -> bytes:
-        """The bytes of a call, after the last one was answered.
-
-        Raises:
-            XmlRpcRefused: a parameter cannot be carried; nothing is under way.
-        """
+        """The bytes of a call, after the last one was answered."""
         if self.is_compact:
             unit = dump_compact_call(self._turn, method, params)
             self._method = method
@@ -361,9 +354,6 @@ class CallClient:
         """The answer, when it is whole: a value, a `Fault`, or a body of XML-RPC that is `Encoded`.
 
         None: it is not. See `value_in` and `body_of`.
-
-        Raises:
-            HttpRefused, CompactRefused: it is malformed, or nobody waits for it.
         """
         unit = self._received(data)
         if not isinstance(unit, bytes):
@@ -403,12 +393,7 @@ class CallClient:
 
 
 def value_in(answer: object, limit: int = BODY_LIMIT) -> object:
-    """The value that was answered.
-
-    Raises:
-        Fault: the peer answered with a fault.
-        XmlRpcRefused: a body that is not a response.
-    """
+    """The value that was answered."""
     if isinstance(answer, Encoded):
         return xmlrpc.load_response(answer.body, limit=limit)
     if isinstance(answer, Fault):
@@ -463,12 +448,7 @@ class CallServer:
         return self._http.closing
 
     def take(self, unit: bytes | None = None) -> bytes | Oversized | None:
-        """The next whole request, after taking `unit`; None: there is none yet.
-
-        Raises:
-            HttpRefused: send `refuse(error.status)`, then close.
-            CompactRefused: close.
-        """
+        """The next whole request, after taking `unit`; None: there is none yet."""
         if not self.is_compact:
             return self._http.next_request() if unit is None else self._http.feed_whole(unit)
         if unit is None:
@@ -484,10 +464,6 @@ class CallServer:
         Args:
             request: what `take` returned.
             bound: bytes that this caller may have parsed now, fewer than `limit`.
-
-        Raises:
-            XmlRpcRefused: too long or malformed; answer with a fault.
-            CompactRefused: malformed; close.
         """
         request = self._bounded(request, bound)
         if self.is_compact:
@@ -522,11 +498,7 @@ class CallServer:
         return request.find(_OWN, _METHOD_AT, _METHOD_AT + 8) > 0
 
     def respond(self, value: object) -> bytes:
-        """The bytes of the answer; `value` may be a `Fault`, or `Encoded`.
-
-        Raises:
-            XmlRpcRefused, Fault: it cannot be sent; the call may still be answered otherwise.
-        """
+        """The bytes of the answer; `value` may be a `Fault`, or `Encoded`."""
         http = self._http
         if self.is_compact or (self._takes_offers and http.is_offered and not http.pending):
             unit = dump_compact_answer(self._turn, value, limit=self._limit)

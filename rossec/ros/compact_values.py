@@ -43,8 +43,6 @@ _UINTS: Final = tuple(head(UINT, number) for number in range(256))
 
 
 class Pieces(list[bytes]):
-    """What is written: one piece for each value, and `more` values in pieces encoded ahead."""
-
     __slots__ = ("more",)
 
     def __init__(self, pieces: Iterable[bytes] = ()) -> None:
@@ -57,7 +55,6 @@ class Pieces(list[bytes]):
 
 
 def put(value: object, out: Pieces, depth: int = DEPTH_LIMIT) -> None:
-    """Append the pieces of `value` to `out`: one for each value in it."""
     kind = type(value)
     if kind is str:
         out.append(encoded_text(value))  # type: ignore[arg-type]
@@ -69,14 +66,12 @@ def put(value: object, out: Pieces, depth: int = DEPTH_LIMIT) -> None:
 
 
 def encoded(value: object, depth: int = DEPTH_LIMIT) -> bytes:
-    """`value` alone; see `put`."""
     out = Pieces()
     put(value, out, depth)
     return b"".join(out)
 
 
 def encoded_text(value: str) -> bytes:
-    """A string."""
     if not value.isprintable() and UNCARRIED.search(value) is not None:
         raise ValueError(_CONTROL)
     raw = value.encode()
@@ -85,7 +80,6 @@ def encoded_text(value: str) -> bytes:
 
 
 def encoded_number(value: int) -> bytes:
-    """An integer of 32 bits."""
     if 0 <= value < 256:
         return _UINTS[value]
     if value not in INTS:

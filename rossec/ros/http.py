@@ -164,8 +164,6 @@ class _Head(NamedTuple):
 
 
 class HttpServer:
-    """The server's side of one connection: `feed`, `next_request`, `respond`, again."""
-
     def __init__(self, *, limit: int = BODY_LIMIT) -> None:
         self._reader = Reader(limit)
         self._answering = False
@@ -261,8 +259,6 @@ _cached_request_head = lru_cache(256)(_request_head)
 
 
 class HttpClient:
-    """The client's side of one connection: `request`, `feed`, `next_response`, again."""
-
     def __init__(self, host: str, *, path: str = "/", limit: int = BODY_LIMIT) -> None:
         self._reader = Reader(limit)
         self._first = f"POST {path} HTTP/1.1\r\nHost: {host}".encode("ascii")

@@ -56,13 +56,11 @@ def canonical(name: str) -> str:
 
 
 def namespace(name: str) -> str:
-    """The namespace a node lives in, with a trailing slash: `/robot1/camera` -> `/robot1/`."""
     head, _, _ = name.removesuffix(SEPARATOR).rpartition(SEPARATOR)
     return head + SEPARATOR
 
 
 def join(prefix: str, name: str) -> str:
-    """`name` under `prefix`; a private or global name is returned as it is."""
     if not prefix or name.startswith((PRIVATE, SEPARATOR)):
         return name
     return prefix.removesuffix(SEPARATOR) + SEPARATOR + name
@@ -86,7 +84,6 @@ def resolve(name: str, node: str, remappings: Mapping[str, str] | None = None) -
 
 
 def search_paths(space: str, key: str) -> Iterator[tuple[str, str]]:
-    """As searchParam, from `space`, innermost first: what must exist, and what is then found."""
     above = [part for part in space.split(SEPARATOR) if part]
     first, *_ = key.split(SEPARATOR)
     for length in range(len(above), -1, -1):
@@ -95,7 +92,6 @@ def search_paths(space: str, key: str) -> Iterator[tuple[str, str]]:
 
 
 def resolve_checked(name: str, node: str, remappings: Mapping[str, str] | None = None) -> str:
-    """Like `resolve`, for names that must be well-formed."""
     return check_name(resolve(name, node, remappings))
 
 
@@ -131,16 +127,11 @@ class Settings:
     arguments: tuple[str, ...] = ()
 
     def resolve(self, name: str) -> str:
-        """The absolute, remapped form of a name the program uses.
-
-        Raises:
-            NameRefused: it is not a ROS name.
-        """
+        """The absolute, remapped form of a name the program uses."""
         return resolve_checked(name, self.name, self.remappings)
 
 
 def read(argv: Sequence[str], environ: Mapping[str, str], *, default_name: str) -> Settings:
-    """Settings from the arguments (without the program's path) and the environment."""
     assignments, arguments = _split(argv)
     special = {key: value for key, value in assignments if key.startswith("__")}
     name = _node_name(special, environ, default_name)
@@ -160,20 +151,12 @@ def read(argv: Sequence[str], environ: Mapping[str, str], *, default_name: str) 
 
 
 def own_address(environ: Mapping[str, str]) -> str | None:
-    """ROS_HOSTNAME or ROS_IP; None: neither is set.
-
-    Raises:
-        ConfigurationError: it is not the address of a host.
-    """
+    """ROS_HOSTNAME or ROS_IP; None: neither is set."""
     return _address({}, environ)
 
 
 def parse_uri(uri: str, what: str = "uri", *, scheme: str = "http") -> tuple[str, int]:
-    """Host and port of an `http://host:port` URI; of a service's, `scheme` is `rosrpc`.
-
-    Raises:
-        ConfigurationError: `what` holds something else.
-    """
+    """Host and port of an `http://host:port` URI; of a service's, `scheme` is `rosrpc`."""
     hint = f"it looks like {scheme}://localhost:{DEFAULT_PORT}, with {scheme}:// and a port"
     try:
         parts = urlsplit(uri)

@@ -34,7 +34,6 @@ _LENGTH: Final = struct.Struct("<I")
 
 
 def encode(fields: Mapping[str, str | bytes], *, limit: int = HEADER_LIMIT) -> bytes:
-    """The header with its total length in front, ready to send."""
     body = b"".join(_encode_field(key, value) for key, value in fields.items())
     if len(body) > limit:
         raise HeaderRefused(f"a connection header of {len(body)} bytes, at most {limit} allowed")
@@ -42,7 +41,6 @@ def encode(fields: Mapping[str, str | bytes], *, limit: int = HEADER_LIMIT) -> b
 
 
 def decode(body: bytes, *, limit: int = HEADER_LIMIT, field_limit: int = FIELD_LIMIT) -> dict[str, bytes]:
-    """The fields of a header; `body` is the content of its frame, without the total length."""
     if len(body) > limit:
         raise HeaderRefused(f"a connection header of {len(body)} bytes, at most {limit} allowed")
     fields: dict[str, bytes] = {}
@@ -57,7 +55,6 @@ def decode(body: bytes, *, limit: int = HEADER_LIMIT, field_limit: int = FIELD_L
 
 
 def text(fields: Mapping[str, bytes], key: str, default: str | None = None) -> str:
-    """A field that must be UTF-8 text."""
     value = fields.get(key)
     if value is None:
         if default is None:
@@ -70,12 +67,10 @@ def text(fields: Mapping[str, bytes], key: str, default: str | None = None) -> s
 
 
 def error_header(message: str) -> bytes:
-    """A header that makes rospy and roscpp log `message` and close this connection."""
     return encode({"error": message.encode()[:_ERROR_TEXT_LIMIT].decode(errors="ignore")})
 
 
 def frame(message: bytes) -> bytes:
-    """One message with its length in front."""
     return _LENGTH.pack(len(message)) + message
 
 
@@ -102,11 +97,7 @@ class FrameReader:
         return len(self._buffer)
 
     def feed(self, data: bytes | memoryview) -> list[bytes]:
-        """All frames that `data` completes.
-
-        Raises:
-            FrameRefused: a frame is longer than allowed. Frames before it are lost with it.
-        """
+        """All frames that `data` completes."""
         frames: list[bytes] = []
         if self._first is None and not self._lead and self._refusal is None:
             if not self._buffer:
@@ -131,11 +122,7 @@ class FrameReader:
         return view[position:]
 
     def feed_one(self, data: bytes) -> bytes | None:
-        """The frame that `data` completes, where none may follow before this one is answered.
-
-        Raises:
-            FrameRefused: it is longer than allowed, or more follows it.
-        """
+        """The frame that `data` completes, where none may follow before this one is answered."""
         self._buffer += data
         content = self._next()
         if content is not None and self._buffer:
@@ -220,12 +207,7 @@ class Framing:
         return self._reader.pending > 0
 
     def feed(self, data: bytes | memoryview, now: int) -> list[bytes]:
-        """All messages that `data` completes.
-
-        Raises:
-            FrameRefused: one is longer than allowed.
-            LimitExceeded: one takes too long.
-        """
+        """All messages that `data` completes."""
         messages = self._reader.feed(data)
         if messages:
             self._progress.done()
@@ -241,11 +223,7 @@ class Framing:
         return message
 
     def check_progress(self, now: int) -> None:
-        """Check that an incomplete message grows.
-
-        Raises:
-            LimitExceeded: it does not.
-        """
+        """Check that an incomplete message grows."""
         if self._reader.pending > 0:
             self._progress.check(now, self._reader.pending)
 
@@ -259,32 +237,26 @@ Buffer = bytes | bytearray | memoryview
 
 
 def request_reader() -> FrameReader:
-    """For the server, after the connection header."""
     return FrameReader(REQUEST_LIMIT)
 
 
 def response_reader() -> FrameReader:
-    """For the client, after the connection header."""
     return FrameReader(MESSAGE_LIMIT, lead=len(_OK))
 
 
 def framed(message: Sequence[Buffer]) -> list[Buffer]:
-    """A request: the pieces of one message with their length in front."""
     return [_LENGTH.pack(sum(map(len, message))), *message]
 
 
 def success(message: Sequence[Buffer]) -> list[Buffer]:
-    """A response."""
     return [_OK, *framed(message)]
 
 
 def failure(reason: str) -> list[Buffer]:
-    """A failure with its reason."""
     return [_FAILED, *framed([reason.encode()[:_ERROR_LIMIT].decode(errors="ignore").encode()])]
 
 
 def open_response(content: bytes) -> bytes:
-    """The message in what `response_reader` returned."""
     mark, message = content[:1], content[1:]
     if mark == _FAILED:
         text = message.decode(errors="replace")

@@ -60,14 +60,12 @@ class EncodedList(list[object]):
 
 
 def call_text(method: str, params: Iterable[object]) -> str:
-    """The body of a request; `method` as it is."""
     written = "".join([f"<param>\n{_value(param)}</param>\n" for param in params])
     head = f"{_PROLOG}<methodCall>\n<methodName>{method}</methodName>\n"
     return f"{head}<params>\n{written}</params>\n</methodCall>\n"
 
 
 def response_text(value: object) -> str:
-    """The body of a response that holds `value`."""
     return f"{_BEGIN}{_value(value)}{_END}"
 
 
@@ -90,7 +88,6 @@ def _array(items: "list[object] | tuple[object, ...]") -> str:
 
 
 def string_text(text: str) -> str:
-    """The text of a string value."""
     if "&" in text or "<" in text or ">" in text:
         text = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
     return f"<value><string>{text}</string></value>\n"
@@ -117,8 +114,6 @@ Tokens = Iterator[tuple[str, str]]
 
 
 class Body(NamedTuple):
-    """The parameters, the method where there is one, and the tag around it all."""
-
     params: tuple[object, ...]
     method: str | None
     root: str | None
@@ -307,7 +302,6 @@ class Encoded(NamedTuple):
 
 
 def dump_call(method: str, params: Sequence[object]) -> bytes:
-    """The body of a request."""
     try:
         return call_text(method, params).encode()
     except NOT_ENCODABLE as error:
@@ -315,7 +309,6 @@ def dump_call(method: str, params: Sequence[object]) -> bytes:
 
 
 def dump_response(value: object) -> bytes:
-    """The body of a response that holds `value`, or a fault if `value` is one, or is `Encoded`."""
     if isinstance(value, Encoded):
         return value.body
     try:
@@ -327,13 +320,11 @@ def dump_response(value: object) -> bytes:
 
 
 def load_call(data: bytes, *, limit: int = BODY_LIMIT) -> Call:
-    """The one call that fills `data`."""
     _check_size(data, limit)
     return _call_in(scan(data, DEPTH_LIMIT) or run_out(_parse(data)))
 
 
 def call_steps(data: bytes, *, limit: int = BODY_LIMIT) -> Generator[None, None, Call]:
-    """As `load_call`, in steps: it yields after each."""
     _check_size(data, limit)
     return _call_in((yield from _body_steps(data)))
 
@@ -348,13 +339,11 @@ def _call_in(body: Body) -> Call:
 
 
 def load_response(data: bytes, *, limit: int = BODY_LIMIT) -> object:
-    """The one value of a response."""
     _check_size(data, limit)
     return _value_in(scan(data, DEPTH_LIMIT) or run_out(_parse(data)))
 
 
 def response_steps(data: bytes, *, limit: int = BODY_LIMIT) -> Generator[None, None, object]:
-    """As `load_response`, in steps: it yields after each."""
     _check_size(data, limit)
     return _value_in((yield from _body_steps(data)))
 
@@ -373,7 +362,6 @@ ResultT = TypeVar("ResultT")
 
 
 def run_out(steps: Generator[None, None, ResultT]) -> ResultT:
-    """The result of all steps, taken at once."""
     try:
         while True:
             next(steps)
@@ -383,7 +371,6 @@ def run_out(steps: Generator[None, None, ResultT]) -> ResultT:
 
 
 def value_of(answer: object) -> object:
-    """The value in ROS's `[1, status, value]`."""
     if not isinstance(answer, list | tuple) or len(answer) != 3:
         raise AnswerMalformed("an answer that is not [code, status, value]")
     code, status, value = answer
@@ -405,7 +392,6 @@ def is_unknown_method(error: Exception) -> bool:
 
 
 def too_long(size: int, limit: int) -> Fault:
-    """What is answered in place of a response that is longer than peers accept."""
     return Fault(
         FAULT_CODE, f"rossec: the answer has {size} bytes, at most {limit} are sent: ask for less at a time"
     )

@@ -29,7 +29,6 @@ _log = logging.getLogger("rossec.sidecar")
 
 
 def main() -> int:
-    """Run with the arguments; return the exit code."""
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})

@@ -45,7 +45,6 @@ class Process(NamedTuple):
 
 
 def parents() -> Iterator[tuple[int, int]]:
-    """The PID of each process of this host, with its parent's."""
     for entry in os.listdir(PROC):  # noqa: PTH208 - names only, and many
         if entry.isdecimal():
             stat = _status(int(entry))
@@ -54,7 +53,6 @@ def parents() -> Iterator[tuple[int, int]]:
 
 
 def descendants(parents: Iterable[tuple[int, int]], ancestor: int) -> list[int]:
-    """The descendants of `ancestor`, from pairs of PID and parent PID. Pure."""
     children: dict[int, list[int]] = {}
     for pid, parent in parents:
         children.setdefault(parent, []).append(pid)
@@ -68,13 +66,11 @@ def descendants(parents: Iterable[tuple[int, int]], ancestor: int) -> list[int]:
 
 
 def process(pid: int) -> Process | None:
-    """The process that has this PID now."""
     stat = _status(pid)
     return None if stat is None else Process(pid, stat[1])
 
 
 def descends(pid: int, ancestor: int) -> bool:
-    """Whether the process with this PID is alive and a descendant of `ancestor`."""
     child_started: int | None = None
     while pid > 1:
         stat = _status(pid)
@@ -127,8 +123,6 @@ class _SocketLocation(NamedTuple):
 
 
 class SocketOwners:
-    """Finds the holders of sockets among the descendants of `ancestor`."""
-
     def __init__(self, ancestor: int) -> None:
         self._ancestor = ancestor
         self._locations: dict[int, _SocketLocation] = {}  # by socket inode; the oldest first
@@ -222,11 +216,7 @@ class Callers:
         self._processes = self._owners or SocketOwners(_ALL)
 
     async def check(self, sock: socket.socket) -> None:
-        """Return if the program at the other end is allowed.
-
-        Raises:
-            PeerUserRefused: it is not, or its user is unknown.
-        """
+        """Return if the program at the other end is allowed."""
         await self._check(local_sockets.holder_of(sock))
 
     async def check_listener(self, port: int) -> list[Holder]:
@@ -234,10 +224,6 @@ class Callers:
 
         After connecting, call `check_unchanged`: the program may have ended in between, and another
         one have bound its port.
-
-        Raises:
-            PeerUserRefused: a program that listens there is not allowed.
-            ConnectionRefusedError: no program listens there.
         """
         holders = self.listeners(port)
         if not holders:
@@ -247,11 +233,7 @@ class Callers:
         return holders
 
     def check_unchanged(self, port: int, holders: list[Holder]) -> None:
-        """Return if the same sockets still listen at `port`.
-
-        Raises:
-            ConnectionRefusedError: another program listens there now.
-        """
+        """Return if the same sockets still listen at `port`."""
         if self.listeners(port) != holders:
             raise ConnectionRefusedError(f"another program listens at port {port} now")
 
@@ -259,11 +241,7 @@ class Callers:
         return local_sockets.listeners((self.loopback.address, port))
 
     async def is_program_at(self, sock: socket.socket, port: int) -> bool:
-        """Whether the process at the other end of `sock` listens at loopback port `port`.
-
-        Raises:
-            PeerUserRefused: no process holds that end.
-        """
+        """Whether the process at the other end of `sock` listens at loopback port `port`."""
         caller = await self._processes.process_of(local_sockets.holder_of(sock).inode)
         holders = [await self._processes.process_of(each.inode) for each in self.listeners(port)]
         return caller is not None and caller in holders

@@ -36,7 +36,6 @@ _WHICH: Final = resource.RLIMIT_NOFILE
 
 
 def raise_limit() -> Limits:
-    """Raise the soft limit as far as allowed, at most to `ENOUGH`; return the previous limits."""
     before = resource.getrlimit(_WHICH)
     soft, hard = before
     wanted = ENOUGH if hard == resource.RLIM_INFINITY else min(hard, ENOUGH)
@@ -47,7 +46,6 @@ def raise_limit() -> Limits:
 
 
 def restore_limit(before: Limits) -> None:
-    """In the child: restore what `raise_limit` returned."""
     resource.setrlimit(_WHICH, before)
 
 
@@ -84,7 +82,6 @@ _BY_KERNEL: Final = 0x80  # SI_KERNEL
 
 
 def outer_environment(environ: Mapping[str, str]) -> dict[str, str]:
-    """The environment as it was before an outer `rossec run` changed it."""
     saved = environ.get(OUTSIDE)
     if saved is None:
         return dict(environ)
@@ -99,7 +96,6 @@ def outer_environment(environ: Mapping[str, str]) -> dict[str, str]:
 def program_environment(
     environ: Mapping[str, str], settled: Mapping[str, str], master_uri: str, loopback: Loopback = LOOPBACK
 ) -> dict[str, str]:
-    """The environment for the program; a nested `rossec run` restores what was `settled`."""
     before = {key: settled[key] for key in _REPLACED if key in settled}
     unchanged = {key: value for key, value in environ.items() if key not in _REPLACED}
     own = {"ROS_IP": loopback.host}
@@ -109,13 +105,11 @@ def program_environment(
 
 
 def adopt_orphans() -> None:
-    """Become the parent of the program's orphans."""
     if LIBC.prctl(_SUBREAPER, 1, 0, 0, 0) != 0:
         raise OSError(ctypes.get_errno(), "prctl PR_SET_CHILD_SUBREAPER")
 
 
 async def run(command: Sequence[str], environ: Mapping[str, str], limits: Limits | None = None) -> int:
-    """Run the program to its end; its exit code, or 128 plus the signal that ended it."""
     with _blocked_signals() as (mask, signals):
 
         def prepare() -> None:

@@ -109,8 +109,6 @@ class MissingRights:
 
 
 class RefusalLog:
-    """Logs refusals, in a loop. A shell."""
-
     def __init__(self) -> None:
         self._missing = MissingRights(clock.counter())
         self._reasons, self._paths = Said[str](clock.counter()), Said[str](clock.counter())

@@ -57,8 +57,6 @@ DEADLINE: Final = 10.0
 
 @dataclass
 class SlaveApiClient:
-    """A connection to a peer's slave API; `presented`: the rights whose grants were presented."""
-
     rpc: RpcClient
     peer: Identity
     presented: set[Right] = field(default_factory=set)
@@ -69,8 +67,6 @@ class SlaveApiClient:
 
 
 class AgentServices(Protocol):
-    """The services that an executor needs of its agent."""
-
     @property
     def name(self) -> str: ...
 
@@ -293,7 +289,6 @@ async def _call(rpc: RpcClient, method: str, params: tuple[object, ...], *, pars
 
 
 async def run_layer(services: AgentServices, layer: Layer[Outcome]) -> Outcome:
-    """Run one layer; the connections it opens are closed at its end."""
     executor = CommandExecutor(services)
     try:
         return await executor.run(layer)

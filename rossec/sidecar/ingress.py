@@ -53,8 +53,6 @@ ACCEPT_LIMITS: Final = {
 
 
 class PeerConnector:
-    """Authenticates with `context`; the identities of peers must be valid for `access`."""
-
     def __init__(self, context: SecureContext[Identity], access: Access) -> None:
         self._context = context
         self._access = access

@@ -128,11 +128,7 @@ class Admission(Protocol):
         """The address of the port."""
 
     async def check(self, sock: socket.socket) -> None:
-        """Return if the program at the other end may connect.
-
-        Raises:
-            PeerUserRefused: it may not.
-        """
+        """Return if the program at the other end may connect."""
 
 
 class LocalPort:
@@ -218,8 +214,6 @@ class LocalPort:
 
 
 class LoopbackPort(LocalPort):
-    """A port whose handler gets a stream; it is closed when the handler returns."""
-
     def __init__(self, callers: Admission, handler: Handler, port: int = 0) -> None:
         super().__init__(callers, partial(_attend_stream, handler), port)
 
@@ -233,11 +227,7 @@ async def _attend_stream(handler: Handler, sock: socket.socket) -> None:
 
 
 def find_loopback() -> Loopback:
-    """The loopback address of this host.
-
-    Raises:
-        ConfigurationError: there is none, or no name for it.
-    """
+    """The loopback address of this host."""
     if _is_here(LOOPBACK.address):
         return LOOPBACK
     if not _is_here(_IPV6):
@@ -298,7 +288,6 @@ def _bind(address: str, port: int, *, reuse: bool = False) -> socket.socket:
 
 
 def bind_free_port(bind: Callable[[int], Bound]) -> Bound:
-    """The result of `bind` for a free port; tried again if another process took the port."""
     for _ in range(_ATTEMPTS - 1):
         with contextlib.suppress(OSError):
             return bind(free_port())
@@ -306,7 +295,6 @@ def bind_free_port(bind: Callable[[int], Bound]) -> Bound:
 
 
 def free_port() -> int:
-    """A port that was just free at every IPv4 address: there may be no 127.0.0.1."""
     with socket.socket() as sock:
         sock.bind(("0.0.0.0", 0))  # noqa: S104 - it never listens
         found: int = sock.getsockname()[1]
@@ -317,8 +305,6 @@ LIMIT: Final = 512  # each way; a process has 1024 descriptors by default
 
 
 class PooledPort(Protocol):
-    """What the pool needs of a port."""
-
     @property
     def connections(self) -> int: ...
 
@@ -355,11 +341,7 @@ class PortPool(Generic[KeyT, PortT]):
         return self._ports.get(endpoint)
 
     def get_or_open(self, endpoint: KeyT, open_port: Callable[[], PortT]) -> PortT:
-        """The port for `endpoint`, opened if there is none.
-
-        Raises:
-            ConfigurationError: the pool is full, and no port may be evicted.
-        """
+        """The port for `endpoint`, opened if there is none."""
         port = self._ports.pop(endpoint, None)
         if port is None:
             if len(self._ports) >= self._limit:

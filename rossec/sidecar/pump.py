@@ -60,7 +60,6 @@ def _length(data: bytes) -> int:
 
 @contextlib.contextmanager
 def log_end(peer: str) -> Iterator[None]:
-    """If the connection with `peer` ends, only the block ends."""
     try:
         yield
     except* HintedError as group:  # also the guard's: a grant that expires between two messages
@@ -75,7 +74,6 @@ async def exchange(program: PlainStream, peer: SecureStream[Identity], outward: 
 async def publish(
     program: PlainStream, peer: SecureStream[Identity], guard: MessageGuard | None, initial: bytes
 ) -> None:
-    """Forward a program's messages to a subscribing peer; `initial` came after its header."""
     await run_both(program, peer, outgoing(program, peer, guard, initial), expect_no_data(peer))
 
 
@@ -92,14 +90,12 @@ async def subscribe(
 
 
 async def to_peer(program: PlainStream, peer: SecureStream[Identity], initial: bytes) -> None:
-    """Forward everything the program sends, until it closes."""
     if initial:
         await peer.send(initial)
     await program.forward(peer.write_nowait, peer.drain)
 
 
 async def to_program(peer: SecureStream[Identity], program: PlainStream, initial: bytes) -> None:
-    """Forward everything the peer sends, until it closes."""
     if initial:
         await program.send(initial)
     await peer.forward(program.write_nowait, program.drain)
@@ -108,7 +104,6 @@ async def to_program(peer: SecureStream[Identity], program: PlainStream, initial
 def outgoing(
     program: PlainStream, peer: SecureStream[Identity], guard: MessageGuard | None, initial: bytes
 ) -> Coroutine[None, None, None]:
-    """Forward a program's messages, through the guard if there is one."""
     if guard is None:
         return to_peer(program, peer, initial)
     if isinstance(guard, SharedGuard):
@@ -123,7 +118,6 @@ def incoming(
     initial: bytes,
     max_length: int = MESSAGE_LIMIT,
 ) -> Coroutine[None, None, None]:
-    """Forward a peer's messages, through the guard if the publisher is restricted."""
     if guard is None:
         return to_program(peer, program, initial)
     return send_filtered(peer, program, guard, initial, max_length)
@@ -173,7 +167,6 @@ def _filter_messages(guard: MessageGuard, messages: list[bytes], peer: str, now:
 
 
 def filtered(guard: MessageGuard, message: bytes, peer: str, now: float) -> list[Buffer]:
-    """What the guard lets pass of a message for `peer`, in pieces; empty: it is withheld."""
     try:
         return guard.apply(message, now) or []
     except GrantError as error:
@@ -187,7 +180,6 @@ def framed(pieces: list[Buffer]) -> list[Buffer]:
 
 
 async def expect_no_data(end: PlainStream | SecureStream[Identity]) -> None:
-    """A subscriber sends nothing after its header."""
     await end.receive()
     raise ConnectionHeaderRefused("a subscriber that sends data")
 
@@ -204,7 +196,6 @@ def _until_closed() -> Iterator[None]:
 async def run_both(
     program: PlainStream, peer: SecureStream[Identity], *directions: "asyncio._CoroutineLike[None]"
 ) -> None:
-    """Run all directions, until one end is closed; then close the other."""
     try:
         with _until_closed():
             async with asyncio.TaskGroup() as group:
@@ -284,7 +275,6 @@ async def publish_as_wished(
     initial: bytes,
     sender: WishSender,
 ) -> None:
-    """As `pump.publish`, by way of `sender`."""
     forwarding = forward_as_wished(program, shown(peer.peer.name), guard, initial, sender)
     await run_both(program, peer, forwarding, sender.run(), expect_no_data(peer))
 
@@ -292,7 +282,6 @@ async def publish_as_wished(
 async def forward_as_wished(
     program: PlainStream, peer: str, guard: MessageGuard | None, initial: bytes, sender: WishSender
 ) -> None:
-    """Put a program's messages to `sender`, each as the guard returns it."""
     framing = Framing(FrameReader())
     messages = framing.feed(initial, clock.now())
     keeps_state = isinstance(guard, SharedGuard)

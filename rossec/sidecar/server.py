@@ -63,8 +63,6 @@ LIFETIME: Final = 5.0
 
 
 class ConnectionCache:
-    """Caches at most one connection for each peer."""
-
     def __init__(self) -> None:
         self._clients: dict[Endpoint, SlaveApiClient] = {}
         self._tasks = TaskSet()
@@ -97,8 +95,6 @@ _log = logging.getLogger("rossec.sidecar")
 
 
 class Resubscriber:
-    """Resubscribes the programs of one identity."""
-
     def __init__(self, services: AgentServices, agent: AgentState) -> None:
         self._services = services
         self._agent = agent

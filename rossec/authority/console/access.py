@@ -146,7 +146,6 @@ class Access:
 
 
 def check_bound(known: list[Passkey], origin: str, rp_id: str) -> None:
-    """Return if a page at `origin` is that of the passkeys that are known."""
     for each in known:
         if (each.origin, each.rp_id) != (origin, rp_id):
             raise OtherOrigin(

@@ -129,8 +129,6 @@ class EnrollAct:
 
 
 class IntermediateAct:
-    """An intermediate: CSR, may enroll new nodes, lifetime."""
-
     def prepare(self, service: AuthorityService, arguments: Arguments, _now: int, /) -> ToApprove:
         match arguments:
             case [bytes(csr), bool(enrolls), int(lifetime)]:
@@ -215,8 +213,6 @@ CODES_KEPT: Final = 600.0  # seconds
 
 
 class PasskeyAct(Immediate):
-    """Another passkey: the proposal."""
-
     def __init__(self, proposals: Proposals) -> None:
         self._proposals = proposals
 
@@ -302,8 +298,6 @@ class InvitationAct(Immediate):
 
 
 class RevokeMasterAct(Immediate):
-    """The end of a master: the reason, and which."""
-
     def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
         match arguments:
             case [str(reason), str(master)] if is_master_name(master):
@@ -330,8 +324,6 @@ _LATER: Final = "it is tried again"
 
 
 class PolicyAct:
-    """A policy in force: the digest of its file, as it was shown."""
-
     def __init__(self, policy: Path) -> None:
         self._policy = policy
 

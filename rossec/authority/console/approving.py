@@ -72,8 +72,6 @@ class ToApprove(NamedTuple):
 
 
 class Approved(NamedTuple):
-    """An approval with its statement, which was verified; `id` is that of both."""
-
     approval: Approval
     statement: Statement
 
@@ -87,8 +85,6 @@ class Approved(NamedTuple):
 
 
 class Act(Protocol):
-    """One kind of act. All methods raise `HintedError` to refuse."""
-
     def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove: ...
 
     def admit(self, store: Store, approved: Approved, /) -> str | None:
@@ -103,8 +99,6 @@ class Act(Protocol):
 
 
 class Immediate:
-    """An act that needs no key: it is done when it is admitted, and hands out nothing."""
-
     def carry_out(
         self, _service: AuthorityService, _approved: Approved, _conclude: Conclude, _now: int, /
     ) -> None:
@@ -132,8 +126,6 @@ _HINT: Final = "look at the page again, and approve that"
 
 
 class PreparedStatement(NamedTuple):
-    """A statement that was shown, its payload, and the arguments it was made from."""
-
     statement: Statement
     payload: bytes
     arguments: Arguments
@@ -145,8 +137,6 @@ class _Shown(NamedTuple):
 
 
 class Statements:
-    """The statements that can be approved; threads may share it."""
-
     def __init__(self, elapsed: clock.Seconds | None = None) -> None:
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._lock = threading.Lock()
@@ -191,8 +181,6 @@ MAX_REQUESTS: Final = 32
 
 
 class LookersRequests:
-    """The requests that were prepared by those who may only look, by the digest of the CSR."""
-
     def __init__(self) -> None:
         self._prepared: dict[bytes, None] = {}
 

@@ -67,8 +67,6 @@ _PART: Final = "rossec-question-part"
 
 
 class Questions:
-    """The operations about what nodes ask for."""
-
     def __init__(self, work: AuthorityWork) -> None:
         self._work = work
 
@@ -122,7 +120,6 @@ def by_node(question: GrantQuestion) -> str:
 
 
 def question_id(stored: StoredRequest) -> bytes:
-    """The id of the question for one right: of a request for no other, the request's own."""
     request, asked = stored.request, stored.requested
     if len(request.rights) == 1:
         return request.id
@@ -131,12 +128,10 @@ def question_id(stored: StoredRequest) -> bytes:
 
 
 def is_about(stored: StoredRequest, question: bytes) -> bool:
-    """Whether a right is the one of this question, or of this whole request."""
     return question in (stored.request.id, question_id(stored))
 
 
 def pending_of(queue: ApprovalQueue, question: bytes) -> list[PendingApproval]:
-    """The rights of one question, or of a whole request, that wait for a person."""
     found = [each for each in queue.pending() if is_about(each.stored, question) and not each.is_allowed]
     if not found:
         raise StoreError("this question was answered", "look at what happened to it")
@@ -206,8 +201,6 @@ _MALFORMED: Final = "the payload of an approval is malformed", "restore a backup
 
 
 class Answer(NamedTuple):
-    """A payload: digest of the policy, rights that are answered, claims and rules of each grant."""
-
     policy: bytes
     rights: tuple[tuple[int, str], ...]
     grants: tuple[tuple[bytes, str], ...]
@@ -446,7 +439,6 @@ class Removals:
 
 
 def checked_reason(text: str) -> str:
-    """Return a reason that fits into the record."""
     if len(text) > MAX_REASON:
         raise KeyServiceRefused(
             f"a reason of {len(text)} characters where {MAX_REASON} are allowed", "write less"

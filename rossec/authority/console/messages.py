@@ -58,17 +58,14 @@ MAX_OWNER: Final = 200  # characters
 
 
 def of_phone(name: str) -> str:
-    """All sessions of a phone."""
     return f"{_PHONE}{name}"
 
 
 def of_looker(session: bytes) -> str:
-    """One session that may only look."""
     return f"{LOOKER} {session.hex()}"
 
 
 def rank(owner: str) -> int:
-    """1: of a phone; 0: of whoever may only look."""
     return int(owner.startswith(_PHONE))
 
 
@@ -78,7 +75,6 @@ _DOMAIN: Final = re.compile(rf"{_LABEL}(\.{_LABEL})*")
 
 
 def check_page(origin: str, rp_id: str) -> None:
-    """Return if a page at `origin` can have passkeys for `rp_id`."""
     host = _host(origin)
     if host is None:
         raise PasskeyRefused(
@@ -187,7 +183,6 @@ OPERATIONS: Final[Mapping[str, tuple[type, ...]]] = {
 
 
 def read_request(body: bytes) -> Request:
-    """Read the body of a request's frame."""
     request = messages.read_request(body, OPERATIONS, MAX_REQUEST)
     match request:
         case Request("prepare", (str() as kind, list() as arguments, str())) if tuple(
@@ -198,7 +193,6 @@ def read_request(body: bytes) -> Request:
 
 
 def checked(answer: Value) -> Value:
-    """The answer, if it is one that the console reads."""
     if len(messages.write_answer(answer)) > MAX_ANSWER:
         raise KeyServiceRefused(
             f"the answer has more than {MAX_ANSWER} bytes", "use the commands of the authority"
@@ -213,7 +207,6 @@ _T = TypeVar("_T")
 
 
 def to_value(item: object) -> Value:
-    """The value of a record, of a tuple of records, or of a plain item."""
     if isinstance(item, tuple):
         return [to_value(each) for each in item]
     if item is None or type(item) in _PLAIN:
@@ -222,13 +215,11 @@ def to_value(item: object) -> Value:
 
 
 def from_value(kind: type[_T], value: Value) -> _T:
-    """The record of type `kind` that `value` is."""
     found: _T = _read(kind, value)
     return found
 
 
 def many(kind: type[_T], value: Value) -> tuple[_T, ...]:
-    """As `from_value`, for a list of records."""
     if not isinstance(value, list):
         raise KeyMessageRefused("records that are no list", _HINT)
     return tuple(from_value(kind, each) for each in value)
@@ -348,8 +339,6 @@ class QuestionAnswer(NamedTuple):
 
 
 class InvitationView(NamedTuple):
-    """A join code; `state` is `open`, or why it is not."""
-
     id: bytes
     pattern: str
     uses: int
@@ -372,8 +361,6 @@ class PhoneView(NamedTuple):
 
 
 class ApprovalView(NamedTuple):
-    """An approval: `state` is `waiting` (for the key), `done`, `failed`, or `expired`."""
-
     id: bytes
     kind: int
     sentence: str
@@ -421,8 +408,6 @@ class PolicyRight(NamedTuple):
 
 
 class PolicyView(NamedTuple):
-    """The difference between the policy file and the grants in force."""
-
     path: str
     digest: bytes  # of the file; empty: there is none
     gives: tuple[PolicyRight, ...]
@@ -452,8 +437,6 @@ class ListStanding(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """A statement to be approved; `challenge` is its digest, `payload` what it has a digest of."""
-
     id: bytes
     statement: bytes
     challenge: bytes
@@ -483,8 +466,6 @@ class LoginChallenge(NamedTuple):
 
 
 class Proposal(NamedTuple):
-    """A passkey that waits to be approved by a phone that is there already."""
-
     id: bytes
     name: str
     digits: str  # shown on both phones

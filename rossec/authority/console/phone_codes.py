@@ -44,8 +44,6 @@ _MAC: Final = 32  # bytes
 
 
 class Challenges:
-    """The challenges of this process; threads may share it."""
-
     def __init__(
         self, elapsed: clock.Seconds | None = None, random: Callable[[int], bytes] = secrets.token_bytes
     ) -> None:
@@ -112,8 +110,6 @@ _SIZE: Final = 16  # bytes
 
 
 class CodeUse(StrEnum):
-    """What a code is for."""
-
     TERMINAL = "terminal"  # to look, or to add a passkey
     PHONE = "phone"  # to propose a passkey
 
@@ -203,8 +199,6 @@ class _Proposed(NamedTuple):
 
 
 class Proposals:
-    """The passkeys that wait; threads may share it."""
-
     def __init__(
         self, elapsed: clock.Seconds | None = None, random: Callable[[int], bytes] = secrets.token_bytes
     ) -> None:
@@ -258,6 +252,5 @@ class Proposals:
 
 
 def digits_of(number: bytes, passkey: Passkey) -> str:
-    """The six digits that both phones show."""
     told = b"".join((_LABEL, number, hashlib.sha256(passkey.id).digest(), passkey.cose_key))
     return f"{int.from_bytes(hashlib.sha256(told).digest()) % 1_000_000:06d}"

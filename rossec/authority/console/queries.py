@@ -253,7 +253,6 @@ T = TypeVar("T")
 
 
 def bounded(what: str, views: Iterable[V], owner: Callable[[V], str] = lambda _: "") -> list[Value]:
-    """The views that fit into one answer, in their order: the first ones of every owner."""
     given = list(views)
     room = ROOM
     values: dict[int, Value] = {}
@@ -268,7 +267,6 @@ def bounded(what: str, views: Iterable[V], owner: Callable[[V], str] = lambda _:
 
 
 def shared(items: Iterable[T], owner: Callable[[T], str], limit: int) -> list[T]:
-    """At most `limit` items, in their order: the first ones of every owner."""
     given = list(items)
     chosen = _in_turns([owner(item) for item in given])[:limit]
     return [given[place] for place in sorted(chosen)]
@@ -299,8 +297,6 @@ _NOTHING: Final = (0, 0, 0)
 
 
 class PolicyNames:
-    """The operation that tells titles and types."""
-
     def __init__(self, work: AuthorityWork) -> None:
         self._work = work
         self._read = _NOTHING
@@ -340,8 +336,6 @@ _NOT_GIVEN: Final = frozenset({difference_Kind.KEPT, difference_Kind.GONE})
 
 
 class PolicyLook:
-    """The operation that compares the policy with the grants in force."""
-
     def __init__(self, work: AuthorityWork) -> None:
         self._work = work
 

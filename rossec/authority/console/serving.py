@@ -130,8 +130,6 @@ _REFUSED: Final = "a process of the console's pages may not use the service's so
 
 
 class ConsolePeers:
-    """The processes that connected to the console's socket; threads may share it."""
-
     def __init__(self, proc: Path = Path("/proc")) -> None:
         self._proc = proc
         self._lock = threading.Lock()
@@ -194,8 +192,6 @@ def _unaudited(_: str) -> None: ...
 
 
 class Part(Protocol):
-    """Some of the operations."""
-
     def handlers(self) -> Mapping[str, Handler]: ...
 
 
@@ -258,7 +254,6 @@ class ConsolePlace(NamedTuple):
 
 
 def place(directory: Path, path: Path | None, user: str | None) -> ConsolePlace:
-    """Where the console of the authority in `directory` is: by default there."""
     if path is not None and path.exists() and not path.is_socket():
         raise ConfigurationError(f"{path} is a file, and not a socket", "choose another --console-socket")
     if user is None:

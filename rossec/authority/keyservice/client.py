@@ -34,11 +34,7 @@ OWNED: Final = (files.Owned(r"service\.lock", kept=False),)  # of a process
 
 
 def service_lock(directory: Path) -> AbstractContextManager[None]:
-    """The lock of the service of the authority in `directory`; it ends with the process.
-
-    Raises:
-        ConfigurationError: when it is entered, and a service runs.
-    """
+    """The lock of the service of the authority in `directory`; it ends with the process."""
     busy = ConfigurationError(
         f"the authority's service runs from {directory}",
         "end it first: Ctrl-C where it runs, or systemctl stop rossec-ca",
@@ -60,11 +56,7 @@ class KeyServiceClient:
 
     @classmethod
     def find(cls, directory: Path) -> Self | None:
-        """The service of the authority in `directory`; None: none runs.
-
-        Raises:
-            KeyServiceFailed: another user listens there, or it does not answer.
-        """
+        """The service of the authority in `directory`; None: none runs."""
         path = directory / SOCKET
         if len(os.fsencode(path)) > MAX_PATH:
             return None  # no service can listen there
@@ -76,12 +68,7 @@ class KeyServiceClient:
             raise KeyServiceFailed(f"{path}: {error.strerror or error}", _HINT) from error
 
     def ask(self, request: Request) -> Value:
-        """Send a request, and return what its answer says.
-
-        Raises:
-            HintedError: the service refused.
-            KeyServiceFailed: it does not answer.
-        """
+        """Send a request, and return what its answer says."""
         data = messages.write_request(request)
         try:
             try:
@@ -96,31 +83,18 @@ class KeyServiceClient:
             ) from error
 
     def status(self) -> dict[str, Value]:
-        """What the service says of itself (`KeyOperations.status`).
-
-        Raises:
-            HintedError: as `ask`.
-        """
+        """What the service says of itself (`KeyOperations.status`)."""
         return _as_status(self.ask(Request(messages.STATUS)))
 
     def unlock(self, passphrase: str, seconds: int) -> dict[str, Value]:
-        """Unlock it for `seconds`; 0: while it runs. Returns as `status`.
-
-        Raises:
-            PassphraseRefused, TokenRefused: the passphrase or PIN is wrong.
-            HintedError: as `ask`.
-        """
+        """Unlock it for `seconds`; 0: while it runs. Returns as `status`."""
         return _as_status(self.ask(Request(messages.UNLOCK, (seconds, passphrase))))
 
     def lock(self) -> dict[str, Value]:
         return _as_status(self.ask(Request(messages.LOCK)))
 
     def phone_code(self) -> str:
-        """A one-time code for the console: to look, or to add a phone.
-
-        Raises:
-            HintedError: as `ask`.
-        """
+        """A one-time code for the console: to look, or to add a phone."""
         code = self.ask(Request(messages.PHONE_CODE))
         if not isinstance(code, str):
             raise KeyServiceFailed("the service gives no code", _HINT)
@@ -152,12 +126,7 @@ class RemoteSigner:
         return self._public_key
 
     def sign(self, message: bytes) -> bytes:
-        """As `Signer.sign`.
-
-        Raises:
-            AuthorityLocked: the service was locked meanwhile.
-            HintedError: as `KeyServiceClient.ask`.
-        """
+        """As `Signer.sign`."""
         answer = self._client.ask(Request(messages.SIGN, (message,)))
         if not isinstance(answer, bytes) or not self._verifies(answer, message):
             raise KeyServiceFailed("the service signed with another key", _HINT)
@@ -177,12 +146,7 @@ class RemoteSigner:
 
 
 def running_signer(home: AuthorityHome) -> RemoteSigner | None:
-    """The key of the authority in `home`, as the service that runs there has it; None: none runs.
-
-    Raises:
-        AuthorityLocked: it does not hold the key now.
-        KeyServiceFailed: as `KeyServiceClient.find`.
-    """
+    """The key of the authority in `home`, as the service that runs there has it; None: none runs."""
     client = KeyServiceClient.find(home.path)
     if client is None:
         return None

@@ -148,7 +148,6 @@ def _report(line: str) -> None:
 
 
 def main(arguments: list[str]) -> None:
-    """Run the face: descriptor, directory of `/ca`, join address, master's URI, form of the log."""
     descriptor, directory, join_address, master_uri, log = arguments
     if log == "json":
         log_as_json()

@@ -67,14 +67,11 @@ _HINT: Final = "the program that asked is of another version of rossec, or not r
 
 
 class Authority(NamedTuple):
-    """Whose key it is: the issuer name in its certificates, and its trust domain."""
-
     subject: x509.Name
     domain: str
 
 
 def kind_of(message: bytes, authority: Authority) -> str:
-    """What `message` is, in words for the audit; it is what `Signer.sign` gets."""
     if len(message) > MAX_MESSAGE:
         raise SigningRefused(f"{len(message)} bytes to sign are more than any statement", _HINT)
     for kind, profile in _STATEMENTS.items():
@@ -132,11 +129,7 @@ def frame(value: Value) -> bytes:
 
 
 def frame_size(head: bytes, limit: int = MAX_FRAME) -> int:
-    """The number of bytes that follow the head of a frame.
-
-    Raises:
-        KeyMessageRefused: none, or more than `limit`.
-    """
+    """The number of bytes that follow the head of a frame."""
     size = int.from_bytes(head)
     if not 0 < size <= limit:
         raise KeyMessageRefused(f"a message of {size} bytes where 1 to {limit} are allowed", _MESSAGES_HINT)
@@ -144,14 +137,12 @@ def frame_size(head: bytes, limit: int = MAX_FRAME) -> int:
 
 
 def write_request(request: Request) -> bytes:
-    """The frame of a request."""
     return frame([VERSION, request.operation, *request.arguments])
 
 
 def read_request(
     body: bytes, operations: Mapping[str, tuple[type, ...]] = OPERATIONS, limit: int = MAX_FRAME
 ) -> Request:
-    """Read the body of a request's frame, for the table `operations`."""
     match _decode(body, limit):
         case [version, str() as operation, *arguments] if operation in operations:
             if (
@@ -164,7 +155,6 @@ def read_request(
 
 
 def write_answer(value: Value) -> bytes:
-    """The frame of an answer."""
     return frame([0, value])
 
 
@@ -175,7 +165,6 @@ def write_refusal(error: HintedError) -> bytes:
 
 
 def read_answer(body: bytes, limit: int = MAX_FRAME) -> Value:
-    """Read the body of an answer's frame."""
     match _decode(body, limit):
         case [0, value]:
             return value
@@ -206,23 +195,17 @@ INNER_OPERATIONS: Final[Mapping[str, tuple[type, ...]]] = {
 
 
 class InnerRequest(NamedTuple):
-    """A request of the other side, whose arguments have the types of `OPERATIONS`."""
-
     number: int
     operation: str
     arguments: tuple[Value, ...]
 
 
 class InnerAnswer(NamedTuple):
-    """The answer to a request of this side."""
-
     number: int
     value: Value
 
 
 class InnerRefusal(NamedTuple):
-    """A request of this side that was refused."""
-
     number: int
     message: str
     hint: str
@@ -232,7 +215,6 @@ InnerMessage: TypeAlias = InnerRequest | InnerAnswer | InnerRefusal
 
 
 def write(message: InnerMessage) -> bytes:
-    """The frame of a message."""
     match message:
         case InnerRequest(number, operation, arguments):
             body = encode([0, number, operation, *arguments])
@@ -244,7 +226,6 @@ def write(message: InnerMessage) -> bytes:
 
 
 def read(body: bytes, limit: int) -> InnerMessage:
-    """Read the body of a frame."""
     try:
         value = decode(body, limit=limit)
     except EncodingError as error:

@@ -139,8 +139,6 @@ Renew = Callable[[list[bytes]], Awaitable[list[tuple[bytes, bytes, str]]]]
 
 
 class CallsMaster(Protocol):
-    """What calls the master (`FaceProcess`)."""
-
     async def call(self, method: str, arguments: list[Value], within: int) -> Value: ...
 
 
@@ -269,11 +267,7 @@ class NetworkWork:
         self._resume = 0.0
 
     def deliver(self, call: MasterCall) -> Value:
-        """Call the master through the face; for the thread of the work.
-
-        Raises:
-            NotDelivered: it is out of reach, or refuses.
-        """
+        """Call the master through the face; for the thread of the work."""
         if self._loop is None:
             raise NotDelivered(f"the master did not get {call.what}: not started", call.hint)
         began = time.monotonic()

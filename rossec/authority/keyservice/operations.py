@@ -53,12 +53,7 @@ class HeldKey:
         self._next_attempt = 0.0
 
     def unlock(self, passphrase: str, seconds: int) -> None:
-        """Hold the key for so many seconds, 0: until it is locked; takes a tenth of a second.
-
-        Raises:
-            KeyServiceRefused: too soon after a wrong passphrase, or another attempt is under way.
-            KeyRefused: the passphrase or PIN is wrong, or the key cannot be used.
-        """
+        """Hold the key for so many seconds, 0: until it is locked; takes a tenth of a second."""
         if not self._attempt.acquire(blocking=False):
             raise KeyServiceRefused("another passphrase is being tried", "try again")
         try:
@@ -115,21 +110,12 @@ class HeldKey:
             return None if left <= 0 else math.ceil(left)
 
     def check(self) -> None:
-        """Raise unless it is held.
-
-        Raises:
-            AuthorityLocked: it is not, or not any more.
-        """
+        """Raise unless it is held."""
         if self.remaining() is None:
             raise _locked()
 
     def sign(self, message: bytes) -> bytes:
-        """As `Signer.sign`.
-
-        Raises:
-            AuthorityLocked: the key is not held, or not any more.
-            TokenRefused: the token refuses.
-        """
+        """As `Signer.sign`."""
         with self._held:
             if self.remaining() is None or self._signer is None:
                 raise _locked()
@@ -167,11 +153,7 @@ class KeyOperations:
         self.on_unlock: Callable[[], None] = _nothing  # there may be work that waited for the key
 
     def carry_out(self, request: Request, caller: object) -> Value:
-        """Carry out a request of `caller`, whose text names it in the audit.
-
-        Raises:
-            HintedError: refused; the text is for the caller.
-        """
+        """Carry out a request of `caller`, whose text names it in the audit."""
         match request:
             case Request(messages.STATUS):
                 return self.status()
@@ -187,13 +169,7 @@ class KeyOperations:
         return {**self._describe(), "locked": remaining is None, "remaining": remaining}
 
     def sign(self, message: bytes, caller: object = ITSELF) -> bytes:
-        """Sign a statement or a certificate.
-
-        Raises:
-            SigningRefused: nothing that an authority signs.
-            AuthorityLocked: the key is not held.
-            KeyServiceRefused: the audit cannot be written.
-        """
+        """Sign a statement or a certificate."""
         try:
             kind = kind_of(message, self._authority)
         except SigningRefused:
@@ -204,12 +180,7 @@ class KeyOperations:
         return self.held.sign(message)
 
     def unlock(self, passphrase: str, seconds: int, caller: object) -> Value:
-        """Hold the key for `seconds` from now on; returns as `status`.
-
-        Raises:
-            KeyServiceRefused: the time is out of range, or too soon after a wrong passphrase.
-            KeyRefused: the passphrase is wrong.
-        """
+        """Hold the key for `seconds` from now on; returns as `status`."""
         if not 0 <= seconds <= MAX_UNLOCKED or len(passphrase) > MAX_PASSPHRASE:
             raise KeyServiceRefused(
                 f"unlocking for {seconds} s where 0 to {MAX_UNLOCKED} are allowed",
@@ -230,11 +201,7 @@ class KeyOperations:
         return self.status()
 
     def audit(self, text: str) -> None:
-        """Write a line about something that is not signed, or before it is.
-
-        Raises:
-            KeyServiceRefused: it cannot be written.
-        """
+        """Write a line about something that is not signed, or before it is."""
         self._audit(text)
 
     def lock(self, caller: object) -> Value:
@@ -249,8 +216,6 @@ class KeyOperations:
 
 
 class OwnSigner:
-    """A `Signer` for what the service does itself: joins, and what the policy gives."""
-
     def __init__(
         self, operations: KeyOperations, public_key: ec.EllipticCurvePublicKey, purpose: str = ITSELF
     ) -> None:

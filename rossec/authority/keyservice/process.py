@@ -62,7 +62,6 @@ class Caller(NamedTuple):
 
 
 def caller_of(peer: UnixPeer, proc: Path = Path("/proc")) -> Caller:
-    """The caller at the other end of a unix socket."""
     try:
         with (proc / str(peer.process) / "cmdline").open("rb") as file:
             data = file.read(_MAX_READ)
@@ -80,8 +79,7 @@ _log = logging.getLogger("rossec.authority.service")
 CarryOut = Callable[[Request, Caller], Awaitable[Value]]
 
 
-def admit_all(_: UnixPeer) -> None:
-    """Admit every process of the user."""
+def admit_all(_: UnixPeer) -> None: ...
 
 
 class SocketRules(NamedTuple):
@@ -128,11 +126,7 @@ class KeyServer:
         self._callers: set[asyncio.StreamWriter] = set()
 
     async def start(self) -> None:
-        """Listen.
-
-        Raises:
-            ConfigurationError: the path is too long.
-        """
+        """Listen."""
         self._path.unlink(missing_ok=True)
         self._server = await asyncio.start_unix_server(
             self._serve, sock=self._listen(), limit=self._rules.max_request
@@ -351,11 +345,7 @@ class FaceProcess:
         self._socket = ours
 
     def admit(self, peer: UnixPeer) -> None:
-        """Raise for the face itself, which may start no other process: it may not ask for keys.
-
-        Raises:
-            PeerUserRefused: it is the face.
-        """
+        """Raise for the face itself, which may start no other process: it may not ask for keys."""
         if self._process is not None and peer.process == self._process.pid:
             raise PeerUserRefused("the network process may not use the service's socket")
 
@@ -377,11 +367,7 @@ class FaceProcess:
             self.spawn()
 
     async def started(self) -> int:
-        """Wait until the first face listens; returns its port.
-
-        Raises:
-            ConfigurationError: it cannot listen, or does not start.
-        """
+        """Wait until the first face listens; returns its port."""
         try:
             async with asyncio.timeout(START):
                 return await self._future()
@@ -391,12 +377,7 @@ class FaceProcess:
             ) from error
 
     async def call(self, method: str, arguments: list[Value], within: int) -> Value:
-        """Have it call the master; returns the value of the answer.
-
-        Raises:
-            KeyServiceRefused: the master is out of reach or refuses, or the face is not there.
-            TimeoutError: no answer.
-        """
+        """Have it call the master; returns the value of the answer."""
         if self._channel is None:
             raise KeyServiceRefused("the network process does not run", "it is started again")
         operation = messages.CALL

@@ -87,12 +87,7 @@ class AuthorityWork:
         return AuthorityHome.at(self._rossec_home)
 
     def join(self, data: bytes) -> tuple[bytes, str | None]:
-        """Decide a node's request; returns the message for it, and its name if it was issued.
-
-        Raises:
-            EnrollmentMessageRefused: not a request to join.
-            HintedError: it could not be decided now; nothing was changed.
-        """
+        """Decide a node's request; returns the message for it, and its name if it was issued."""
         request = JoinRequest.from_bytes(data)
         with contextlib.closing(self.home().store()) as store:
             if not invitations.is_proved(store, request):  # before the authority is opened
@@ -132,20 +127,12 @@ class AuthorityWork:
         return answers
 
     def allowed_pattern(self, asked: JoinClaim | JoinRequest) -> str | Refused:
-        """The names that the invitation allows whose secret is proved, or why there is no answer.
-
-        Raises:
-            HintedError: it could not be decided now.
-        """
+        """The names that the invitation allows whose secret is proved, or why there is no answer."""
         with contextlib.closing(self.home().store()) as store:
             return invitations.allowed_pattern(store, asked, self._now())
 
     def was_issued(self, request: JoinRequest) -> bool:
-        """Whether there is an identity for exactly this request.
-
-        Raises:
-            HintedError: the record cannot be used now.
-        """
+        """Whether there is an identity for exactly this request."""
         with contextlib.closing(self.home().store()) as store:
             return store.identities.issued_for(request.digest) is not None
 

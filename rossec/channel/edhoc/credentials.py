@@ -40,8 +40,6 @@ _MAX_CERTIFICATE: Final = 7 * 1024  # PLAINTEXT_2 cannot carry more than 8160 by
 
 
 class PeerIdentity(Protocol):
-    """What the channel must know about a verified peer."""
-
     @property
     def public_key(self) -> PublicKey: ...
 
@@ -159,12 +157,7 @@ def encode_id_cred(id_cred: Value) -> bytes:
 
 
 def x5chain(id_cred: Value) -> tuple[bytes, ...]:
-    """Return the chain an x5chain ID_CRED_x carries.
-
-    Raises:
-        PeerCredentialUnknown: a reference, where no certificates are cached.
-        HandshakeFailed: another kind of credential, or not a chain of 1 to 4 certificates.
-    """
+    """Return the chain an x5chain ID_CRED_x carries."""
     if isinstance(id_cred, dict) and X5T in id_cred:
         raise PeerCredentialUnknown("the peer names a certificate by its hash, and this node caches none")
     named = id_cred.get(X5CHAIN) if isinstance(id_cred, dict) and len(id_cred) == 1 else None
@@ -193,7 +186,6 @@ Chain: TypeAlias = tuple[bytes, ...]
 
 
 def reference(certificate: bytes) -> Value:
-    """The x5t ID_CRED_x of a certificate."""
     return {X5T: [_SHA256_64, _short(certificate)]}
 
 
@@ -224,12 +216,7 @@ class KnownCertificates:
             self._chains.popitem(last=False)
 
     def find(self, id_cred: Value) -> Chain:
-        """From ID_CRED_x, of either kind, to the chain.
-
-        Raises:
-            PeerCredentialUnknown: a reference to an unknown certificate.
-            HandshakeFailed: neither a reference nor a chain.
-        """
+        """From ID_CRED_x, of either kind, to the chain."""
         match id_cred:
             case {34: [-15, bytes() as short], **rest} if not rest:
                 chain = self._chains.get(short)
@@ -266,8 +253,6 @@ class KnownCertificates:
 
 
 class Dial:
-    """One dial that is meant for this node; held by the dialer, and forgotten with it."""
-
     __slots__ = ("__weakref__", "g_y")
 
     def __init__(self) -> None:

@@ -108,8 +108,6 @@ class _Statement(NamedTuple):
 
 
 class EdhocPeer(Generic[PeerT]):
-    """What both sides share: own statement, peer's statement, the AEAD of messages 3 and 4."""
-
     def __init__(self, config: EdhocConfig[PeerT]) -> None:
         self._config = config
         self._suite = SUITES[config.suites[0]]
@@ -253,22 +251,14 @@ class Initiator(EdhocPeer[PeerT]):
         return self._exporter is not None
 
     def after_wrong_suite(self, offered: tuple[int, ...]) -> "Initiator[PeerT]":
-        """Return a new attempt, with a new key, for SUITES_R of error 2.
-
-        Raises:
-            HandshakeFailed: no common suite, or the peer refuses a suite that it lists.
-        """
+        """Return a new attempt, with a new key, for SUITES_R of error 2."""
         usable = [number for number in self._config.suites if number in offered]
         if not usable or usable[0] == self._suite.number:
             raise HandshakeFailed("no cipher suite in common with the peer")
         return Initiator(self._config, usable[0])
 
     def message_2(self, data: bytes, now: int) -> tuple[bytes, PeerT]:
-        """Check message_2; return message_3 and the authenticated responder.
-
-        Raises:
-            HandshakeFailed: any error; `IdentityRefused` when only its certificate is refused.
-        """
+        """Check message_2; return message_3 and the authenticated responder."""
         body = decode_bytes(data)
         exchange = self._suite.exchange
         g_y, ciphertext = body[: exchange.responder_length], body[exchange.responder_length :]
@@ -299,11 +289,7 @@ class Initiator(EdhocPeer[PeerT]):
         return message
 
     def message_4(self, data: bytes) -> None:
-        """Check message_4: the responder holds the same key.
-
-        Raises:
-            HandshakeFailed: it does not.
-        """
+        """Check message_4: the responder holds the same key."""
         decode_plaintext_4(self._open(KdfLabel.K_4, KdfLabel.IV_4, decode_bytes(data)))
         self._prk = GONE
         if self._config.known is not None:
@@ -314,12 +300,7 @@ class Responder(EdhocPeer[PeerT]):
     """Checks message_1, sends message_2, checks message_3, sends message_4."""
 
     def message_1(self, data: bytes) -> bytes:
-        """Check message_1; return message_2.
-
-        Raises:
-            WrongSuite: to be answered with error 2.
-            HandshakeFailed: any other error.
-        """
+        """Check message_1; return message_2."""
         parsed = decode_message_1(data)
         if parsed.method != METHOD:
             raise HandshakeFailed("the peer requires another method than 0")
@@ -347,11 +328,7 @@ class Responder(EdhocPeer[PeerT]):
         return bstr(g_y + _xor(plaintext, keystream_2(prk, th_2, len(plaintext))))
 
     def message_3(self, data: bytes, now: int) -> tuple[bytes, PeerT]:
-        """Check message_3; return message_4 and the authenticated initiator.
-
-        Raises:
-            HandshakeFailed: any error; `IdentityRefused` when only its certificate is refused.
-        """
+        """Check message_3; return message_4 and the authenticated initiator."""
         plaintext = self._open(KdfLabel.K_3, KdfLabel.IV_3, decode_bytes(data))
         peer = self._check(KdfLabel.MAC_3, plaintext, now)
         self._finish()

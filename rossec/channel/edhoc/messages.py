@@ -33,8 +33,6 @@ UNKNOWN_CREDENTIAL: Final = 3
 
 
 class Message1(NamedTuple):
-    """The fields of message_1; the selected suite is the last of `suites`."""
-
     method: int
     suites: tuple[int, ...]
     g_x: bytes
@@ -70,7 +68,6 @@ def encode_identifier(value: bytes) -> bytes:
 
 
 def decode_message_1(data: bytes) -> Message1:
-    """Decode message_1; an EAD_1 is parsed and must hold nothing critical."""
     usual = _usual_message_1(data)
     if usual is not None:
         return usual
@@ -91,7 +88,6 @@ def decode_bytes(data: bytes) -> bytes:
 
 
 def decode_plaintext(data: bytes, *, with_c_r: bool) -> Plaintext:
-    """Decode PLAINTEXT_2 (`with_c_r`) or PLAINTEXT_3."""
     start = 1 if with_c_r else 0
     usual = _usual_plaintext(data, start, RENEWALS_EAD) or _usual_plaintext(data, start, b"")
     if usual is not None:
@@ -107,12 +103,10 @@ def decode_plaintext(data: bytes, *, with_c_r: bool) -> Plaintext:
 
 
 def says_renewals(ead: bytes) -> bool:
-    """Whether an EAD that was decoded has the label `RENEWALS`."""
     return ead == RENEWALS_EAD or (bool(ead) and RENEWALS in _sequence(ead, MAX_MESSAGE))
 
 
 def decode_plaintext_4(data: bytes) -> None:
-    """Check PLAINTEXT_4, which is at most an EAD."""
     if data:
         _check_ead(_sequence(data, MAX_MESSAGE))
 
@@ -123,11 +117,7 @@ def encode_error(code: int, info: Value) -> bytes:
 
 
 def decode_error(data: bytes) -> tuple[int, str, tuple[int, ...]]:
-    """Decode an error message: its code, a printable reason, and SUITES_R (for code 2).
-
-    Raises:
-        HandshakeFailed: not an error message.
-    """
+    """Decode an error message: its code, a printable reason, and SUITES_R (for code 2)."""
     match _sequence(data, 1024):
         case [2, suites]:
             return WRONG_SUITE, "no common cipher suite", _decode_suites(suites)

@@ -43,11 +43,7 @@ SIGNATURE_LENGTH: Final = 64  # EdDSA and ES256 alike
 
 
 class KeyExchange(Protocol):
-    """An ephemeral exchange in three steps; the first and last belong to the initiator.
-
-    Raises:
-        HandshakeFailed: from the later two, when the peer's half is not usable.
-    """
+    """An ephemeral exchange in three steps; the first and last belong to the initiator."""
 
     initiator_length: int
     responder_length: int
@@ -221,8 +217,6 @@ class KdfLabel(IntEnum):
 
 
 class Secret:
-    """A pseudorandom key; HMAC under it is set up once, which is half the cost of each use."""
-
     __slots__ = ("_hmac", "_key")
 
     def __init__(self, key: bytes) -> None:
@@ -275,12 +269,10 @@ def transcript_2(g_y: bytes, message_1: bytes) -> bytes:
 
 
 def transcript_next(previous: bytes, plaintext: bytes, credential: bytes) -> bytes:
-    """TH_3 and TH_4 = H( TH, PLAINTEXT, CRED ); `credential` is the encoded CRED_x."""
     return hashlib.sha256(bstr(previous) + plaintext + credential).digest()
 
 
 def keystream_2(prk_2e: Secret, th_2: bytes, length: int) -> bytes:
-    """The one-time pad over PLAINTEXT_2."""
     return kdf(prk_2e, KdfLabel.KEYSTREAM_2, th_2, length)
 
 

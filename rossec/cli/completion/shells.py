@@ -50,8 +50,6 @@ _MAX: Final = 1024 * 1024
 
 
 class OutlineTable:
-    """The outlines by the places of their commands (`ca.init:init`)."""
-
     def __init__(self, shipped: Path = SHIPPED, cache: Path = CACHE, commands: Path = COMMANDS) -> None:
         self._cache = cache
         self._stamp: str | None = None  # None: what is shipped does not age
@@ -232,8 +230,6 @@ class _Shell(ShellComplete):
 
 
 class _Bash(_Shell):
-    """Bash shows no descriptions, and replaces only what stands behind the last `:` or `=`."""
-
     def get_completions(self, args: list[str], incomplete: str) -> list[CompletionItem[Any]]:
         found = super().get_completions(args, incomplete)
         typed = incomplete.partition("=")[2] if incomplete[:2] == "--" else incomplete

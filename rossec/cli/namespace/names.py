@@ -50,8 +50,6 @@ _DIRNAME: Final = b"$(dirname)"
 
 @dataclass
 class LaunchFiles:
-    """What is to be written: `written` by path; `nodes` are those with new names."""
-
     written: dict[Path, bytes] = field(default_factory=dict)
     nodes: list[NamedNode] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)

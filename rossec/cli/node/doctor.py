@@ -393,8 +393,6 @@ def doctor(environment: Environment, names: tuple[str, ...], offline: bool, as_j
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of a check, or the refusal that ended it."""
-
     node: str
     check: str
     ok: bool

@@ -53,8 +53,6 @@ _MAX_REFUSALS: Final = 10  # any peer that reaches the port could fill the scree
 
 
 class EnrollmentScreen:
-    """One run of `rossec node enroll`: the waiting node, its screen and its operator."""
-
     def __init__(
         self, home: NodeHome, core: NodeEnrollment, *, label: bool, png: Path | None, svg: Path | None
     ) -> None:

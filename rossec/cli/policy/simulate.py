@@ -53,8 +53,6 @@ MAX_MESSAGES = 100_000  # per bag; the rest is said to be left out
 
 @dataclass
 class Tally:
-    """One topic and one receiver under one policy."""
-
     admitted: int = 0
     withheld: int = 0
     reason: str = ""

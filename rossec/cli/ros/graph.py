@@ -45,8 +45,6 @@ as_json = click.option("--json", "as_json", is_flag=True, help="one line of JSON
 
 @dataclass(frozen=True)
 class SystemState:
-    """Who publishes, subscribes and provides what: names of nodes by topic or service."""
-
     publishers: Names
     subscribers: Names
     services: Names

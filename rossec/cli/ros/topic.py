@@ -92,8 +92,6 @@ Arrived = tuple[RawSource, bytes]
 
 
 class Arrivals:
-    """The receiver of a raw subscription: keeps what came, and says what was refused."""
-
     def __init__(self, size: int = KEPT) -> None:
         self._queue: deque[Arrived] = deque(maxlen=size)
         self._wake = asyncio.Event()
@@ -276,8 +274,6 @@ async def _print(messages: AsyncIterable[Message], count: int | None, show: Show
 
 
 class Messages:
-    """The messages of a command line, in turn and again; what says `now` is made each time anew."""
-
     def __init__(self, kind: MessageType, contents: Sequence[object]) -> None:
         # `contents` is not empty; raises ConfigurationError where one does not fit the type.
         self.kind = kind

@@ -133,12 +133,7 @@ class Batch:
 
     @contextmanager
     def item(self, label: object, *, last: bool = True) -> Iterator[None]:
-        """The work on one of them; `last`: it is done then, and not only checked.
-
-        Raises:
-            RecordUnusable: every other one would fail as well.
-            HintedError: it was refused, and there is no other.
-        """
+        """The work on one of them; `last`: it is done then, and not only checked."""
         entry = self._entry(str(label))
         try:
             with recorded_in(entry):
@@ -153,11 +148,7 @@ class Batch:
             entry["ok"] = last
 
     def finish(self) -> None:
-        """Return if all went well.
-
-        Raises:
-            ConfigurationError: some were refused.
-        """
+        """Return if all went well."""
         if self._failed:
             raise ConfigurationError(f"{self._failed} of {self._total} were refused", "see above")
 

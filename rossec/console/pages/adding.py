@@ -31,12 +31,10 @@ _PICTURES: Final = frozenset({"image/jpeg", "image/png"})
 
 
 async def show_add(request: Request, context: ConsoleContext) -> Response:
-    """The page that takes a code."""
     return _ask(request, context)
 
 
 async def begin(request: Request, context: ConsoleContext) -> Response:
-    """Begin with the text of a code; what is wrong with it is said on the same page."""
     form = await read_form(request)
     code = text_field(form, "code", qr.MAX_TEXT).strip()
     address = text_field(form, "address", MAX_ADDRESS).strip()
@@ -61,7 +59,6 @@ async def read_frame(request: Request, context: ConsoleContext) -> Response:
 
 
 async def show_one(request: Request, context: ConsoleContext) -> Response:
-    """An enrollment, by its stage."""
     number = request.path_params["id"]
     found = context.enrollments.get(number)
     found.check_time()
@@ -85,7 +82,6 @@ async def show_one(request: Request, context: ConsoleContext) -> Response:
 
 
 async def reject_node(request: Request, context: ConsoleContext) -> Response:
-    """Reject a node: needs no passkey."""
     await read_form(request)
     number = request.path_params["id"]
     await context.enrollments.reject(number)
@@ -93,7 +89,6 @@ async def reject_node(request: Request, context: ConsoleContext) -> Response:
 
 
 async def differ(request: Request, context: ConsoleContext) -> Response:
-    """The digits differ: end it here too, and what was signed. Needs no passkey."""
     await read_form(request)
     number = request.path_params["id"]
     await context.enrollments.differ(number)
@@ -139,7 +134,6 @@ ENDED: Final = "ended at the console"
 
 
 async def show_invite(request: Request, context: ConsoleContext) -> Response:
-    """The form for a new one, and those that there are."""
     found = await context.service.invitations()
     now = context.clock()
     return render(
@@ -153,7 +147,6 @@ async def show_invite(request: Request, context: ConsoleContext) -> Response:
 
 
 async def show_made(request: Request, context: ConsoleContext) -> Response:
-    """The code that was made: once, and only where it was approved."""
     number = from_base64url(request.path_params["id"])
     outcome = await context.service.outcome(number)
     session = request.state.session.id
@@ -171,7 +164,6 @@ async def show_made(request: Request, context: ConsoleContext) -> Response:
 
 
 async def end(request: Request, context: ConsoleContext) -> Response:
-    """End a join code: needs no passkey."""
     await read_form(request)
     await context.service.end_invitation(from_base64url(request.path_params["id"]), ENDED)
     return RedirectResponse("/invite", 303)
@@ -187,7 +179,6 @@ REJECTED: Final = "rejected at the console"
 
 
 async def show_join(request: Request, context: ConsoleContext) -> Response:
-    """The card; a request that is answered says so."""
     number = from_base64url(request.path_params["id"])
     waiting = await context.service.identity_requests()
     found = next((each for each in waiting if each.id == number), None)
@@ -195,7 +186,6 @@ async def show_join(request: Request, context: ConsoleContext) -> Response:
 
 
 async def reject_request(request: Request, context: ConsoleContext) -> Response:
-    """Deny it: needs no passkey."""
     await read_form(request)
     number = request.path_params["id"]
     await context.service.deny_request(from_base64url(number), REJECTED)

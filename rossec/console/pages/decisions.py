@@ -42,7 +42,6 @@ _MOST: Final = 8  # filters that are tried out on one page
 
 
 async def show_ask(request: Request, context: ConsoleContext) -> Response:
-    """The question, or that it is answered."""
     number = from_base64url(request.path_params["id"])
     questions = await context.service.questions()
     found = next((each for each in questions if each.id == number), None)
@@ -89,7 +88,6 @@ async def _answered(request: Request, context: ConsoleContext, number: bytes) ->
 
 
 async def deny(request: Request, context: ConsoleContext) -> Response:
-    """Deny it: needs no passkey."""
     await read_form(request)
     number = request.path_params["id"]
     await context.service.deny_question(from_base64url(number), DENIED)
@@ -124,17 +122,14 @@ async def show_policy(request: Request, context: ConsoleContext) -> Response:
 
 
 async def show_delegate(request: Request, context: ConsoleContext) -> Response:
-    """Ask whether the master may renew grants."""
     return render(context, request, "delegate.html")
 
 
 async def show_intermediate(request: Request, context: ConsoleContext) -> Response:
-    """Ask for the request of a host that is to sign."""
     return render(context, request, "intermediate.html", csr="", key=None, problem=None)
 
 
 async def check_request(request: Request, context: ConsoleContext) -> Response:
-    """Show the fingerprint of a pasted request, to be compared, before it can be approved."""
     text = text_field(await read_form(request), "csr", MAX_BODY)
     try:
         key = check_intermediate_request(certificate_request(text), context.settings.domain)
@@ -144,7 +139,6 @@ async def check_request(request: Request, context: ConsoleContext) -> Response:
 
 
 def sentence(right: PolicyRight, verb: str) -> tuple[Part, ...]:
-    """`/map may see /robot/pose (position to 2 m), 7d`."""
     detail = ", ".join(filter(None, (right.restriction, right.until)))
     return (
         Part(words.name(right.node), is_name=True),
@@ -167,7 +161,6 @@ _EMPTY: Final[Mapping[str, str]] = {"reason": "", "name": ""}
 
 
 async def ask_grant(request: Request, context: ConsoleContext) -> Response:
-    """Ask for the reason to end one grant."""
     return await _ask_grant(request, context)
 
 
@@ -191,7 +184,6 @@ async def _ask_grant(
 
 
 async def revoke_grant(request: Request, context: ConsoleContext) -> Response:
-    """End it."""
     number = from_base64url(request.path_params["id"])
     form = _exactly(await read_form(request), {"reason"})
     try:
@@ -203,7 +195,6 @@ async def revoke_grant(request: Request, context: ConsoleContext) -> Response:
 
 
 async def ask_node(request: Request, context: ConsoleContext) -> Response:
-    """Ask for the reason to revoke a whole node."""
     name = await _node(context, f"/{request.path_params['name']}")
     return _ask_node(request, context, name)
 
@@ -231,7 +222,6 @@ def _ask_node(
 
 
 async def revoke_node(request: Request, context: ConsoleContext) -> Response:
-    """Revoke it: every key of it, and with them all it was allowed."""
     name = await _node(context, f"/{request.path_params['name']}")
     form = _exactly(await read_form(request), {"reason", "name"})
     try:
@@ -244,7 +234,6 @@ async def revoke_node(request: Request, context: ConsoleContext) -> Response:
 
 
 async def show_ending(request: Request, context: ConsoleContext) -> Response:
-    """How far a revocation has come; the page looks again until every node has it."""
     epoch, seq = (_number(request.path_params[part]) for part in ("epoch", "seq"))
     node, what = await _subject(request, context)
     standing = await context.service.standing(epoch, seq)

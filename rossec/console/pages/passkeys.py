@@ -60,12 +60,10 @@ FIRST: Final = "/"  # the page after a login
 
 
 async def show_login(request: Request, context: ConsoleContext) -> Response:
-    """The page that asks who is there."""
     return render(context, request, "login.html", problem="")
 
 
 async def look(request: Request, context: ConsoleContext) -> Response:
-    """Log in with a code, to look."""
     form = await read_form(request)
     try:
         check_pause(request, context)
@@ -77,7 +75,6 @@ async def look(request: Request, context: ConsoleContext) -> Response:
 
 
 async def challenge(request: Request, context: ConsoleContext) -> Response:
-    """What a passkey is to sign for a login."""
     await read_json(request)
     with context.turns.wait(address_of(request)):
         made = await context.service.login_challenge(context.settings.origin)
@@ -85,7 +82,6 @@ async def challenge(request: Request, context: ConsoleContext) -> Response:
 
 
 async def log_in(request: Request, context: ConsoleContext) -> Response:
-    """Log in with a passkey."""
     check_pause(request, context)
     fields = await read_json(request)
     asking = context.service.login(bytes_field(fields, "id"), read_assertion(fields))
@@ -94,7 +90,6 @@ async def log_in(request: Request, context: ConsoleContext) -> Response:
 
 
 async def new(request: Request, context: ConsoleContext) -> Response:
-    """What a new passkey is to sign."""
     await read_json(request)
     settings = context.settings
     with context.turns.wait(address_of(request)):
@@ -103,7 +98,6 @@ async def new(request: Request, context: ConsoleContext) -> Response:
 
 
 async def add_phone(request: Request, context: ConsoleContext) -> Response:
-    """Set up a phone: its passkey and the code from the terminal, together."""
     check_pause(request, context)
     adding = context.service.add_passkey(read_registration(await read_json(request)))
     view = await counted(request, context, adding)
@@ -111,7 +105,6 @@ async def add_phone(request: Request, context: ConsoleContext) -> Response:
 
 
 async def log_out(request: Request, context: ConsoleContext) -> Response:
-    """End the session."""
     context.sessions.end(request.state.session)
     response = RedirectResponse("/login", 303)
     response.delete_cookie(COOKIE, path="/", secure=True, httponly=True, samesite="strict")
@@ -130,13 +123,11 @@ def challenge_fields(made: LoginChallenge, now: int) -> dict[str, object]:
 
 
 def read_assertion(fields: dict[str, Any]) -> Assertion:
-    """What `approve.js` sends of an assertion."""
     names = ("credential", "clientData", "authenticatorData", "signature")
     return Assertion(*(bytes_field(fields, name) for name in names))
 
 
 def read_registration(fields: dict[str, Any]) -> Registration:
-    """What `approve.js` sends of a new passkey."""
     name = text_field(fields, "name", MAX_PHONE_NAME).strip()
     if not name:
         raise HttpRefused("a phone needs a name", "for example: my phone", status=422)
@@ -152,7 +143,6 @@ def check_pause(request: Request, context: ConsoleContext) -> None:
 
 
 async def counted(request: Request, context: ConsoleContext, asking: Awaitable[_T]) -> _T:
-    """What `asking` returns; a refusal counts against the address."""
     try:
         return await asking
     except KeyServiceFailed:
@@ -190,7 +180,6 @@ REMOVED: Final = "removed at the console"
 
 
 async def show_phones(request: Request, context: ConsoleContext) -> Response:
-    """The phones, and those that want to become one."""
     phones, proposals = await context.service.phones(), await context.service.proposals()
     current = [phone for phone in phones if not phone.ended]
     return render(
@@ -213,7 +202,6 @@ async def link(request: Request, context: ConsoleContext) -> Response:
 
 
 async def remove(request: Request, context: ConsoleContext) -> Response:
-    """Remove a phone; its sessions end."""
     await read_form(request)
     phone = from_base64url(request.path_params["id"])
     names = [each.name for each in await context.service.phones() if each.id == phone]
@@ -232,12 +220,10 @@ async def differ(request: Request, context: ConsoleContext) -> Response:
 
 
 async def ask(request: Request, context: ConsoleContext) -> Response:
-    """What the new phone shows first."""
     return render(context, request, "propose.html")
 
 
 async def propose(request: Request, context: ConsoleContext) -> Response:
-    """The new phone's passkey; answers with the page that shows its digits."""
     check_pause(request, context)
     proposing = context.service.propose_passkey(read_registration(await read_json(request)))
     proposal = await counted(request, context, proposing)
@@ -255,7 +241,6 @@ PHONES_PAGES: Final = (
 
 
 async def prepare(request: Request, context: ConsoleContext) -> Response:
-    """Have a statement made of a form; answers with what the passkey is to sign."""
     act = await approvals.read(context, request.path_params["kind"], await read_form(request))
     owner = owner_of(request.state.session)
     made = await context.service.prepare(act.kind, *act.arguments, owner=owner)
@@ -276,7 +261,6 @@ async def prepare(request: Request, context: ConsoleContext) -> Response:
 
 
 async def approve(request: Request, context: ConsoleContext) -> Response:
-    """Approve a statement with a passkey's assertion; answers with the next page."""
     statement = from_base64url(request.path_params["id"])
     session = request.state.session.id
     act = context.pending.get(statement, session)
@@ -294,8 +278,6 @@ _RECENT: Final = 200
 
 
 class Given(NamedTuple):
-    """A right that was given: of whom, what, how coarse in words (empty: all of it), until when."""
-
     node: str
     parts: tuple[Part, ...]
     words: str
@@ -303,7 +285,6 @@ class Given(NamedTuple):
 
 
 async def show_approved(request: Request, context: ConsoleContext) -> Response:
-    """One approval, until it is done."""
     number = from_base64url(request.path_params["id"])
     outcome = await context.service.outcome(number)
     approvals = await context.service.approvals(_RECENT)

@@ -44,15 +44,12 @@ class Waiting(NamedTuple):
 
 
 class Counts(NamedTuple):
-    """How many send how many topics, and how many see some of them."""
-
     senders: int
     topics: int
     receivers: int
 
 
 async def show_today(request: Request, context: ConsoleContext) -> Response:
-    """The first page."""
     home = await visibility.load(context, names_of(request))
     questions, without_policy = await visibility.questions(context)
     denied = await visibility.denials(context)
@@ -119,7 +116,6 @@ def _asked(question: GrantQuestion) -> tuple[Part, ...]:
 
 
 def counts(matrix: Matrix) -> Counts:
-    """The numbers of the first sentence."""
     sent = [row for row in matrix.rows if row.publishers]
     senders = {name for row in sent for name in row.publishers}
     looking = {cell.receiver for row in matrix.rows for cell in row.seen_by()}
@@ -127,7 +123,6 @@ def counts(matrix: Matrix) -> Counts:
 
 
 def silent(home: Overview) -> int:
-    """How many nodes have a name and see nothing."""
     looking = {cell.receiver for row in home.matrix.rows for cell in row.seen_by()}
     return len({node.name for node in home.nodes if not node.revoked_at} - looking)
 
@@ -163,7 +158,6 @@ _ROUNDS: Final = 10  # of asking, where few entries are of the node that is look
 
 
 async def log(request: Request, context: ConsoleContext) -> Response:
-    """The time line before an entry, of one node or of all."""
     before = visibility.position(request.query_params.get("before"))
     text = request.query_params.get("node", "")
     node = visibility.name_of(text[1:]) if text else ""
@@ -233,7 +227,6 @@ def _look(request: Request, events: list[EventView], told: list[Sentence]) -> in
 
 
 async def way(request: Request, context: ConsoleContext) -> Response:
-    """Who sends what to whom, and what was refused, as a picture and as a list."""
     home = await visibility.load(context, names_of(request))
     row = visibility.position(request.query_params.get("row"))
     denied = await visibility.denials(context)
@@ -263,7 +256,6 @@ HAPPENED_PAGES: Final = (Page("/log", ("GET",), log), Page("/way", ("GET",), way
 
 
 async def stream(request: Request, context: ConsoleContext) -> Response:
-    """A stream that ends with its session."""
     session = request.state.session
     is_valid = lambda: context.sessions.is_valid(session, context.elapsed())  # noqa: E731 - one expression
     return StreamingResponse(context.news.open(is_valid), media_type="text/event-stream")

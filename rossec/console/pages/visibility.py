@@ -134,7 +134,6 @@ async def questions(context: ConsoleContext) -> tuple[tuple[GrantQuestion, ...],
 
 
 def refused_names(found: tuple[DenialView, ...]) -> dict[str, list[str]]:
-    """The names that each node was refused, the latest first; of the nodes refused last."""
     names: dict[str, list[str]] = {}
     for denial in sorted(found, key=lambda each: -each.at):
         known = names.setdefault(denial.node, []) if len(names) < MAX_REFUSED else names.get(denial.node, [])
@@ -155,7 +154,6 @@ def comparison(context: ConsoleContext, row: TopicRow) -> looks.Comparison | Non
 
 
 def name_of(text: str) -> str:
-    """The absolute name or pattern in a path, which came without its first slash."""
     try:
         return check_pattern(f"/{text}")
     except PatternRefused as error:
@@ -163,7 +161,6 @@ def name_of(text: str) -> str:
 
 
 def position(text: str | None) -> int:
-    """A number in an address: where a part of a long table begins."""
     if not text:
         return 0
     if not (text.isascii() and text.isdecimal() and len(text) <= 12):
@@ -179,8 +176,6 @@ _OTHER: Final = ~(Right.SUBSCRIBE | Right.PUBLISH)
 
 
 class OtherRight(NamedTuple):
-    """A right that shows or changes something beside topics."""
-
     node: str
     what: str
     pattern: str
@@ -188,7 +183,6 @@ class OtherRight(NamedTuple):
 
 
 async def show_who(request: Request, context: ConsoleContext) -> Response:
-    """The matrix from a row and a receiver on, and what nodes may do beside seeing topics."""
     home = await load(context, names_of(request))
     row = position(request.query_params.get("row"))
     receiver = position(request.query_params.get("receiver"))
@@ -214,7 +208,6 @@ async def show_who(request: Request, context: ConsoleContext) -> Response:
 
 
 def other_rights(held: tuple[HeldGrant, ...]) -> list[OtherRight]:
-    """Calls, settings and administration that are granted now, by node."""
     found = [
         OtherRight(
             each.grant.subject,
@@ -230,7 +223,6 @@ def other_rights(held: tuple[HeldGrant, ...]) -> list[OtherRight]:
 
 
 async def see(request: Request, context: ConsoleContext) -> Response:
-    """One topic: who sends it, and what it looks like to each receiver."""
     name = name_of(request.path_params["topic"])
     home = await load(context, names_of(request))
     row = home.matrix.row(name)
@@ -265,8 +257,6 @@ _ENTRIES: Final = 200
 
 
 class GrantLine(NamedTuple):
-    """A grant in a list: what it gives, and how long or why no longer."""
-
     id: bytes
     parts: tuple[Part, ...]
     term: str
@@ -276,15 +266,12 @@ class GrantLine(NamedTuple):
 
 
 class PermissionLine(NamedTuple):
-    """One permission of a grant, in words and as it is signed."""
-
     parts: tuple[Part, ...]
     words: str
     exact: tuple[str, ...]
 
 
 async def show_node(request: Request, context: ConsoleContext) -> Response:
-    """One node."""
     name = name_of(request.path_params["name"])
     home = await load(context, names_of(request))
     identities = home.named(name)
@@ -320,7 +307,6 @@ async def show_node(request: Request, context: ConsoleContext) -> Response:
 
 
 def sees(matrix: Matrix, name: str) -> list[tuple[TopicRow, Cell]]:
-    """The topics that a node sees, or saw, what it sees now first."""
     found = [
         (row, cell)
         for row in matrix.rows
@@ -331,7 +317,6 @@ def sees(matrix: Matrix, name: str) -> list[tuple[TopicRow, Cell]]:
 
 
 def grant_line(held: HeldGrant, now: int) -> GrantLine:
-    """A grant in one line."""
     term = words.term(held.grant.expires, held.view.cap, now)
     if held.ended_at:
         term = f"ended {words.ago(held.ended_at, now)}"
@@ -343,7 +328,6 @@ def grant_line(held: HeldGrant, now: int) -> GrantLine:
 
 
 async def grant(request: Request, context: ConsoleContext) -> Response:
-    """One grant: what it says, to whom, how long, and how it ends."""
     number = from_base64url(request.path_params["id"])
     home = await load(context, names_of(request))
     held = next((each for each in home.held if each.view.id == number), None)
@@ -381,7 +365,6 @@ TOPICS: Final = 12  # on one page
 
 
 async def show_privacy(request: Request, context: ConsoleContext) -> Response:
-    """The report of what is granted now."""
     home = await load(context, names_of(request))
     first = position(request.query_params.get("row"))
     types = {fact.name: fact.node for fact in home.facts if fact.kind == "type"}

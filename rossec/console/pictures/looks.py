@@ -155,8 +155,6 @@ _NOT_SHOWN: Final = ("seq", "stamp", "sec", "nanosec")
 
 
 class Span(NamedTuple):
-    """The range of both axes, the same for all receivers."""
-
     first: float
     last: float
     low: float
@@ -164,7 +162,6 @@ class Span(NamedTuple):
 
 
 def field_of(seen: SeenTopic) -> str:
-    """The path of the number to draw; empty if no message has one."""
     if not seen.samples:
         return ""
     last = dict(_numbers(seen.samples[-1].fields, ""))
@@ -237,16 +234,12 @@ _REMOVING: Final = ("clear", "drop", "zero")
 
 
 class FieldLine(NamedTuple):
-    """A field of a message as text; `removed`: the receiver gets nothing in its place."""
-
     path: str
     value: str
     removed: bool
 
 
 class Look(NamedTuple):
-    """How some receivers see a topic: a heading, a line below it, and a picture or fields."""
-
     receivers: tuple[str, ...]
     heading: str
     caption: str
@@ -301,7 +294,6 @@ class _Drawer(NamedTuple):
 
 
 def minutes(recorded: Recorded) -> int:
-    """How many minutes the messages took, begun ones included."""
     times = [at for at, _ in recorded.messages]
     return max(1, math.ceil((max(times) - min(times)) / 60)) if times else 1
 

@@ -36,8 +36,6 @@ Extent: TypeAlias = tuple[float, float]
 
 
 class Frame(NamedTuple):
-    """What is drawn: centre, metres from edge to edge, and the place on earth that is (0, 0)."""
-
     x: float
     y: float
     width: float
@@ -73,7 +71,6 @@ def frame_of(seen: Iterable[SeenTopic], restrictions: Iterable[Restriction] = ()
 
 
 def cells_of(restrictions: Iterable[Restriction], origin: Point | None = None) -> list[Extent]:
-    """The width and height in metres of the cells that `restrictions` leave of a place."""
     found = []
     for restriction in restrictions:
         cell = _cell(restriction, origin)
@@ -98,12 +95,10 @@ def draw(seen: SeenTopic, frame: Frame, cell: Extent | None) -> Element | None:
 
 
 def distinct(points: Sequence[Point]) -> int:
-    """The number of different places."""
     return len({(round(x, 3), round(y, 3)) for x, y in points})
 
 
 def places(seen: SeenTopic) -> int:
-    """The number of different places that a receiver saw."""
     return distinct(_points(seen, _origin(seen)))
 
 

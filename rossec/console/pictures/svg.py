@@ -27,8 +27,6 @@ Point: TypeAlias = tuple[float, float]
 
 
 class Element:
-    """An element with its attributes and children, as text: `str(element)`."""
-
     __slots__ = ("_text",)
 
     def __init__(self, tag: str, *children: Child, **attributes: object) -> None:
@@ -66,7 +64,6 @@ def _child(child: Child) -> str:
 
 
 def number(value: float) -> str:
-    """A coordinate with at most one decimal."""
     if not math.isfinite(value):
         raise ValueError("a coordinate that is not finite")
     text = f"{value:.1f}".removesuffix(".0")
@@ -87,13 +84,11 @@ def drawing(width: float, height: float, title: str, *children: Child, class_: s
 
 
 def path(points: Iterable[Point], class_: str) -> Element:
-    """A line through `points`."""
     pairs = [f"{number(x)} {number(y)}" for x, y in points]
     return Element("path", d=f"M{' L'.join(pairs)}", class_=class_)
 
 
 def curve(start: Point, end: Point, class_: str) -> Element:
-    """A line from the right of one box to the left of another, horizontal at both ends."""
     (x, y), (to_x, to_y) = start, end
     middle = number((x + to_x) / 2)
     line = f"M{number(x)} {number(y)} C{middle} {number(y)} {middle} {number(to_y)}"
@@ -101,7 +96,6 @@ def curve(start: Point, end: Point, class_: str) -> Element:
 
 
 def along(start: Point, end: Point, at: float) -> Point:
-    """The point of that curve at the parameter `at`, from 0 to 1 (a cubic Bezier curve)."""
     (x, y), (to_x, to_y) = start, end
     rest, middle = 1 - at, (x + to_x) / 2
     first, inner, last = rest**3, 3 * rest * at, at**3
@@ -112,10 +106,8 @@ def along(start: Point, end: Point, at: float) -> Point:
 
 
 def label(x: float, y: float, text: str, class_: str = "", anchor: str = "start") -> Element:
-    """A text at a point; `anchor` is `start`, `middle` or `end`."""
     return Element("text", text, x=x, y=y, class_=class_, text_anchor=anchor)
 
 
 def cut(text: str, most: int) -> str:
-    """A text that fits a box of `most` characters: its end says more than its beginning."""
     return text if len(text) <= most else f"…{text[1 - most :]}"

@@ -98,7 +98,6 @@ class PreviewReceiver:
 
 
 async def receive(sock: socket.socket, environ: Mapping[str, str]) -> None:
-    """Run until the pages end their end of the socketpair."""
     reader, writer = await asyncio.open_connection(sock=sock)
     try:
         await until_first_ends(PreviewReceiver(writer, environ).run(), reader.read(1))
@@ -109,7 +108,6 @@ async def receive(sock: socket.socket, environ: Mapping[str, str]) -> None:
 
 
 def main(arguments: list[str]) -> None:
-    """Run it. Argument: the descriptor of its socket."""
     logging.basicConfig(level=logging.WARNING)
     protect_memory()
     asyncio.run(receive(socket.socket(fileno=int(arguments[0])), os.environ))

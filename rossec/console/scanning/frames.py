@@ -30,7 +30,6 @@ class Unreadable(NamedTuple):
 
 
 def frame(body: bytes) -> bytes:
-    """A body with its length in front."""
     return len(body).to_bytes(HEAD) + body
 
 
@@ -43,12 +42,10 @@ def size(head: bytes, limit: int) -> int:
 
 
 def write_answer(answer: Found | Unreadable) -> bytes:
-    """The frame of an answer."""
     return frame(encode([0 if isinstance(answer, Found) else 1, *answer]))
 
 
 def read_answer(body: bytes) -> Found | Unreadable:
-    """Read the body of an answer's frame."""
     try:
         match decode(body, limit=MAX_ANSWER):
             case [0, str() as text] if len(text) <= MAX_TEXT:

@@ -28,7 +28,6 @@ _log = logging.getLogger("rossec.console.scanner")
 
 
 def answer(picture: bytes) -> Found | Unreadable:
-    """The one code in a picture."""
     try:
         texts = scanner.texts(picture)
     except ConfigurationError as error:
@@ -39,7 +38,6 @@ def answer(picture: bytes) -> Found | Unreadable:
 
 
 def serve(source: BinaryIO, sink: BinaryIO, read: Callable[[bytes], Found | Unreadable]) -> None:
-    """Answer pictures until there are no more."""
     while len(head := source.read(frames.HEAD)) == frames.HEAD:
         picture = source.read(frames.size(head, frames.MAX_PICTURE))
         sink.write(frames.write_answer(read(picture)))
@@ -47,7 +45,6 @@ def serve(source: BinaryIO, sink: BinaryIO, read: Callable[[bytes], Found | Unre
 
 
 def confine() -> None:
-    """Give up everything but memory and the two descriptors; the libraries are loaded before."""
     os.nice(_NICE)
     for what, most in (
         (resource.RLIMIT_AS, scanner.MEMORY),
@@ -66,7 +63,6 @@ def confine() -> None:
 
 
 def main() -> None:
-    """Serve standard input, confined."""
     logging.basicConfig(level=logging.WARNING)
     protect_memory()
     answer(b"")  # loads the libraries

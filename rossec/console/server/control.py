@@ -70,7 +70,6 @@ def write_settings(settings: Settings) -> str:
 
 
 def read_settings(text: str) -> Settings:
-    """The settings that `write_settings` wrote."""
     fields = json.loads(text)
     fields["origins"] = tuple(fields["origins"])
     fields["users"] = None if fields["users"] is None else frozenset(fields["users"])
@@ -88,20 +87,16 @@ WORDS: Final[Mapping[str, tuple[type, ...]]] = {
 
 
 class ControlMessage(NamedTuple):
-    """A word and its arguments, whose types are those of `WORDS`."""
-
     word: str
     arguments: tuple[Value, ...] = ()
 
 
 def write(word: ControlMessage) -> bytes:
-    """The frame of a word."""
     body = encode([word.word, *word.arguments])
     return len(body).to_bytes(HEAD) + body
 
 
 def read(body: bytes) -> ControlMessage:
-    """Read the body of a frame."""
     try:
         value = decode(body, limit=MAX_FRAME)
     except EncodingError as error:

@@ -44,11 +44,7 @@ _HINT: Final = "open it in a browser of the user who started the console"
 
 
 def check_peer(scope: Mapping[str, Any], users: frozenset[int] | None) -> None:
-    """Return if the connection of a request may be used; `users` None: anybody's may.
-
-    Raises:
-        PeerUserRefused: it is of another user, from another host, or nobody knows whose.
-    """
+    """Return if the connection of a request may be used; `users` None: anybody's may."""
     if users is None:
         return
     client, server = scope.get("client"), scope.get("server")
@@ -69,8 +65,6 @@ PROXIES: Final = HalfOpen(per_address=256, total=256)  # at a unix socket, where
 
 
 class Place:
-    """The place of one connection."""
-
     def __init__(self, slot: HalfOpenSlot, sessions: HalfOpenCount) -> None:
         self._slot = slot
         self._sessions = sessions
@@ -93,8 +87,6 @@ class Place:
 
 
 class ConnectionShares:
-    """All places of one console."""
-
     def __init__(self) -> None:
         self._strangers = HalfOpenCount(STRANGERS)
         self._sessions = HalfOpenCount(SESSIONS)
@@ -122,8 +114,6 @@ _log = logging.getLogger("rossec.console")
 
 
 class BoundedProtocol(H11Protocol):
-    """A connection that must send a whole head in time."""
-
     _deadline: asyncio.TimerHandle | None = None
     place: Place | None = None
     has_begun = False

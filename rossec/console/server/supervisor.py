@@ -142,11 +142,7 @@ _supervisor_log = logging.getLogger("rossec.console")
 
 
 def check_enrolled(home: Path) -> None:
-    """Return if the node `/console` has an identity in ROSSEC_HOME `home`.
-
-    Raises:
-        HintedError: it has none, or one that has expired.
-    """
+    """Return if the node `/console` has an identity in ROSSEC_HOME `home`."""
     node = NodeHome.of(home, NAME)
     if not (node.path / "node.pem").exists():
         raise ConfigurationError(
@@ -357,11 +353,7 @@ class WebProcess:
 
 
 def settings_for(endpoint: Endpoint, domain: str) -> Settings:
-    """The web process's settings: on localhost only this user's programs may connect.
-
-    Raises:
-        ConfigurationError: there is no such user as the proxy's.
-    """
+    """The web process's settings: on localhost only this user's programs may connect."""
     own, is_localhost = frozenset({os.geteuid()}), endpoint.is_local and not endpoint.unix_path
     return Settings(
         domain,
@@ -394,11 +386,7 @@ async def supervise(
     certificates: Certificates | None = None,
     preview: PreviewProcess | None = None,
 ) -> None:
-    """Run the console until SIGINT or SIGTERM; `ready` is called when it serves.
-
-    Raises:
-        ConfigurationError: it cannot listen, or its web process does not start.
-    """
+    """Run the console until SIGINT or SIGTERM; `ready` is called when it serves."""
     stop = stop_on_signals()
     sockets = listen(endpoint)
     try:

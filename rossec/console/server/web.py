@@ -49,7 +49,6 @@ from rossec.host.sandbox import protect_memory
 
 
 def make_context() -> ssl.SSLContext:
-    """A context for a server that has no certificate yet: TLS 1.2 and later, HTTP/1.1."""
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     context.set_alpn_protocols(["http/1.1"])
@@ -57,7 +56,6 @@ def make_context() -> ssl.SSLContext:
 
 
 def load_bundle(context: ssl.SSLContext, bundle: bytes) -> None:
-    """Use `bundle` for connections from now on; those that are open keep what they have."""
     descriptor = os.memfd_create("tls", os.MFD_CLOEXEC)
     try:
         os.write(descriptor, bundle)
@@ -77,8 +75,6 @@ Answer: TypeAlias = Found | Unreadable
 
 
 class ScannerClient:
-    """The scanner behind `sock`, this process's end of the socketpair."""
-
     def __init__(self, sock: socket.socket, interval: float = INTERVAL) -> None:
         self._socket = sock
         self._interval = interval
@@ -151,8 +147,6 @@ _log = logging.getLogger("rossec.console")
 
 
 class PreviewClient:
-    """The preview behind `sock`, this process's end of the socketpair."""
-
     def __init__(self, sock: socket.socket, now: Callable[[], float] = clock.time) -> None:
         self._socket = sock
         self._memory = PreviewMemory(now)

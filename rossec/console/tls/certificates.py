@@ -62,12 +62,10 @@ def open_authority(directory: Path) -> TlsAuthority:
 
 
 def exists(directory: Path) -> bool:
-    """Whether there is an authority in `directory`, be it whole or not."""
     return (directory / KEY).exists() or (directory / CERTIFICATE).exists()
 
 
 def renew(directory: Path, name: str, host: Address | None, now: int) -> TlsAuthority:
-    """Make a new authority for `name` with a new key, in the place of one that is there."""
     files.make_private_directory(directory)
     with files.locked_directory(directory):
         key = ec.generate_private_key(ec.SECP256R1())
@@ -110,7 +108,6 @@ def random_serial() -> int:
 
 
 def key_pem(key: ec.EllipticCurvePrivateKey) -> bytes:
-    """PKCS#8, without a passphrase."""
     return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
 
 
@@ -133,8 +130,6 @@ _log = logging.getLogger("rossec.console")
 
 
 class CertificateSource(Protocol):
-    """Where the server's key and chain come from."""
-
     def first(self, now: int) -> bytes: ...
 
     def newer(self, now: int) -> bytes | None: ...
@@ -216,7 +211,6 @@ def renewal_time(issued: int, end: int) -> int:
 
 
 def check_bundle(chain: bytes, key: bytes, name: str, now: int) -> None:
-    """Check that a chain and a key (PEM) can serve `name` at `now`. Pure."""
     try:
         leaf = x509.load_pem_x509_certificates(chain)[0]
     except ValueError as error:
@@ -274,9 +268,6 @@ def prepare_tls(endpoint: Endpoint, directory: Path, now: int, *, rename: bool) 
         directory: the console's own; its TLS authority is made there when it is needed first.
         now: seconds since the epoch.
         rename: replace an authority that is for another name.
-
-    Raises:
-        ConfigurationError: a certificate cannot be used; the message says why.
     """
     if endpoint.tls is Tls.NONE:
         return None

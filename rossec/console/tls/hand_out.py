@@ -47,8 +47,6 @@ _OTHERS: Final = (
 
 
 class Document(NamedTuple):
-    """What one path answers."""
-
     media_type: str
     body: bytes
     policy: str  # Content-Security-Policy
@@ -71,7 +69,6 @@ def documents(certificate: bytes, origin: str) -> dict[str, Document]:
 
 
 def create_hand_out(certificate: bytes, origin: str, is_over: Callable[[], bool]) -> ASGIApp:
-    """The application; it answers nothing but 410 once `is_over`."""
     found = documents(certificate, origin)
 
     async def answer(scope: Scope, _receive: Receive, send: Send) -> None:
@@ -124,9 +121,6 @@ def handing_out(
     """Hand `certificate` (DER) out at `port` for `seconds`, or until this is left.
 
     `origin` is the console's, where a reader goes afterwards.
-
-    Raises:
-        ConfigurationError: the port is used by another program.
     """
     listening = listen_tcp(addresses, port)
     descriptors = [sock.fileno() for sock in listening]

@@ -82,11 +82,7 @@ class TlsAuthority:
 
     @classmethod
     def load(cls, key: ec.EllipticCurvePrivateKey, data: bytes) -> Self:
-        """The authority with the certificate `data` (DER).
-
-        Raises:
-            ConfigurationError: it is not one that `create` made, or belongs to another key.
-        """
+        """The authority with the certificate `data` (DER)."""
         try:
             certificate = x509.load_der_x509_certificate(data)
             found = certificate.extensions.get_extension_for_class(x509.NameConstraints).value
@@ -108,9 +104,6 @@ class TlsAuthority:
         """A server's certificate (DER) for `name`, valid for 90 days, or until the authority ends.
 
         It also has the address of the authority if that is still `address`, this host's.
-
-        Raises:
-            ConfigurationError: the authority itself is not valid now.
         """
         self.check_time(now)
         end = min(now + LEAF_LIFETIME, self.not_after)
@@ -130,11 +123,7 @@ class TlsAuthority:
         return _sign(builder, self.key)
 
     def check_time(self, now: int) -> None:
-        """Raise unless the authority is valid.
-
-        Raises:
-            ConfigurationError: it has expired, or begins later.
-        """
+        """Raise unless the authority is valid."""
         if now > self.not_after:
             raise ConfigurationError("the console's TLS authority has expired", _RENEW)
         if now < self.not_before:
@@ -213,19 +202,16 @@ _BITS: Final = 11
 
 
 def in_hex(certificate: bytes) -> str:
-    """As phones and browsers show it: `A1:B2:...`, 32 pairs, of a certificate in DER."""
     return sha256(certificate).digest().hex(":").upper()
 
 
 def in_words(certificate: bytes) -> str:
-    """The first 88 bits as eight words."""
     number = int.from_bytes(sha256(certificate).digest(), "big")
     return " ".join(word_list()[number >> 256 - _BITS * place & 0x7FF] for place in range(1, COUNT + 1))
 
 
 @lru_cache(maxsize=1)
 def word_list() -> tuple[str, ...]:
-    """The 2048 words of BIP-39, in their order."""
     text = (resources.files(__package__) / "words.txt").read_text("ascii")
     return tuple(line for line in text.splitlines() if not line.startswith("#"))
 

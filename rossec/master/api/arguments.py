@@ -30,7 +30,6 @@ class ArgumentRefused(Exception):
 
 
 def anything(value: object, caller: str) -> object:  # noqa: ARG001 - the signature of a Check
-    """Any value."""
     return value
 
 
@@ -46,8 +45,6 @@ def not_none(label: str) -> Check:
 
 
 def key(label: str) -> Check:
-    """A parameter name, resolved and well-formed, or the root: grants cover nothing else."""
-
     def check(value: object, caller: str) -> str:
         resolved = names.resolve(_text(value, label), caller)
         if len(resolved) > KEY_LIMIT:
@@ -67,8 +64,6 @@ def search_key(label: str) -> Check:
 
 
 def node(label: str) -> Check:
-    """A name, resolved."""
-
     def check(value: object, caller: str) -> str:
         return names.resolve(_plain_name(value, label), caller)
 
@@ -76,8 +71,6 @@ def node(label: str) -> Check:
 
 
 def topic(label: str) -> Check:
-    """The name of a topic or service, resolved and well-formed."""
-
     def check(value: object, caller: str) -> str:
         plain = _plain_name(value, label)
         if plain == names.SEPARATOR:
@@ -88,8 +81,6 @@ def topic(label: str) -> Check:
 
 
 def subgraph(label: str) -> Check:
-    """Empty, or a namespace, resolved."""
-
     def check(value: object, caller: str) -> str:
         if not isinstance(value, str):
             raise ArgumentRefused(f"ERROR: parameter [{label}] must be a string")
@@ -99,8 +90,6 @@ def subgraph(label: str) -> Check:
 
 
 def type_name(label: str) -> Check:
-    """`*` or `package/Type`."""
-
     def check(value: object, _caller: str) -> str:
         if not value or not isinstance(value, str):
             raise ArgumentRefused(f"ERROR: parameter [{label}] must be a non-empty string")
@@ -113,8 +102,6 @@ def type_name(label: str) -> Check:
 
 
 def uri(label: str, scheme: str) -> Check:
-    """`http://host:port/` of a slave API or `rosrpc://host:port` of a service."""
-
     def check(value: object, _caller: str) -> str:
         if not value or not isinstance(value, str):
             raise ArgumentRefused(f"ERROR: parameter [{label}] is not an XMLRPC URI")
@@ -126,17 +113,14 @@ def uri(label: str, scheme: str) -> Check:
 
 
 def text(label: str) -> Check:
-    """Text, also empty."""
     return _checked(label, "a string", lambda value: isinstance(value, str))
 
 
 def number(label: str) -> Check:
-    """A non-negative integer."""
     return _checked(label, "a number", lambda value: type(value) is int and value >= 0)
 
 
 def binary(label: str) -> Check:
-    """XML-RPC base64."""
     return _checked(label, "base64", lambda value: isinstance(value, bytes))
 
 
@@ -150,8 +134,6 @@ def _checked(label: str, kind: str, is_valid: Callable[[object], bool]) -> Check
 
 
 def binaries(label: str, most: int) -> Check:
-    """A list of at most `most` XML-RPC base64 values."""
-
     def check(value: object, _caller: str) -> list[bytes]:
         if not isinstance(value, list) or len(value) > most:
             raise ArgumentRefused(f"ERROR: parameter [{label}] must be a list of at most {most}")
@@ -164,8 +146,6 @@ def binaries(label: str, most: int) -> Check:
 
 
 def patterns(label: str, most: int) -> Check:
-    """A list of at most `most` patterns of names; an empty one matches nothing."""
-
     def check(value: object, _caller: str) -> list[str]:
         if not isinstance(value, list) or len(value) > most:
             raise ArgumentRefused(f"ERROR: parameter [{label}] must be a list of at most {most}")
@@ -213,8 +193,6 @@ _WAY: Final = frozenset(Way._fields)
 
 
 def kind(label: str) -> Check:
-    """What a target is."""
-
     def check(value: object, _caller: str) -> str:
         if value not in KINDS or not isinstance(value, str):
             raise ArgumentRefused(f"ERROR: parameter [{label}] must be one of {', '.join(KINDS)}")
@@ -224,8 +202,6 @@ def kind(label: str) -> Check:
 
 
 def name(label: str) -> Check:
-    """An absolute name, well-formed."""
-
     def check(value: object, _caller: str) -> str:
         try:
             return check_name(value if isinstance(value, str) else "")
@@ -236,8 +212,6 @@ def name(label: str) -> Check:
 
 
 def doors(label: str) -> Check:
-    """`[peer, kind, name, host, port]` for each door, as doors by target."""
-
     def check(value: object, _caller: str) -> dict[Target, Door]:
         if not isinstance(value, list) or len(value) > AT_ONCE:
             raise ArgumentRefused(f"ERROR: parameter [{label}] must be a list of at most {AT_ONCE}")
@@ -250,8 +224,6 @@ def doors(label: str) -> Check:
 
 
 def ways(label: str) -> Check:
-    """A struct of the fields of `Way` for the label of each peer."""
-
     def check(value: object, _caller: str) -> dict[str, Way]:
         if not isinstance(value, dict) or len(value) > MAX_PEERS:
             raise ArgumentRefused(f"ERROR: parameter [{label}] has at most {MAX_PEERS} peers")

@@ -141,11 +141,7 @@ class MasterApi:
     def begin(
         self, method: str, params: Sequence[object], caller: Caller, now: int, *, is_local: bool = True
     ) -> CallOutcome | Work:
-        """Answer one call, or begin to; `is_local`: the caller is on the master's host.
-
-        Raises:
-            Fault: no such method.
-        """
+        """Answer one call, or begin to; `is_local`: the caller is on the master's host."""
         entry = self.methods.get(method)
         if entry is None:
             raise Fault(1, f"<class 'Exception'>:method \"{method}\" is not supported")
@@ -240,11 +236,7 @@ BeginCall = Callable[[str, Sequence[object]], CallOutcome | Work]
 
 
 class Multicall:
-    """One multicall: call `step` until `done`, then `answer` is its answer.
-
-    Raises:
-        Fault: the multicall is malformed or exceeds a limit.
-    """
+    """One multicall: call `step` until `done`, then `answer` is its answer."""
 
     def __init__(self, params: Sequence[object]) -> None:
         calls = params[0] if len(params) == 1 else None
@@ -379,7 +371,6 @@ class RevokedCalls:
 
 
 def answer_revoked(statements: TrustState, now: int, method: str, params: tuple[object, ...]) -> list[object]:
-    """Answer a call of a revoked identity."""
     match params:
         case (str(), *_) if method in _LIST_METHODS:
             # Always whole: an empty list would mean that there is none.

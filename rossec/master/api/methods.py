@@ -126,8 +126,6 @@ MasterEvent = (
 
 
 class Reply(NamedTuple):
-    """ROS's code, status and value, and the events to deliver."""
-
     value: object
     status: str = ""
     code: int = 1
@@ -169,8 +167,6 @@ Handler = Callable[[CallRequest], Reply | Steps]
 
 @dataclass(frozen=True)
 class Method:
-    """An entry of the method table: checks of the arguments after caller_id, default, handler."""
-
     checks: tuple[Check, ...]
     default: object
     handler: Handler

@@ -56,8 +56,6 @@ ParameterItem: TypeAlias = tuple[str, object]
 
 
 class TreeDecision(NamedTuple):
-    """Whether a parameter, or everything below a namespace, is covered."""
-
     item: ParameterItem
     covered: bool | None  # None: a namespace whose names are checked one by one
 
@@ -85,7 +83,6 @@ def has_right_on_all(caller: Caller, right: Right, items: Sequence[ParameterItem
 
 
 def decisions_across_turns(caller: Caller, right: Right, item: ParameterItem) -> Iterator[TreeDecision]:
-    """As `decisions`, for a tree that may change meanwhile."""
     return decisions(caller, right, item, lambda tree: tuple(tree.items()))
 
 
@@ -95,7 +92,6 @@ def decisions(
     item: ParameterItem,
     entries: Callable[[dict[str, object]], Iterable[Any]] = dict.items,
 ) -> Iterator[TreeDecision]:
-    """Which parts of `item` are covered by `right`, in the order of the tree."""
     key, value = item
     if not isinstance(value, dict) or not value:
         yield TreeDecision(item, caller.may(right, key))
@@ -110,7 +106,6 @@ def decisions(
 
 
 def parameter_names(item: ParameterItem) -> Iterator[str]:
-    """The name of every parameter in `item`, in stock's order; the tree may change meanwhile."""
     key, value = item
     if not isinstance(value, dict):
         yield key

@@ -183,7 +183,6 @@ def _update_reply(newer: bool, request: CallRequest) -> Reply:
 
 @contextmanager
 def refusals_answered() -> Iterator[None]:
-    """Answer with what a statement is refused for."""
     try:
         yield
     except HintedError as error:
@@ -191,7 +190,6 @@ def refusals_answered() -> Iterator[None]:
 
 
 def binaries(value: object) -> Sequence[bytes]:
-    """An argument that `arg.binaries` has checked."""
     return [item for item in value if isinstance(item, bytes)] if isinstance(value, list) else []
 
 
@@ -199,8 +197,6 @@ MAX_DOMAIN: Final = 255  # characters
 
 
 class DomainCalls:
-    """Handlers over what a `TrustState` knows of other domains."""
-
     def __init__(self, statements: TrustState) -> None:
         self._statements = statements
 
@@ -254,8 +250,6 @@ _BATCH: Final = 8  # verifications, a millisecond, between two yields
 
 
 class DepositCalls:
-    """Handlers over the table of deposits; `statements` says what is revoked and presented."""
-
     def __init__(self, statements: TrustState, deposits: Deposits) -> None:
         self._statements = statements
         self._deposits = deposits
@@ -341,8 +335,6 @@ _PENDING: Final = 0
 
 
 class RenewalCalls:
-    """Handlers over the table of renewals in `statements`."""
-
     def __init__(self, statements: TrustState) -> None:
         self._statements = statements
 

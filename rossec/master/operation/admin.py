@@ -52,16 +52,12 @@ MAX_NODES: Final = 4096
 
 @dataclass
 class NodeBudget:
-    """The limit of one node, its reserve, and the number of lines left out."""
-
     limit: TokenBucket = field(default_factory=lambda: TokenBucket(10, 200))
     reserved: TokenBucket = field(default_factory=lambda: TokenBucket(0.1, 10))
     left_out: int = 0
 
 
 class DenialRateLimit(logging.Filter):
-    """Passes a line while the buckets of its node (its first argument) and of all have tokens."""
-
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
         self._clock = clock
@@ -120,11 +116,7 @@ class AdminPort:
         self._server: asyncio.Server | None = None
 
     async def start(self) -> None:
-        """Listen; a stale socket of a killed master is replaced.
-
-        Raises:
-            ConfigurationError: another master listens there, or the path is too long.
-        """
+        """Listen; a stale socket of a killed master is replaced."""
         if self._path.exists():
             with socket.socket(socket.AF_UNIX) as probe:
                 if probe.connect_ex(str(self._path)) == 0:
@@ -166,11 +158,7 @@ class AdminPort:
 
 
 def send_command(path: Path, command: str, what: str = "master") -> dict[str, Any]:
-    """Send a command to the master, or relay, that listens at `path`.
-
-    Raises:
-        ConfigurationError: nobody answers, or with an error.
-    """
+    """Send a command to the master, or relay, that listens at `path`."""
     hint = _HINTS.get(what, f"is it running? rossec {what}")
     try:
         with socket.socket(socket.AF_UNIX) as sock:

@@ -103,13 +103,11 @@ class Config:
 
 
 def load(path: Path) -> Config:
-    """Read a configuration file."""
     data = files.read_own(path, _SIZE, ConfigurationError(f"there is no {path}"), link=True)
     return parse(data.decode(errors="replace"), str(path))
 
 
 def parse(text: str, name: str) -> Config:
-    """Read the text of a configuration file called `name`."""
     values: dict[str, Any] = {}
     for key, word, part in _entries(_tree(text, name), name):
         where = f"{name}:{word.line}"

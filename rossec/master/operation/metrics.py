@@ -45,8 +45,6 @@ def on_loop(status: Status) -> Status:
 
 
 class MetricsCollector:
-    """Reads the status at each scrape."""
-
     def __init__(self, status: Status) -> None:
         self._status = status
 

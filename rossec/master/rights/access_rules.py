@@ -52,29 +52,24 @@ MAX_GATEWAYS: Final = 64  # registered at one master; each costs a connection
 
 
 def is_own_gateway(caller: Caller) -> bool:
-    """Whether the certified name itself is a gateway's: the name of a visitor is an alias."""
     return is_gateway(caller.name) and not caller.certified and not caller.wildcard
 
 
 def may_subscribe(caller: Caller, topic: str) -> bool:
-    """Whether a caller may subscribe a topic: by its name, or an alias by its served name."""
     return caller.may(Right.SUBSCRIBE, topic) or may_be_served(caller, topic)
 
 
 def may_be_served(caller: Caller, alias: str) -> bool:
-    """Whether own grants let a caller subscribe what a gateway serves of an alias."""
     served = _served(caller, alias)
     return served is not None and caller.may(Right.SUBSCRIBE, served)
 
 
 def may_see_served(caller: Caller, alias: str) -> bool:
-    """Whether a caller may see what a gateway serves of an alias."""
     served = _served(caller, alias)
     return served is not None and caller.may_see(served)
 
 
 def require_gateway(caller: Caller, name: str) -> None:
-    """Raise `Refused` if `name` is offered below `/gateway` by a caller that is no gateway."""
     if is_in_gateway(name) and not is_own_gateway(caller):
         raise Refused(
             f"{name} is below {GATEWAY}, where only gateways of this domain publish and provide "
@@ -112,7 +107,6 @@ _NOT_OFFERED: Final = (
 
 
 def nowhere(_place: Endpoint) -> bool:
-    """There are no relays."""
     return False
 
 
@@ -222,11 +216,7 @@ class AccessControl:
         self._is_door = is_door
 
     def acting_caller(self, method: str, caller: Caller, caller_id: str) -> Caller:
-        """The caller as the node `caller_id`: itself, or a node whose registrations it cleans up.
-
-        Raises:
-            Refused: its identity does not cover that name, nor has it ADMIN on that node.
-        """
+        """The caller as the node `caller_id`: itself, or a node whose registrations it cleans up."""
         try:
             return caller.acting_as(caller_id)
         except Refused:
@@ -243,9 +233,6 @@ class AccessControl:
         """Check the rule of `method`; that of TREE is checked by `parameter_trees`.
 
         `is_local`: the caller is on the master's host.
-
-        Raises:
-            Refused: no rule, a right is missing, or the slave API is another node's.
         """
         rule = RULES.get(method)
         if rule is None:

@@ -77,14 +77,11 @@ DomainOf = Callable[[str], str | None]
 
 
 class OriginRights(NamedTuple):
-    """What a caller's grants of one foreign domain give, on names of that domain."""
-
     reach: Reach
     authorize: Authorize
 
 
 def no_domain(_: str) -> str | None:
-    """Neither foreign domains nor other sites are known."""
     return None
 
 
@@ -144,11 +141,7 @@ class Caller:
         return any(not each.reach.is_empty for each in self.elsewhere.values())
 
     def acting_as(self, name: str) -> "Caller":
-        """The caller as the node `name`, which has its own entries in the registry.
-
-        Raises:
-            Refused: its identity does not cover `name`.
-        """
+        """The caller as the node `name`, which has its own entries in the registry."""
         if name == self.name and not name.startswith(REMOTE):  # the usual case
             return self
         own = origin_of(self.name)  # a foreigner calls itself by its name at home
@@ -170,11 +163,7 @@ class Caller:
         return right is Right.GRAPH and (self.is_authority or self.is_own_master)
 
     def explain(self, right: Right, name: str) -> None:
-        """Raise why `may` is false.
-
-        Raises:
-            HintedError: the reason.
-        """
+        """Raise why `may` is false."""
         if not is_alias(name):
             self.authorize(right, name)
             raise GrantMissing(f"{right.label} on {name} is not exported to this domain")
@@ -327,8 +316,6 @@ MAX_NAME: Final = 255  # characters; a longer one is cut
 
 
 class RecentDenial(NamedTuple):
-    """A right that a node lacked on a name, when it last asked."""
-
     at: int
     node: str
     right: Right

@@ -41,17 +41,13 @@ LoadForeign = Callable[[str], bytes | None]
 
 
 def nothing_saved(_domain: str) -> bytes | None:
-    """No list was saved."""
     return None
 
 
-def discard_foreign(_domain: str, _data: bytes) -> None:
-    """Persist nothing."""
+def discard_foreign(_domain: str, _data: bytes) -> None: ...
 
 
 class ForeignWord(NamedTuple):
-    """What a foreign domain's master said last: to be relayed, and verified by who gets it."""
-
     revocations: bytes = b""
     timestamp: bytes = b""
     chain: tuple[bytes, ...] = ()
@@ -101,10 +97,6 @@ class DomainTrust:
         """Take a list of domains; returns those that are gone or have another root.
 
         None: it is the list held.
-
-        Raises:
-            DomainsRefused: not of the own authority, or older than one seen.
-            HintedError: it could not be persisted; nothing has changed.
         """
         before, roots = self.anchors.data, self._roots()
         ended = self.anchors.update(data, self._persist)
@@ -162,11 +154,7 @@ class DomainTrust:
         return list(dict.fromkeys((*unproved, *self._wanted.get(domain, ()))))
 
     def add_proof(self, domain: str, entry: bytes, proof: bytes) -> None:
-        """Take a proof that was fetched.
-
-        Raises:
-            RevocationRefused: it proves nothing about `entry` in the tree held.
-        """
+        """Take a proof that was fetched."""
         held = self.standing.foreign(domain)
         if held is None or not is_tree(held.data):
             raise RevocationRefused("a proof, but there is no such tree")
@@ -192,23 +180,12 @@ class DomainTrust:
         self.check_fresh(peer, now)
 
     def check_fresh(self, peer: Identity, now: int) -> None:
-        """Return if no key of a foreigner is revoked, as its domain's master said lately.
-
-        Raises:
-            Revoked: one is.
-            RevocationsStale: this is not known.
-        """
+        """Return if no key of a foreigner is revoked, as its domain's master said lately."""
         for key in peer.keys:
             self.standing.check(peer.domain, key, now)
 
     def check_connected(self, peer: Identity, now: int) -> None:
-        """Return if a connection of a foreigner may stand.
-
-        Raises:
-            NotAdmitted: the trust in its domain has ended, or no longer extends to its name.
-            Revoked: one of its keys is revoked, by either authority.
-            RevocationsStale: its domain's revocations have been stale for too long.
-        """
+        """Return if a connection of a foreigner may stand."""
         self.standing.check_trust(peer, now)
         stale: RevocationsStale | None = None
         for key in peer.keys:
@@ -259,11 +236,7 @@ class DomainTrust:
         return self._imports.get(label, _NOTHING)
 
     def verifier(self, domain: str) -> Verifier:
-        """Opens grants of a listed foreign domain.
-
-        Raises:
-            NotAdmitted: it is not listed.
-        """
+        """Opens grants of a listed foreign domain."""
         listed, held = self.anchors.listed_domain(domain), self.standing.foreign(domain)
         if listed is None or held is None:
             raise NotAdmitted(f"domain {domain!a} is not listed here")

@@ -33,7 +33,6 @@ from rossec.master.state.journals import DepositChange, GrantDeposited, GrantHel
 
 
 def check_holder(caller: Caller, grant: Grant, label: str) -> None:
-    """Return if `grant`, which is verified, is one of the caller's."""
     if grant.holder != caller.thumbprint:
         raise GrantNotHeld("the grant is bound to another key", f"it was issued to {grant.subject}")
     name = caller.certified or caller.name
@@ -49,8 +48,6 @@ _NOTHING: Final = Reach(())
 
 
 class EvaluationContext(NamedTuple):
-    """The time, the revocation list and the state of other domains grants are evaluated for."""
-
     now: int
     revocations: bytes
     fresh_until: int
@@ -76,15 +73,11 @@ class Judge(NamedTuple):
 
 
 class Presented(NamedTuple):
-    """How many grants of the caller are held now, and why the others were refused."""
-
     held: int
     refused: tuple[str, ...]
 
 
 class Renewed(NamedTuple):
-    """Renewed tokens, empty where one was refused, and the reasons."""
-
     tokens: tuple[bytes, ...]
     refused: tuple[str, ...]
 
@@ -222,8 +215,6 @@ class DeliveryState(Enum):
 
 @dataclass(slots=True)
 class Deposit:
-    """One grant in the table, as signed; it may be renewed until it `ends`."""
-
     data: bytes
     grant_id: bytes
     holder: bytes
@@ -302,11 +293,7 @@ class Deposits:
         return [*(GrantDeposited(each.data) for each in deposits), *held]
 
     def add(self, verified: Sequence[tuple[bytes, Grant | HintedError]]) -> list[str]:
-        """Add the grants that `verify` accepted; returns why each was refused, empty where not.
-
-        Raises:
-            HintedError: they cannot be made durable; none was added.
-        """
+        """Add the grants that `verify` accepted; returns why each was refused, empty where not."""
         accepted: dict[bytes, Deposit] = {}
         reasons: list[str] = []
         for data, grant in verified:

@@ -195,7 +195,6 @@ def topic_types(graph: Graph, caller: Caller) -> Iterator[tuple[str, str] | None
 
 
 def topic_type(graph: Graph, caller: Caller, topic: str) -> str:
-    """The type of a topic; of one in slots that of the publishers that are told."""
     slot = caller.slot(topic)
     if not slot:
         return graph.topic_type(topic)
@@ -210,7 +209,6 @@ def is_published(graph: Graph, caller: Caller, topic: str) -> bool:
 
 
 def is_shown(graph: Graph, caller: Caller, topic: str) -> bool:
-    """Whether a topic that the caller may see is anything to it yet."""
     return is_published(graph, caller, topic) or any(graph.registry.registered_nodes(Kind.SUBSCRIBER, topic))
 
 
@@ -225,7 +223,6 @@ def shown_nodes(graph: Graph, caller: Caller) -> Iterator[GraphNode | None]:
 
 
 def node_uri(graph: Graph, caller: Caller, name: str) -> str | None:
-    """The slave API of a node that is shown as a publisher in slots."""
     if not caller.has_slots:
         return None
     own = graph.registry.keys_of(name, Kind.PUBLISHER)

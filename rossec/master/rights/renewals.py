@@ -41,8 +41,7 @@ from grants.token import pack, unpack
 _HINT: Final = "at the authority: rossec master delegate"
 
 
-def discard(_: bytes) -> None:
-    """Persist nothing."""
+def discard(_: bytes) -> None: ...
 
 
 class Delegate:
@@ -65,12 +64,7 @@ class Delegate:
         self._held: OpenDelegation | None = None
 
     def take(self, data: bytes) -> bool:
-        """Accept a delegation; returns whether it is newer than the one held.
-
-        Raises:
-            RenewalForged, RenewalMalformed: not a delegation of the authority.
-            RenewalForOther: for another key or trust domain.
-        """
+        """Accept a delegation; returns whether it is newer than the one held."""
         new = open_delegation(data, self._anchor.public_key)
         if new.holder != self._own or new.domain != self._anchor.domain:
             raise RenewalForOther(
@@ -89,11 +83,7 @@ class Delegate:
     def renew(
         self, token: bytes, holder: bytes, now: int, *, seq: int, check: RevocationCheck
     ) -> tuple[Grant, bytes]:
-        """The renewed grant in `token` and its new token.
-
-        Raises:
-            GrantError: a subclass that names the reason.
-        """
+        """The renewed grant in `token` and its new token."""
         if self._held is None:
             raise RenewalNotInTime("the authority has not delegated renewal to this master", _HINT)
         data = unpack(token).grant
@@ -150,8 +140,6 @@ class RenewalAnswer(NamedTuple):
 
 
 class Offer(NamedTuple):
-    """Requests for the authority's service, and how many wait in all."""
-
     requests: list[bytes]
     waiting: int
 

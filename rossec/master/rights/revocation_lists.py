@@ -50,16 +50,12 @@ SILENT_AFTER: Final = 35  # seconds; a node says every 10 s what it holds
 
 
 class ListStanding(NamedTuple):
-    """How many nodes have a session, how many of them hold a list, and the names of the others."""
-
     nodes: int
     holding: int
     lacking: tuple[str, ...]
 
 
 class HeldLists:
-    """The list of each node, by its name and key, as a digest."""
-
     def __init__(self) -> None:
         self._held: dict[tuple[str, bytes], tuple[bytes, int]] = {}
 
@@ -227,7 +223,6 @@ def pertaining(
 
 
 def entries_of(grant: Grant) -> frozenset[bytes]:
-    """The ids of a grant and of its links, and the keys they are for."""
     links = (entry for link in grant.links for entry in (link.id, link.holder))
     return frozenset((grant.holder, *links))
 
@@ -251,23 +246,17 @@ _FULL_SET, _DIFF_SET, _CURSOR, _MORE = 0, 1, 2, 3
 
 
 class TrlUpdate(NamedTuple):
-    """One change of a requester's list."""
-
     number: int
     removed: tuple[bytes, ...]
     added: tuple[bytes, ...]
 
 
 class Query(NamedTuple):
-    """A query; without `diff` a full query."""
-
     diff: int | None = None
     cursor: int | None = None
 
 
 class Series:
-    """The updates of one requester's list."""
-
     def __init__(self, first: int, entries: frozenset[bytes]) -> None:
         self._next = first
         self._entries = entries
@@ -313,11 +302,7 @@ class RevocationQueries:
         self._series: OrderedDict[bytes, Series] = OrderedDict()
 
     def answer(self, requester: bytes, entries: frozenset[bytes], query: bytes) -> bytes:
-        """Answer one query of the requester whose part of the TRL is `entries`.
-
-        Raises:
-            QueryRefused: the query is malformed, or its cursor is invalid.
-        """
+        """Answer one query of the requester whose part of the TRL is `entries`."""
         parsed = read_query(query)
         series = self._series.get(requester)
         if series is None:
@@ -330,7 +315,6 @@ class RevocationQueries:
 
 
 def read_query(query: bytes) -> Query:
-    """Read a query: the map {? "diff": uint, ? "cursor": uint}; a cursor needs diff."""
     try:
         value = decode(query, limit=MAX_QUERY)
     except EncodingError as error:

@@ -83,12 +83,7 @@ class TrustState(ListInForce):
         self._context = NOT_EVALUATED
 
     def caller(self, peer: Identity, now: int) -> Caller:
-        """The caller with its rights now.
-
-        Raises:
-            Revoked: the key is revoked, or that of the intermediate that issued its certificate.
-            CAError: of a foreigner, as `DomainTrust.check_connected`.
-        """
+        """The caller with its rights now."""
         if not peer.certified:  # else a twin with the same key would take the place of an own node
             self._identity_keys[peer.thumbprint] = peer.keys
         if self._is_revoked(peer.keys):
@@ -136,9 +131,6 @@ class TrustState(ListInForce):
         """Take a list of domains; returns whether it differs from the one held.
 
         Grants of domains that are gone, or have another root, are discarded.
-
-        Raises:
-            DomainsRefused: not of the own authority, or older than one seen.
         """
         ended = self.domains.update(data)
         for held in self._held.values() if ended else ():
@@ -187,11 +179,7 @@ class TrustState(ListInForce):
         return Renewed(tuple(renewed), tuple(refused))
 
     def renew_identity(self, caller: Caller, request: bytes, now: int) -> RenewalAnswer:
-        """The renewed identity, or what is waited for; see `IdentityRenewals.ask`.
-
-        Raises:
-            CAError: the request is refused.
-        """
+        """The renewed identity, or what is waited for; see `IdentityRenewals.ask`."""
         self._confirm(now)
         held = self._held_by(caller)
         self._check_failures(held, now)
@@ -208,11 +196,7 @@ class TrustState(ListInForce):
         self._revocations.check(entry, now)
 
     def update_delegation(self, data: bytes) -> bool:
-        """Accept a delegation to renew grants; returns whether it is newer.
-
-        Raises:
-            GrantError: not signed by the authority, or not for this master.
-        """
+        """Accept a delegation to renew grants; returns whether it is newer."""
         return self._delegate.take(data)
 
     def list_digests(self) -> tuple[bytes, bytes]:
@@ -328,8 +312,6 @@ BATCH: Final = 64  # registrations checked in one step, which the loop waits for
 
 
 class EnforcementStep(NamedTuple):
-    """Some registrations of one node."""
-
     node: NodeRef
     kind: Kind
     keys: tuple[str, ...]

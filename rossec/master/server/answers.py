@@ -45,8 +45,6 @@ from rossec.ros.xmlrpc import Fault
 
 
 class Admission:
-    """Decides by the rights that `state` knows now, within `limits`."""
-
     def __init__(self, state: MasterState, limits: MasterLimits) -> None:
         self._state = state
         self._limits = limits
@@ -107,8 +105,6 @@ ASKING: Final = frozenset(
 
 
 class SiteAnswers:
-    """The waiting queries."""
-
     def __init__(self, imports: Imports) -> None:
         self._imports = imports
         self._settled: asyncio.Event | None = None  # while a query waits
@@ -134,8 +130,6 @@ RENEWALS_WAIT: Final = 20.0  # seconds; an answer without requests shows that th
 
 
 class PendingCall(NamedTuple):
-    """One call of `peer`; `is_local`: the peer is on the master's host."""
-
     is_local: bool
     method: str
     params: tuple[object, ...]
@@ -143,8 +137,6 @@ class PendingCall(NamedTuple):
 
 
 class CallAnswers:
-    """Answers calls with a `MasterApi`, which shares its state with `effects`."""
-
     def __init__(self, api: MasterApi, state: MasterState, effects: Effects, turns: Turns) -> None:
         self._api = api
         self._state = state

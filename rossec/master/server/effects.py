@@ -78,11 +78,7 @@ def ignore_denial(now: int, node: str, right: Right, name: str) -> None:
 
 
 class DenialLog:
-    """Appends to the file `path`, which is created for its owner alone.
-
-    Raises:
-        PathRefused: another user owns it, as is possible in a directory such as /tmp.
-    """
+    """Appends to the file `path`, which is created for its owner alone."""
 
     def __init__(self, path: Path) -> None:
         from grants.policy.learn import log_line  # noqa: PLC0415 - not loaded without this log
@@ -124,8 +120,6 @@ class _Logged:
 
 
 class DenialCauses:
-    """The causes that were logged last."""
-
     def __init__(self) -> None:
         self._logged: OrderedDict[_Cause, _Logged] = OrderedDict()
 
@@ -409,11 +403,7 @@ class Effects:
             self.updates.post(node, (DOMAINS_UPDATE, ""), self._state.name, data)
 
     def take_foreign(self, domain: str, revocations: bytes, timestamp: bytes, chain: Sequence[bytes]) -> None:
-        """Take what a foreign domain's master says; a newer list is enforced and sent at once.
-
-        Raises:
-            CAError: as `Standing.take_foreign`; a valid list counts even if its timestamp does not.
-        """
+        """Take what a foreign domain's master says; a newer list is enforced and sent at once."""
         domains = self._state.trust.domains
         before = domains.generation
         try:

@@ -64,12 +64,10 @@ FindDomains: TypeAlias = Callable[[], bytes]
 """Returns the newest signed list of domains; empty: unchanged, or there is none."""
 
 
-def no_authority() -> None:
-    """No authority is on this host."""
+def no_authority() -> None: ...
 
 
 def no_domains() -> bytes:
-    """No authority on this host has signed a list of domains."""
     return b""
 
 
@@ -132,12 +130,7 @@ Renew = Callable[[bytes, int], RenewalAnswer]
 
 
 class OwnIdentity:
-    """The credentials of the master; `check` keeps them current.
-
-    Raises:
-        CertificateRefused: the identity in `home` has expired, or is invalid.
-        ConfigurationError: there is no identity, or it is another node's.
-    """
+    """The credentials of the master; `check` keeps them current."""
 
     def __init__(self, home: NodeHome, now: int) -> None:
         self._home = home
@@ -222,8 +215,6 @@ _audit = logging.getLogger("rossec.audit")
 
 
 class Gateways:
-    """Asks the gateways of `state` whether they live, from `start` to `close`."""
-
     def __init__(self, state: MasterState, effects: Effects) -> None:
         self._state = state
         self._effects = effects

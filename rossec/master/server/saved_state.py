@@ -88,8 +88,6 @@ _deposit_file_log = logging.getLogger("rossec.master.memory")
 
 
 class DepositFile:
-    """The journal at `path`; `deposits` is its content, to be changed by the master only."""
-
     def __init__(self, path: Path, verify: VerifyDeposit) -> None:
         self.deposits = Deposits(verify, self._append)
         self._path = path
@@ -175,8 +173,6 @@ _parameter_file_log = logging.getLogger("rossec.master.memory")
 
 
 class ParameterFile:
-    """The journal at `path`; `parameters` is its content, to be changed by the master only."""
-
     def __init__(self, path: Path) -> None:
         self.parameters = Parameters()
         self._path = path

@@ -180,11 +180,7 @@ class MasterServer:
         return self._effects
 
     async def start(self) -> None:
-        """Listen.
-
-        Raises:
-            OSError: the address is not of this host, or the port is in use.
-        """
+        """Listen."""
         state, parameters = self.state, None
         self._server = serve(self._handle, *self._address, self._context, WireProtocol.HTTP)
         if state.parameter_file is not None:
@@ -221,11 +217,7 @@ class MasterServer:
         return file.deposits
 
     def mirror(self, site: Site, tree: dict[str, object]) -> None:
-        """Take over the mirrored parameters of a site, and update their subscribers.
-
-        Raises:
-            ImportRefused: as `Mirrors.replace`.
-        """
+        """Take over the mirrored parameters of a site, and update their subscribers."""
         self._send_mirrored(self.state.imports.mirrors.replace(site, tree))
 
     def drop_mirror(self, label: str) -> None:
@@ -353,12 +345,6 @@ def master_of(
         limits: limits on what one peer may use.
         suites: the post-quantum policy (`rossec.channel.opening`).
         find_revocations, find_domains: read what an authority on this host has signed.
-
-    Raises:
-        ConfigurationError: the node is not enrolled.
-        CertificateRefused: its identity has expired: no node would connect.
-        RevocationRefused: `newest` is not signed by the authority, or older than the one saved.
-        DomainsRefused: the saved list of domains is not the authority's.
     """
     anchor, own_identity, saved_list = home.anchor(), OwnIdentity(home, now), ListFile(home)
     signer = own_identity.credentials.current.signer

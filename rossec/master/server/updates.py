@@ -50,7 +50,6 @@ from rossec.ros.xmlrpc import Fault
 
 
 def is_node(peer: Identity, node: NodeRef) -> bool:
-    """Whether `peer` is the node that registered: a foreigner is registered under its alias."""
     named = peer.name == node.name if peer.is_foreign else peer.covers(node.name)
     return named and peer.thumbprint == node.thumbprint
 
@@ -109,13 +108,10 @@ Key = tuple[str, str]
 """Method and subject: of two pending updates with one key only the newer is sent."""
 
 
-def ignore_taken(node: NodeRef, method: str, params: tuple[object, ...]) -> None:
-    """Take no notice."""
+def ignore_taken(node: NodeRef, method: str, params: tuple[object, ...]) -> None: ...
 
 
 class NodeClient:
-    """Delivers updates to one slave API, in order, the newest of each kind."""
-
     def __init__(
         self,
         node: NodeRef,
@@ -311,8 +307,6 @@ BATCH_DELAY: Final = 0.05
 
 
 class GraphChanges:
-    """Notifies all waiting calls of a change of the graph."""
-
     def __init__(self) -> None:
         self._version = -1
         self._changed: asyncio.Event | None = None  # while a call waits

@@ -72,8 +72,6 @@ class Report(NamedTuple):
 
 
 class WantedChange(NamedTuple):
-    """What a relay is told: targets wanted, and wanted no longer, up to `version`."""
-
     version: int
     wanted: tuple[Target, ...]
     unwanted: tuple[Target, ...]

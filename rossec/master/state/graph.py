@@ -106,8 +106,6 @@ class PublisherLog:
 
 
 class ServedTopics:
-    """Queries by alias."""
-
     def __init__(self, registry: Registry, imports: Imports) -> None:
         self._registry = registry
         self._imports = imports

@@ -96,16 +96,12 @@ Fact: TypeAlias = tuple[str, str, str]
 
 
 class Address(NamedTuple):
-    """The local name of a node or service, its URI, and its normalized host and port."""
-
     name: str
     uri: str
     endpoint: Endpoint
 
 
 class Registered(NamedTuple):
-    """One registration: as what, and for which local name."""
-
     kind: Kind
     key: str
 
@@ -204,12 +200,7 @@ class SiteFacts:
 
 
 def checked(facts: Iterable[Fact]) -> list[Fact]:
-    """The facts, if each is well-formed.
-
-    Raises:
-        ImportRefused: an unknown kind, an invalid name, type or address, or an alias: a name
-            travels one hop.
-    """
+    """The facts, if each is well-formed."""
     return [_check(fact) for fact in facts]
 
 
@@ -258,8 +249,6 @@ def _remove_address(addresses: dict[str, Address], key: str, uri: str) -> None:
 
 
 class KeptPublishers:
-    """Addresses by site and topic."""
-
     def __init__(self) -> None:
         self._kept: dict[str, dict[str, Sequence[Address]]] = {}
 
@@ -295,8 +284,6 @@ ImportEvent = PublishersChanged | TypeContradicted
 
 @dataclass(frozen=True)
 class SiteStatus:
-    """One site, for people; `topics` returns those with publishers or subscribers there."""
-
     site: Site
     facts: int
     is_lost: bool
@@ -304,8 +291,6 @@ class SiteStatus:
 
 
 class Contradictions:
-    """The topics that a site gives another type than they have here: each is reported once."""
-
     def __init__(self, registry: Registry) -> None:
         self._registry = registry
         self._reported: dict[str, set[str]] = {}
@@ -331,7 +316,6 @@ class Contradictions:
 
 
 def finished(steps: Generator[None, None, list[ImportEvent]]) -> list[ImportEvent]:
-    """Take all steps at once; returns their events."""
     while True:
         try:
             next(steps)

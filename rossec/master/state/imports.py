@@ -105,8 +105,7 @@ Rules = Callable[[str], Reach | None]
 """What is taken from the foreign domain with a label, as names there; None: all it shows."""
 
 
-def everything(_label: str) -> None:
-    """No rule for any domain."""
+def everything(_label: str) -> None: ...
 
 
 class Intake:
@@ -182,10 +181,6 @@ class Imports:
             site: as in the calls before; another one with this label takes its place.
             added, removed: facts with the origin's names.
             whole: `added` is all that the site has.
-
-        Raises:
-            ImportRefused: a malformed fact, or too many. The facts of the site are still held.
-            NameRefused: the site's label is not one.
         """
         return finished(self.apply_in_steps(site, added, removed, whole=whole))
 

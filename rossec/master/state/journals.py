@@ -28,12 +28,10 @@ _HEADER_SIZE: Final = 8
 
 
 def frame(content: bytes) -> bytes:
-    """One record."""
     return len(content).to_bytes(4) + zlib.crc32(content).to_bytes(4) + content
 
 
 def contents(data: bytes, at: int) -> Iterator[tuple[bytes, int]]:
-    """The content of each undamaged record from `at` on, and where the record ends."""
     while len(data) - at >= _HEADER_SIZE:
         begin = at + _HEADER_SIZE
         at = begin + int.from_bytes(data[at : at + 4])
@@ -58,7 +56,6 @@ class ParameterChange(NamedTuple):
 
 
 def encode_parameter(change: ParameterChange) -> bytes:
-    """One record."""
     if change.deleted:
         call = xmlrpc.dump_call(_DELETE, (change.key,))
     else:
@@ -67,7 +64,6 @@ def encode_parameter(change: ParameterChange) -> bytes:
 
 
 def decode_parameters(data: bytes) -> tuple[list[ParameterChange], int]:
-    """The changes in a journal, and the length of its undamaged part."""
     changes: list[ParameterChange] = []
     valid = len(PARAMETERS_MAGIC) if data.startswith(PARAMETERS_MAGIC) else 0
     if valid:
@@ -99,7 +95,6 @@ def _change(call: xmlrpc.Call) -> ParameterChange | None:
 
 
 def replay(parameters: Parameters, changes: list[ParameterChange]) -> None:
-    """Apply the changes in order; one that fails now failed then, too."""
     for change in changes:
         try:
             if change.deleted:
@@ -111,7 +106,6 @@ def replay(parameters: Parameters, changes: list[ParameterChange]) -> None:
 
 
 def snapshot(parameters: Parameters) -> bytes:
-    """The shortest journal of these parameters."""
     return b"".join(pieces(parameters))
 
 
@@ -163,7 +157,6 @@ DepositChange = GrantDeposited | GrantHeld
 
 
 def encode_deposit(change: DepositChange) -> bytes:
-    """One record."""
     match change:
         case GrantDeposited(data):
             return frame(_GRANT + data)
@@ -172,7 +165,6 @@ def encode_deposit(change: DepositChange) -> bytes:
 
 
 def decode_deposits(data: bytes) -> tuple[list[DepositChange], int]:
-    """The changes in a journal, and the length of its undamaged part."""
     changes: list[DepositChange] = []
     valid = len(DEPOSITS_MAGIC) if data.startswith(DEPOSITS_MAGIC) else 0
     if valid:

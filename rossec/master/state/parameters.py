@@ -39,7 +39,6 @@ Tree = dict[str, object]
 
 
 def check_value(value: object, depth: int = DEPTH_LIMIT) -> None:
-    """Check that `value` is a valid parameter, or a tree of them, of at most `depth` levels."""
     if depth < 0:
         raise ValueError(f"parameters nested deeper than {DEPTH_LIMIT}")
     if isinstance(value, dict):
@@ -76,7 +75,6 @@ def encoded_size(value: object) -> int:
 
 
 def exceeds(value: object, limit: int) -> bool:
-    """Whether the `encoded_size` of a parameter exceeds `limit`; stops soon after it does."""
     return any(limit < so_far for so_far in accumulate(_encoded_sizes(value)))
 
 
@@ -138,8 +136,6 @@ class TooLarge(ValueError):
 
 
 class ParameterUpdate(NamedTuple):
-    """The update for subscribers of `subscription`: `key` now has this value ({}: unset)."""
-
     subscription: str
     key: str
     value: object
@@ -154,11 +150,7 @@ class Parameters:
         self.size = encoded_size(self._top)
 
     def get(self, key: str) -> object:
-        """The value, or the tree, at `key`; a live reference.
-
-        Raises:
-            ParameterMissing: not set.
-        """
+        """The value, or the tree, at `key`; a live reference."""
         value: object = self._top[""]
         for segment in _segments(key):
             if not isinstance(value, dict) or segment not in value:
@@ -175,13 +167,7 @@ class Parameters:
         return True
 
     def set(self, key: str, value: object, limit: int | None = None) -> None:
-        """Set a value, or replace a whole tree; values on the path become namespaces.
-
-        Raises:
-            TypeError: the root must stay a tree.
-            ValueError: not a valid parameter.
-            TooLarge: all together would take more than `limit`.
-        """
+        """Set a value, or replace a whole tree; values on the path become namespaces."""
         segments = _segments(key)
         check_value(value, DEPTH_LIMIT - len(segments))
         if not segments and not isinstance(value, dict):
@@ -207,11 +193,7 @@ class Parameters:
         return node, path[-1], value
 
     def delete(self, key: str) -> None:
-        """Unset a value or a tree.
-
-        Raises:
-            ParameterMissing: not set, or the root.
-        """
+        """Unset a value or a tree."""
         head, _, last = names.canonical(key).rpartition(names.SEPARATOR)
         parent = self.get(head)
         if not isinstance(parent, dict) or last not in parent:
@@ -252,7 +234,6 @@ def search_candidates(namespace: str, key: str) -> list[tuple[str, str]]:
 
 
 def check_names(key: str, value: object) -> None:
-    """Check that every name in a tree that is to be set at `key` is a valid name."""
     if not isinstance(value, dict):
         return
     for name, below in value.items():
@@ -286,7 +267,6 @@ def updates(subscriptions: Collection[str], key: str, value: object) -> list[Par
 
 
 def subscription_key(key: str) -> str:
-    """The form in which subscriptions to `key` are stored."""
     return _with_slash(names.canonical(key))
 
 
@@ -350,9 +330,6 @@ class Mirrors:
 
         Args:
             tree: with the names of the origin, from its root.
-
-        Raises:
-            ImportRefused: invalid, or too large; what was mirrored before stays.
         """
         new = Parameters()
         try:
@@ -396,11 +373,7 @@ class Mirrors:
 
 
 def refuse_mirror(key: str, value: object = None) -> None:
-    """Return if setting `key` to `value`, or unsetting it, reaches nothing below `/remote`.
-
-    Raises:
-        NameRefused: it does.
-    """
+    """Return if setting `key` to `value`, or unsetting it, reaches nothing below `/remote`."""
     below_root = key == names.SEPARATOR and isinstance(value, dict) and REMOTE[1:] in value
     if is_alias(key) or below_root:
         raise NameRefused(

@@ -59,7 +59,6 @@ def is_connectable(uri: str, scheme: str) -> bool:
 
 
 def is_unicast_host(host: str) -> bool:
-    """Whether `host` is a name, or a unicast IP address in its standard spelling."""
     address = _address(host)
     if address is None:
         return bool(host) and ":" not in host and _NUMERIC_HOST.fullmatch(host) is None
@@ -142,8 +141,6 @@ Event = PublishersChanged | ShutdownNode
 
 
 class Unregistered(NamedTuple):
-    """Stock's answer to unregistering: it always succeeds, `removed` is 0 or 1."""
-
     status: str
     removed: int
 
@@ -161,7 +158,6 @@ class Registry:
     """All registrations. Methods that change it return the events to deliver."""
 
     def __init__(self, nodes_limit: int = NODES_LIMIT) -> None:
-        """`nodes_limit`: nodes of one key; only a wildcard identity can have more than one."""
         self.imported_publishers: Callable[[str], list[str]] = _nothing_imported
         self.version = 0
         self._nodes: dict[str, _Node] = {}

@@ -44,8 +44,6 @@ class _Message(NamedTuple):
 
 
 class ServedStream(Protocol[PeerT_co]):
-    """What is used of `rossec.net.aio.SecureStream`."""
-
     @property
     def peer(self) -> PeerT_co: ...
 
@@ -81,13 +79,10 @@ class Dispatch(Protocol[PeerT_contra]):
     `HangUp` ends the connection.
     """
 
-    def __call__(self, method: str, params: tuple[object, ...], peer: PeerT_contra, /) -> object:
-        """The value to answer with."""
+    def __call__(self, method: str, params: tuple[object, ...], peer: PeerT_contra, /) -> object: ...
 
 
 class CallLoop(Generic[PeerT]):
-    """Serves one stream; see `rossec.net.rpc.calls.serve_calls`."""
-
     __slots__ = (
         "_bound",
         "_busy",
@@ -327,8 +322,6 @@ CALL_DEADLINE: Final = 10.0
 
 
 class Stream(Protocol):
-    """What a client uses of `rossec.net.aio.SecureStream`."""
-
     async def send(self, *pieces: bytes) -> None: ...
 
     async def receive(self) -> bytes: ...
@@ -408,33 +401,18 @@ class RpcClient:
         return self._calls.is_compact
 
     async def call(self, method: str, *params: object) -> object:
-        """The value of the response.
-
-        Raises:
-            Fault: the server answered with a fault.
-            CallFailed: no answer, or none in time.
-            WireError: the answer is malformed.
-            XmlRpcRefused: a parameter cannot be carried (nothing was sent).
-        """
+        """The value of the response."""
         answer = await self._answer(method, params)
         if isinstance(answer, Encoded) and len(answer.body) > AT_ONCE:
             return await of_loop().run(self._source, value_steps(answer, self._limit))
         return value_in(answer, self._limit)
 
     async def fetch(self, method: str, *params: object) -> bytes:
-        """Like `call`, but the body of an XML-RPC response, unparsed if it came so.
-
-        Raises:
-            CallFailed, WireError, XmlRpcRefused: as `call`.
-        """
+        """Like `call`, but the body of an XML-RPC response, unparsed if it came so."""
         return body_of(await self._answer(method, params))
 
     async def ask(self, method: str, *params: object) -> object:
-        """Like `call`, for ROS methods: the value in `[1, status, value]`.
-
-        Raises:
-            AnswerRefused, AnswerMalformed: see `rossec.ros.xmlrpc.value_of`; and as `call`.
-        """
+        """Like `call`, for ROS methods: the value in `[1, status, value]`."""
         return xmlrpc.value_of(await self.call(method, *params))
 
     async def close(self) -> None:

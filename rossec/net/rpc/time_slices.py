@@ -26,8 +26,6 @@ ResultT = TypeVar("ResultT")
 
 
 class TurnOwner(NamedTuple):
-    """Whose work it is: `group` has one share, which its peers share."""
-
     group: Hashable
     peer: Hashable
 
@@ -103,8 +101,6 @@ class Rotation:
 
 
 class LoopTurns:
-    """The turns of the running loop; `of_loop` returns the one that all its users share."""
-
     def __init__(self, clock: Callable[[], float] = monotonic, length: float = TURN) -> None:
         self._clock = clock
         self._length = length

@@ -44,8 +44,6 @@ AT_ONCE: Final = socket.MSG_DONTWAIT
 
 
 class Carrier(Generic[PeerT]):
-    """What `SecureSocket` does below its methods; `end` is always the caller's deadline."""
-
     def __init__(
         self, sock: socket.socket, core: Connection[PeerT], on_released: Callable[[], None] = lambda: None
     ) -> None:
@@ -339,9 +337,6 @@ class SecureSocket(Carrier[PeerT]):
         """Authenticate, within `timeout` in seconds, over a socket that was connected.
 
         `to_itself`: this node means to reach itself.
-
-        Raises:
-            OSError, ChannelError: the handshake failed; the socket is closed.
         """
         secure = cls(sock, context.initiator(protocol, to_itself=to_itself))
         try:
@@ -354,11 +349,7 @@ class SecureSocket(Carrier[PeerT]):
         return secure
 
     def raise_unit_limit(self, limit: int | None = None) -> None:
-        """Accept units of up to `limit`, or `ChannelLimits.unit`: the peer is authorized.
-
-        Raises:
-            ChannelClosed: there is no open connection.
-        """
+        """Accept units of up to `limit`, or `ChannelLimits.unit`: the peer is authorized."""
         with self._core_lock:
             self._core.raise_unit_limit(limit)
 

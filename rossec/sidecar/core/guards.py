@@ -212,11 +212,7 @@ class Replacing:
         self._to_peer = to_peer
 
     def rebuild(self, decision: Decision) -> Guard | None:
-        """The guard for another decision.
-
-        Raises:
-            HintedError: it does not fit this connection.
-        """
+        """The guard for another decision."""
         renewed = self._rebuild(decision)
         if self._guard is None:
             if renewed is not None:

@@ -72,12 +72,10 @@ class Endpoint:
 
 
 def local_endpoint(protocol: WireProtocol, port: int) -> Endpoint:
-    """The endpoint of a program on this host."""
     return Endpoint(protocol, LOOPBACK.host, port)
 
 
 def topic_endpoint(api: Endpoint) -> Endpoint:
-    """The topic endpoint of a program; its slave API is asked for the port on each connection."""
     return Endpoint(WireProtocol.TCPROS, api.host, api.port, via_slave_api=True)
 
 
@@ -321,8 +319,6 @@ class UnexpectedEvent(RossecError):
 
 @dataclass
 class Program:
-    """A program's slave API: the name it registered under, and its registrations."""
-
     name: str
     registrations: RegistrationTable = field(default_factory=RegistrationTable)
 
@@ -398,14 +394,12 @@ class AgentState:
 
 
 def opened_port(event: Event) -> int:
-    """The port of an `Opened` event."""
     if not isinstance(event, Opened):
         raise UnexpectedEvent(f"no port but {type(event).__name__}")
     return event.port
 
 
 def authenticated_peer(event: Event) -> Identity:
-    """The peer of a `PeerAuthenticated` event."""
     match event:
         case PeerAuthenticated(peer):
             return peer
@@ -416,6 +410,5 @@ def authenticated_peer(event: Event) -> Identity:
 
 
 def own_endpoint(uri: object) -> Endpoint | None:
-    """The slave API endpoint of the calling program: on this host, whatever host it writes."""
     api = parse_endpoint(uri, WireProtocol.HTTP)
     return None if api is None else local_endpoint(WireProtocol.HTTP, api.port)

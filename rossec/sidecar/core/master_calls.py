@@ -64,8 +64,6 @@ MULTICALL_LIMIT: Final = 4096
 
 
 class Result(Enum):
-    """The value of a successful answer."""
-
     PLAIN = "no address"
     NODES = "a list of slave API URIs"
     NODE = "a slave API URI"
@@ -120,7 +118,6 @@ RULES: Final = {
 
 
 def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> Layer[object]:
-    """Answer one call of a program."""
     if method == MULTICALL:
         return (yield from _multicall(agent, params))
     rule = rule_of(method)
@@ -163,11 +160,7 @@ def _refusal(
 
 
 def rule_of(method: str) -> CallRule:
-    """The rule of a method.
-
-    Raises:
-        Fault: no such method.
-    """
+    """The rule of a method."""
     rule = RULES.get(method)
     if rule is None:
         raise Fault(1, f"<class 'Exception'>:method \"{printable(method, 80)}\" is not supported")
@@ -341,7 +334,6 @@ def restore(agent: AgentState, holds: Holds) -> Layer[None]:
 
 
 def resubscribe(agent: AgentState, topic: str) -> Layer[None]:
-    """Send the publishers of `topic` to its subscribers again: rospy needs it to reconnect."""
     for own_api, program in tuple(agent.programs.items()):
         params = program.registrations.find(SUBSCRIBE, topic)
         if params is not None:
@@ -349,7 +341,6 @@ def resubscribe(agent: AgentState, topic: str) -> Layer[None]:
 
 
 def rights_changed(agent: AgentState, holds: Holds) -> Layer[None]:
-    """Make the registrations again that may have been refused or removed for lack of a right."""
     for own_api, program in tuple(agent.programs.items()):
         wanted = _allowed(program.registrations, holds)
         if wanted and not (yield from _is_gone(agent, own_api, (yield Probe(own_api)))):

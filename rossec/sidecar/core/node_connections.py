@@ -116,7 +116,6 @@ def handle_peer_call(
     grants: bytes | None,
     now: int,
 ) -> Layer[object]:
-    """Answer a peer's call to the program at `local`."""
     node = agent.identity.name
     if method == PRESENT_GRANTS:
         agent.access.check_peer(peer, now)
@@ -163,7 +162,6 @@ def _answer_with_port(agent: AgentState, local: Endpoint, method: str) -> Layer[
 
 
 def succeeded(code: object) -> bool:
-    """Whether an answer holds a value: its code is 1."""
     return type(code) is int and code == 1  # not True, not 1.0
 
 
@@ -235,7 +233,6 @@ def _program_bus_info(agent: AgentState, local: Endpoint, entries: list[object])
 def handle_program_call(
     agent: AgentState, remote: Endpoint, method: str, params: tuple[object, ...]
 ) -> Layer[object]:
-    """Answer a program's call to the peer at `remote`."""
     if method not in OPEN | MASTER_ONLY | SLAVE_CALLS.keys():
         raise Fault(1, f"<class 'Exception'>:method \"{printable(method, 80)}\" is not supported")
     refused = without_caller(params, RULES[method].default)
@@ -369,7 +366,6 @@ def admit_peer(
     memory_scope_of: FindMemoryScope,
     now: int,
 ) -> Layer[AdmittedConnection]:
-    """A peer subscribes to a topic of the program at `local`, or calls its service."""
     service, wishes = _is_service(fields), NO_WISHES
     if service is local.via_slave_api:
         raise ConnectionHeaderRefused(f"this port is not for {'services' if service else 'topics'}")
@@ -470,7 +466,6 @@ def connect_to_peer(
     memory_scope_of: FindMemoryScope,
     now: int,
 ) -> Layer[AdmittedConnection]:
-    """A program subscribes to a topic of the peer at `remote`, or calls its service."""
     service = _is_service(fields)
     wanted = text(fields, "service" if service else "topic")
     if service:
@@ -539,5 +534,4 @@ def _require_header(event: Event) -> HeaderArrived:
 
 
 def without_grants(fields: Mapping[str, bytes]) -> dict[str, bytes]:
-    """The header without the fields of rossec: grants, and wishes."""
     return {key: value for key, value in without_wishes(fields).items() if key != FIELD}
