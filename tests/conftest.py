@@ -61,7 +61,24 @@ def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
     return argname if isinstance(val, bytes) else None
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--quick", action="store_true", help="leave out what needs ROS or a browser, and slow files"
+    )
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if config.getoption("--quick"):
+        slow = set((config.rootpath / "tests" / "slow.txt").read_text().split())
+        left_out = [
+            item
+            for item in items
+            if item.path.relative_to(config.rootpath).as_posix() in slow
+            or any(item.get_closest_marker(marker) for marker in _NEEDED)
+        ]
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item not in set(left_out)]
+        return
     for marker, (what, is_there) in _NEEDED.items():
         if is_there:
             continue
