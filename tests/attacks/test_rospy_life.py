@@ -16,12 +16,12 @@ pytestmark = [pytest.mark.ros, pytest.mark.asyncio(loop_scope="module")]
 
 FAST: Final = """
 import struct
-from rossec.inprocess import connector
+from rossec.inprocess import identity
 import rossec.net.threads.secure_socket
 rossec.net.threads.secure_socket.SLICE = struct.pack("ll", 1, 0)  # how often a reader looks at the clock
 from rossec.channel.records import ChannelLimits
-limits = dict.fromkeys(connector.WireProtocol, ChannelLimits(seconds=1))
-connector.ACCEPTED = connector.DIALLED = limits
+limits = dict.fromkeys(identity.WireProtocol, ChannelLimits(seconds=1))
+identity.ACCEPTED = identity.DIALLED = limits
 """
 ROBOT: Final = (
     SECURE

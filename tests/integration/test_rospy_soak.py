@@ -26,10 +26,10 @@ TOPIC: Final = "/day/count"
 SECONDS: Final = 15.0
 LIFETIME: Final = 7
 FAST: Final = """
-from rossec.inprocess import connector
+from rossec.inprocess import identity
 from rossec.channel.records import ChannelLimits
-limits = dict.fromkeys(connector.WireProtocol, ChannelLimits(records=64, seconds=1))
-connector.ACCEPTED = connector.DIALLED = limits
+limits = dict.fromkeys(identity.WireProtocol, ChannelLimits(records=64, seconds=1))
+identity.ACCEPTED = identity.DIALLED = limits
 import rossec.participant.renewals
 rossec.participant.renewals.RETRY = 1
 """

@@ -33,10 +33,10 @@ from tests.support.witness import until
 
 PORT: Final = 11311
 _SHORTENED: Final = """
-from rossec.federation import follower, states
+from rossec.federation import follower, site_state
 follower.SILENCE = 5.5
-states.LOST_FOR = 1
-states.LONGEST_PAUSE = 2
+site_state.LOST_FOR = 1
+site_state.LONGEST_PAUSE = 2
 from rossec.cli.main import main
 main()
 """

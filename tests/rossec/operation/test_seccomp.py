@@ -93,7 +93,7 @@ def test_the_numbers_are_those_of_this_kernel() -> None:
 
 PROGRAM = """
 import ctypes, os, socket, sys, threading
-from rossec.host import seccomp
+from rossec.host import sandbox
 libc = ctypes.CDLL(None, use_errno=True)
 def tried(what):
     try:
@@ -111,7 +111,7 @@ actions = [
     lambda: os.posix_spawn("/bin/true", ["true"], {}), threading.Thread(target=print).start,
     lambda: os.unlink("/tmp/none"), os.listdir, lambda: os.memfd_create("a"), os.pipe,
 ]
-seccomp.allow_only(sys.argv[1:])
+sandbox.allow_only(sys.argv[1:])
 os.write(1, repr([tried(action) for action in actions]).encode())
 os._exit(0)
 """
