@@ -43,6 +43,12 @@ MAX_LIFETIME: Final = 366 * DAY
 ROOT_LIFETIME: Final = 3650 * DAY
 _SERIAL_LIMIT: Final = 1 << 128
 
+_SEQUENCE: Final = b"\x30"
+# AlgorithmIdentifier: ecdsa-with-SHA256, without parameters (RFC 5758 section 3.2).
+_ECDSA_WITH_SHA256: Final = bytes.fromhex("300a06082a8648ce3d040302")
+# A BIT STRING of no unused bits with an ECDSA-Sig-Value of r = s = 1: nothing verifies it.
+_NO_SIGNATURE: Final = bytes.fromhex("0309003006020101020101")
+
 
 class Authority:
     """A trust domain's root or intermediate, with the signer of its key.
@@ -245,13 +251,6 @@ def _usage(*, authority: bool) -> x509.KeyUsage:
         encipher_only=False,
         decipher_only=False,
     )
-
-
-_SEQUENCE: Final = b"\x30"
-# AlgorithmIdentifier: ecdsa-with-SHA256, without parameters (RFC 5758 section 3.2).
-_ECDSA_WITH_SHA256: Final = bytes.fromhex("300a06082a8648ce3d040302")
-# A BIT STRING of no unused bits with an ECDSA-Sig-Value of r = s = 1: nothing verifies it.
-_NO_SIGNATURE: Final = bytes.fromhex("0309003006020101020101")
 
 
 class UnsignedCertificate(NamedTuple):

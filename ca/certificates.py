@@ -75,6 +75,24 @@ _SECONDS: Final = 180  # up to which a span is given in seconds
 _DAY: Final = 86_400
 _PLAUSIBLE: Final = 2 * _DAY  # that a host was off, or nothing was signed
 
+# Private policies, from UUIDs (ITU-T X.667).
+MAY_RENEW: Final = x509.ObjectIdentifier("2.25.283421307419275216482910536471209357741")
+MAY_ENROLL: Final = x509.ObjectIdentifier("2.25.140372948105529641730282947561038846219")
+_HINT: Final = "make it on the host with `rossec ca intermediate request`"
+
+_MAX_PEM: Final = 16 * 1024
+
+CACHE_SIZE: Final = 256
+
+PROFILE: Final = Profile("rossec-renewal+cwt")
+MAX_CHAIN: Final = 2
+MAX_RENEWAL: Final = MAX_REQUEST + MAX_CHAIN * MAX_CERTIFICATE + 512
+MAX_AGE: Final = 300  # seconds: two clocks and a slow network
+# Certificates are backdated by this much: the clock of robots without a battery-backed one may be
+# behind after a start.
+BACKDATE: Final = 3600
+_IAT, _CSR, _CHAIN = 6, -70021, -70022
+
 
 def utc(seconds: int) -> str:
     """Seconds since the epoch as `2026-11-20 18:00:00 UTC`; the number if out of range."""
@@ -138,12 +156,6 @@ def everything_ended(domain: str, end: int, now: int) -> CertificateExpired:
     )
 
 
-# Private policies, from UUIDs (ITU-T X.667).
-MAY_RENEW: Final = x509.ObjectIdentifier("2.25.283421307419275216482910536471209357741")
-MAY_ENROLL: Final = x509.ObjectIdentifier("2.25.140372948105529641730282947561038846219")
-_HINT: Final = "make it on the host with `rossec ca intermediate request`"
-
-
 @dataclass(frozen=True)
 class Intermediate:
     """A verified intermediate. Times are inclusive, in seconds."""
@@ -205,8 +217,6 @@ __all__ = [
     "from_pem",
     "to_pem",
 ]
-
-_MAX_PEM: Final = 16 * 1024
 
 
 @dataclass(frozen=True)
@@ -383,7 +393,6 @@ class _CachedLeaf(NamedTuple):
 # certificate is a pure function of its bytes, so the result is cached once it has verified.
 # The decision is never cached: signature and validity times are checked each time.
 _cache: Final[OrderedDict[tuple[bytes, bytes], _CachedLeaf]] = OrderedDict()
-CACHE_SIZE: Final = 256
 
 
 def _read(domain: str, certificate: x509.Certificate, der: bytes) -> Identity:
@@ -429,16 +438,6 @@ def from_pem(data: bytes) -> tuple[bytes, ...]:
             "this is not a PEM certificate", "name the file that `rossec ca sign` wrote"
         ) from error
     return tuple(certificate.public_bytes(Encoding.DER) for certificate in certificates)
-
-
-PROFILE: Final = Profile("rossec-renewal+cwt")
-MAX_CHAIN: Final = 2
-MAX_RENEWAL: Final = MAX_REQUEST + MAX_CHAIN * MAX_CERTIFICATE + 512
-MAX_AGE: Final = 300  # seconds: two clocks and a slow network
-# Certificates are backdated by this much: the clock of robots without a battery-backed one may be
-# behind after a start.
-BACKDATE: Final = 3600
-_IAT, _CSR, _CHAIN = 6, -70021, -70022
 
 
 @dataclass(frozen=True)

@@ -65,6 +65,31 @@ _LETTERS: Final = str.maketrans(
 _NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9_]+")
 _NOT_IN_DOMAINS: Final = re.compile(r"[^a-z0-9._-]+")
 
+MAX_NAME: Final = 255
+AUTHORITY: Final = "/ca"  # the authority's own node
+MASTER: Final = "/master"  # a domain's first master; others are `/master/<segment>`
+RELAY: Final = "/relay"  # a domain's first relay; others are `/relay/<segment>`
+GATEWAY: Final = "/gateway"  # a domain's first gateway; others are `/gateway/<segment>`
+_NAME: Final = re.compile(r"(?:/[A-Za-z][A-Za-z0-9_]*)+")
+_OTHER_MASTER: Final = re.compile(r"/master/[A-Za-z][A-Za-z0-9_]*")
+_OTHER_RELAY: Final = re.compile(r"/relay/[A-Za-z][A-Za-z0-9_]*")
+_OTHER_GATEWAY: Final = re.compile(r"/gateway/[A-Za-z][A-Za-z0-9_]*")
+_TAIL: Final = re.compile(r"_[A-Za-z0-9_]+")
+_DOMAIN: Final = re.compile(r"[a-z0-9._-]+")  # SPIFFE-ID section 2.1
+_SCHEME: Final = "spiffe://"
+
+TAIL: Final = "~"
+_WILDCARDS = ("*", "**")
+_HINT: Final = "* stands for one whole segment, ** for one or more: /robot1/*/scan, /robot1/**"
+_HINT_LABEL: Final = "a pattern is of one domain's own names, which have no label: /robot1/**"
+
+REMOTE: Final = "/remote"
+MAX_LABEL: Final = 32
+_LABEL: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_PREFIX: Final = f"{REMOTE}/"
+
+_SERVED_PREFIX: Final = f"{GATEWAY}/"
+
 
 def closest(value: str, known: Iterable[str]) -> str | None:
     """The known value most like `value`; None: none is like it."""
@@ -103,20 +128,6 @@ def _segment(text: str) -> str:
 def _plain(text: str) -> str:
     decomposed = unicodedata.normalize("NFKD", text.translate(_LETTERS))
     return "".join(each for each in decomposed if not unicodedata.combining(each))
-
-
-MAX_NAME: Final = 255
-AUTHORITY: Final = "/ca"  # the authority's own node
-MASTER: Final = "/master"  # a domain's first master; others are `/master/<segment>`
-RELAY: Final = "/relay"  # a domain's first relay; others are `/relay/<segment>`
-GATEWAY: Final = "/gateway"  # a domain's first gateway; others are `/gateway/<segment>`
-_NAME: Final = re.compile(r"(?:/[A-Za-z][A-Za-z0-9_]*)+")
-_OTHER_MASTER: Final = re.compile(r"/master/[A-Za-z][A-Za-z0-9_]*")
-_OTHER_RELAY: Final = re.compile(r"/relay/[A-Za-z][A-Za-z0-9_]*")
-_OTHER_GATEWAY: Final = re.compile(r"/gateway/[A-Za-z][A-Za-z0-9_]*")
-_TAIL: Final = re.compile(r"_[A-Za-z0-9_]+")
-_DOMAIN: Final = re.compile(r"[a-z0-9._-]+")  # SPIFFE-ID section 2.1
-_SCHEME: Final = "spiffe://"
 
 
 def check_name(text: str) -> str:
@@ -206,12 +217,6 @@ def parse_spiffe_id(text: str) -> tuple[str, str]:
         raise NameRefused(f"{text[:MAX_NAME]!a} is not a SPIFFE ID")
     domain, slash, path = text.removeprefix(_SCHEME).partition("/")
     return check_domain(domain), check_name(slash + path)
-
-
-TAIL: Final = "~"
-_WILDCARDS = ("*", "**")
-_HINT: Final = "* stands for one whole segment, ** for one or more: /robot1/*/scan, /robot1/**"
-_HINT_LABEL: Final = "a pattern is of one domain's own names, which have no label: /robot1/**"
 
 
 def check_pattern(text: str) -> str:
@@ -335,12 +340,6 @@ def _advance(ends: set[int], segment: str, name: list[str]) -> set[int]:
     return {at + 1 for at in ends if at < len(name) and segment in ("*", name[at])}
 
 
-REMOTE: Final = "/remote"
-MAX_LABEL: Final = 32
-_LABEL: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_PREFIX: Final = f"{REMOTE}/"
-
-
 def check_label(text: str) -> str:
     """Return `text` if it is a label: one segment of a name, at most 32 characters."""
     if len(text) > MAX_LABEL or _LABEL.fullmatch(text) is None:
@@ -423,8 +422,6 @@ def local_pattern(text: str) -> str:
 
 
 __all__ = ("GATEWAY", "alias_of_served", "is_gateway", "is_in_gateway", "is_served", "served_name")
-
-_SERVED_PREFIX: Final = f"{GATEWAY}/"
 
 
 def served_name(alias: str) -> str:

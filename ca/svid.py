@@ -58,6 +58,10 @@ _UNDERSTOOD: Final = frozenset(
     {ExtensionOID.BASIC_CONSTRAINTS, ExtensionOID.KEY_USAGE, ExtensionOID.SUBJECT_ALTERNATIVE_NAME}
 )
 
+MAX_REQUEST: Final = 2048  # a request for the longest name has about 800 bytes
+_EXTENSION_REQUEST: Final = x509.ObjectIdentifier("1.2.840.113549.1.9.14")
+_HINT: Final = "make the request on the node with `rossec node request`"
+
 
 def parse(der: bytes) -> x509.Certificate:
     if len(der) > MAX_CERTIFICATE:
@@ -270,11 +274,6 @@ def is_wildcard(der: bytes) -> bool:
 
 def _malformed(error: Exception) -> NoReturn:
     raise CertificateRefused("this is not a well-formed certificate") from error
-
-
-MAX_REQUEST: Final = 2048  # a request for the longest name has about 800 bytes
-_EXTENSION_REQUEST: Final = x509.ObjectIdentifier("1.2.840.113549.1.9.14")
-_HINT: Final = "make the request on the node with `rossec node request`"
 
 
 @dataclass(frozen=True)

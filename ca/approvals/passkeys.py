@@ -70,6 +70,28 @@ if TYPE_CHECKING:
 
 MAX_CLIENT_DATA: Final = 4096
 
+MAX_AUTHENTICATOR_DATA: Final = 2048
+_FIXED_SIZE: Final = 37  # a digest, the flags, the counter
+_PRESENT, _VERIFIED, _MORE = 0x01, 0x04, 0xC0  # UP, UV; AT and ED: more follows
+_COORDINATE: Final = 32
+_HINT: Final = "try again, or with another browser"
+
+MAX_SIGNATURE: Final = 80  # DER of two integers of 33 bytes needs 72
+
+MAX_ATTESTATION: Final = 16 * 1024
+MAX_NAME: Final = 64
+_REGISTRATION_HINT: Final = "try again, or with another device"
+# What its parser raises for bytes that are not of the form.
+_MALFORMED: Final = (
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    RecursionError,
+    MemoryError,
+    struct.error,
+)
+
 
 class Ceremony(StrEnum):
     CREATE = "webauthn.create"
@@ -125,13 +147,6 @@ def _malformed(what: str) -> AssertionMalformed:
     return AssertionMalformed(f"the browser sent {what}", "try again, or with another browser")
 
 
-MAX_AUTHENTICATOR_DATA: Final = 2048
-_FIXED_SIZE: Final = 37  # a digest, the flags, the counter
-_PRESENT, _VERIFIED, _MORE = 0x01, 0x04, 0xC0  # UP, UV; AT and ED: more follows
-_COORDINATE: Final = 32
-_HINT: Final = "try again, or with another browser"
-
-
 class AuthenticatorData(NamedTuple):
     rp_id_hash: bytes
     flags: int
@@ -170,9 +185,6 @@ def read_key(cose_key: bytes) -> ec.EllipticCurvePublicKey:
                 raise AssertionMalformed("the device's key is not an ES256 key", _HINT)
     except (EncodingError, ValueError) as error:
         raise AssertionMalformed("the device's key is not a key of P-256", _HINT) from error
-
-
-MAX_SIGNATURE: Final = 80  # DER of two integers of 33 bytes needs 72
 
 
 class Passkey(NamedTuple):
@@ -254,21 +266,6 @@ class Challenge(NamedTuple):
     @property
     def digest(self) -> bytes:
         return sha256(encode([str(self.purpose), *self[1:]])).digest()
-
-
-MAX_ATTESTATION: Final = 16 * 1024
-MAX_NAME: Final = 64
-_REGISTRATION_HINT: Final = "try again, or with another device"
-# What its parser raises for bytes that are not of the form.
-_MALFORMED: Final = (
-    ValueError,
-    LookupError,
-    TypeError,
-    AttributeError,
-    RecursionError,
-    MemoryError,
-    struct.error,
-)
 
 
 class Registration(NamedTuple):

@@ -57,6 +57,22 @@ _INT_LIMIT: Final = 1 << 53
 _URI: Final = re.compile(r"http://[A-Za-z0-9.:\[\]-]{1,255}/?", re.ASCII)
 _HINT: Final = "ask for the file that `rossec domain card` wrote"
 
+DOMAINS: Final = Profile("rossec-domains+cwt")
+MAX_LIST: Final = 64 * 1024
+MAX_DOMAINS: Final = 64
+MAX_MASTERS: Final = 64
+MAX_RULES: Final = 64  # patterns of one domain, of each kind
+LEAST_FRESH, MOST_FRESH = 30, 7 * 86400
+ALL_RIGHTS: Final = 255  # bits, docs/spec/grant.md section 2
+
+_LISTS_EXP, _LISTS_IAT, _EPOCH, _SEQ, _DOMAINS, _LISTS_MASTERS = (4, 6, -70001, -70002, -70031, -70036)
+
+NameRights = tuple[str, int]
+"""A pattern of names, and the bits of the rights on them."""
+
+NO_FLOOR: Final = (0, 0)
+_ANCHORS_HINT: Final = "at this side's authority: rossec domain list, rossec domain accept CARD"
+
 
 @dataclass(frozen=True)
 class Card:
@@ -141,20 +157,6 @@ def _texts(items: list[Value]) -> tuple[str, ...]:
     if len(texts) != len(items) or len(items) > MAX_CARD_NAMES:
         raise CardRefused("the card has a name or an address that is not one", _HINT)
     return texts
-
-
-DOMAINS: Final = Profile("rossec-domains+cwt")
-MAX_LIST: Final = 64 * 1024
-MAX_DOMAINS: Final = 64
-MAX_MASTERS: Final = 64
-MAX_RULES: Final = 64  # patterns of one domain, of each kind
-LEAST_FRESH, MOST_FRESH = 30, 7 * 86400
-ALL_RIGHTS: Final = 255  # bits, docs/spec/grant.md section 2
-
-_LISTS_EXP, _LISTS_IAT, _EPOCH, _SEQ, _DOMAINS, _LISTS_MASTERS = (4, 6, -70001, -70002, -70031, -70036)
-
-NameRights = tuple[str, int]
-"""A pattern of names, and the bits of the rights on them."""
 
 
 @dataclass(frozen=True)
@@ -400,10 +402,6 @@ def _check_rules(rules: tuple[NameRights, ...]) -> None:
 def _check_sorted(items: list[Any]) -> None:
     if any(first >= second for first, second in pairwise(items)):
         raise DomainsRefused("the list of domains is not sorted, or has an entry twice")
-
-
-NO_FLOOR: Final = (0, 0)
-_ANCHORS_HINT: Final = "at this side's authority: rossec domain list, rossec domain accept CARD"
 
 
 @dataclass(frozen=True)

@@ -79,6 +79,28 @@ _ADDRESS: Final = re.compile(r"[!-~]+", re.ASCII)
 _PATTERN: Final = re.compile(r"/[A-Za-z0-9_*/]+", re.ASCII)
 _HINT: Final = "paste the whole line of `rossec ca invite`, beginning with ROSSEC-JOIN:"
 
+MEDIA_TYPE: Final = b"application/vnd.rossec.join"
+MAX_MESSAGE: Final = 512
+# Message begin and end, TNF 2 (NDEF 3.2): with a payload length of one octet, or of four.
+_SHORT: Final = 0xD2
+_LONG: Final = 0xC2
+
+MAX_STATEMENT: Final = 512
+MAX_METADATA: Final = 4096  # what a node says of itself, where rules give names
+_CONTEXT: Final = "rossec-join-v1"
+_LIVE: Final = Profile("rossec-join-live+cbor")
+_PROOF: Final = Profile("rossec-join-proof+cbor")
+_CLAIM: Final = Profile("rossec-join-claim+cbor")
+
+_HASH: Final = 32
+_SIZES: Final = ID_SIZE + _HASH  # where those of proof, name and metadata are
+_HEAD: Final = _SIZES + 5
+MAX_REQUEST_METADATA: Final = MAX_METADATA
+MAX_REQUEST_SIZE: Final = _HEAD + MAX_STATEMENT + MAX_NAME + MAX_REQUEST_METADATA + MAX_REQUEST
+
+_JOIN_CLAIM_HEAD: Final = ID_SIZE + _HASH + 2  # and the size of the proof
+MAX_CLAIM_SIZE: Final = _JOIN_CLAIM_HEAD + MAX_STATEMENT + MAX_METADATA
+
 
 @dataclass(frozen=True)
 class InvitationCode:
@@ -208,13 +230,6 @@ def _damaged() -> CodeRefused:
     return CodeRefused("the code of the invitation is incomplete or damaged", _HINT)
 
 
-MEDIA_TYPE: Final = b"application/vnd.rossec.join"
-MAX_MESSAGE: Final = 512
-# Message begin and end, TNF 2 (NDEF 3.2): with a payload length of one octet, or of four.
-_SHORT: Final = 0xD2
-_LONG: Final = 0xC2
-
-
 def write(code: InvitationCode) -> bytes:
     payload = code.body()
     if len(payload) < 256:
@@ -238,14 +253,6 @@ def read(data: bytes) -> InvitationCode:
     raise CodeRefused(
         "the tag does not hold an invitation of rossec", "write it with: rossec ca invite PATTERN --ndef FILE"
     )
-
-
-MAX_STATEMENT: Final = 512
-MAX_METADATA: Final = 4096  # what a node says of itself, where rules give names
-_CONTEXT: Final = "rossec-join-v1"
-_LIVE: Final = Profile("rossec-join-live+cbor")
-_PROOF: Final = Profile("rossec-join-proof+cbor")
-_CLAIM: Final = Profile("rossec-join-claim+cbor")
 
 
 def transcript(
@@ -313,13 +320,6 @@ def _digest(data: bytes) -> bytes:
     return sha256(data).digest()
 
 
-_HASH: Final = 32
-_SIZES: Final = ID_SIZE + _HASH  # where those of proof, name and metadata are
-_HEAD: Final = _SIZES + 5
-MAX_REQUEST_METADATA: Final = MAX_METADATA
-MAX_REQUEST_SIZE: Final = _HEAD + MAX_STATEMENT + MAX_NAME + MAX_REQUEST_METADATA + MAX_REQUEST
-
-
 @dataclass(frozen=True)
 class JoinRequest:
     """A node's request to join: the invitation's id, the transcript, what is asked, the proof.
@@ -378,10 +378,6 @@ class JoinRequest:
         """Return if it was made with the secret of the invitation whose key is `point`."""
         key = public_key(point)
         check_proof(self.proof, key, self.transcript, self.csr, self.name, self.metadata)
-
-
-_JOIN_CLAIM_HEAD: Final = ID_SIZE + _HASH + 2  # and the size of the proof
-MAX_CLAIM_SIZE: Final = _JOIN_CLAIM_HEAD + MAX_STATEMENT + MAX_METADATA
 
 
 @dataclass(frozen=True)

@@ -58,6 +58,10 @@ from ca.keys.signing import Signer
 from ca.names import AUTHORITY, MAX_NAME, check_name, is_reserved, pattern_covers
 from ca.svid import MAX_REQUEST, IdentityRequest, check_request
 
+_AGAIN: Final = "then run `rossec node join` again: the same request gets its answer"
+
+_CLOCK: Final = "check this computer's clock; if it is right, at the authority: rossec ca renew /ca"
+
 
 class WaitReason(IntEnum):
     """Why a request waits."""
@@ -260,7 +264,6 @@ def _chain(items: list[Value]) -> tuple[bytes, ...] | None:
     return certificates if 0 < len(certificates) == len(items) <= MAX_CHAIN else None
 
 
-_AGAIN: Final = "then run `rossec node join` again: the same request gets its answer"
 WAITING: Final = {
     WaitReason.LOCKED: ("the authority is locked", f"at the authority: rossec ca unlock; {_AGAIN}"),
     WaitReason.PERSON: (
@@ -310,8 +313,6 @@ CLAIM_REFUSED: Final = {
         "see which: rossec namespace name FILE; then correct the metadata or the invitation",
     ),
 }
-
-_CLOCK: Final = "check this computer's clock; if it is right, at the authority: rossec ca renew /ca"
 
 
 class NodeJoinState(Enum):

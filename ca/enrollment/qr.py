@@ -49,6 +49,26 @@ _HALF_BLOCKS: Final = {(0, 0): " ", (1, 0): "\u2580", (0, 1): "\u2584", (1, 1): 
 _BORDER: Final = 2
 _PRINTED_BORDER: Final = 4
 
+COLUMNS, ROWS = 3, 8
+PER_PAGE: Final = COLUMNS * ROWS
+_WIDTH, _HEIGHT = 63.5, 33.9  # millimetres
+_STEP: Final = 66.0  # from label to label, sideways
+_LEFT, _TOP = 7.25, 12.9
+_CODE: Final = 33.0  # with its quiet zone: 0.8 mm a module
+_LINE: Final = 17  # characters of a name that fit beside the code
+_LINES: Final = 5
+_PAGE: Final = (
+    '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>rossec labels</title>\n'
+    '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
+    "style-src 'unsafe-inline'\">\n"
+    "<style>@page {{ size: A4; margin: 0 }} body {{ margin: 0 }} "
+    "svg.page {{ display: block; break-after: page }}</style></head>\n<body>\n{}</body></html>\n"
+)
+
+_KIND: Final = 0x51  # the low half is the version
+_MAX_TEXT: Final = 64
+_CARD_CODES_HINT: Final = "scan or paste what `rossec domain card --qr` shows, beginning with ROSSEC:"
+
 
 @dataclass(frozen=True)
 class Code:
@@ -165,23 +185,6 @@ def _text(data: bytes) -> str:
     return PREFIX + encode_base45(data)
 
 
-COLUMNS, ROWS = 3, 8
-PER_PAGE: Final = COLUMNS * ROWS
-_WIDTH, _HEIGHT = 63.5, 33.9  # millimetres
-_STEP: Final = 66.0  # from label to label, sideways
-_LEFT, _TOP = 7.25, 12.9
-_CODE: Final = 33.0  # with its quiet zone: 0.8 mm a module
-_LINE: Final = 17  # characters of a name that fit beside the code
-_LINES: Final = 5
-_PAGE: Final = (
-    '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>rossec labels</title>\n'
-    '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
-    "style-src 'unsafe-inline'\">\n"
-    "<style>@page {{ size: A4; margin: 0 }} body {{ margin: 0 }} "
-    "svg.page {{ display: block; break-after: page }}</style></head>\n<body>\n{}</body></html>\n"
-)
-
-
 @dataclass(frozen=True)
 class Label:
     """One label: the node's name, its key's fingerprint, the text of its code."""
@@ -227,11 +230,6 @@ def _lines(label: Label) -> Iterator[str]:
             f'<text x="{_CODE}" y="{5 + 3 * number}" font-family="monospace" font-size="2.6"'
             f"{weight}>{escape(text)}</text>"
         )
-
-
-_KIND: Final = 0x51  # the low half is the version
-_MAX_TEXT: Final = 64
-_CARD_CODES_HINT: Final = "scan or paste what `rossec domain card --qr` shows, beginning with ROSSEC:"
 
 
 def card_code(data: bytes) -> str:

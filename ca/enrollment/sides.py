@@ -70,6 +70,24 @@ _ACKNOWLEDGEMENT: Final = Profile("rossec-enroll-ack+cbor")
 _DONE: Final = Profile("rossec-enroll-done+cbor")
 _MAX_STATEMENT: Final = 512
 
+MAX_BAD_TAGS: Final = 5
+MAX_BAD_DIGITS: Final = 3
+_RESTART_HINT: Final = "start again: rossec node enroll NAME"
+
+_ABORTS: Final[dict[Reason, tuple[type[EnrollmentRefused], str, str]]] = {
+    Reason.REFUSED: (
+        EnrollmentOver,
+        "the node refused the offer",
+        "does it show a new code, or is its clock wrong? `rossec node enroll` says why",
+    ),
+    Reason.OVER: (EnrollmentOver, "the node has ended the enrollment", "show a new code on the node"),
+    Reason.CONFLICT: (
+        ConflictingOffer,
+        "the node received two different offers: another party has its code",
+        "the node accepted none; find the other party, then show a new code",
+    ),
+}
+
 
 def transcript(csr: bytes, chain: Sequence[bytes], root: bytes, nonce: bytes) -> bytes:
     certificates = [_digest(certificate) for certificate in chain]
@@ -135,11 +153,6 @@ def _replayed() -> AcknowledgementRefused:
 
 def _digest(data: bytes) -> bytes:
     return sha256(data).digest()
-
-
-MAX_BAD_TAGS: Final = 5
-MAX_BAD_DIGITS: Final = 3
-_RESTART_HINT: Final = "start again: rossec node enroll NAME"
 
 
 class NodeState(Enum):
@@ -345,21 +358,6 @@ class NodeEnrollment:
                 raise error
             raise OfferRefused("the sender of the offer has not read the code")
         return transcript_hash
-
-
-_ABORTS: Final[dict[Reason, tuple[type[EnrollmentRefused], str, str]]] = {
-    Reason.REFUSED: (
-        EnrollmentOver,
-        "the node refused the offer",
-        "does it show a new code, or is its clock wrong? `rossec node enroll` says why",
-    ),
-    Reason.OVER: (EnrollmentOver, "the node has ended the enrollment", "show a new code on the node"),
-    Reason.CONFLICT: (
-        ConflictingOffer,
-        "the node received two different offers: another party has its code",
-        "the node accepted none; find the other party, then show a new code",
-    ),
-}
 
 
 class AuthorityState(Enum):

@@ -44,6 +44,16 @@ _OID_SCRYPT: Final = bytes.fromhex("06092b06010401da47040b")  # 1.3.6.1.4.1.1159
 _OID_PBKDF2: Final = bytes.fromhex("06092a864886f70d01050c")  # 1.2.840.113549.1.5.12
 _OID_AES256_CBC: Final = bytes.fromhex("060960864801650304012a")  # 2.16.840.1.101.3.4.1.42
 
+MAGIC: Final = b"rossec-backup/1\n"
+NONCE_SIZE: Final = 12
+MAX_BACKUP: Final = 256 * 1024 * 1024
+_HEAD: Final = len(MAGIC) + SALT_SIZE + NONCE_SIZE
+_BACKUP_N, _BACKUP_R, _BACKUP_P = (2**15, 8, 3)  # OWASP's equivalent of 2^17, 8, 1 in a quarter of its memory
+_DIRECTORIES: Final = ("node", "inbox")
+_JOURNALS: Final = ("-journal", "-wal", "-shm")  # of SQLite, which applies them on opening
+_SEGMENT: Final = r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,254}"
+_NAME: Final = re.compile(rf"(?:{_SEGMENT}/){{0,3}}{_SEGMENT}")
+
 
 def encrypt(private_key_info: bytes, passphrase: bytes, *, salt: bytes, iv: bytes) -> bytes:
     """Return the DER `EncryptedPrivateKeyInfo` of a DER `PrivateKeyInfo`.
@@ -130,17 +140,6 @@ def _read(data: bytes, tag: int) -> tuple[bytes, bytes]:
     if data[: begin + size] != _der(tag, content):  # truncated, or not the shortest length
         raise ValueError("not DER")
     return content, data[begin + size :]
-
-
-MAGIC: Final = b"rossec-backup/1\n"
-NONCE_SIZE: Final = 12
-MAX_BACKUP: Final = 256 * 1024 * 1024
-_HEAD: Final = len(MAGIC) + SALT_SIZE + NONCE_SIZE
-_BACKUP_N, _BACKUP_R, _BACKUP_P = (2**15, 8, 3)  # OWASP's equivalent of 2^17, 8, 1 in a quarter of its memory
-_DIRECTORIES: Final = ("node", "inbox")
-_JOURNALS: Final = ("-journal", "-wal", "-shm")  # of SQLite, which applies them on opening
-_SEGMENT: Final = r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,254}"
-_NAME: Final = re.compile(rf"(?:{_SEGMENT}/){{0,3}}{_SEGMENT}")
 
 
 def seal(files: Mapping[str, bytes], passphrase: str, *, salt: bytes, nonce: bytes) -> bytes:

@@ -46,6 +46,12 @@ _END: Final = _ENCRYPTED.replace(b"BEGIN", b"END")
 _READ: Final = os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
 _CREATE: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 
+SCHEME: Final = "pkcs11:"
+DEFAULT_MODULE: Final = "/usr/lib/softhsm/libsofthsm2.so"
+_INSTALL_HINT: Final = "install it: pip install 'rossec[hsm]'"
+_OCTET_STRING: Final = b"\x04\x41"  # CKA_EC_POINT is the point inside an OCTET STRING
+_LIST_HINT: Final = "list tokens and keys with: pkcs11-tool --list-token-slots --list-objects"
+
 
 def generate() -> ec.EllipticCurvePrivateKey:
     return ec.generate_private_key(ec.SECP256R1())
@@ -153,13 +159,6 @@ def _read(path: Path) -> bytes:
         if status.st_size > _MAX_FILE:
             raise KeyRefused(f"{path} is too large for a key", "name the file of the private key")
         return file.read(_MAX_FILE)
-
-
-SCHEME: Final = "pkcs11:"
-DEFAULT_MODULE: Final = "/usr/lib/softhsm/libsofthsm2.so"
-_INSTALL_HINT: Final = "install it: pip install 'rossec[hsm]'"
-_OCTET_STRING: Final = b"\x04\x41"  # CKA_EC_POINT is the point inside an OCTET STRING
-_LIST_HINT: Final = "list tokens and keys with: pkcs11-tool --list-token-slots --list-objects"
 
 
 @dataclass(frozen=True)

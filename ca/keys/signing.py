@@ -46,6 +46,18 @@ _COORDINATE: Final = 32
 _HEAD: Final = bytes.fromhex("a40102200121 5820")
 _BETWEEN: Final = bytes.fromhex("225820")
 
+_ES256: Final = ec.ECDSA(hashes.SHA256())
+
+Buffer: TypeAlias = bytes | bytearray | memoryview
+
+_SIGN1_TAG: Final = b"\xd2"  # tag 18, RFC 9052 section 2
+_ALG, _CRIT, _TYP = 1, 2, 16  # RFC 9052 section 3.1; typ: RFC 9596
+_COSE_ES256: Final = -7
+_ECDSA: Final = ec.ECDSA(hashes.SHA256())
+_BYTES: Final = 0x40  # major type 2
+_SIGNATURE_HEAD: Final = b"\x58\x40"  # a byte string of 64 bytes
+_HEAD_SIZES: Final = {0x58: 2, 0x59: 3, 0x5A: 5}  # bytes; shorter strings have a head of one byte
+
 
 def require_p256(key: object) -> ec.EllipticCurvePublicKey:
     """Return `key` if it is a P-256 public key."""
@@ -82,9 +94,6 @@ def from_coordinates(data: bytes) -> ec.EllipticCurvePublicKey:
         raise KeyRefused("the key is not a point of P-256") from None
 
 
-_ES256: Final = ec.ECDSA(hashes.SHA256())
-
-
 class Signer(Protocol):
     """A P-256 private key, in memory or in a token."""
 
@@ -112,9 +121,6 @@ class KeySigner:
         """ES256 over `message`: 64 bytes, r || s (RFC 9053 section 2.1)."""
         r, s = decode_dss_signature(self._key.sign(message, _ES256))
         return r.to_bytes(_COORDINATE) + s.to_bytes(_COORDINATE)
-
-
-Buffer: TypeAlias = bytes | bytearray | memoryview
 
 
 class X509Signer(ec.EllipticCurvePrivateKey):
@@ -164,15 +170,6 @@ class X509Signer(ec.EllipticCurvePrivateKey):
 
     def __deepcopy__(self, memo: dict[int, object]) -> "X509Signer":
         return self
-
-
-_SIGN1_TAG: Final = b"\xd2"  # tag 18, RFC 9052 section 2
-_ALG, _CRIT, _TYP = 1, 2, 16  # RFC 9052 section 3.1; typ: RFC 9596
-_COSE_ES256: Final = -7
-_ECDSA: Final = ec.ECDSA(hashes.SHA256())
-_BYTES: Final = 0x40  # major type 2
-_SIGNATURE_HEAD: Final = b"\x58\x40"  # a byte string of 64 bytes
-_HEAD_SIZES: Final = {0x58: 2, 0x59: 3, 0x5A: 5}  # bytes; shorter strings have a head of one byte
 
 
 @dataclass(frozen=True)

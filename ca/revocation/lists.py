@@ -44,6 +44,23 @@ _EPOCH, _SEQ, _ENTRIES, _DIGEST, _MAX_AGE = -70001, -70002, -70003, -70004, -700
 _INT_LIMIT: Final = 1 << 53  # also exact where numbers are floats
 _SIZES: Final = (GRANT_ID_SIZE, THUMBPRINT_SIZE)
 
+TREE: Final = Profile("rossec-revocation-tree+cwt")
+MAX_TREE: Final = 512  # bytes of the statement
+MAX_LEAVES: Final = 32 * 1024  # what fits in one call to the master
+MAX_TREE_ENTRIES_SIZE: Final = MAX_LEAVES * 34 + 16
+MAX_PROOF: Final = 4096
+
+_TREE_EPOCH, _TREE_SEQ, _SIZE, _ROOT = -70001, -70002, -70006, -70007
+_ARRAY: Final = 4 << 5
+_SHORT: Final = 17, b"\x50"  # octets of an encoded grant id, and its head
+_LONG: Final = 34, b"\x58\x20"  # of a thumbprint
+_STEP: Final = 256  # entries; a millisecond
+_NO_ENTRIES: Final = "not the entries of a revocation tree"
+_NOT_THOSE: Final = ("the entries are not those of the signed tree", "deliver it again: rossec ca publish")
+_T = TypeVar("_T")
+
+_FRAME: Final = b"\xd2\x84" + encode(TREE.protected)
+
 
 @dataclass(frozen=True)
 class RevocationList:
@@ -182,22 +199,6 @@ def _number(value: object) -> int:
     return value
 
 
-TREE: Final = Profile("rossec-revocation-tree+cwt")
-MAX_TREE: Final = 512  # bytes of the statement
-MAX_LEAVES: Final = 32 * 1024  # what fits in one call to the master
-MAX_TREE_ENTRIES_SIZE: Final = MAX_LEAVES * 34 + 16
-MAX_PROOF: Final = 4096
-
-_TREE_EPOCH, _TREE_SEQ, _SIZE, _ROOT = -70001, -70002, -70006, -70007
-_ARRAY: Final = 4 << 5
-_SHORT: Final = 17, b"\x50"  # octets of an encoded grant id, and its head
-_LONG: Final = 34, b"\x58\x20"  # of a thumbprint
-_STEP: Final = 256  # entries; a millisecond
-_NO_ENTRIES: Final = "not the entries of a revocation tree"
-_NOT_THOSE: Final = ("the entries are not those of the signed tree", "deliver it again: rossec ca publish")
-_T = TypeVar("_T")
-
-
 @dataclass(frozen=True)
 class RevocationTree:
     """All revocations, as the size and the root of their tree; numbered like a list."""
@@ -226,9 +227,6 @@ class RevocationTree:
 def is_tree(data: bytes) -> bool:
     """Whether the type of `data` is a tree, not a list; nothing is verified."""
     return data.startswith(_FRAME)
-
-
-_FRAME: Final = b"\xd2\x84" + encode(TREE.protected)
 
 
 def sign_tree(signer: Signer, tree: RevocationTree) -> bytes:

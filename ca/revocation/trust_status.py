@@ -81,6 +81,10 @@ MAX_PROOFS: Final = 16 * 1024  # cached entries proved absent, and entries witho
 NO_LIST_YET: Final = "no revocation list was received yet"
 _HINT_STALE: Final = "check that the master is running and reachable, and both clocks"
 
+MAX_DELEGATES: Final = 16  # masters of one foreign domain, the last ones seen
+_HINT: Final = "at this side's authority: rossec domain list, rossec domain accept CARD"
+_SILENT: Final = "does this side's master reach that domain's? rossec federation status"
+
 
 class Revocations:
     """The newest list of one authority, and the last confirmation that it is the newest.
@@ -265,11 +269,6 @@ def open_statement(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> Revocation
 
 def _text(number: tuple[int, int]) -> str:
     return f"{number[0]}.{number[1]}"
-
-
-MAX_DELEGATES: Final = 16  # masters of one foreign domain, the last ones seen
-_HINT: Final = "at this side's authority: rossec domain list, rossec domain accept CARD"
-_SILENT: Final = "does this side's master reach that domain's? rossec federation status"
 
 
 @dataclass

@@ -58,26 +58,6 @@ _FAULTS: Final[dict[int, tuple[str, str]]] = {
     ),
 }
 
-
-def fault(path: Path, error: sqlite3.Error) -> StoreError:
-    code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF  # the primary code
-    if code in _DAMAGED:
-        return RecordUnusable(f"{path} is damaged: {error}", "restore it from a backup, with --list")
-    if code == sqlite3.SQLITE_CONSTRAINT:
-        return StoreError(f"the record refuses the entry: {error}")
-    if code in {sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN} and _is_full(path.parent):
-        code = sqlite3.SQLITE_FULL
-    what, hint = _FAULTS.get(code, (f"{error}, nothing was changed", "run the command again"))
-    return RecordUnusable(f"{path} cannot be used: {what}", hint)
-
-
-def _is_full(directory: Path) -> bool:
-    with suppress(OSError):
-        found = os.statvfs(directory)
-        return found.f_bavail * found.f_frsize < _MIN_FREE
-    return False
-
-
 APPLICATION_ID: Final = 0x524F5343  # "ROSC"
 VERSION: Final = 6
 _RESTORE_HINT: Final = "restore a backup of your own, and find out who made this one"
@@ -256,6 +236,32 @@ BEGIN SELECT RAISE(ABORT, 'a request does not go this way'); END;
 """
 _SET: Final = re.compile(r"in \(([^()]*)\)")
 
+_OF_VERSION_1: Final = ("certificate", "grant", "revocation", "list")  # kinds of log entries
+
+BUSY_TIMEOUT: Final = 30.0  # seconds; other commands hold the lock for milliseconds
+# The statements that begin, commit and roll back a transaction, and a nested one.
+_TRANSACTION: Final = ("BEGIN IMMEDIATE", "COMMIT", ("ROLLBACK",))
+_SAVEPOINT: Final = ("SAVEPOINT part", "RELEASE part", ("ROLLBACK TO part", "RELEASE part"))
+
+
+def fault(path: Path, error: sqlite3.Error) -> StoreError:
+    code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF  # the primary code
+    if code in _DAMAGED:
+        return RecordUnusable(f"{path} is damaged: {error}", "restore it from a backup, with --list")
+    if code == sqlite3.SQLITE_CONSTRAINT:
+        return StoreError(f"the record refuses the entry: {error}")
+    if code in {sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN} and _is_full(path.parent):
+        code = sqlite3.SQLITE_FULL
+    what, hint = _FAULTS.get(code, (f"{error}, nothing was changed", "run the command again"))
+    return RecordUnusable(f"{path} cannot be used: {what}", hint)
+
+
+def _is_full(directory: Path) -> bool:
+    with suppress(OSError):
+        found = os.statvfs(directory)
+        return found.f_bavail * found.f_frsize < _MIN_FREE
+    return False
+
 
 def create(db: sqlite3.Connection) -> None:
     append_only = (*APPEND_ONLY, ANSWERS, *DECISIONS, *APPROVALS, *DOMAINS, *THINGS)
@@ -340,9 +346,6 @@ def request_triggers() -> tuple[str, str, str]:
     return _NEW_REQUEST, _REQUEST_IMMUTABLE, _REQUEST_TRANSITIONS.format(allowed=transitions)
 
 
-_OF_VERSION_1: Final = ("certificate", "grant", "revocation", "list")  # kinds of log entries
-
-
 def migrate(db: sqlite3.Connection) -> None:
     if version(db) == 1:
         _to_version_2(db)
@@ -423,12 +426,6 @@ def _has_table(db: sqlite3.Connection, name: str) -> bool:
 def _rows_of(db: sqlite3.Connection, what: str) -> Iterator[tuple[int | str | bytes, ...]]:
     table, columns = LOGGED_TABLES[what]
     return iter(db.execute(f"SELECT {columns} FROM {table} ORDER BY rowid").fetchall())  # noqa: S608  (constants)
-
-
-BUSY_TIMEOUT: Final = 30.0  # seconds; other commands hold the lock for milliseconds
-# The statements that begin, commit and roll back a transaction, and a nested one.
-_TRANSACTION: Final = ("BEGIN IMMEDIATE", "COMMIT", ("ROLLBACK",))
-_SAVEPOINT: Final = ("SAVEPOINT part", "RELEASE part", ("ROLLBACK TO part", "RELEASE part"))
 
 
 class Database:

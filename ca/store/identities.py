@@ -56,6 +56,19 @@ from ca.svid import IdentityRequest
 _COLUMNS = "serial, name, thumbprint, der, not_before, not_after"
 _BEGINS = "(name >= ? AND name < ?)"  # by the index on names, where substr() reads every row
 
+_REQUESTS_COLUMNS = (
+    "digest, name, thumbprint, der, source, arrived, state, reason, changed, replaces, wildcard"
+)
+
+_OPEN = ", ".join(f"'{state}'" for state in sorted(OPEN))
+_RETENTION = " ".join(f"WHEN '{state}' THEN {kept}" for state, kept in RETENTION.items())
+# A row in an unknown state is read, and refused: it must not be taken for an expired one.
+_EXPIRES = f"changed + CASE state {_RETENTION} ELSE {1 << 53} END"
+
+_INVITATIONS_COLUMNS = "id, key, pattern, uses, wildcard, expires, at"
+
+_AGAIN = "make another: rossec ca invite PATTERN"
+
 
 class IdentityTable:
     def __init__(self, database: Database) -> None:
@@ -208,16 +221,6 @@ def _signer(row: CertificateRow, made: list[CertificateRow]) -> CertificateRow |
     return next((issuer for issuer in made if row.is_signed_by(issuer)), None)
 
 
-_REQUESTS_COLUMNS = (
-    "digest, name, thumbprint, der, source, arrived, state, reason, changed, replaces, wildcard"
-)
-
-_OPEN = ", ".join(f"'{state}'" for state in sorted(OPEN))
-_RETENTION = " ".join(f"WHEN '{state}' THEN {kept}" for state, kept in RETENTION.items())
-# A row in an unknown state is read, and refused: it must not be taken for an expired one.
-_EXPIRES = f"changed + CASE state {_RETENTION} ELSE {1 << 53} END"
-
-
 class RequestTable:
     def __init__(self, database: Database, identities: IdentityTable) -> None:
         self._database = database
@@ -368,9 +371,6 @@ def _short(row: RequestRow) -> str:
     return row.digest.hex()[:8]
 
 
-_INVITATIONS_COLUMNS = "id, key, pattern, uses, wildcard, expires, at"
-
-
 class InvitationRow(NamedTuple):
     """An invitation: nodes whose names `pattern` covers may join, `uses` of them, until `expires`.
 
@@ -475,6 +475,3 @@ class InvitationTable:
             *values,
         )
         return [InvitationRow(*row)._replace(wildcard=row[4] != 0) for row in rows]
-
-
-_AGAIN = "make another: rossec ca invite PATTERN"

@@ -61,6 +61,19 @@ RESTORED: Final = "restored"
 _HINT: Final = "somebody changed the record: restore a backup, and find out who"
 Row = tuple[Any, ...]
 
+COLLECTED = "collected"
+_OF_APPROVALS: Final = ("passkey", "passkey ended", "approval", "approval ended")
+_LOG_HINT = "somebody changed the record: restore a backup, and find out who"
+
+_STATES = frozenset(RequestState)
+
+_COLUMNS = "id, name, cose_key, aaguid, rp_id, origin, approval, at"
+
+_APPROVALS_COLUMNS = (
+    "id, kind, subject, statement, payload, passkey, client_data, authenticator_data, signature, at"
+)
+_AGAIN = "look at the page again, and approve that"
+
 
 def replay_approvals(entries: Iterable[LogEntry], rows: Mapping[str, Iterable[Row]], tree: Tree) -> None:
     replay = _Replay(rows, tree)
@@ -127,11 +140,6 @@ class _Replay:
 def _require(holds: bool, entry: LogEntry) -> None:
     if not holds:
         raise LogDamaged(f"log entry {entry.number} says {entry.what}, which cannot be", _HINT)
-
-
-COLLECTED = "collected"
-_OF_APPROVALS: Final = ("passkey", "passkey ended", "approval", "approval ended")
-_LOG_HINT = "somebody changed the record: restore a backup, and find out who"
 
 
 class AuthorityLog:
@@ -245,11 +253,6 @@ def _replay(entries: list[LogEntry]) -> dict[bytes, RequestState]:
     return states
 
 
-_STATES = frozenset(RequestState)
-
-_COLUMNS = "id, name, cose_key, aaguid, rp_id, origin, approval, at"
-
-
 class PasskeyTable:
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -297,12 +300,6 @@ class PasskeyTable:
     def _rows(self, clause: str) -> list[Passkey]:
         rows = self._database.rows(f"SELECT {_COLUMNS} FROM passkey {clause}")  # noqa: S608  (constants)
         return [Passkey(*row) for row in rows]
-
-
-_APPROVALS_COLUMNS = (
-    "id, kind, subject, statement, payload, passkey, client_data, authenticator_data, signature, at"
-)
-_AGAIN = "look at the page again, and approve that"
 
 
 class ApprovalState(StrEnum):

@@ -42,6 +42,16 @@ _COLUMNS = "number, domain, label, root, terms, at"
 _NEWEST = "number IN (SELECT max(number) FROM foreign_domain GROUP BY domain)"
 _NOT_ENDED = "number NOT IN (SELECT number FROM foreign_domain_end)"
 
+KINDS: Final = ("domain", "domain ended", "domain list")
+_HINT: Final = "somebody changed the record: restore a backup, and find out who"
+Row = tuple[Any, ...]
+
+_THINGS_COLUMNS = "id, name, border, data, not_before, expires"
+_IN_FORCE = "expires > ? AND id NOT IN (SELECT entry FROM revocation)"
+
+KIND: Final = "thing"
+_REVOCATION: Final = "revocation"
+
 
 class DomainRow(NamedTuple):
     """One acceptance of a domain, or change of its terms; `root` is its key's thumbprint."""
@@ -165,11 +175,6 @@ def check_domains_apart(known: DomainRow, domain: str, label: str, root: bytes) 
     )
 
 
-KINDS: Final = ("domain", "domain ended", "domain list")
-_HINT: Final = "somebody changed the record: restore a backup, and find out who"
-Row = tuple[Any, ...]
-
-
 def replay_domains(
     entries: Iterable[LogEntry], rows: Mapping[str, Iterable[Row]], key: ec.EllipticCurvePublicKey
 ) -> None:
@@ -223,10 +228,6 @@ class _Replay:
 def _require(holds: bool, entry: LogEntry) -> None:
     if not holds:
         raise LogDamaged(f"log entry {entry.number} says {entry.what}, which cannot be", _HINT)
-
-
-_THINGS_COLUMNS = "id, name, border, data, not_before, expires"
-_IN_FORCE = "expires > ? AND id NOT IN (SELECT entry FROM revocation)"
 
 
 class ThingRow(NamedTuple):
@@ -311,10 +312,6 @@ def check_things_apart(known: ThingStatement, new: ThingStatement) -> None:
             f"{known.name} has the same kid {known.credential.kid.hex()} at this border router",
             f"give one of the two another kid, or --replace {known.name}",
         )
-
-
-KIND: Final = "thing"
-_REVOCATION: Final = "revocation"
 
 
 def replay_things(entries: Iterable[LogEntry], rows: Iterable[Row], key: ec.EllipticCurvePublicKey) -> None:

@@ -32,6 +32,21 @@ from ca.revocation.merkle import HASH_SIZE
 
 INTERMEDIATE: Final = "intermediate/"  # prefix of the key; not a prefix of any node name
 
+HOUR: Final = 3600
+DAY: Final = 24 * HOUR
+MAX_OPEN: Final = 256  # unauthenticated peers can send requests
+JOINING: Final = "invitation "  # begins the source of a request that came by an invitation
+MAX_JOINING: Final = 192  # open ones of those: the rest is for who enrolls nodes by hand
+COLLECTED_AFTER: Final = 30 * DAY  # seconds since it expired
+KEPT_EXPIRED: Final = 1024  # expired requests that stay, whatever the clock says
+
+HEAD_PROFILE: Final = Profile("rossec-log+cwt")
+MAX_HEAD: Final = 512
+_IAT, _SIZE, _ROOT = 6, -70011, -70012
+_INT_LIMIT: Final = 1 << 53
+
+_HINT: Final = "the record was changed: compare it with a backup, and trust neither until you know why"
+
 
 class CertificateRow(NamedTuple):
     """One signed identity; times in seconds, inclusive."""
@@ -68,15 +83,6 @@ class RevocationRow(NamedTuple):
     entry: bytes
     reason: str
     at: int
-
-
-HOUR: Final = 3600
-DAY: Final = 24 * HOUR
-MAX_OPEN: Final = 256  # unauthenticated peers can send requests
-JOINING: Final = "invitation "  # begins the source of a request that came by an invitation
-MAX_JOINING: Final = 192  # open ones of those: the rest is for who enrolls nodes by hand
-COLLECTED_AFTER: Final = 30 * DAY  # seconds since it expired
-KEPT_EXPIRED: Final = 1024  # expired requests that stay, whatever the clock says
 
 
 class RequestState(StrEnum):
@@ -154,12 +160,6 @@ def advance(row: RequestRow, state: RequestState, now: int, reason: str = "") ->
             "make a new request on the node",
         )
     return row._replace(state=state, reason=reason, changed=now)
-
-
-HEAD_PROFILE: Final = Profile("rossec-log+cwt")
-MAX_HEAD: Final = 512
-_IAT, _SIZE, _ROOT = 6, -70011, -70012
-_INT_LIMIT: Final = 1 << 53
 
 
 class LogEntry(NamedTuple):
@@ -244,6 +244,3 @@ def open_head(data: bytes, key: ec.EllipticCurvePublicKey) -> Head:
 
 def _in_range(number: int) -> bool:
     return not isinstance(number, bool) and 0 <= number < _INT_LIMIT
-
-
-_HINT: Final = "the record was changed: compare it with a backup, and trust neither until you know why"

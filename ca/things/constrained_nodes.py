@@ -44,6 +44,21 @@ _EC2, _SYMMETRIC, _P256 = 2, 4, 1
 _SUB, _CNF, _COSE_KEY = 2, 8, 1  # RFC 8392 section 4, RFC 8747 section 3.1
 _HINT: Final = "the thing's credential is a CCS: its subject and its P-256 key with a kid, as CBOR"
 
+_TEXT: Final = re.compile(
+    rf"OSCORE:((?:[0-9A-F]{{2}}){{1,{MAX_SECRET_KID}}}):([0-9A-F]{{{2 * SECRET_SIZE}}})"
+)
+
+THING: Final = Profile("rossec-thing+cwt")
+MAX_STATEMENT: Final = 1024
+SERIAL_SIZE: Final = 16
+ID_SIZE: Final = 16
+EDHOC, PSK = "edhoc", "psk"
+
+_STATEMENT_SUB, _AUD, _EXP, _NBF, _CTI, _STATEMENT_CNF, _BORDER, _SUBJECT = (2, 3, 4, 5, 7, 8, -70035, -70040)
+_INT_LIMIT: Final = 1 << 53
+_ID_PREFIX: Final = b"rossec-thing-id\0" + len(THING.protected).to_bytes(4) + THING.protected
+_STATEMENT_HINT: Final = "give a file that `rossec ca thing` wrote"
+
 
 @dataclass(frozen=True)
 class ThingKey:
@@ -199,11 +214,6 @@ def write_confirmation(credential: Credential) -> dict[int | str, Value]:
     return {3: credential.kid, 5: credential.thumbprint}
 
 
-_TEXT: Final = re.compile(
-    rf"OSCORE:((?:[0-9A-F]{{2}}){{1,{MAX_SECRET_KID}}}):([0-9A-F]{{{2 * SECRET_SIZE}}})"
-)
-
-
 def secret_text(kid: bytes, secret: bytes) -> str:
     """The text for a thing with this kid and secret."""
     text = f"OSCORE:{kid.hex()}:{secret.hex()}".upper()
@@ -217,18 +227,6 @@ def parse_secret(text: str) -> tuple[bytes, bytes]:
     if found is None:
         raise ThingRefused("not the secret of a thing", "OSCORE:KID:SECRET, in hexadecimal digits")
     return bytes.fromhex(found[1]), bytes.fromhex(found[2])
-
-
-THING: Final = Profile("rossec-thing+cwt")
-MAX_STATEMENT: Final = 1024
-SERIAL_SIZE: Final = 16
-ID_SIZE: Final = 16
-EDHOC, PSK = "edhoc", "psk"
-
-_STATEMENT_SUB, _AUD, _EXP, _NBF, _CTI, _STATEMENT_CNF, _BORDER, _SUBJECT = (2, 3, 4, 5, 7, 8, -70035, -70040)
-_INT_LIMIT: Final = 1 << 53
-_ID_PREFIX: Final = b"rossec-thing-id\0" + len(THING.protected).to_bytes(4) + THING.protected
-_STATEMENT_HINT: Final = "give a file that `rossec ca thing` wrote"
 
 
 @dataclass(frozen=True)
