@@ -1,16 +1,9 @@
 """The authority: creates a trust domain's root, and issues certificates to its nodes.
 
 It issues exactly what a request shows (name and key) and nothing the approver did not see; a
-wildcard tail only if the approver asks for it. Time and randomness are arguments: `now`, and
-serials of 128 random bits. Whether an identity may be issued is decided by the store and the
-operator.
-
-A certificate that is to be signed: what it says is read before the key signs it. Pure.
-
-A signer gets the TBSCertificate (RFC 5280 section 4.1) as bytes. Here it is completed with an empty
-signature, parsed as every certificate is, and only the two forms that an authority issues are
-accepted: the identity of a node, and an intermediate. Both must be of its own trust domain and name
-it as the issuer, so that its key cannot be made to sign a certificate of any other form.
+wildcard tail only if the approver asks for it. Time and randomness are arguments. What a signer is
+given is read before the key signs it: of the bytes of a TBSCertificate (RFC 5280 section 4.1) only
+the two forms that an authority issues are accepted, for its own trust domain and issuer.
 """
 
 from datetime import UTC, datetime

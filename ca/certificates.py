@@ -1,36 +1,10 @@
 """Certificates: from untrusted bytes to the verified identity of a peer, or a refusal.
 
-The form is the X.509-SVID of SPIFFE without its options: P-256 and SHA-256 only, exactly one
-URI name, not a CA, one key usage, issued by the trust anchor or by one intermediate of it.
-A chain is one or two certificates in this order: there is no path building, where verifiers
-have most of their bugs. The signature is checked before any content is trusted; size before
-parsing.
-
-Whether a certificate is valid at a moment, and what is said when it is not. Pure.
-
-The moment is that of the host's clock, which may be wrong. So a certificate that is over says two
-things: when the clock is right, how to have it renewed; and that it may be the clock. A certificate
-that is not valid yet always is a matter of clocks, as all begin an hour early.
-
-Intermediates: authorities that sign nodes for some months, under a root that stays offline.
-
-An intermediate is an authority of path length 0 for the same trust domain, signed by the root. Its
-SPIFFE ID is the domain, and every verifier here requires the same domain of its leaves. X.509 name
-constraints could say that for URIs, but `cryptography`'s verifier refuses chains that have them.
-A certificate policy, set at issuance, tells what its host may do: renew existing identities, or
-also enroll new ones. The host's own tools (`ca.authority`) enforce it. It does not bind an
-attacker: the holder of an intermediate's key can sign any name until the root revokes it.
-
-Renewal: a valid identity requests its successor, without operator action.
-
-The request is a CSR for the same name, inside a statement signed by the *old* key: the CSR proves
-possession of the new key, the statement the right to the name. Its type is in the signed header, so
-nothing else the key signs is a renewal. The key may stay the same (and keeps its grants) or be new.
-The authority's rules are here as well: the old identity is valid and not revoked, the name is the
-same, at least half of the lifetime is over, and the new lifetime is not longer than the old one.
-
-A node writes its new key to the disk *before* it sends the request, and repeats the same bytes
-until it has the answer: the authority answers one request always with the same certificate.
+The form is the X.509-SVID of SPIFFE without its options (`ca.svid`), issued by the trust anchor or
+by one intermediate. A chain is one or two certificates in this order: there is no path building,
+where verifiers have most of their bugs. The signature is checked before any content is trusted;
+size before parsing. A valid identity requests its successor without operator action: the CSR proves
+possession of the new key, the old key's signature around it the right to the name.
 """
 
 from collections import OrderedDict

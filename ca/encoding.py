@@ -1,10 +1,9 @@
 """Strict deterministic CBOR (RFC 8949): one value, one encoding, nothing else accepted.
 
 `cbor2` decodes; the strict checks are here. A value is accepted only if encoding it again gives
-the same bytes, which refuses in one comparison long integers, long floats, unsorted maps and
-trailing bytes. Map keys are sorted length-first (RFC 8949 section 4.2.3), floats take their
-shortest form. Tags are refused before `cbor2` interprets them (its decoder of tag 35 would
-compile an attacker's regular expression).
+the same bytes. Map keys are sorted length-first (RFC 8949 section 4.2.3), floats take their
+shortest form. Tags are refused before `cbor2` interprets them (its decoder of tag 35 would compile
+an attacker's regular expression).
 """
 
 import math

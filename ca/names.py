@@ -1,39 +1,12 @@
-"""Names: the syntax of node names, trust domains and SPIFFE IDs.
+"""Names: the syntax of node names, trust domains and SPIFFE IDs, patterns over them, and aliases.
 
-A node name is an absolute ROS name (`/robot1/camera`). It is unique in its trust domain (`home`).
-Together they form the SPIFFE ID `spiffe://home/robot1/camera`, the only name in a certificate.
-Both syntaxes are subsets of ASCII, so there is exactly one spelling: nothing is escaped, folded
-or normalised, and two names are equal if their bytes are.
-
-An identity with a wildcard tail covers its name, and that name followed by `_` and more:
-`/rviz` also covers `/rviz_1234_1700000000000`, the form of the names of anonymous nodes in ROS.
-
-What was probably meant by a value that is not known, or by a name that is refused. Pure.
-
-For hints alone: nothing is decided by it.
-
-Patterns over ROS names: `*` stands for one segment, `**` for one or more.
-
-Segments are compared whole, so `/a` never covers `/ab` (the prefix confusion of ROSRV), and a
-wildcard never stands for part of a segment. Names are absolute: relative and private (`~`)
-names must be resolved by the caller, or they are refused. Names are ASCII: homoglyphs are refused.
-
-A tail pattern is `/rviz~/get_loggers`: `rviz~` stands for `rviz` and all that a wildcard tail of
-`/rviz` covers (`ca.names`), in the last segment of one node's name and nowhere else. Only grants
-to an identity with that tail have them; `check_pattern` refuses them.
-
-Names of other masters and domains here: `/remote/<label>`, then the name at the origin.
-
-The only place that maps between the two. A label is chosen by the importing side; an alias is a
-local name: it is on no wire, in no grant of the origin, and cannot be registered or enrolled. What
-is not below `/remote` is a name of the own domain.
-
-What a gateway serves of another domain: `/gateway/<label>`, then the name at the origin.
-
-A served name stands for the same thing as the alias `/remote/<label>/...`, but it is a name of the
-own domain: its authority grants rights on it, and never on the alias, where the origin's count. The
-only place that maps between the two (docs/decisions/0035). A label is never the last segment, so
-no served name is the name of a gateway.
+A node name is an absolute ROS name (`/robot1/camera`), unique in its trust domain (`home`). All are
+ASCII, so there is exactly one spelling: nothing is escaped, folded or normalised. Patterns compare
+whole segments, so `/a` never covers `/ab` (the prefix confusion of ROSRV); relative and private
+(`~`) names are refused. An identity with a wildcard tail also covers `/rviz_...`, the form of
+anonymous nodes. `/remote/<label>/...` is the local alias of a name of another domain: it is on no
+wire, in no grant of the origin, and cannot be enrolled. `/gateway/<label>/...` is what a gateway
+serves of it, a name of the own domain (docs/decisions/0035).
 """
 
 import re

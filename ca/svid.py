@@ -1,15 +1,10 @@
-"""The form of rossec's certificates: X.509-SVIDs of SPIFFE with every freedom removed.
+"""The form of rossec's certificates and requests: X.509-SVIDs of SPIFFE with every freedom removed.
 
-Each function checks one part of a parsed certificate and refuses every other form; trust and
-validity times are checked by `ca.certificates`. `cryptography` parses lazily, so a malformed part
-may be found at any access: each access converts its exceptions into ours.
-
-Certificate requests: one name for one key, with proof of possession, and nothing else.
-
-A request is a PKCS#10 CSR (so every CA tool can read it) in the one form `build_request` writes:
-empty subject, one extension with one URI. The approver therefore sees everything it contains;
-anything more (CA:TRUE, a second name, a key usage) is refused, never silently dropped. The only
-option is a wildcard tail; it is refused as well unless the approver allowed it.
+Each function checks one part and refuses every other form; trust and validity times are checked by
+`ca.certificates`. `cryptography` parses lazily, so a malformed part may be found at any access:
+each access converts its exceptions into ours. A request is a PKCS#10 CSR in the one form that
+`build_request` writes: anything more (CA:TRUE, a second name) is refused, never silently dropped, so
+that the approver sees everything it contains.
 """
 
 import hashlib

@@ -1,37 +1,10 @@
-"""The client data of WebAuthn: what a browser says about the page that used a passkey. Pure.
+"""Passkeys: their registration, their assertions, and the approvals that are recorded with them. Pure.
 
-Strict JSON of at most 4 KiB in which no key occurs twice. Unknown keys are allowed, as browsers add
-some on purpose (Web Authentication section 5.8.1). Checked in the order of section 7.2: type,
-challenge, origin, and that the page was not embedded in another.
-
-What an authenticator says in WebAuthn: its data, and its key. Pure.
-
-The beginning of authenticator data has a fixed form (Web Authentication section 6.1), so an
-assertion is verified without any library. Only a registration has more that is read
-(`ca.approvals.passkeys`); extensions are signed and ignored, as none is asked for.
-
-A passkey, and an assertion by it, verified against what it had to sign. Pure.
-
-The order is that of Web Authentication section 7.2: type, challenge, origin, no embedding page,
-RP id, user present, user verified, counter, signature. Only ES256 is accepted. A passkey that
+The order of checks is that of Web Authentication section 7.2: type, challenge, origin, no embedding
+page, RP id, user present, user verified, counter, signature. Only ES256 is accepted. A passkey that
 is synchronized between devices always has the counter 0: what stops a replay is the id of a
-statement, which the record takes once.
-
-Challenges for passkeys that approve nothing: of a login, and of a new passkey. Pure.
-
-Their first field differs from that of a statement, and so does the type that a browser signs for a
-new passkey: nothing signed for one purpose is ever taken for another. The service takes each once.
-
-A new passkey, from what `navigator.credentials.create` returned. Pure.
-
-No attestation is asked for, and one that comes is not read: it would say who made the device, not
-whose it is. The key must be ES256, the device must have verified its user, and the key is kept in
-one form, not as it came. Browsers encode this object in different orders, so `fido2` parses it.
-
-A recorded approval, and its verification from the record alone. Pure.
-
-Everything that convinced the service is kept: statement, payload, assertion. Whoever has the record
-and trusts that its passkeys are theirs can check later that every act was approved by a touch.
+statement, which the record takes once. Everything that convinced the service is kept: whoever has
+the record and trusts its passkeys can check later that every act was approved by a touch.
 """
 
 import base64

@@ -1,22 +1,10 @@
-"""A domain's card: what one authority hands to another, which may then trust the domain.
+"""Foreign trust domains: their cards, the signed list of them, and whom a node trusts to name somebody.
 
-It is signed by the root key it contains. So it proves that its maker has the key and wants what it
-says, and nothing about who that is: the fingerprint of the root, or the digest of the card in a
-code, is compared over another way. It is no secret. Names and addresses are proposals; what is
-admitted is decided by who accepts.
-
-The list of foreign domains: who else exists, signed by the own authority's root.
-
-Ordered, kept and delivered as the revocation list: (epoch, seq), the higher one wins, an older one
-is refused. It also names the keys of the own domain's masters, whose tickets count
-(docs/spec/domains.md section 2). One set of domains has one encoding.
-
-Whom a node trusts to say who somebody is: its own authority, and the listed foreign ones.
-
-The trust domain in a leaf is a lookup key only: exactly one root is tried, and the whole
-verification is that of the own domain. What a foreign root says counts for the names that the list
-admits, and for nothing else; its wildcard tails are not honoured. The newest list is one immutable
-value, replaced in one step: threads verify while a list arrives.
+A card is signed by the root key in it: it proves that its maker has the key, and nothing about who
+that is, so the fingerprint is compared over another way. The list is the own authority's, ordered
+as the revocation list: the higher (epoch, seq) wins, an older one is refused. The domain in a leaf
+is a lookup key only: exactly one root is tried. What a foreign root says counts for the names that
+the list admits and for nothing else; its wildcard tails are not honoured. docs/spec/domains.md
 """
 
 import re

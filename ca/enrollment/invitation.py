@@ -1,35 +1,11 @@
-"""The code of an invitation: one line that lets nodes join, and the key derived from its secret.
+"""What lets nodes join: the code of an invitation, the tag that holds it, and the proofs of its secret.
 
-It names the root by its hash, so a node knows the authority before it trusts anything. The secret
-never leaves the code: both sides derive a P-256 key from it, the authority keeps the public half,
-and a node proves the secret by a signature. The text is `ROSSEC-JOIN:` + base32 (RFC 4648): base45
-has a space, `$` and `*`, which a shell changes; base64url leaves the alphanumeric mode of QR codes
-and is longer there. Its last octets are a checksum, since half of a pasted line looks like a whole.
-
-An invitation on an NFC tag: an NDEF message of one record (NFC Forum, NDEF 1.0).
-
-The record is of the type MIME media (TNF 2), `application/vnd.rossec.join`; its payload are the
-octets of the code, not its text, so that it fits on the smallest common tag (NTAG213, 144 octets).
-A phone that reads the tag opens nothing: only a URI or a well-known type would be acted on. The
-reader accepts this one form and no other.
-
-The transcript hash of a join, and the two statements signed over it.
-
-The transcript binds the invitation, a fresh nonce of each side, and the authority's certificates.
-`/ca` signs it, which shows that this very peer has the key of `/ca` now; the node signs it together
-with its request, by the key derived from the secret of the invitation. Each statement is of a kind
-of its own and holds hashes that the signer computed: neither side signs what the other chooses.
-
-A request to join, as it reaches the authority's key, and its proof.
-
-The process that has the key gets it from one that talks to strangers. So its octets have a fixed
-layout, which is cut and not parsed, and nothing in it is looked at before the proof is verified
-over its hashes: whoever does not know an invitation's secret reaches no parser.
-
-A claim of a node that joins, as it reaches the authority's key: its metadata, and its proof.
-
-As with a request to join (`join_request`), its octets are cut and not parsed, and the proof is
-verified over hashes. The metadata are parsed by no process that has a key.
+The code names the root by its hash, so a node knows the authority before it trusts anything. Its
+secret never leaves it: both sides derive a P-256 key from it, the authority keeps the public half.
+The transcript binds the invitation, a fresh nonce of each side and the authority's certificates;
+`/ca` signs it, the node signs it with its request, and neither signs what the other chooses.
+Requests and claims come from strangers: their octets are cut, not parsed, and nothing in them is
+looked at before the proof over their hashes is verified.
 """
 
 import base64

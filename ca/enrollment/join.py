@@ -1,24 +1,11 @@
-"""The messages of a join, in the frames of `ca.enrollment.messages`: deterministic CBOR arrays.
-
-Their numbers continue those of an enrollment, so that no message of one mode is one of the other.
-Messages are untrusted here: the state machines authenticate them. `Issued`, `Waiting` and `Refused`
-are the answers: what the authority's side decides, and all that a node is told.
-
-What a node says about an answer that is not its identity: message and hint for each reason.
-
-The node's side of a join, sans-IO: from the code of an invitation to an identity.
+"""A join, sans-IO: from the code of an invitation to an identity; both sides and their messages.
 
 The node says nothing of itself before the peer has shown that it is the authority *now*: a leaf for
-`/ca` under the root that the code names, whose key signed a transcript with this node's fresh
-nonce. Every node has a chain to that root; none but `/ca` is taken. Then it proves the secret and
-sends its request, once a session; the answer is taken only if it is its own identity. `TABLE` has
-all transitions; any other message ends the session.
-
-The authority's side of a join, sans-IO: the process that talks to strangers.
-
-It shows that it is `/ca` now, by a signature over both nonces, and hands the request on: it has no
-record and not the authority's key, and decides nothing. What it is given as the answer it sends.
-A session is one hello, at most one claim, one request, one answer; any other message ends it.
+`/ca` under the root that the code names, whose key signed a transcript with this node's nonce. Then
+it proves the secret and sends its request, once a session. The authority's side talks to strangers:
+it has no record and not the authority's key, hands the request on and sends what it is given. The
+tables have all transitions; any other message ends the session. Message numbers continue those of
+an enrollment, so that no message of one mode is one of the other.
 """
 
 from collections.abc import Callable

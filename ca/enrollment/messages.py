@@ -1,9 +1,6 @@
-"""The messages of an enrollment: deterministic CBOR arrays, each in a frame of its own.
+"""The messages of an enrollment: deterministic CBOR arrays, each behind a length of four octets.
 
-A frame is a length of four octets and one message. Messages are untrusted here: the state machines
-authenticate them.
-
-What a node checks before it takes an identity: that it is its own, under the offered root.
+Messages are untrusted here: the state machines authenticate them.
 """
 
 from collections.abc import Sequence

@@ -1,22 +1,10 @@
-"""The text in a node's QR code, and its rendering.
+"""The text in a node's QR code, its rendering, sheets of labels, and the code of a domain's card.
 
 A code authenticates a request that is sent over an untrusted network: it holds the request's
 SHA-256. A *label code* holds nothing else and may be printed. A *screen code* adds a one-time
 secret, its expiry, and the address the request can be fetched from. The text is `ROSSEC:` + base45
 (RFC 9285) of fixed binary, so that it stays in the QR alphanumeric mode; it is never a URL, which
-a phone's camera app would open.
-
-A sheet of labels to print: one page of HTML per 24 nodes, each label an SVG in millimetres.
-
-A label authenticates a request and holds no secret, so it may stay on the robot. The layout is that
-of the common A4 sheets of 24 labels, 63.5 by 33.9 mm; everything is drawn in SVG, so that browsers
-do not change the layout, and the page cannot load or run anything.
-
-The code of a card: its digest, as text that a QR code holds in 19 lines of a terminal.
-
-A card has about 700 octets, and a code of them no place on a screen. Its digest authenticates the
-file, which then may come by any way: who scans the code from the other authority's screen need not
-compare a fingerprint. It is of another kind than those of enrollment (`ca.enrollment.qr`).
+a phone's camera app would open. The code of a card holds the card's digest.
 """
 
 from collections.abc import Iterator, Sequence

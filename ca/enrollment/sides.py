@@ -1,23 +1,11 @@
-"""The transcript hash of an enrollment, and the statements, tag and digits computed from it.
+"""An enrollment, sans-IO: the node's side, the authority's side, and what both compute.
 
-The transcript binds request, certificates, trust anchor and a fresh nonce, under its own context:
-nothing signed here can be replayed in a later enrollment or taken for another statement, and no
-peer can choose the octets that a node signs. The six digits also depend on `contribution`, random
-octets the node reveals only *after* the offer is fixed: otherwise an attacker posing as the
-authority could try a million nonces until the digits match.
-
-The node's side of an enrollment, sans-IO.
-
-It shows a code, sends its request to any peer, and answers *one* valid offer. The offer has no
-effect until a person has confirmed it here. A second valid offer means that another party has the
-code, or is in the middle: both are dropped. Five offers with a wrong tag lock a screen code. Every
-state has a deadline. `TABLE` has all transitions; any other message changes nothing.
-
-The authority's side of an enrollment, sans-IO.
-
-The code comes from the node itself, read by a person or a camera; everything else comes over the
-network and is checked against it. The node is enrolled when it says so in a statement signed over
-this transcript; the authority does not report it as enrolled before.
+The transcript binds request, certificates, trust anchor and a fresh nonce: nothing signed here can
+be replayed or taken for another statement, and no peer chooses the octets that a node signs. The
+node answers *one* valid offer, which has no effect until a person has confirmed it there; a second
+one means that another party has the code, and both are dropped. Everything the authority gets is
+checked against the code, which came from the node itself; the node is enrolled when it says so in a
+signed statement. The tables have all transitions; any other message changes nothing.
 """
 
 import hmac

@@ -1,20 +1,10 @@
-"""A PKCS#8 private key encrypted with PBES2: scrypt, then AES-256-CBC (RFC 7914 section 7).
+"""Encryption under a passphrase: a private key as PBES2 (scrypt, AES-256-CBC), an authority's backup.
 
-`cryptography` reads this form but cannot write it: its `BestAvailableEncryption` is PBKDF2 with
-2048 iterations, 4 ms a guess. The cost here is half a second. N stays at 2^14 because OpenSSL 3.0
-refuses scrypt beyond 32 MiB; p makes up for it. PKCS#8 readers support only CBC without a MAC: a
-damaged file fails at its padding or its structure, and does not become another usable key.
-
-A key file says itself what trying a passphrase costs. One in a backup is its maker's: that is read
-and bounded first.
-
-An authority's backup: its files in one, encrypted under a passphrase. Bytes in, bytes out.
-
-scrypt (RFC 7914) derives the key from the passphrase, AES-256-GCM encrypts one deterministic CBOR
-map from file names to contents; the header is authenticated data. A wrong passphrase and a changed
-byte cannot be told apart. Names are restricted: an untrusted backup cannot write outside the
-directory it is restored to, nor add a journal file that SQLite would apply to the record. Which
-files an authority has, the parts say that own them (`rossec.authority.backup`).
+`cryptography` reads this form of key but cannot write it: its `BestAvailableEncryption` is PBKDF2
+with 2048 iterations, 4 ms a guess; here it is half a second. A key file says itself what trying a
+passphrase costs, so that is read and bounded first. A backup is scrypt (RFC 7914), then AES-256-GCM
+over one deterministic CBOR map from file names to contents. Its names are restricted: an untrusted
+one cannot write outside the directory it is restored to.
 """
 
 import re

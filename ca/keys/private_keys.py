@@ -1,14 +1,9 @@
-"""Private keys on disk: created with mode 0600 and O_EXCL, never overwritten, never printed.
+"""Private keys, in files and in PKCS#11 tokens. Does I/O and uses system randomness.
 
-This module does I/O and uses system randomness. A key that other users of the host can read is
-refused, as by ssh: it must be assumed to be copied. The format is PKCS#8 in PEM, encrypted with
-scrypt (`ca.keys.passphrases`) when there is a passphrase.
-
-A P-256 key in a PKCS#11 token: a `Signer` that uses the key without reading it.
-
-This module does I/O, and is the only one that uses python-pkcs11 (the extra `hsm`). A key is named
-by a URI of RFC 7512, `pkcs11:token=T;object=O?module-path=/path/to.so`; a PIN in it is refused, as
-URIs are written to files and logs. Keys created here are generated in the token, not extractable.
+A file is PKCS#8 in PEM, created with mode 0600 and O_EXCL, never overwritten, never printed. A key
+that other users of the host can read is refused, as by ssh: it must be assumed to be copied. A key
+in a token is used without reading it, and named by a URI of RFC 7512,
+`pkcs11:token=T;object=O?module-path=/path/to.so`; a PIN in it is refused, as URIs get into logs.
 """
 
 import base64

@@ -1,23 +1,10 @@
-"""P-256 public keys, the only ones accepted, and their thumbprints.
+"""P-256 keys, their thumbprints, and the one form of signed statement (COSE_Sign1, RFC 9052).
 
-Keys are identified by their COSE thumbprint (RFC 9679): grants, lists and logs refer to the key,
-not to one of its certificates. A renewed certificate keeps its grants, a revoked key loses all.
-
-The interface of a private key: a `Signer` signs, and does not expose the key.
-
-Keys in files and in PKCS#11 tokens have the same interface.
-
-Let `cryptography`'s X.509 builders sign with a `Signer`.
-
-The builders require one of the library's private key classes; a subclass that forwards `sign` is
-enough. It does not have the key: everything but signing is refused, also for tokens.
-
-COSE_Sign1 (RFC 9052) in one fixed form, shared by every signed statement of rossec.
-
-A statement type is a `Profile`: its protected header is one constant, compared byte for byte, so
-algorithm, type and version cannot be negotiated, confused or extended, and `crit` needs no
-interpretation. The unprotected header is empty: it is not signed. Trust is not decided here: the
-caller supplies the key.
+Keys are identified by their COSE thumbprint (RFC 9679): grants, lists and logs refer to the key, not
+to one of its certificates. A renewed certificate keeps its grants, a revoked key loses all. A
+`Signer` signs and does not expose the key, be it in a file or in a token. A statement type is a
+`Profile`: its protected header is one constant, compared byte for byte, so algorithm, type and
+version cannot be negotiated, confused or extended. Trust is not decided here.
 """
 
 import hashlib

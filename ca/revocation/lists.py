@@ -1,18 +1,11 @@
-"""The two signed statements of revocation, and their bytes.
+"""The signed statements of revocation, their bytes, and proofs of single entries.
 
 The authority signs the *list*: everything revoked, numbered by (epoch, seq), valid for some weeks.
 The master signs the *timestamp*: "the list with this digest was the newest at this time", valid
-for at most 30 seconds. These are the snapshot and timestamp roles of TUF: the authority's key
-stays offline, and a stolen master key can delay revocations but not undo one. Both are maps
-without other fields; claims 4 (exp) and 6 (iat) are CWT's (RFC 8392), the negative ones are from
-its private range. Entries are sorted, so one set of entries has one encoding.
-
-Revocations too many for a list: the authority signs a Merkle tree, the master sends proofs.
-
-The tree is RFC 6962's over the sorted entries (`ca.revocation.merkle`); the authority signs its
-root and size, numbered like a list. The holder of all entries can prove that an entry is present,
-or absent: then it would be between two adjacent leaves, or outside the first or last one. So the
-master can hide nothing, and a node requests only the entries it needs.
+for at most 30 seconds (the snapshot and timestamp roles of TUF): a stolen master key can delay
+revocations but not undo one. Where the entries are too many, the authority signs a Merkle *tree*
+over them instead, sorted, and the master proves that an entry is present, or absent because it
+would be between two adjacent leaves: it can hide nothing, and a node asks for what it needs.
 """
 
 import hashlib

@@ -1,21 +1,11 @@
-"""The revocations this node knows, and whether they are fresh.
+"""The revocations this node knows of its own domain and of the listed ones, and whether they are fresh.
 
 The state fails closed: without a list, without a confirmation, after its maximum age, after the
-list's own expiry, or on a clock that was set back, `check` refuses. It only moves forward: a list
-older than the newest ever seen is refused, also after a restart, because the caller persists the
-list *before* it takes effect (CVE-2025-2888 in tough was that order reversed) and passes its number
-as `floor`. Clock and disk are the caller's: `now` and `persist` are arguments.
-
-Where the authority signed a tree instead of a list (`ca.revocation.lists`), each entry needs a
-proof: until it is received the status is unknown, and the entry is in `unproved`.
-
-What is revoked, and known to be: of the own domain, and of each listed foreign one.
-
-A foreign domain's list is verified by its root's key, and confirmed by a timestamp of a master of
-that domain, which any peer may hand over. It counts for the nodes and the grants of that domain
-and for nothing else: a hospital cannot revoke what is not its own. The own list counts for every
-key. Pure; a state lasts as long as the root it was made for. Whoever shares it between threads
-locks it.
+list's own expiry, or on a clock that was set back, `check` refuses. It only moves forward, also
+over a restart: the caller persists the list *before* it takes effect (CVE-2025-2888 in tough was
+that order reversed) and passes its number as `floor`. A foreign list counts for the nodes and
+grants of that domain and for nothing else, the own one for every key. Clock and disk are the
+caller's; whoever shares a state between threads locks it.
 """
 
 from collections.abc import Callable, Sequence

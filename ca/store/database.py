@@ -1,30 +1,10 @@
 """The database file of the authority's record: SQLite, private to its owner, durable transactions.
 
-Does I/O. `ca.store.database` defines the tables. This module opens the file, refusing a foreign,
-damaged or missing one without changing it, and runs transactions, which are on the disk when the
-call returns. What is read to decide a change must be read inside `transaction`, which excludes
-every other command until the change is made.
-
-SQLite errors as `StoreError`: whether the record is damaged, or only cannot be used now.
-
-A damaged record must be restored. A full disk, or another running command, is no reason to: a
-backup lacks the revocations made since. So only what SQLite reports as corrupt is called damaged,
-and every other message says that nothing was changed (https://sqlite.org/rescode.html).
-
-The tables and triggers of the authority's record; `ca.store.database` brings older ones up.
-
-All but requests for identities are append-only: triggers refuse every change. Such a request
-follows `ca.store.values.TRANSITIONS` and is deleted at its end; triggers made from that table
-refuse every other transition. Every table in `LOGGED_TABLES` has its rows in the log. All
-functions run inside the caller's transaction.
-
-Older versions of the record are brought up to the present one, and lose nothing.
-
-Version 2 made a tree of the log. Version 3 took the requests for grants and their answers into the
-log, which until then were tables of their own, and knows which grants came from a policy: those
-signed before count as made by hand. Version 4 adds passkeys and approvals, version 5 foreign
-domains, version 6 constrained things, of which there were none. Each step runs inside the caller's
-transaction.
+All tables but that of requests for identities are append-only: triggers refuse every change. Such a
+request follows `ca.store.values.TRANSITIONS`, also by triggers, and is deleted at its end. Every
+table in `LOGGED_TABLES` has its rows in the log. A foreign, damaged or missing file is refused
+without changing it, an older version is brought up and loses nothing. What is read to decide a
+change must be read inside `transaction`, which excludes every other command until it is made.
 """
 
 import os

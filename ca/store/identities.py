@@ -1,20 +1,10 @@
-"""The identities in the authority's record: which were signed, and which key a name may have.
+"""Identities in the authority's record, the requests for them, and the invitations by which nodes join.
 
 A name keeps its key. Another key is accepted in three cases only: the name has no valid identity;
 the operator gives the name again (`replace_key`); or the newest valid key itself signs the renewal
-(`renews`). A renewal by an older key comes from a copy or a restored disk and is refused.
-
-The requests for identities in the authority's record: pending, approved, denied, issued.
-
-It applies `ca.store.values`. A name has one owner: approving a key for a name that has a valid
-identity with another key needs the name again (`replace_key`), and of two keys that request one
-name at the same time neither is approved until the other is denied.
-
-Invitations in the authority's record: nodes that join by a code, without a person each time.
-
-A use is one identity for one new name. It is recorded in the transaction that issues the identity,
-so that two commands never share the last use; the same request uses an invitation once. An
-invitation ends by its time, by its number of uses, or by an entry that says why.
+(`renews`). A renewal by an older key comes from a copy or a restored disk and is refused. Of two
+keys that request one name at the same time neither is approved until the other is denied. A use of
+an invitation is one identity for one new name, recorded in the transaction that issues it.
 """
 
 import hashlib

@@ -1,25 +1,10 @@
-"""The log in the authority's record: written with every change, and audited as a whole.
+"""The log in the authority's record, its audit, and what persons approved: passkeys and approvals.
 
-`audit` trusts no stored hash: it computes the tree from the entries, compares every row of the
-record with its log entry, replays the transitions of every request, the approvals of persons, the
-foreign domains and the things, and checks each signed head.
-
-The audit of approvals: replayed from the log, in the order in which they were made.
-
-Each was by a passkey that was registered and had not ended, signs its statement, and names a head
-of this log that is true, from after the record was last restored. Each end is of an approval that
-waited. The rows are those of the log already (`ca.store.log`).
-
-Passkeys in the authority's record: the devices that can approve.
-
-A passkey is recorded once, by its credential id, and ends by an entry that says why. One that has
-ended never comes back: the device registers another.
-
-Approvals in the authority's record: what a person approved, and what came of it.
-
-A statement is approved once: its id is the primary key. An approval waits until an entry says that
-it was carried out, failed, or came to nothing. The statement names a head of this log, made since
-the record was last restored: one from before says nothing about the record as it is now.
+`audit` trusts no stored hash: it computes the tree from the entries, compares every row with its
+log entry, replays the requests, the approvals, the foreign domains and the things, and checks each
+signed head. A passkey that has ended never comes back. A statement is approved once, by a passkey
+that was active then, and names a true head of this log from after the last restore: one from before
+says nothing about the record as it is now. An approval waits until one entry says how it ended.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping

@@ -1,29 +1,11 @@
-"""Foreign domains in the authority's record: accepted, changed, ended; the lists that were signed.
+"""Foreign domains and constrained things in the authority's record, and the audit of both.
 
-Each acceptance and each change of terms is a row, and the newest row of a domain counts until an
-end refers to it. What was accepted never goes from the record: a label that once meant a domain is
-not given to another one while a grant that names it can live (`rossec.authority.domains` asks
-`labelled`). A domain is its root key here: whoever has another key is another domain.
-
-The audit of foreign domains: replayed from the log, in the order in which they were trusted.
-
-Terms are in form, and no two trusted domains share a name, a label or a root key; an end is of a
-domain that is trusted. A list is signed by the authority, newer than the one before, and names only
-domains with the terms that the record has at that point: the record cannot be made to deny what a
-list said. The rows are those of the log already (`ca.store.log`).
-
-The statements about constrained things in the authority's record.
-
-A statement is in force until it expires or is revoked. Among those in force, one name is one thing
-and one credential is one thing; at one border router, so is one kid. A statement that would break
-this is refused: its caller first revokes what it replaces, in the same transaction. A repeated
-statement about the same thing at the same router is a renewal, and ends nothing.
-
-The audit of the statements about things: replayed from the log, in the order of their signing.
-
-Each is signed by the authority and says what its row says, and no two that were in force at the
-same time shared a name, a credential or a kid: the record cannot be made to hold a statement that
-the authority would not have signed. The rows are those of the log already (`ca.store.log`).
+Each acceptance of a domain and each change of its terms is a row, and the newest row counts until
+an end refers to it. Nothing accepted goes from the record: a label is not given to another domain
+while a grant that names it can live. Whoever has another root key is another domain. Of the
+statements about things in force, one name is one thing and one credential is one thing; at one
+border router, so is one kid. The audit replays both from the log, in the order of their entries:
+the record cannot be made to hold what the authority would not have signed, or to deny what it did.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping

@@ -1,18 +1,11 @@
-"""The rows of the authority's record, as values.
+"""The rows of the authority's record as values, the life of a request, and the log as a Merkle tree.
 
-The life of a request for an identity: pending, then approved or denied, then issued.
-
-The states are those of Kubernetes' certificate signing requests: a person approves, the authority
-issues, and both are recorded separately. `TRANSITIONS` is complete; triggers made from it enforce
-it in the database too. Every request expires, and is collected long after. What was issued stays in
-the record, so that one request never gets two certificates.
-
-The log of everything the authority did, as leaves of a Merkle tree, and its signed heads.
-
-An *entry* is one action; its leaf is the deterministic CBOR of all its fields, and `digest` binds
-it to the row it is about. The tree's peaks are stored with each entry, so that a difference is
-found at the entry where it is. The *head* is the authority's signature over size and root: triggers
-prevent mistakes, but only a head stored elsewhere prevents the file's owner from rewriting the log.
+A request for an identity is pending, then approved or denied, then issued: a person approves, the
+authority issues, and both are recorded separately, as Kubernetes does. An entry of the log is one
+action; its leaf is the deterministic CBOR of all its fields, and `digest` binds it to its row. The
+tree's peaks are stored with each entry, so that a difference is found where it is. The *head* is
+the authority's signature over size and root: triggers prevent mistakes, but only a head stored
+elsewhere prevents the file's owner from rewriting the log.
 """
 
 import hashlib

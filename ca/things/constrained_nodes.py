@@ -1,23 +1,11 @@
-"""How a thing proves who it is: a key for EDHOC, or an OSCORE secret that only its border has.
+"""Constrained things: how one proves who it is, and what the authority says of it.
 
 A thing keeps its credential in flash, for years and under names it does not know. So a CCS (RFC
 8392 claims with a COSE_Key, RFC 9528 section 3.5.2) is taken as the thing has it, for its bytes
-enter the handshake; but only in the one deterministic form, so that its parts say it all. A secret
-is named by its thumbprint (RFC 9679), which of 16 random octets tells nothing about them.
-
-The text that carries a secret to its thing: on a screen, once, or in a file of its owner.
-
-`OSCORE:KID:SECRET` in upper-case hexadecimal digits: it stays in the alphanumeric mode of QR codes,
-and a microcontroller reads it in ten lines of C. It is never printed on a label: who sees it can
-speak as the thing, and to the thing as its border router.
-
-What the authority says of a thing: its name, its credential, and which border router has it.
-
-A border router serves a thing only by such a statement, which names the router's own key: one for
-another router is of no use to it. It is not secret. Its id lies on the revocation list as a
-grant's does, and has no signature in it for the same reason (`grants.document`). Of two statements
-about a name the one with the later `nbf` counts; the authority revokes those that it replaces.
-docs/spec/things.md
+enter the handshake, but only in the one deterministic form. A border router serves a thing only by
+the authority's statement, which names the router's own key. Its id lies on the revocation list and
+has no signature in it, as a grant's (`grants.document`). Of two statements about a name the one with
+the later `nbf` counts; the authority revokes those that it replaces. docs/spec/things.md
 """
 
 import hashlib
