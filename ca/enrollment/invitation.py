@@ -36,6 +36,9 @@ from ca.keys.signing import KeySigner, Profile, Signer, require_p256
 from ca.names import MAX_NAME
 from ca.svid import MAX_REQUEST
 
+# The text is base32 (RFC 4648): base45 has a space, `$` and `*`, which a shell changes; base64url
+# leaves the alphanumeric mode of QR codes and is longer there. Its last octets are a checksum, since
+# half of a pasted line looks like a whole.
 PREFIX: Final = "ROSSEC-JOIN:"
 MAX_TEXT: Final = 640
 SECRET_SIZE: Final = 16
@@ -44,8 +47,8 @@ _MAX_ADDRESS: Final = 64
 _MAX_PATTERN: Final = 255
 _ONE_NAME: Final = 0x31  # the low half is the version
 _ANONYMOUS: Final = 0x41
-_DIGEST_SIZE: Final = 32
 _CHECK_SIZE: Final = 4
+_DIGEST_SIZE: Final = 32
 _FIXED: Final = 1 + _DIGEST_SIZE + SECRET_SIZE + 4 + 1
 _KEY: Final = "rossec-join-key-v1"
 # FIPS 186-5 A.2.1: 16 octets more than the order has, so that the reduction is not biased.
@@ -55,6 +58,9 @@ _ADDRESS: Final = re.compile(r"[!-~]+", re.ASCII)
 _PATTERN: Final = re.compile(r"/[A-Za-z0-9_*/]+", re.ASCII)
 _HINT: Final = "paste the whole line of `rossec ca invite`, beginning with ROSSEC-JOIN:"
 
+# On an NFC tag: an NDEF message of one record of MIME media (NFC Forum, NDEF 1.0), whose payload is
+# the octets of the code, not its text: so it fits on the smallest common tag (NTAG213, 144 octets).
+# A phone that reads it opens nothing: only a URI or a well-known type would be acted on.
 MEDIA_TYPE: Final = b"application/vnd.rossec.join"
 MAX_MESSAGE: Final = 512
 # Message begin and end, TNF 2 (NDEF 3.2): with a payload length of one octet, or of four.
@@ -68,35 +74,24 @@ _LIVE: Final = Profile("rossec-join-live+cbor")
 _PROOF: Final = Profile("rossec-join-proof+cbor")
 _CLAIM: Final = Profile("rossec-join-claim+cbor")
 
-_HASH: Final = 32
-_SIZES: Final = ID_SIZE + _HASH  # where those of proof, name and metadata are
+_SIZES: Final = ID_SIZE + _DIGEST_SIZE  # where those of proof, name and metadata are
 _HEAD: Final = _SIZES + 5
-MAX_REQUEST_METADATA: Final = MAX_METADATA
-MAX_REQUEST_SIZE: Final = _HEAD + MAX_STATEMENT + MAX_NAME + MAX_REQUEST_METADATA + MAX_REQUEST
+MAX_REQUEST_SIZE: Final = _HEAD + MAX_STATEMENT + MAX_NAME + MAX_METADATA + MAX_REQUEST
 
-_JOIN_CLAIM_HEAD: Final = ID_SIZE + _HASH + 2  # and the size of the proof
-MAX_CLAIM_SIZE: Final = _JOIN_CLAIM_HEAD + MAX_STATEMENT + MAX_METADATA
+_CLAIM_HEAD: Final = ID_SIZE + _DIGEST_SIZE + 2  # and the size of the proof
+MAX_CLAIM_SIZE: Final = _CLAIM_HEAD + MAX_STATEMENT + MAX_METADATA
 
 
 @dataclass(frozen=True)
 class InvitationCode:
-    """The content of a code.
+    """The content of a code."""
 
-    Args:
-        root: SHA-256 of the authority's root certificate (DER).
-        secret: 16 random octets, used for nothing else.
-        expires: the last second at which it can be used.
-        address: `host:port` of the authority.
-        pattern: the names that it allows.
-        wildcard: the identities are for anonymous nodes too.
-    """
-
-    root: bytes
-    secret: bytes = field(repr=False)
-    expires: int
-    address: str
-    pattern: str
-    wildcard: bool = False
+    root: bytes  # SHA-256 of the authority's root certificate (DER)
+    secret: bytes = field(repr=False)  # 16 random octets, used for nothing else
+    expires: int  # the last second at which it can be used
+    address: str  # `host:port` of the authority
+    pattern: str  # the names that it allows
+    wildcard: bool = False  # the identities are for anonymous nodes too
 
     def __post_init__(self) -> None:
         sizes = len(self.root) == _DIGEST_SIZE and len(self.secret) == SECRET_SIZE
@@ -137,18 +132,9 @@ class InvitationCode:
 
     def body(self) -> bytes:
         """The content as octets, with the checksum: what a tag for NFC holds."""
-        address = self.address.encode()
-        body = b"".join(
-            (
-                bytes([_ANONYMOUS if self.wildcard else _ONE_NAME]),
-                self.root,
-                self.secret,
-                self.expires.to_bytes(4),
-                bytes([len(address)]),
-                address,
-                self.pattern.encode(),
-            )
-        )
+        kind, address = bytes([_ANONYMOUS if self.wildcard else _ONE_NAME]), self.address.encode()
+        fixed = kind + self.root + self.secret + self.expires.to_bytes(4) + bytes([len(address)])
+        body = fixed + address + self.pattern.encode()
         return body + _checksum(body)
 
     def text(self) -> str:
@@ -181,13 +167,9 @@ def parse_body(body: bytes) -> InvitationCode:
     texts = rest[SECRET_SIZE + 5 :]
     if not texts.isascii() or size >= len(texts):
         raise _damaged()
+    address, pattern = texts[:size].decode(), texts[size:].decode()
     return InvitationCode(
-        root,
-        secret,
-        int.from_bytes(expires),
-        texts[:size].decode(),
-        texts[size:].decode(),
-        wildcard=kind == _ANONYMOUS,
+        root, secret, int.from_bytes(expires), address, pattern, wildcard=kind == _ANONYMOUS
     )
 
 
@@ -312,13 +294,13 @@ class JoinRequest:
     metadata: bytes = b""
 
     def __post_init__(self) -> None:
-        exact = len(self.invitation) == ID_SIZE and len(self.transcript) == _HASH
+        exact = len(self.invitation) == ID_SIZE and len(self.transcript) == _DIGEST_SIZE
         fits = (
             self.name.isascii()
             and len(self.name) <= MAX_NAME
             and len(self.csr) <= MAX_REQUEST
             and len(self.proof) <= MAX_STATEMENT
-            and len(self.metadata) <= MAX_REQUEST_METADATA
+            and len(self.metadata) <= MAX_METADATA
         )
         if not exact or not fits:
             raise EnrollmentMessageRefused("the parts of a request to join have wrong sizes")
@@ -328,27 +310,19 @@ class JoinRequest:
         return sha256(self.csr).digest()
 
     def to_bytes(self) -> bytes:
-        """The request for the process that has the key."""
         name, parts = self.name.encode(), (self.invitation, self.transcript)
         sizes = len(self.proof).to_bytes(2) + len(name).to_bytes(1) + len(self.metadata).to_bytes(2)
         return b"".join((*parts, sizes, self.proof, name, self.metadata, self.csr))
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """The request that `to_bytes` wrote."""
         name = _HEAD + int.from_bytes(data[_SIZES : _SIZES + 2])
         metadata = name + int.from_bytes(data[_SIZES + 2 : _SIZES + 3])
         csr = metadata + int.from_bytes(data[_SIZES + 3 : _HEAD])
         if not csr <= len(data) <= MAX_REQUEST_SIZE or not data[name:metadata].isascii():
             raise EnrollmentMessageRefused("a request to join of a wrong size")
-        return cls(
-            data[:ID_SIZE],
-            data[ID_SIZE:_SIZES],
-            data[name:metadata].decode(),
-            data[csr:],
-            data[_HEAD:name],
-            data[metadata:csr],
-        )
+        asked, proof = data[name:metadata].decode(), data[_HEAD:name]
+        return cls(data[:ID_SIZE], data[ID_SIZE:_SIZES], asked, data[csr:], proof, data[metadata:csr])
 
     def verify(self, point: bytes) -> None:
         """Return if it was made with the secret of the invitation whose key is `point`."""
@@ -366,7 +340,7 @@ class JoinClaim:
     proof: bytes
 
     def __post_init__(self) -> None:
-        exact = len(self.invitation) == ID_SIZE and len(self.transcript) == _HASH
+        exact = len(self.invitation) == ID_SIZE and len(self.transcript) == _DIGEST_SIZE
         fits = 0 < len(self.metadata) <= MAX_METADATA and len(self.proof) <= MAX_STATEMENT
         if not exact or not fits:
             raise EnrollmentMessageRefused("the parts of a claim have wrong sizes")
@@ -377,12 +351,11 @@ class JoinClaim:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """The claim that `to_bytes` wrote."""
-        metadata = _JOIN_CLAIM_HEAD + int.from_bytes(data[_JOIN_CLAIM_HEAD - 2 : _JOIN_CLAIM_HEAD])
+        metadata = _CLAIM_HEAD + int.from_bytes(data[_CLAIM_HEAD - 2 : _CLAIM_HEAD])
         if not metadata < len(data) <= MAX_CLAIM_SIZE:
             raise EnrollmentMessageRefused("a claim of a wrong size")
-        transcript = data[ID_SIZE : ID_SIZE + _HASH]
-        return cls(data[:ID_SIZE], transcript, data[metadata:], data[_JOIN_CLAIM_HEAD:metadata])
+        transcript = data[ID_SIZE : ID_SIZE + _DIGEST_SIZE]
+        return cls(data[:ID_SIZE], transcript, data[metadata:], data[_CLAIM_HEAD:metadata])
 
     def verify(self, point: bytes) -> None:
         """Return if it was made with the secret of the invitation whose key is `point`."""
