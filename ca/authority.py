@@ -26,8 +26,8 @@ from ca.certificates import (
 from ca.errors import CertificateRefused, IssueRefused, NameRefused
 from ca.keys.passphrases import SEQUENCE, der
 from ca.keys.signing import Signer, require_p256, thumbprint
-from ca.names import check_domain, check_wildcard, parse_spiffe_id, spiffe_id
-from ca.svid import SCHEME, WILDCARD, WILDCARD_VALUE, check_request
+from ca.names import SCHEME, check_domain, check_wildcard, parse_spiffe_id, spiffe_id
+from ca.svid import WILDCARD, WILDCARD_VALUE, check_request
 
 DAY: Final = 86_400
 LIFETIME: Final = 30 * DAY
@@ -134,7 +134,7 @@ class Authority:
     ) -> bytes:
         _check_serial(serial)
         start, end = self._period(now, lifetime)
-        uri = spiffe_id(self.anchor.domain, name)
+        uri = svid.alternative_name(spiffe_id(self.anchor.domain, name))
         builder = (
             _builder(key, serial, start, end)
             .subject_name(x509.Name([]))
@@ -142,7 +142,7 @@ class Authority:
             .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
             .add_extension(_usage(authority=False), critical=True)
             # Critical because the subject is empty (RFC 5280 section 4.1.2.6).
-            .add_extension(svid.alternative_name(uri), critical=True)
+            .add_extension(uri, critical=True)
             .add_extension(_issuer_key(self.issuer.public_key), critical=False)
         )
         if wildcard:

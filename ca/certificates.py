@@ -14,7 +14,6 @@ from datetime import UTC, datetime
 from typing import Final, NamedTuple, Self
 
 from cryptography import x509
-from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding
 
@@ -31,14 +30,12 @@ from ca.errors import (
     RequestRefused,
     SignatureError,
 )
-from ca.keys.signing import Profile, Signer, X509Signer, thumbprint
-from ca.names import check_domain, check_wildcard, covers, parse_spiffe_id, refuse_alias
+from ca.keys.signing import Profile, Signer, thumbprint
+from ca.names import SCHEME, check_domain, check_wildcard, covers, parse_spiffe_id, refuse_alias
 from ca.svid import (
     MAX_CERTIFICATE,
     MAX_REQUEST,
-    SCHEME,
     IdentityRequest,
-    build_request,
     check_request,
     read_request,
     request_builder,
@@ -49,7 +46,9 @@ _SECONDS: Final = 180  # up to which a span is given in seconds
 _DAY: Final = 86_400
 _PLAUSIBLE: Final = 2 * _DAY  # that a host was off, or nothing was signed
 
-# Private policies, from UUIDs (ITU-T X.667).
+# Private policies, from UUIDs (ITU-T X.667): what an intermediate's host may do, as its own tools
+# (`ca.authority`) enforce. They do not bind an attacker: the holder of an intermediate's key can sign
+# any name until the root revokes it.
 MAY_RENEW: Final = x509.ObjectIdentifier("2.25.283421307419275216482910536471209357741")
 MAY_ENROLL: Final = x509.ObjectIdentifier("2.25.140372948105529641730282947561038846219")
 _HINT: Final = "make it on the host with `rossec ca intermediate request`"
@@ -93,6 +92,8 @@ def way_back(name: str) -> str:
 
 
 def check_time(what: str, start: int, end: int, now: int, back: str) -> None:
+    # The moment is that of the host's clock, which may be wrong: so the hint has both cases. What is not
+    # valid yet is always a matter of clocks, as all certificates begin an hour early.
     if now < start:
         raise CertificateNotYetValid(
             f"the {what} becomes valid in {span(start - now)}",
@@ -146,19 +147,20 @@ class Intermediate:
 
 def read_intermediate(certificate: x509.Certificate, der: bytes, domain: str) -> Intermediate:
     """Read an intermediate whose signature was verified; its validity is not checked here."""
+    # Its name is the domain. X.509 name constraints could say that of its leaves, but `cryptography`'s
+    # verifier refuses chains that have them.
     extensions = svid.extensions(certificate)
     svid.check_intermediate(extensions)
     found = svid.trust_domain(extensions)
     if found != domain:
         raise CertificateRefused(f"the intermediate is for trust domain {found!r}, not {domain!r}")
     key = svid.key_of(certificate)
-    start, end = svid.validity(certificate)
+    times = svid.validity(certificate)
     policies = svid.policies(extensions)
     if policies not in ({MAY_RENEW}, {MAY_ENROLL}):
         raise CertificateRefused("the intermediate has no policy to renew or enroll", "make a new one")
-    may_enroll = MAY_ENROLL in policies
-    subject = svid.subject(certificate)
-    return Intermediate(key, thumbprint(key), start, end, der, subject, certificate.serial_number, may_enroll)
+    subject, serial = svid.subject(certificate), certificate.serial_number
+    return Intermediate(key, thumbprint(key), *times, der, subject, serial, MAY_ENROLL in policies)
 
 
 def policy(*, may_enroll: bool) -> x509.CertificatePolicies:
@@ -169,7 +171,7 @@ def policy(*, may_enroll: bool) -> x509.CertificatePolicies:
 def build_intermediate_request(signer: Signer, domain: str) -> bytes:
     """Return a CSR (DER) for an intermediate of `domain` with the signer's key."""
     builder = request_builder(f"{SCHEME}{check_domain(domain)}")
-    return builder.sign(X509Signer(signer), hashes.SHA256()).public_bytes(Encoding.DER)
+    return svid.sign(builder, signer)
 
 
 def check_intermediate_request(csr: bytes, domain: str) -> ec.EllipticCurvePublicKey:
@@ -178,19 +180,6 @@ def check_intermediate_request(csr: bytes, domain: str) -> ec.EllipticCurvePubli
     if asked != [f"{SCHEME}{domain}", False]:
         raise RequestRefused(f"this is not a request for an intermediate of {domain!r}", _HINT)
     return key
-
-
-__all__ = [
-    "MAX_CERTIFICATE",
-    "MAX_REQUEST",
-    "Identity",
-    "IdentityRequest",
-    "TrustAnchor",
-    "build_request",
-    "check_request",
-    "from_pem",
-    "to_pem",
-]
 
 
 @dataclass(frozen=True)
@@ -268,8 +257,7 @@ class TrustAnchor:
         extensions = svid.extensions(certificate)
         svid.check_authority(extensions)
         domain, below = svid.trust_domain(extensions), svid.path_length(extensions)
-        start, end = svid.validity(certificate)
-        return cls(domain, key, thumbprint(key), start, end, der, subject, below)
+        return cls(domain, key, thumbprint(key), *svid.validity(certificate), der, subject, below)
 
     def verify(self, chain: Sequence[bytes], now: int) -> Identity:
         """Return the identity of `chain`: a leaf, or a leaf and its intermediate, as DER."""
@@ -373,24 +361,19 @@ def _read(domain: str, certificate: x509.Certificate, der: bytes) -> Identity:
     extensions = svid.extensions(certificate)
     svid.check_leaf(extensions)
     wildcard = svid.has_wildcard(extensions)
-    name = _name(domain, svid.only_uri(extensions), wildcard=wildcard)
-    key = svid.key_of(certificate)
-    start, end = svid.validity(certificate)
-    serial = certificate.serial_number
-    return Identity(domain, name, key, thumbprint(key), start, end, serial, der, wildcard)
-
-
-def _name(expected: str, uri: str, *, wildcard: bool) -> str:
     try:
-        domain, name = parse_spiffe_id(uri)
+        found, name = parse_spiffe_id(svid.only_uri(extensions))
         refuse_alias(name)
         if wildcard:
             check_wildcard(name)
     except NameRefused as error:
         raise CertificateRefused(f"the certificate's name is invalid: {error}") from error
-    if domain != expected:
-        raise CertificateRefused(f"the certificate is for trust domain {domain!r}, not {expected!r}")
-    return name
+    if found != domain:
+        raise CertificateRefused(f"the certificate is for trust domain {found!r}, not {domain!r}")
+    key = svid.key_of(certificate)
+    start, end = svid.validity(certificate)
+    serial = certificate.serial_number
+    return Identity(domain, name, key, thumbprint(key), start, end, serial, der, wildcard)
 
 
 def to_pem(*certificates: bytes) -> bytes:
@@ -450,7 +433,11 @@ def retry_delay(not_before: int, not_after: int, longest: int) -> int:
 
 
 def sign_renewal(old: Signer, chain: Sequence[bytes], csr: bytes, now: int) -> bytes:
-    """Sign, with the old key, the request that `csr` succeed `chain` (DER, leaf first)."""
+    """Sign, with the old key, the request that `csr` succeed `chain` (DER, leaf first).
+
+    A node writes its new key to the disk *before* it sends this, and repeats the same bytes until it
+    has the answer: the authority answers one request always with the same certificate.
+    """
     certificates: list[Value] = [*chain]
     return PROFILE.sign(old, {_IAT: now, _CSR: csr, _CHAIN: certificates})
 
@@ -461,9 +448,19 @@ def open_renewal(data: bytes, anchor: TrustAnchor, now: int, check: Callable[[by
     `check(entry, now)` raises when a key's thumbprint is revoked, or its status is unknown
     (`Revocations.check`).
     """
-    _, _, chain = _renewal_read(_peek(data))
+    # 1. The chain in it says whose signature to verify; nothing else of it is used before that.
+    try:
+        _, _, chain = _read_renewal(PROFILE.peek(data, limit=MAX_RENEWAL))
+    except (SignatureError, EncodingError) as error:
+        raise RenewalRefused(f"this is not a renewal: {error}") from error
     identity = anchor.verify(chain, now)
-    issued, csr, _ = _renewal_read(_open(data, identity))
+    try:
+        issued, csr, _ = _read_renewal(PROFILE.open(data, identity.public_key, limit=MAX_RENEWAL))
+    except (SignatureError, EncodingError) as error:
+        raise RenewalRefused(
+            f"the renewal is not signed by {identity.name}: {error}", "renew on the node that has the key"
+        ) from error
+    # 2. The old identity counts, now, and asks for its own name.
     for key in identity.keys:
         check(key, now)
     if not now - MAX_AGE <= issued <= now + MAX_AGE:
@@ -474,11 +471,7 @@ def open_renewal(data: bytes, anchor: TrustAnchor, now: int, check: Callable[[by
             f"{identity.name} requests the identity of {request.name}",
             "a node renews its own name; for another one it must be enrolled",
         )
-    _check_due(identity, now)
-    return Renewal(identity, request, csr)
-
-
-def _check_due(identity: Identity, now: int) -> None:
+    # 3. At least half of its lifetime is over.
     began = signed_at(identity.not_before, identity.not_after)
     half = began + (identity.not_after - began) // 2
     if now < half:
@@ -487,25 +480,10 @@ def _check_due(identity: Identity, now: int) -> None:
             "possible after half its lifetime; before that, where the authority is:"
             f" rossec ca renew {identity.name}",
         )
+    return Renewal(identity, request, csr)
 
 
-def _peek(data: bytes) -> Value:
-    try:
-        return PROFILE.peek(data, limit=MAX_RENEWAL)
-    except (SignatureError, EncodingError) as error:
-        raise RenewalRefused(f"this is not a renewal: {error}") from error
-
-
-def _open(data: bytes, identity: Identity) -> Value:
-    try:
-        return PROFILE.open(data, identity.public_key, limit=MAX_RENEWAL)
-    except (SignatureError, EncodingError) as error:
-        raise RenewalRefused(
-            f"the renewal is not signed by {identity.name}: {error}", "renew on the node that has the key"
-        ) from error
-
-
-def _renewal_read(value: Value) -> tuple[int, bytes, tuple[bytes, ...]]:
+def _read_renewal(value: Value) -> tuple[int, bytes, tuple[bytes, ...]]:
     match value:
         case {6: int() as issued, -70021: bytes() as csr, -70022: list() as items, **rest} if (
             not rest and not isinstance(issued, bool) and 1 <= len(items) <= MAX_CHAIN

@@ -9,7 +9,7 @@ an attacker's regular expression).
 import math
 from collections.abc import Iterable
 from io import BytesIO
-from typing import Any, Final, NoReturn, TypeAlias
+from typing import Any, Final, NoReturn, TypeAlias, TypeGuard
 
 import cbor2
 
@@ -19,6 +19,7 @@ Value: TypeAlias = "int | float | str | bytes | bool | list[Value] | dict[int | 
 
 MAX_SIZE: Final = 16 * 1024
 MAX_DEPTH: Final = 16
+NUMBER_LIMIT: Final = 1 << 53  # of the numbers in statements: exact also where numbers are floats
 _INT_LIMIT: Final = 1 << 64  # from here on cbor2 writes a bignum, which is a tag
 _PLAIN: Final = frozenset({str, bytes, bool, type(None)})  # these need no check
 # Tuples, made once: `isinstance` with a union costs three times as much.
@@ -50,6 +51,11 @@ _BUILT_IN_TAGS: Final = (
     43000,
     55799,
 )
+
+
+def is_number(value: object) -> TypeGuard[int]:
+    """Whether `value` may be a number of a statement: no boolean, not negative, below 2^53."""
+    return type(value) is int and 0 <= value < NUMBER_LIMIT
 
 
 def encode(value: Value) -> bytes:

@@ -21,9 +21,8 @@ from cryptography.x509.oid import ExtensionOID, SignatureAlgorithmOID
 
 from ca.errors import CertificateRefused, KeyRefused, NameRefused, RequestRefused
 from ca.keys.signing import Signer, X509Signer, require_p256, thumbprint
-from ca.names import check_domain, check_wildcard, parse_spiffe_id, refuse_alias, spiffe_id
+from ca.names import SCHEME, check_domain, check_wildcard, parse_spiffe_id, refuse_alias, spiffe_id
 
-SCHEME: Final = "spiffe://"
 MAX_CERTIFICATE: Final = 2048  # a leaf with the longest name has about 900 bytes
 # All that `cryptography` raises for malformed DER; some of these are not a ValueError.
 PARSE_ERRORS: Final = (

@@ -13,8 +13,7 @@ import struct
 from collections.abc import Iterable
 from enum import StrEnum
 from hashlib import sha256
-from types import ModuleType
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn, Self
+from typing import Any, Final, NamedTuple, NoReturn, Self
 
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric import ec
@@ -36,10 +35,6 @@ from ca.errors import (
     PasskeyUnknown,
     StatementRefused,
 )
-
-if TYPE_CHECKING:
-    from fido2 import webauthn
-
 
 MAX_CLIENT_DATA: Final = 4096
 
@@ -79,8 +74,7 @@ def check_client_data(data: bytes, ceremony: Ceremony, challenge: bytes, origin:
         raise OtherChallenge(
             "the passkey signed something else", "look at the page again: what it shows may have changed"
         )
-    found = value.get("origin")
-    if found != origin:
+    if (found := value.get("origin")) != origin:
         raise OtherOrigin(
             f"the passkey was used at {str(found)[:80]!a} instead of {origin}",
             "open the console by its own address, and register the phone there",
@@ -94,6 +88,7 @@ def base64url(data: bytes) -> str:
 
 
 def _parse(data: bytes) -> dict[str, Any]:
+    # Strict JSON. Unknown keys are allowed: browsers add some on purpose (section 5.8.1).
     if len(data) > MAX_CLIENT_DATA:
         raise _malformed(f"{len(data)} bytes of client data")
     try:
@@ -117,7 +112,7 @@ def _refuse_constant(name: str) -> NoReturn:
 
 
 def _malformed(what: str) -> AssertionMalformed:
-    return AssertionMalformed(f"the browser sent {what}", "try again, or with another browser")
+    return AssertionMalformed(f"the browser sent {what}", _HINT)
 
 
 class AuthenticatorData(NamedTuple):
@@ -199,9 +194,7 @@ def verify(assertion: Assertion, passkey: Passkey, challenge: bytes, counter: in
             "if it was used once only, somebody has a copy: remove it, and register a new one",
         )
     if len(assertion.signature) > MAX_SIGNATURE:
-        raise AssertionMalformed(
-            f"a signature of {len(assertion.signature)} bytes", "try again, or with another browser"
-        )
+        raise AssertionMalformed(f"a signature of {len(assertion.signature)} bytes", _HINT)
     signed = assertion.authenticator_data + sha256(assertion.client_data).digest()
     try:
         read_key(passkey.cose_key).verify(assertion.signature, signed, ec.ECDSA(SHA256()))
@@ -219,7 +212,7 @@ def counter_of(authenticator_data: bytes) -> int:
 
 
 class Purpose(StrEnum):
-    """What a challenge is for."""
+    """What a challenge is for: not the first field of any statement, so none is taken for another."""
 
     LOGIN = "rossec-login-v1"
     PASSKEY = "rossec-passkey-v1"
@@ -256,26 +249,29 @@ def register(
     attestation = registration.attestation
     if len(attestation) > MAX_ATTESTATION:
         raise AssertionMalformed(f"{len(attestation)} bytes of attestation", _REGISTRATION_HINT)
-    library = _library()
+    try:  # browsers encode this object in different orders, so a library parses it
+        from fido2 import webauthn  # noqa: PLC0415  (an extra)
+    except ImportError:
+        raise ConsoleExtraMissing(
+            "passkeys need the package fido2", "pip install 'rossec[console]'"
+        ) from None
+    # No attestation is asked for, and one that comes is not read: it would say who made the device.
     try:
-        data: webauthn.AuthenticatorData = library.AttestationObject(attestation).auth_data
+        data = webauthn.AttestationObject(attestation).auth_data
     except _MALFORMED as error:
         raise AssertionMalformed("an attestation of an unknown form", _REGISTRATION_HINT) from error
-    parsed = data
-    AuthenticatorData.read(bytes(parsed)).check(challenge.rp_id)
-    found = parsed.credential_data
+    AuthenticatorData.read(bytes(data)).check(challenge.rp_id)
+    found = data.credential_data
     if found is None or not 0 < len(found.credential_id) <= MAX_CREDENTIAL:
         raise PasskeyRefused("the device made no passkey", _REGISTRATION_HINT)
-    return Passkey(
-        found.credential_id,
-        check_passkey_name(name),
-        _key(found),
-        bytes(found.aaguid),
-        challenge.rp_id,
-        challenge.origin,
-        approval,
-        at,
-    )
+    name = check_passkey_name(name)
+    try:
+        key = encode(dict(found.public_key))  # in one form, not as it came
+    except (EncodingError, TypeError) as error:
+        raise AssertionMalformed("the device's key is of an unknown form", _REGISTRATION_HINT) from error
+    read_key(key)
+    aaguid, rp_id, origin = bytes(found.aaguid), challenge.rp_id, challenge.origin
+    return Passkey(found.credential_id, name, key, aaguid, rp_id, origin, approval, at)
 
 
 def to_approve(passkey: Passkey) -> NewPasskey:
@@ -289,26 +285,6 @@ def check_passkey_name(name: str) -> str:
             f"the name of a phone has 1 to {MAX_NAME} printable characters", "for example: Ann's phone"
         )
     return name
-
-
-def _key(found: "webauthn.AttestedCredentialData") -> bytes:
-    try:
-        key = encode(dict(found.public_key))
-    except (EncodingError, TypeError) as error:
-        raise AssertionMalformed("the device's key is of an unknown form", _REGISTRATION_HINT) from error
-    read_key(key)
-    return key
-
-
-def _library() -> ModuleType:
-    # `fido2.webauthn`, which only the extra `console` installs.
-    try:
-        from fido2 import webauthn  # noqa: PLC0415
-    except ImportError:
-        raise ConsoleExtraMissing(
-            "passkeys need the package fido2", "pip install 'rossec[console]'"
-        ) from None
-    return webauthn
 
 
 class Approval(NamedTuple):
@@ -328,15 +304,8 @@ class Approval(NamedTuple):
     @classmethod
     def of(cls, statement: Statement, payload: bytes, assertion: Assertion, at: int) -> Self:
         """The approval of `statement` by `assertion`, not verified."""
-        return cls(
-            statement.id,
-            int(statement.kind),
-            statement.subject,
-            statement.to_bytes(),
-            payload,
-            *assertion,
-            at,
-        )
+        kind, data = int(statement.kind), statement.to_bytes()
+        return cls(statement.id, kind, statement.subject, data, payload, *assertion, at)
 
     @property
     def assertion(self) -> Assertion:

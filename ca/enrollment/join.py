@@ -177,6 +177,8 @@ def _message(fields: Value) -> JoinMessage | None:
         case [1, 13, bytes() as metadata, bytes() as proof]:
             fits = 0 < len(metadata) <= MAX_METADATA and len(proof) <= MAX_STATEMENT
             return Claim(metadata, proof) if fits else None
+        case _:
+            pass
     return _answer(fields)
 
 

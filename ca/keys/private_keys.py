@@ -30,9 +30,7 @@ from cryptography.hazmat.primitives.serialization import (
 
 from ca.errors import KeyRefused, PassphraseRefused, TokenRefused
 from ca.keys import ownership, passphrases
-from ca.keys.signing import require_p256, thumbprint
-
-__all__ = ["generate", "load_private", "thumbprint", "write_private"]
+from ca.keys.signing import require_p256
 
 _MAX_FILE: Final = 8 * 1024
 _ENCRYPTED: Final = b"-----BEGIN ENCRYPTED PRIVATE KEY-----"
@@ -67,7 +65,11 @@ def write_private(path: Path, key: ec.EllipticCurvePrivateKey, passphrase: str |
             file.write(pem)
             file.flush()
             os.fsync(file.fileno())
-        _sync_directory(path.parent)
+        directory = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            os.fsync(directory)
+        finally:
+            os.close(directory)
     except OSError as error:
         path.unlink(missing_ok=True)
         raise KeyRefused(
@@ -119,14 +121,6 @@ def _to_pem(key: ec.EllipticCurvePrivateKey, passphrase: str | None) -> bytes:
     text = base64.b64encode(passphrases.encrypt(plain, passphrase.encode(), salt=salt, iv=iv))
     lines = [text[start : start + 64] for start in range(0, len(text), 64)]
     return b"\n".join([_ENCRYPTED, *lines, _END, b""])
-
-
-def _sync_directory(directory: Path) -> None:
-    descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def _read(path: Path) -> bytes:
@@ -195,7 +189,7 @@ class TokenSigner:
     def __init__(self, session: Any, key: Any, public_key: ec.EllipticCurvePublicKey) -> None:
         self._session = session
         self._key = key
-        self._public_key = public_key
+        self.public_key = public_key
 
     @classmethod
     def open(cls, uri: KeyUri, pin: str) -> Self:
@@ -213,7 +207,14 @@ class TokenSigner:
             ) from error
         if extractable:
             raise KeyRefused(f"the key {uri.object} is extractable from its token", "create one that is not")
-        return cls(session, key, _public(uri, point))
+        wrong = f"the key {uri.object} is not a P-256 key", "make one with rossec ca init DOMAIN"
+        if not point.startswith(_OCTET_STRING):
+            raise KeyRefused(*wrong)
+        try:
+            found = require_p256(ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), point[2:]))
+        except ValueError as error:
+            raise KeyRefused(*wrong) from error
+        return cls(session, key, found)
 
     @classmethod
     def create(cls, uri: KeyUri, pin: str) -> Self:
@@ -244,10 +245,6 @@ class TokenSigner:
         session.close()
         return cls.open(uri, pin)
 
-    @property
-    def public_key(self) -> ec.EllipticCurvePublicKey:
-        return self._public_key
-
     def sign(self, message: bytes) -> bytes:
         """ES256 over `message`: 64 bytes, r || s (RFC 9053 section 2.1)."""
         pkcs11 = _library()
@@ -275,7 +272,11 @@ def _session(uri: KeyUri, pin: str) -> Any:
     if not os.path.exists(uri.module):  # noqa: PTH110  (the module is loaded by this very path)
         raise TokenRefused(f"there is no PKCS#11 module at {uri.module}", "name it: ?module-path=")
     try:
-        return _log_in(pkcs11.lib(uri.module).get_token(token_label=uri.token), pin)
+        token = pkcs11.lib(uri.module).get_token(token_label=uri.token)
+        try:
+            return token.open(rw=True, user_pin=pin)
+        except pkcs11.exceptions.UserAlreadyLoggedIn:
+            return token.open(rw=True)
     except pkcs11.exceptions.NoSuchToken as error:
         raise TokenRefused(f"there is no token {uri.token}", _LIST_HINT) from error
     except pkcs11.exceptions.PinIncorrect as error:
@@ -284,24 +285,6 @@ def _session(uri: KeyUri, pin: str) -> Any:
         ) from error
     except pkcs11.exceptions.PKCS11Error as error:
         raise TokenRefused(f"the token {uri.token} cannot be opened{_reason(error)}", _LIST_HINT) from error
-
-
-def _log_in(token: Any, pin: str) -> Any:
-    try:
-        return token.open(rw=True, user_pin=pin)
-    except _library().exceptions.UserAlreadyLoggedIn:
-        return token.open(rw=True)
-
-
-def _public(uri: KeyUri, point: bytes) -> ec.EllipticCurvePublicKey:
-    if not point.startswith(_OCTET_STRING):
-        raise KeyRefused(f"the key {uri.object} is not a P-256 key", "make one with rossec ca init DOMAIN")
-    try:
-        return require_p256(ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), point[2:]))
-    except ValueError as error:
-        raise KeyRefused(
-            f"the key {uri.object} is not a P-256 key", "make one with rossec ca init DOMAIN"
-        ) from error
 
 
 def _fields(text: str, separator: str) -> dict[str, str]:

@@ -33,14 +33,13 @@ _COORDINATE: Final = 32
 _HEAD: Final = bytes.fromhex("a40102200121 5820")
 _BETWEEN: Final = bytes.fromhex("225820")
 
-_ES256: Final = ec.ECDSA(hashes.SHA256())
+_ECDSA: Final = ec.ECDSA(hashes.SHA256())
 
 Buffer: TypeAlias = bytes | bytearray | memoryview
 
 _SIGN1_TAG: Final = b"\xd2"  # tag 18, RFC 9052 section 2
 _ALG, _CRIT, _TYP = 1, 2, 16  # RFC 9052 section 3.1; typ: RFC 9596
 _COSE_ES256: Final = -7
-_ECDSA: Final = ec.ECDSA(hashes.SHA256())
 _BYTES: Final = 0x40  # major type 2
 _SIGNATURE_HEAD: Final = b"\x58\x40"  # a byte string of 64 bytes
 _HEAD_SIZES: Final = {0x58: 2, 0x59: 3, 0x5A: 5}  # bytes; shorter strings have a head of one byte
@@ -106,12 +105,15 @@ class KeySigner:
 
     def sign(self, message: bytes) -> bytes:
         """ES256 over `message`: 64 bytes, r || s (RFC 9053 section 2.1)."""
-        r, s = decode_dss_signature(self._key.sign(message, _ES256))
+        r, s = decode_dss_signature(self._key.sign(message, _ECDSA))
         return r.to_bytes(_COORDINATE) + s.to_bytes(_COORDINATE)
 
 
 class X509Signer(ec.EllipticCurvePrivateKey):
-    """A P-256 private key for the builders of `cryptography.x509`, over a `Signer`."""
+    """A P-256 private key for the builders of `cryptography.x509`, over a `Signer`.
+
+    They require one of the library's classes; a subclass that forwards `sign` is enough.
+    """
 
     def __init__(self, signer: Signer) -> None:
         self._signer = signer
@@ -136,11 +138,9 @@ class X509Signer(ec.EllipticCurvePrivateKey):
         return 256
 
     def exchange(self, algorithm: ec.ECDH, peer_public_key: ec.EllipticCurvePublicKey) -> NoReturn:
-        """Refused: a `Signer` only signs."""
         raise NotImplementedError("a Signer only signs")
 
     def private_numbers(self) -> NoReturn:
-        """Refused: a `Signer` does not expose its key."""
         raise NotImplementedError("a Signer does not expose its key")
 
     def private_bytes(
@@ -149,7 +149,6 @@ class X509Signer(ec.EllipticCurvePrivateKey):
         format: PrivateFormat,  # noqa: A002  (the name the library gave it)
         encryption_algorithm: KeySerializationEncryption,
     ) -> NoReturn:
-        """Refused: a `Signer` does not expose its key."""
         raise NotImplementedError("a Signer does not expose its key")
 
     def __copy__(self) -> "X509Signer":
