@@ -10,7 +10,7 @@ change must be read inside `transaction`, which excludes every other command unt
 import os
 import re
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final, Self
@@ -41,29 +41,6 @@ _FAULTS: Final[dict[int, tuple[str, str]]] = {
 APPLICATION_ID: Final = 0x524F5343  # "ROSC"
 VERSION: Final = 6
 _RESTORE_HINT: Final = "restore a backup of your own, and find out who made this one"
-APPEND_ONLY: Final = ("certificate", "grant_", "revocation", "list", "head", "log")  # of version 1
-ANSWERS: Final = "answer"  # of version 2, and append-only as well
-DECISIONS: Final = (  # of version 3, all append-only
-    "grant_request",
-    "decision",
-    "policy_grant",
-    "invitation",
-    "invitation_use",
-    "invitation_end",
-)
-APPROVALS: Final = (  # of version 4, all append-only
-    "passkey",
-    "passkey_end",
-    "approval",
-    "approval_end",
-)
-DOMAINS: Final = (  # of version 5, all append-only
-    "foreign_domain",
-    "foreign_domain_end",
-    "domain_list",
-    "foreign_certificate",
-)
-THINGS: Final = ("thing",)  # of version 6, append-only
 _APPROVAL: Final = (
     "id, kind, subject, statement, payload, passkey, client_data, authenticator_data, signature, at"
 )
@@ -196,6 +173,7 @@ VERSION_6: Final = (
     ) STRICT""",
 )
 _TABLES: Final = (*VERSION_1, *VERSION_2, *VERSION_3, *VERSION_4, *VERSION_5, *VERSION_6)
+_MIGRATIONS: Final = {4: VERSION_4, 5: VERSION_5, 6: VERSION_6}  # that only add tables
 _NO_CHANGE: Final = """
 CREATE TRIGGER {table}_no_{verb} BEFORE {verb} ON {table}
 BEGIN SELECT RAISE(ABORT, 'the record is append-only'); END;
@@ -225,6 +203,8 @@ _SAVEPOINT: Final = ("SAVEPOINT part", "RELEASE part", ("ROLLBACK TO part", "REL
 
 
 def fault(path: Path, error: sqlite3.Error) -> StoreError:
+    # Only what SQLite reports as corrupt is called damaged, and must be restored: a backup lacks the
+    # revocations made since (https://sqlite.org/rescode.html).
     code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF  # the primary code
     if code in _DAMAGED:
         return RecordUnusable(f"{path} is damaged: {error}", "restore it from a backup, with --list")
@@ -244,9 +224,7 @@ def _is_full(directory: Path) -> bool:
 
 
 def create(db: sqlite3.Connection) -> None:
-    append_only = (*APPEND_ONLY, ANSWERS, *DECISIONS, *APPROVALS, *DOMAINS, *THINGS)
-    for statement in (*_TABLES, *append_only_triggers(append_only)):
-        db.execute(statement)
+    _create_tables(db, _TABLES)
     for statement in request_triggers():
         db.execute(statement)
     db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
@@ -289,18 +267,14 @@ def version(db: sqlite3.Connection) -> int:
 
 def check(db: sqlite3.Connection) -> None:
     rows = db.execute("SELECT name, sql FROM sqlite_master WHERE type = 'table'")
-    found = {name: _normal(sql) for name, sql in rows}
+    found = {name: sql.split() for name, sql in rows}
     for statement in _TABLES:
         kind, name = statement.split()[1:3]
-        if kind == "TABLE" and found.get(name) != _normal(statement):
+        if kind == "TABLE" and found.get(name) != statement.split():
             raise StoreError(
                 f"the table {name} of the record differs from rossec's schema",
                 "restore it from a backup of your own, and find out who changed it",
             )
-
-
-def _normal(statement: str) -> str:
-    return " ".join(statement.split())
 
 
 def append_entry(
@@ -313,7 +287,18 @@ def append_entry(
     db.execute("INSERT INTO log VALUES (?, ?, ?, ?, ?, ?, ?)", (*entry, extend_peaks(peaks, entry)))
 
 
-def append_only_triggers(tables: tuple[str, ...]) -> Iterator[str]:
+def _create_tables(db: sqlite3.Connection, statements: Sequence[str]) -> None:
+    for statement in (*statements, *append_only_triggers(append_only(statements))):
+        db.execute(statement)
+
+
+def append_only(statements: Sequence[str]) -> list[str]:
+    """The tables among these that never change: all but that of requests for identities."""
+    made = [statement.split()[1:3] for statement in statements]
+    return [name for kind, name in made if kind == "TABLE" and name != "csr"]
+
+
+def append_only_triggers(tables: Iterable[str]) -> Iterator[str]:
     for table in tables:
         for verb in ("UPDATE", "DELETE"):
             yield _NO_CHANGE.format(table=table, verb=verb)
@@ -327,30 +312,26 @@ def request_triggers() -> tuple[str, str, str]:
 
 
 def migrate(db: sqlite3.Connection) -> None:
-    if version(db) == 1:
-        _to_version_2(db)
-        _finish(db, 2)
-    if version(db) == 2:
-        _to_version_3(db)
-        _finish(db, 3)
-    if version(db) == 3:
-        _add_tables(db, VERSION_4, APPROVALS)
-        _finish(db, 4)
-    if version(db) == 4:
-        _add_tables(db, VERSION_5, DOMAINS)
-        _finish(db, 5)
-    if version(db) == 5:
-        _add_tables(db, VERSION_6, THINGS)
-        _finish(db, 6)
+    for new in range(version(db) + 1, VERSION + 1):
+        if new == 2:
+            _to_version_2(db)
+        elif new == 3:
+            _to_version_3(db)
+        else:
+            _create_tables(db, _MIGRATIONS[new])
+        (at,) = db.execute("SELECT coalesce(max(at), 0) FROM log").fetchone()
+        append_entry(db, at, "migrated", "record", f"{new - 1} to {new}", b"")
+        db.execute(f"PRAGMA user_version = {new}")
 
 
 def _to_version_2(db: sqlite3.Connection) -> None:
+    # It made a tree of the log.
     old = db.execute("SELECT at, what, subject, detail FROM log ORDER BY number").fetchall()
     db.execute("DROP TABLE log")  # and its triggers with it
     if _has_table(db, "request"):  # requests for grants: the name is not theirs any more
         db.execute("ALTER TABLE request RENAME TO grant_request")
-    tables = ("log", "head", ANSWERS)
-    for statement in (*VERSION_2, *append_only_triggers(tables), *request_triggers()):
+    _create_tables(db, VERSION_2)
+    for statement in request_triggers():
         db.execute(statement)
     rows = {what: _rows_of(db, what) for what in _OF_VERSION_1}
     for number, (at, what, subject, detail) in enumerate(old):
@@ -364,10 +345,11 @@ def _to_version_2(db: sqlite3.Connection) -> None:
 
 
 def _to_version_3(db: sqlite3.Connection) -> None:
+    # It took the requests for grants and their answers into the log, which until then were tables of their
+    # own, and knows which grants came from a policy: those signed before count as made by hand.
     requests = _taken(db, "grant_request", "id, name, data, at")
     decisions = _taken(db, "decision", "request, right, pattern, answer, reason, at")
-    for statement in (*VERSION_3, *append_only_triggers(DECISIONS)):
-        db.execute(statement)
+    _create_tables(db, VERSION_3)
     for row in requests:
         db.execute("INSERT INTO grant_request VALUES (?, ?, ?, ?)", row)
         append_entry(db, row[3], "grant request", row[1], row[0].hex(), digest_of(row))
@@ -378,11 +360,6 @@ def _to_version_3(db: sqlite3.Connection) -> None:
         append_entry(db, row[5], "decision", subject, f"{row[3]} {row[2]}", digest_of(row))
 
 
-def _add_tables(db: sqlite3.Connection, statements: tuple[str, ...], append_only: tuple[str, ...]) -> None:
-    for statement in (*statements, *append_only_triggers(append_only)):
-        db.execute(statement)
-
-
 def _taken(db: sqlite3.Connection, table: str, columns: str) -> list[tuple[Any, ...]]:
     # The rows of a table that may not be there, oldest first; the table is dropped.
     if not _has_table(db, table):
@@ -390,12 +367,6 @@ def _taken(db: sqlite3.Connection, table: str, columns: str) -> list[tuple[Any, 
     rows = db.execute(f"SELECT {columns} FROM {table} ORDER BY rowid").fetchall()  # noqa: S608  (constants)
     db.execute(f"DROP TABLE {table}")  # and its triggers with it
     return rows
-
-
-def _finish(db: sqlite3.Connection, version: int) -> None:
-    (at,) = db.execute("SELECT coalesce(max(at), 0) FROM log").fetchone()
-    append_entry(db, at, "migrated", "record", f"{version - 1} to {version}", b"")
-    db.execute(f"PRAGMA user_version = {version}")
 
 
 def _has_table(db: sqlite3.Connection, name: str) -> bool:
@@ -449,7 +420,10 @@ class Database:
         try:
             _check_kind(database.connection, path)
             _configure(database.connection)
-            database._migrate()
+            if version(database.connection) != VERSION:
+                with database.transaction() as db:
+                    migrate(db)
+            check(database.connection)
         except (sqlite3.Error, StoreError) as error:
             database.close()
             if isinstance(error, StoreError):
@@ -467,8 +441,12 @@ class Database:
         except sqlite3.Error as error:
             raise fault(self._path, error) from error
 
+    def logged(self, what: str, clause: str = "ORDER BY rowid", *values: object) -> list[Any]:
+        """The rows about which log entries of the kind `what` are, with the columns of the digest."""
+        table, columns = LOGGED_TABLES[what]
+        return self.rows(f"SELECT {columns} FROM {table} {clause}", *values)  # noqa: S608  (constants)
+
     def rows(self, query: str, *values: object) -> list[Any]:
-        """The rows that `query` selects."""
         try:
             return self.connection.execute(query, values).fetchall()
         except sqlite3.Error as error:
@@ -524,12 +502,6 @@ class Database:
             yield
         finally:
             self.connection.execute("ROLLBACK")
-
-    def _migrate(self) -> None:
-        if version(self.connection) != VERSION:
-            with self.transaction() as db:
-                migrate(db)
-        check(self.connection)
 
 
 def _connect(path: Path) -> sqlite3.Connection:

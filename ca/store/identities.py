@@ -43,7 +43,6 @@ from ca.store.values import (
 )
 from ca.svid import IdentityRequest
 
-_COLUMNS = "serial, name, thumbprint, der, not_before, not_after"
 _BEGINS = "(name >= ? AND name < ?)"  # by the index on names, where substr() reads every row
 
 _REQUESTS_COLUMNS = (
@@ -55,7 +54,6 @@ _RETENTION = " ".join(f"WHEN '{state}' THEN {kept}" for state, kept in RETENTION
 # A row in an unknown state is read, and refused: it must not be taken for an expired one.
 _EXPIRES = f"changed + CASE state {_RETENTION} ELSE {1 << 53} END"
 
-_INVITATIONS_COLUMNS = "id, key, pattern, uses, wildcard, expires, at"
 
 _AGAIN = "make another: rossec ca invite PATTERN"
 
@@ -197,7 +195,7 @@ class IdentityTable:
         )
 
     def _find(self, clause: str, *values: object) -> list[CertificateRow]:
-        rows = self._database.rows(f"SELECT {_COLUMNS} FROM certificate {clause}", *values)  # noqa: S608  (constants)
+        rows = self._database.logged("certificate", clause, *values)
         return [CertificateRow(int.from_bytes(serial), *rest) for serial, *rest in rows]
 
 
@@ -226,17 +224,8 @@ class RequestTable:
             self._check_new(request, source, now)
             if stored is not None:  # it expired, and is asked anew
                 _delete(db, stored, now)
-            row = RequestRow(
-                request.digest,
-                request.name,
-                request.thumbprint,
-                der,
-                source,
-                now,
-                RequestState.PENDING,
-                "",
-                now,
-            )
+            asked = request.digest, request.name, request.thumbprint, der
+            row = RequestRow(*asked, source, now, RequestState.PENDING, "", now)
             db.execute("INSERT INTO csr VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", row)
             append_entry(db, now, RequestState.PENDING, row.name, source, row.digest)
         return row
@@ -278,7 +267,7 @@ class RequestTable:
                 if other.name == row.name and other.thumbprint != row.thumbprint:
                     raise NameContested(
                         f"two different keys request the name {row.name}",
-                        f"compare fingerprints, then deny the other: rossec ca deny {_short(other)}",
+                        f"compare fingerprints, then deny the other: rossec ca deny {other.digest.hex()[:8]}",
                     )
             self._identities.check_names(
                 row.name, row.thumbprint, now, lambda other: covers(row.name, other, wildcard=wildcard)
@@ -357,10 +346,6 @@ def _update(db: sqlite3.Connection, row: RequestRow) -> None:
     append_entry(db, row.changed, row.state, row.name, "; ".join(filter(None, details)), row.digest)
 
 
-def _short(row: RequestRow) -> str:
-    return row.digest.hex()[:8]
-
-
 class InvitationRow(NamedTuple):
     """An invitation: nodes whose names `pattern` covers may join, `uses` of them, until `expires`.
 
@@ -410,11 +395,8 @@ class InvitationTable:
         return found[0]
 
     def uses(self, id: bytes) -> list[InvitationUse]:  # noqa: A002 - as in the row
-        query = (
-            "SELECT invitation, request, name, thumbprint, at FROM invitation_use"
-            " WHERE invitation = ? ORDER BY rowid"
-        )
-        return [InvitationUse(*row) for row in self._database.rows(query, id)]
+        rows = self._database.logged("join", "WHERE invitation = ? ORDER BY rowid", id)
+        return [InvitationUse(*row) for row in rows]
 
     def ended(self, id: bytes) -> str | None:  # noqa: A002 - as in the row
         rows = self._database.rows("SELECT reason FROM invitation_end WHERE invitation = ?", id)
@@ -460,8 +442,5 @@ class InvitationTable:
             raise InvitationRefused(f"the invitation has had its {row.uses} uses", _AGAIN)
 
     def _rows(self, clause: str, *values: object) -> list[InvitationRow]:
-        rows = self._database.rows(
-            f"SELECT {_INVITATIONS_COLUMNS} FROM invitation {clause}",  # noqa: S608  (constants)
-            *values,
-        )
+        rows = self._database.logged("invitation", clause, *values)
         return [InvitationRow(*row)._replace(wildcard=row[4] != 0) for row in rows]

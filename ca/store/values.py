@@ -9,7 +9,7 @@ elsewhere prevents the file's owner from rewriting the log.
 """
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, NamedTuple, NoReturn
@@ -17,8 +17,8 @@ from typing import Final, NamedTuple, NoReturn
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca import names, svid
-from ca.encoding import encode
-from ca.errors import EncodingError, LogDamaged, RequestClosed, SignatureError, StoreError
+from ca.encoding import encode, is_number
+from ca.errors import CAError, EncodingError, LogDamaged, RequestClosed, SignatureError, StoreError
 from ca.keys.signing import Profile, Signer
 from ca.revocation import merkle
 from ca.revocation.merkle import HASH_SIZE
@@ -36,8 +36,8 @@ KEPT_EXPIRED: Final = 1024  # expired requests that stay, whatever the clock say
 HEAD_PROFILE: Final = Profile("rossec-log+cwt")
 MAX_HEAD: Final = 512
 _IAT, _SIZE, _ROOT = 6, -70011, -70012
-_INT_LIMIT: Final = 1 << 53
 
+REPLAY_HINT: Final = "somebody changed the record: restore a backup, and find out who"
 _HINT: Final = "the record was changed: compare it with a backup, and trust neither until you know why"
 
 
@@ -177,7 +177,6 @@ class Head:
 
 
 def leaf(entry: LogEntry) -> bytes:
-    """The content of the entry's leaf."""
     return encode(list(entry))
 
 
@@ -215,25 +214,36 @@ def check_head(tree: merkle.Tree, head: Head) -> None:
         raise LogDamaged(f"the first {head.size} entries of the log are not those that were signed", _HINT)
 
 
+def replay(
+    entries: Iterable[LogEntry], steps: Mapping[str, Callable[[LogEntry], object]], refused: type[CAError]
+) -> None:
+    """Take the steps for the entries of these kinds, in their order; none may be refused."""
+    for entry in entries:
+        if (step := steps.get(entry.what)) is not None:
+            try:
+                step(entry)
+            except refused as error:
+                raise LogDamaged(f"log entry {entry.number}: {error}", REPLAY_HINT) from error
+
+
+def require(holds: bool, entry: LogEntry) -> None:
+    if not holds:
+        raise LogDamaged(f"log entry {entry.number} says {entry.what}, which cannot be", REPLAY_HINT)
+
+
 def sign_head(signer: Signer, head: Head) -> bytes:
-    """Sign `head` with the authority's key."""
     return HEAD_PROFILE.sign(signer, {_IAT: head.issued, _SIZE: head.size, _ROOT: head.root})
 
 
 def open_head(data: bytes, key: ec.EllipticCurvePublicKey) -> Head:
-    """Verify and read a head."""
     try:
         value = HEAD_PROFILE.open(data, key, limit=MAX_HEAD)
     except (SignatureError, EncodingError) as error:
         raise LogDamaged(f"this is not a signed head of the authority's log: {error}", _HINT) from error
     match value:
         case {6: int() as issued, -70011: int() as size, -70012: bytes() as root, **rest} if (
-            not rest and len(root) == HASH_SIZE and all(_in_range(n) for n in (issued, size))
+            not rest and len(root) == HASH_SIZE and is_number(issued) and is_number(size)
         ):
             return Head(size, root, issued)
         case _:
             raise LogDamaged("the head of the log has missing or unknown fields", _HINT)
-
-
-def _in_range(number: int) -> bool:
-    return not isinstance(number, bool) and 0 <= number < _INT_LIMIT

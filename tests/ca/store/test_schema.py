@@ -91,8 +91,8 @@ def test_a_set_of_other_ways_is_not_ours(record: sqlite3.Connection, ways: list[
 
 def test_every_process_makes_the_same_record() -> None:
     script = (
-        "import sqlite3; from ca.store import schema; db = sqlite3.connect(':memory:');"
-        "schema.create(db); print('\\n'.join(db.iterdump()))"
+        "import sqlite3; from ca.store import database; db = sqlite3.connect(':memory:');"
+        "database.create(db); print('\\n'.join(db.iterdump()))"
     )
     made = {
         subprocess.run(
