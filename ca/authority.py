@@ -169,7 +169,6 @@ class Authority:
 
 
 def create_root(signer: Signer, domain: str, *, now: int, serial: int) -> bytes:
-    """Return a new root certificate (DER) for `domain`, valid for ten years."""
     check_domain(domain)
     _check_serial(serial)
     key = require_p256(signer.public_key)

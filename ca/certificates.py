@@ -123,7 +123,6 @@ def own_end(name: str, end: int, now: int, seen: int) -> CertificateExpired:
 
 
 def everything_ended(domain: str, end: int, now: int) -> CertificateExpired:
-    """The refusal where the certificate of the authority itself is over: it lasts ten years."""
     return CertificateExpired(
         f"by this host's clock, which says {utc(now)}, everything of {domain!r} is over, the"
         f" authority's own certificate too, since {utc(end)}",
@@ -169,7 +168,6 @@ def policy(*, may_enroll: bool) -> x509.CertificatePolicies:
 
 
 def build_intermediate_request(signer: Signer, domain: str) -> bytes:
-    """Return a CSR (DER) for an intermediate of `domain` with the signer's key."""
     builder = request_builder(f"{SCHEME}{check_domain(domain)}")
     return svid.sign(builder, signer)
 
@@ -186,27 +184,22 @@ def check_intermediate_request(csr: bytes, domain: str) -> ec.EllipticCurvePubli
 class Identity:
     """The identity in a verified certificate. Times are inclusive, in seconds.
 
-    `thumbprint` names the key (32 bytes, RFC 9679), `certificate` is the DER as received, `issuers`
-    are the thumbprints of the intermediates in the chain: when one is revoked, so is this identity.
-    `not_after` is the earliest one of the chain below the anchor.
-    Grants and rules are for `name`; with `wildcard` it also covers anonymous nodes (`covers`).
     For a node of a foreign domain `name` is its alias here, `/remote/LABEL/...`, so that no
-    comparison of names can take it for a node of the own domain; `certified` is then the name in
-    its certificate, `root` the thumbprint of the foreign root (`ca.domains.trust` sets them).
+    comparison of names can take it for a node of the own domain (`ca.domains.trust` sets that).
     """
 
     domain: str
-    name: str
+    name: str  # which grants and rules are for
     public_key: ec.EllipticCurvePublicKey
-    thumbprint: bytes
+    thumbprint: bytes  # of the key (RFC 9679)
     not_before: int
-    not_after: int
+    not_after: int  # the earliest one of the chain below the anchor
     serial: int
-    certificate: bytes
-    wildcard: bool = False
-    issuers: tuple[bytes, ...] = ()
-    certified: str = ""
-    root: bytes = b""
+    certificate: bytes  # DER, as received
+    wildcard: bool = False  # it also covers anonymous nodes (`covers`)
+    issuers: tuple[bytes, ...] = ()  # thumbprints of intermediates: when one is revoked, so is this identity
+    certified: str = ""  # the name in a foreign node's certificate
+    root: bytes = b""  # the thumbprint of the foreign root
 
     @property
     def certified_name(self) -> str:
@@ -309,7 +302,6 @@ class TrustAnchor:
         return found
 
     def check_time(self, now: int) -> None:
-        """Return if the authority's own certificate is valid at `now`."""
         check_time(
             "authority's certificate",
             self.not_before,
@@ -377,7 +369,6 @@ def _read(domain: str, certificate: x509.Certificate, der: bytes) -> Identity:
 
 
 def to_pem(*certificates: bytes) -> bytes:
-    """Return DER certificates as one PEM bundle."""
     return b"".join(svid.parse(der).public_bytes(Encoding.PEM) for der in certificates)
 
 
@@ -399,8 +390,6 @@ def from_pem(data: bytes) -> tuple[bytes, ...]:
 
 @dataclass(frozen=True)
 class Renewal:
-    """A verified renewal: the current identity, and the request."""
-
     identity: Identity
     request: IdentityRequest
     csr: bytes

@@ -59,7 +59,6 @@ def is_number(value: object) -> TypeGuard[int]:
 
 
 def encode(value: Value) -> bytes:
-    """Encode `value` in its one deterministic form."""
     _check(value, MAX_DEPTH)
     return cbor2.dumps(value, canonical=True)
 

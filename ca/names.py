@@ -167,7 +167,6 @@ def check_wildcard(name: str) -> str:
 
 
 def spiffe_id(domain: str, name: str) -> str:
-    """Return `spiffe://<domain><name>`."""
     return f"{SCHEME}{check_domain(domain)}{check_name(name)}"
 
 
@@ -327,7 +326,6 @@ def origin_of(name: str) -> str:
 
 
 def is_alias(name: str) -> bool:
-    """Whether a name lies in `/remote`."""
     return name == REMOTE or name.startswith(_PREFIX)
 
 

@@ -280,7 +280,6 @@ class IdentityRequest:
 
 
 def build_request(signer: Signer, domain: str, name: str, *, wildcard: bool = False) -> bytes:
-    """Return a CSR (DER) for `name` in `domain` with the signer's key."""
     builder = request_builder(spiffe_id(domain, refuse_alias(name)))
     if wildcard:
         check_wildcard(name)

@@ -156,25 +156,17 @@ def read_key(cose_key: bytes) -> ec.EllipticCurvePublicKey:
 
 
 class Passkey(NamedTuple):
-    """A registered passkey.
-
-    `id` is its credential id, `cose_key` its public key as deterministic CBOR, `approval` the id of
-    the approval that added it, empty if the terminal did.
-    """
-
-    id: bytes
+    id: bytes  # its credential id
     name: str
-    cose_key: bytes
+    cose_key: bytes  # its public key as deterministic CBOR
     aaguid: bytes
     rp_id: str
     origin: str
-    approval: bytes
+    approval: bytes  # the id of the approval that added it; empty: the terminal did
     at: int
 
 
 class Assertion(NamedTuple):
-    """What `navigator.credentials.get` returned."""
-
     credential: bytes
     client_data: bytes
     authenticator_data: bytes
@@ -207,7 +199,6 @@ def verify(assertion: Assertion, passkey: Passkey, challenge: bytes, counter: in
 
 
 def counter_of(authenticator_data: bytes) -> int:
-    """The counter in recorded authenticator data."""
     return AuthenticatorData.read(authenticator_data).counter
 
 
@@ -235,8 +226,6 @@ class Challenge(NamedTuple):
 
 
 class Registration(NamedTuple):
-    """What the browser returned for a new passkey."""
-
     client_data: bytes
     attestation: bytes
 
@@ -325,10 +314,7 @@ class Approval(NamedTuple):
 
 
 class ApprovalVerifier:
-    """Verifies approvals, in the order in which they were made.
-
-    `counters`: those of the passkeys before, by credential id.
-    """
+    """Verifies approvals, in the order in which they were made; `counters`: those of the passkeys before."""
 
     def __init__(self, passkeys: Iterable[Passkey], counters: Iterable[tuple[bytes, int]] = ()) -> None:
         self._passkeys = {passkey.id: passkey for passkey in passkeys}

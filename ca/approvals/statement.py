@@ -59,14 +59,11 @@ class Grant(NamedTuple):
 
 
 class PolicyChange(NamedTuple):
-    """A policy file put in force: digests of the one before (zeros: none) and of the new one.
+    """A policy file put in force, by digests."""
 
-    `effect`: digest of the grants that it makes and revokes (`rossec.authority.policyfile`).
-    """
-
-    old: bytes
+    old: bytes  # of the file before; zeros: none
     new: bytes
-    effect: bytes
+    effect: bytes  # of the grants that it makes and revokes (`rossec.authority.policyfile`)
 
 
 class Delegate(NamedTuple):

@@ -90,7 +90,6 @@ class Card:
 
 
 def sign_card(signer: Signer, card: Card) -> bytes:
-    """Sign a card with the key of its root."""
     if thumbprint(signer.public_key) != card.anchor.thumbprint:
         raise CardRefused("the card is not about this authority", "an intermediate signs no cards")
     names: list[Value] = [*card.names]
@@ -140,8 +139,6 @@ def _texts(items: list[Value]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class ForeignDomain:
-    """One foreign domain, as far as it is trusted."""
-
     domain: str
     label: str  # what it is called here
     root: bytes  # its root certificate, DER
@@ -214,7 +211,6 @@ class DomainList:
 
 
 def sign_domains(signer: Signer, domains: DomainList, own_domain: str) -> bytes:
-    """Sign `domains` with the root key of `own_domain`."""
     _check_own(domains, own_domain, to_coordinates(signer.public_key))
     data = DOMAINS.sign(
         signer,
@@ -344,8 +340,6 @@ def _check_sorted(items: list[Any]) -> None:
 
 @dataclass(frozen=True)
 class ListedDomain:
-    """A foreign domain and its root, ready to verify with."""
-
     entry: ForeignDomain
     anchor: TrustAnchor
 

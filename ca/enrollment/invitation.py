@@ -84,8 +84,6 @@ MAX_CLAIM_SIZE: Final = _CLAIM_HEAD + MAX_STATEMENT + MAX_METADATA
 
 @dataclass(frozen=True)
 class InvitationCode:
-    """The content of a code."""
-
     root: bytes  # SHA-256 of the authority's root certificate (DER)
     secret: bytes = field(repr=False)  # 16 random octets, used for nothing else
     expires: int  # the last second at which it can be used
@@ -119,7 +117,6 @@ class InvitationCode:
 
     @property
     def id(self) -> bytes:
-        """The SHA-256 of `key`: the name of the invitation, not secret."""
         return sha256(self.key).digest()
 
     def check_time(self, now: int) -> None:
@@ -235,7 +232,6 @@ def check_live(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: byt
 
 
 def sign_proof(signer: Signer, transcript_hash: bytes, csr: bytes, name: str, metadata: bytes = b"") -> bytes:
-    """The node's proof of the secret; `signer` has the key derived from it."""
     return _PROOF.sign(signer, _asked(transcript_hash, csr, name, metadata))
 
 
@@ -252,7 +248,6 @@ def check_proof(
 
 
 def sign_claim(signer: Signer, transcript_hash: bytes, metadata: bytes) -> bytes:
-    """The node's proof of the secret, to be told its name by metadata."""
     return _CLAIM.sign(signer, [transcript_hash, _digest(metadata)])
 
 
@@ -280,18 +275,14 @@ def _digest(data: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class JoinRequest:
-    """A node's request to join: the invitation's id, the transcript, what is asked, the proof.
+    """A node's request to join; everything is untrusted until `verify`."""
 
-    `csr` is DER of at most 2048 octets, `name` is ASCII, `metadata` are empty if the node chose its
-    name itself; everything is untrusted until `verify`.
-    """
-
-    invitation: bytes
+    invitation: bytes  # its id
     transcript: bytes
-    name: str
-    csr: bytes
+    name: str  # ASCII
+    csr: bytes  # DER
     proof: bytes
-    metadata: bytes = b""
+    metadata: bytes = b""  # empty: the node chose its name itself
 
     def __post_init__(self) -> None:
         exact = len(self.invitation) == ID_SIZE and len(self.transcript) == _DIGEST_SIZE

@@ -50,29 +50,21 @@ _CLOCK: Final = "check this computer's clock; if it is right, at the authority: 
 
 
 class WaitReason(IntEnum):
-    """Why a request waits."""
-
     LOCKED = 1
     PERSON = 2
 
 
 class RefuseReason(IntEnum):
-    """Why a join was refused. A peer that did not prove the secret is told REFUSED or BUSY.
+    """Why a join was refused. A peer that did not prove the secret is told REFUSED or BUSY."""
 
-    REFUSED: no such invitation, or the proof is wrong; ENDED: it has expired, was ended or is used
-    up; NAME: it does not allow the name; REQUEST: the request is invalid; DENIED: a person denied
-    it, or its key is revoked; BUSY: too many at once. Only where there are metadata: UNNAMED: the
-    authority has no rules for names; METADATA: its rules give no name for them.
-    """
-
-    REFUSED = 1
-    ENDED = 2
-    NAME = 3
-    REQUEST = 4
-    DENIED = 5
-    BUSY = 6
-    UNNAMED = 7
-    METADATA = 8
+    REFUSED = 1  # no such invitation, or the proof is wrong
+    ENDED = 2  # it has expired, was ended or is used up
+    NAME = 3  # it does not allow the name
+    REQUEST = 4  # the request is invalid
+    DENIED = 5  # by a person, or its key is revoked
+    BUSY = 6  # too many at once
+    UNNAMED = 7  # metadata, but the authority has no rules for names
+    METADATA = 8  # its rules give no name for them
 
 
 @dataclass(frozen=True)
@@ -91,15 +83,12 @@ class Welcome:
 
 @dataclass(frozen=True)
 class Join:
-    """Node to authority: the name, the request (CSR, DER), and the proof of the secret.
-
-    With `metadata` the authority issues only the name that its rules give for them.
-    """
+    """Node to authority: the name, the request (CSR, DER), and the proof of the secret."""
 
     name: str
     csr: bytes
     proof: bytes
-    metadata: bytes = b""
+    metadata: bytes = b""  # with them the authority issues only the name that its rules give
 
 
 @dataclass(frozen=True)
@@ -295,8 +284,6 @@ class JoinedIdentity:
 
 
 class NodeJoin:
-    """One session of one node with the authority of an invitation; used once."""
-
     def __init__(self, code: InvitationCode, nonce: bytes) -> None:
         if len(nonce) != NONCE_SIZE:
             raise EnrollmentRefused(f"a nonce has {NONCE_SIZE} octets")
@@ -446,8 +433,6 @@ def _live_identity(anchor: TrustAnchor, chain: tuple[bytes, ...], now: int) -> I
 
 
 class AuthorityJoinState(Enum):
-    """The state of one session, at the authority."""
-
     GREETING = "waiting for a node"
     WELCOMED = "waiting for the request"
     NAMING = "a name is being found"
@@ -482,8 +467,6 @@ class LiveIdentity:
 
 
 class AuthorityJoin:
-    """One session with one node; used once."""
-
     def __init__(self, identity: LiveIdentity, nonce: bytes) -> None:
         if len(nonce) != NONCE_SIZE:
             raise EnrollmentRefused(f"a nonce has {NONCE_SIZE} octets")

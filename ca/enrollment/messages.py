@@ -43,16 +43,12 @@ class Delivery:
 
 @dataclass(frozen=True)
 class Offer:
-    """Authority to node: the node's identity and its trust anchor.
+    """Authority to node: the node's identity and its trust anchor."""
 
-    `chain` is the node's certificate and at most one intermediate (DER), `root` the trust anchor.
-    `tag` proves that the sender has read the code; for label codes it is empty.
-    """
-
-    chain: tuple[bytes, ...]
+    chain: tuple[bytes, ...]  # the node's certificate and at most one intermediate (DER)
     root: bytes
     nonce: bytes
-    tag: bytes
+    tag: bytes  # proves that the sender has read the code; empty for label codes
 
 
 @dataclass(frozen=True)
@@ -113,7 +109,6 @@ def frame(message: bytes) -> bytes:
 
 
 def length(header: bytes) -> int:
-    """The length in a frame's first four octets."""
     size = int.from_bytes(header)
     if not 0 < size <= MAX_MESSAGE:
         raise EnrollmentMessageRefused(f"a message of {size} octets where 1 to {MAX_MESSAGE} are allowed")

@@ -172,15 +172,12 @@ def _printed(text: str) -> segno.QRCode:
 
 @dataclass(frozen=True)
 class Label:
-    """One label: the node's name, its key's fingerprint, the text of its code."""
-
     name: str
     fingerprint: str
     text: str
 
 
 def sheet(labels: Sequence[Label]) -> str:
-    """The labels as one HTML page, to be printed without scaling."""
     pages = []
     for start in range(0, len(labels), PER_PAGE):
         drawn = (_label(at, label) for at, label in enumerate(labels[start : start + PER_PAGE]))

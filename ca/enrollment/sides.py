@@ -98,7 +98,6 @@ def digits(transcript_hash: bytes, contribution: bytes) -> str:
 
 
 def group_digits(six: str) -> str:
-    """The digits in two groups: `123 456`."""
     return f"{six[:3]} {six[3:]}"
 
 
@@ -146,8 +145,6 @@ def _digest(data: bytes) -> bytes:
 
 
 class NodeState(Enum):
-    """The state of one enrollment, at the node."""
-
     SHOWING = "waiting for an offer"
     PENDING = "waiting for confirmation"
     CONFIRMED = "confirmed"
@@ -179,8 +176,6 @@ class Pending:
 
 
 class NodeEnrollment:
-    """One enrollment of one node; used once."""
-
     def __init__(
         self,
         signer: Signer,
@@ -338,8 +333,6 @@ class NodeEnrollment:
 
 
 class AuthorityState(Enum):
-    """The state of one enrollment, at the authority."""
-
     FETCHING = "fetching the request"
     COMPARED = "request verified"
     APPROVED = "approved"

@@ -88,7 +88,6 @@ def digest(data: bytes) -> bytes:
 
 
 def sign_list(signer: Signer, revocations: RevocationList) -> bytes:
-    """Sign `revocations` with the authority's key."""
     _check_list(revocations)
     entries: list[Value] = [*sorted(revocations.entries)]
     return LIST_PROFILE.sign(
@@ -119,7 +118,6 @@ def open_list(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationList:
 
 
 def sign_timestamp(signer: Signer, timestamp: Timestamp) -> bytes:
-    """Sign `timestamp` with the master's key."""
     _check_timestamp(timestamp)
     return TIMESTAMP_PROFILE.sign(
         signer,
@@ -216,7 +214,6 @@ def is_tree(data: bytes) -> bool:
 
 
 def sign_tree(signer: Signer, tree: RevocationTree) -> bytes:
-    """Sign `tree` with the authority's key."""
     return TREE.sign(
         signer,
         {
@@ -293,7 +290,6 @@ class TreeEntries:
 
     @classmethod
     def read(cls, data: bytes) -> "TreeEntries":
-        """Read what `encoded` wrote."""
         return finished(cls.reading(data))
 
     @classmethod
@@ -333,7 +329,6 @@ class TreeEntries:
         return len(self._entries), self._tree.root()
 
     def check(self, tree: RevocationTree) -> None:
-        """Return if these are the entries of `tree`."""
         if self.size_and_root != (tree.size, tree.root):
             raise RevocationRefused(*_NOT_THOSE)
 

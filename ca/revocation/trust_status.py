@@ -98,7 +98,6 @@ class Revocations:
         return list(self._unproved)
 
     def add_proof(self, entry: bytes, proof: bytes) -> None:
-        """Add the proof that `entry` is in the current tree, or is not."""
         if not isinstance(self.current, RevocationTree):
             return  # replaced by a list meanwhile, which needs no proofs
         revoked = is_revoked(self.current, check_entry(entry), proof)
@@ -209,7 +208,6 @@ class Revocations:
 
 
 def open_statement(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationList | RevocationTree:
-    """Verify and read a list or a tree."""
     return open_tree(data, ca_key) if is_tree(data) else open_list(data, ca_key)
 
 

@@ -333,7 +333,10 @@ def _to_version_2(db: sqlite3.Connection) -> None:
     _create_tables(db, VERSION_2)
     for statement in request_triggers():
         db.execute(statement)
-    rows = {what: _rows_of(db, what) for what in _OF_VERSION_1}
+    rows: dict[str, Iterator[Any]] = {}
+    for what in _OF_VERSION_1:
+        table, columns = LOGGED_TABLES[what]
+        rows[what] = iter(db.execute(f"SELECT {columns} FROM {table} ORDER BY rowid").fetchall())  # noqa: S608  (constants)
     for number, (at, what, subject, detail) in enumerate(old):
         row = next(rows.get(what, iter(())), None)
         if row is None:
@@ -374,14 +377,7 @@ def _has_table(db: sqlite3.Connection, name: str) -> bool:
     return db.execute(query, (name,)).fetchone() is not None
 
 
-def _rows_of(db: sqlite3.Connection, what: str) -> Iterator[tuple[int | str | bytes, ...]]:
-    table, columns = LOGGED_TABLES[what]
-    return iter(db.execute(f"SELECT {columns} FROM {table} ORDER BY rowid").fetchall())  # noqa: S608  (constants)
-
-
 class Database:
-    """An open database. Create it with `create` or `open`."""
-
     def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
         self.connection = connection
         self._path = path.absolute()
@@ -390,7 +386,6 @@ class Database:
 
     @classmethod
     def create(cls, path: Path) -> Self:
-        """Create a new, empty record, readable only by its owner."""
         try:
             os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR | os.O_CLOEXEC, 0o600))
         except OSError as error:
@@ -406,7 +401,6 @@ class Database:
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Open an existing record; an older version is migrated first."""
         if not path.is_file():
             raise StoreError(f"there is no record at {path}", "restore it from a backup")
         if path.stat().st_mode & 0o077:

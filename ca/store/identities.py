@@ -177,7 +177,6 @@ class IdentityTable:
             )
 
     def check_not_revoked(self, name: str, thumbprint: bytes) -> None:
-        # Return if the key `thumbprint` of `name` is not revoked.
         if self._database.rows("SELECT 1 FROM revocation WHERE entry = ?", thumbprint):
             raise StoreError(f"the key of {name} is revoked", "make a new key and request on the node")
 
@@ -221,7 +220,19 @@ class RequestTable:
             stored = self.find(request.digest)
             if stored is not None and now <= stored.expires:
                 return stored
-            self._check_new(request, source, now)
+            if self._identities.issued_for(request.digest) is not None:
+                raise RequestClosed(
+                    f"this request of {request.name} has its certificate already",
+                    f"see: rossec ca show {request.name}; for another: rossec ca renew {request.name}",
+                )
+            waiting = self.open(now)
+            joining = sum(row.source.startswith(JOINING) for row in waiting)
+            full = source.startswith(JOINING) and joining >= MAX_JOINING
+            if full or len(waiting) >= MAX_OPEN:
+                raise TooManyRequests(
+                    f"{MAX_OPEN} requests are pending, the maximum",
+                    "list them with: rossec ca requests, and deny unknown ones",
+                )
             if stored is not None:  # it expired, and is asked anew
                 _delete(db, stored, now)
             asked = request.digest, request.name, request.thumbprint, der
@@ -277,7 +288,6 @@ class RequestTable:
             return self._advance(approved, RequestState.APPROVED, now, reason)
 
     def deny(self, digest: bytes, now: int, reason: str = "") -> RequestRow:
-        # Deny a request, also an approved one that is not issued yet.
         with self._database.transaction():
             return self._advance(self.get(digest), RequestState.DENIED, now, reason)
 
@@ -302,21 +312,6 @@ class RequestTable:
         # All but the newest of those that expired, if they did so `COLLECTED_AFTER` ago.
         newest_first = f"WHERE {_EXPIRES} < ? ORDER BY changed DESC, rowid DESC LIMIT -1 OFFSET ?"
         return self._rows(newest_first, now - COLLECTED_AFTER, KEPT_EXPIRED)
-
-    def _check_new(self, request: IdentityRequest, source: str, now: int) -> None:
-        if self._identities.issued_for(request.digest) is not None:
-            raise RequestClosed(
-                f"this request of {request.name} has its certificate already",
-                f"see: rossec ca show {request.name}; for another: rossec ca renew {request.name}",
-            )
-        waiting = self.open(now)
-        joining = sum(row.source.startswith(JOINING) for row in waiting)
-        full = source.startswith(JOINING) and joining >= MAX_JOINING
-        if full or len(waiting) >= MAX_OPEN:
-            raise TooManyRequests(
-                f"{MAX_OPEN} requests are pending, the maximum",
-                "list them with: rossec ca requests, and deny unknown ones",
-            )
 
     def _advance(self, row: RequestRow, state: RequestState, now: int, reason: str) -> RequestRow:
         moved = advance(row, state, now, reason)
@@ -347,17 +342,13 @@ def _update(db: sqlite3.Connection, row: RequestRow) -> None:
 
 
 class InvitationRow(NamedTuple):
-    """An invitation: nodes whose names `pattern` covers may join, `uses` of them, until `expires`.
+    """An invitation: nodes whose names `pattern` covers may join, `uses` of them, until `expires`."""
 
-    `key` is the public half of the key in its code (an uncompressed P-256 point, 65 bytes), `id`
-    the SHA-256 of `key`; `wildcard`: identities for anonymous nodes too.
-    """
-
-    id: bytes
-    key: bytes
+    id: bytes  # SHA-256 of `key`
+    key: bytes  # the public half of the key in its code: an uncompressed P-256 point
     pattern: str
     uses: int
-    wildcard: bool
+    wildcard: bool  # identities for anonymous nodes too
     expires: int
     at: int
 
@@ -426,7 +417,6 @@ class InvitationTable:
                 append_entry(db, now, "invitation ended", pattern, reason, digest_of(row))
 
     def end_all(self, reason: str, now: int) -> None:
-        # End every invitation that has not ended.
         # Also those that have expired: the clock may be ahead, and is set back some day.
         with self._database.transaction():
             for row in self.all():

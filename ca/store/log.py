@@ -270,8 +270,6 @@ class ApprovalState(StrEnum):
 
 
 class ApprovalEnd(NamedTuple):
-    """The end of an approval; `result` is one line about it."""
-
     approval: bytes
     state: str
     result: str

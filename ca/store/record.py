@@ -27,23 +27,16 @@ _OF_NODES = "name IN (SELECT value FROM json_each(?))"  # one pass, however many
 
 
 class Store:
-    """An open record. Create it with `create` or `open`.
-
-    `requests` are those for identities, `identities` what came of them, `log` what was done;
-    `passkeys` and `approvals` say who approved it; `domains` are the foreign ones that are trusted,
-    `things` the statements about constrained things.
-    """
-
     def __init__(self, database: Database) -> None:
         self.database = database
         self.transaction, self.close = database.transaction, database.close
         self.identities = IdentityTable(database)
-        self.requests = RequestTable(database, self.identities)
+        self.requests = RequestTable(database, self.identities)  # for identities
         self.invitations = InvitationTable(database)
         self.log = AuthorityLog(database)
         self.passkeys = PasskeyTable(database)
         self.approvals = ApprovalTable(database, self.passkeys, self.log)
-        self.domains = DomainTable(database)
+        self.domains = DomainTable(database)  # the foreign ones that are trusted
         self.things = ThingTable(database)
 
     @classmethod
@@ -219,7 +212,6 @@ class Store:
         return (1, 1) if number is None else (number[0], number[1] + 1)
 
     def save_list(self, number: tuple[int, int], data: bytes, now: int) -> None:
-        """Record a signed revocation list."""
         with self.transaction() as db:
             db.execute("INSERT INTO list VALUES (?, ?, ?, ?)", (*number, data, now))
             append_entry(db, now, "list", f"{number[0]}.{number[1]}", "", digest_of((*number, data)))

@@ -79,8 +79,6 @@ class RevocationRow(NamedTuple):
 
 
 class RequestState(StrEnum):
-    """The state of a request."""
-
     PENDING = "pending"
     APPROVED = "approved"
     DENIED = "denied"
@@ -119,23 +117,17 @@ _HINTS: Final = {
 
 
 class RequestRow(NamedTuple):
-    """One request, as recorded; `digest` is the SHA-256 of `der`, `source` is where it came from.
-
-    `changed` is the time of the last change of `state`, `reason` its reason; `replaces`: approved
-    although the name has another key; `wildcard`: for anonymous nodes too.
-    """
-
-    digest: bytes
+    digest: bytes  # SHA-256 of `der`
     name: str
     thumbprint: bytes
     der: bytes
-    source: str
+    source: str  # where it came from
     arrived: int
     state: RequestState
-    reason: str
-    changed: int
-    replaces: bool = False
-    wildcard: bool = False
+    reason: str  # of the last change of `state`
+    changed: int  # when that was
+    replaces: bool = False  # approved although the name has another key
+    wildcard: bool = False  # for anonymous nodes too
 
     @property
     def expires(self) -> int:
@@ -156,17 +148,12 @@ def advance(row: RequestRow, state: RequestState, now: int, reason: str = "") ->
 
 
 class LogEntry(NamedTuple):
-    """One action: its number, time, kind, subject, details, and the digest of its data.
-
-    `digest` is `digest_of` the row this entry is about, or empty.
-    """
-
     number: int
     at: int
     what: str
     subject: str
     detail: str
-    digest: bytes
+    digest: bytes  # `digest_of` the row that it is about, or empty
 
 
 @dataclass(frozen=True)
@@ -181,7 +168,6 @@ def leaf(entry: LogEntry) -> bytes:
 
 
 def digest_of(row: Sequence[int | str | bytes]) -> bytes:
-    """The digest of a row of the record in an entry."""
     return hashlib.sha256(encode(list(row))).digest()
 
 

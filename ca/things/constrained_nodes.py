@@ -251,7 +251,6 @@ def check_thing_name(name: str) -> str:
 
 
 def sign_statement(signer: Signer, statement: ThingStatement) -> bytes:
-    """Sign `statement` with the authority's key; at most `MAX_STATEMENT` octets."""
     return THING.sign(signer, _claims(statement))
 
 
