@@ -1,25 +1,16 @@
 """The authority: creates a trust domain's root, and issues certificates to its nodes.
 
 It issues exactly what a request shows (name and key) and nothing the approver did not see; a
-wildcard tail only if the approver asks for it. Time and randomness are arguments: `now`, and
-serials of 128 random bits. Whether an identity may be issued is decided by the store and the
-operator.
-
-A certificate that is to be signed: what it says is read before the key signs it. Pure.
-
-A signer gets the TBSCertificate (RFC 5280 section 4.1) as bytes. Here it is completed with an empty
-signature, parsed as every certificate is, and only the two forms that an authority issues are
-accepted: the identity of a node, and an intermediate. Both must be of its own trust domain and name
-it as the issuer, so that its key cannot be made to sign a certificate of any other form.
+wildcard tail only if the approver asks for it. Time and randomness are arguments. What a signer is
+given is read before the key signs it: of the bytes of a TBSCertificate (RFC 5280 section 4.1) only
+the two forms that an authority issues are accepted, for its own trust domain and issuer.
 """
 
 from datetime import UTC, datetime
 from typing import Final, NamedTuple
 
 from cryptography import x509
-from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import NameOID
 
 from ca import svid
@@ -33,15 +24,21 @@ from ca.certificates import (
     policy,
 )
 from ca.errors import CertificateRefused, IssueRefused, NameRefused
-from ca.keys.signing import Signer, X509Signer, require_p256, thumbprint
-from ca.names import check_domain, check_wildcard, parse_spiffe_id, spiffe_id
-from ca.svid import SCHEME, WILDCARD, WILDCARD_VALUE, check_request
+from ca.keys.passphrases import SEQUENCE, der
+from ca.keys.signing import Signer, require_p256, thumbprint
+from ca.names import SCHEME, check_domain, check_wildcard, parse_spiffe_id, spiffe_id
+from ca.svid import WILDCARD, WILDCARD_VALUE, check_request
 
 DAY: Final = 86_400
 LIFETIME: Final = 30 * DAY
 MAX_LIFETIME: Final = 366 * DAY
 ROOT_LIFETIME: Final = 3650 * DAY
 _SERIAL_LIMIT: Final = 1 << 128
+
+# AlgorithmIdentifier: ecdsa-with-SHA256, without parameters (RFC 5758 section 3.2).
+_ECDSA_WITH_SHA256: Final = bytes.fromhex("300a06082a8648ce3d040302")
+# A BIT STRING of no unused bits with an ECDSA-Sig-Value of r = s = 1: nothing verifies it.
+_NO_SIGNATURE: Final = bytes.fromhex("0309003006020101020101")
 
 
 class Authority:
@@ -118,7 +115,7 @@ class Authority:
         _check_serial(serial)
         start, end = self._period(now, lifetime)
         builder = _authority(key, serial, start, end, self.anchor.domain, below=0)
-        return _sign(
+        return svid.sign(
             builder.issuer_name(self.anchor.subject)
             .add_extension(policy(may_enroll=may_enroll), critical=False)
             .add_extension(_issuer_key(self.anchor.public_key), critical=False),
@@ -137,7 +134,7 @@ class Authority:
     ) -> bytes:
         _check_serial(serial)
         start, end = self._period(now, lifetime)
-        uri = spiffe_id(self.anchor.domain, name)
+        uri = svid.alternative_name(spiffe_id(self.anchor.domain, name))
         builder = (
             _builder(key, serial, start, end)
             .subject_name(x509.Name([]))
@@ -145,14 +142,15 @@ class Authority:
             .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
             .add_extension(_usage(authority=False), critical=True)
             # Critical because the subject is empty (RFC 5280 section 4.1.2.6).
-            .add_extension(_name(uri), critical=True)
+            .add_extension(uri, critical=True)
             .add_extension(_issuer_key(self.issuer.public_key), critical=False)
         )
         if wildcard:
             check_wildcard(name)
-            tail = x509.UnrecognizedExtension(WILDCARD, WILDCARD_VALUE)
-            builder = builder.add_extension(tail, critical=False)
-        return _sign(builder, self.signer)
+            builder = builder.add_extension(
+                x509.UnrecognizedExtension(WILDCARD, WILDCARD_VALUE), critical=False
+            )
+        return svid.sign(builder, self.signer)
 
     def _period(self, now: int, lifetime: int) -> tuple[int, int]:
         if not 0 < lifetime <= MAX_LIFETIME:
@@ -171,12 +169,11 @@ class Authority:
 
 
 def create_root(signer: Signer, domain: str, *, now: int, serial: int) -> bytes:
-    """Return a new root certificate (DER) for `domain`, valid for ten years."""
     check_domain(domain)
     _check_serial(serial)
     key = require_p256(signer.public_key)
     builder = _authority(key, serial, now - BACKDATE, now + ROOT_LIFETIME, domain, below=1)
-    return _sign(builder.issuer_name(_subject_name(key)), signer)
+    return svid.sign(builder.issuer_name(_subject_name(key)), signer)
 
 
 def _authority(
@@ -187,18 +184,14 @@ def _authority(
         .subject_name(_subject_name(key))
         .add_extension(x509.BasicConstraints(ca=True, path_length=below), critical=True)
         .add_extension(_usage(authority=True), critical=True)
-        .add_extension(_name(f"{SCHEME}{domain}"), critical=False)
+        .add_extension(svid.alternative_name(f"{SCHEME}{domain}"), critical=False)
         .add_extension(x509.SubjectKeyIdentifier(_key_identifier(key)), critical=False)
     )
 
 
 def _subject_name(key: ec.EllipticCurvePublicKey) -> x509.Name:
     # A name that differs for every key, so that a foreign issuer is recognized by its name.
-    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"rossec {_short(key)}")])
-
-
-def _short(key: ec.EllipticCurvePublicKey) -> str:
-    return thumbprint(key)[:8].hex()
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"rossec {thumbprint(key)[:8].hex()}")])
 
 
 def _key_identifier(key: ec.EllipticCurvePublicKey) -> bytes:
@@ -225,14 +218,6 @@ def _builder(key: ec.EllipticCurvePublicKey, serial: int, start: int, end: int) 
     )
 
 
-def _sign(builder: x509.CertificateBuilder, signer: Signer) -> bytes:
-    return builder.sign(X509Signer(signer), hashes.SHA256()).public_bytes(Encoding.DER)
-
-
-def _name(uri: str) -> x509.SubjectAlternativeName:
-    return x509.SubjectAlternativeName([x509.UniformResourceIdentifier(uri)])
-
-
 def _usage(*, authority: bool) -> x509.KeyUsage:
     return x509.KeyUsage(
         digital_signature=not authority,
@@ -247,13 +232,6 @@ def _usage(*, authority: bool) -> x509.KeyUsage:
     )
 
 
-_SEQUENCE: Final = b"\x30"
-# AlgorithmIdentifier: ecdsa-with-SHA256, without parameters (RFC 5758 section 3.2).
-_ECDSA_WITH_SHA256: Final = bytes.fromhex("300a06082a8648ce3d040302")
-# A BIT STRING of no unused bits with an ECDSA-Sig-Value of r = s = 1: nothing verifies it.
-_NO_SIGNATURE: Final = bytes.fromhex("0309003006020101020101")
-
-
 class UnsignedCertificate(NamedTuple):
     name: str
     is_intermediate: bool
@@ -261,7 +239,8 @@ class UnsignedCertificate(NamedTuple):
 
 def read_unsigned(content: bytes, issuer: x509.Name, domain: str) -> UnsignedCertificate:
     """Read a TBSCertificate (DER) that `issuer`, an authority of `domain`, is to sign."""
-    certificate = svid.parse(_completed(content))
+    # Completed with an empty signature, it is parsed as every certificate is.
+    certificate = svid.parse(der(SEQUENCE, content, _ECDSA_WITH_SHA256, _NO_SIGNATURE))
     found = svid.certificate_signature(certificate, issuer)
     if found is None or found.content != content:
         raise CertificateRefused("a certificate of another issuer, algorithm or form")
@@ -275,27 +254,10 @@ def read_unsigned(content: bytes, issuer: x509.Name, domain: str) -> UnsignedCer
         return UnsignedCertificate(domain, is_intermediate=True)
     svid.check_leaf(extensions)
     svid.has_wildcard(extensions)
-    return UnsignedCertificate(_unsigned_name(svid.only_uri(extensions), domain), is_intermediate=False)
-
-
-def _unsigned_name(uri: str, domain: str) -> str:
     try:
-        of_domain, name = parse_spiffe_id(uri)
+        of_domain, name = parse_spiffe_id(svid.only_uri(extensions))
     except NameRefused as error:
         raise CertificateRefused(f"a certificate whose name is invalid: {error}") from error
     if of_domain != domain:
         raise CertificateRefused("an identity of another trust domain")
-    return name
-
-
-def _completed(content: bytes) -> bytes:
-    body = content + _ECDSA_WITH_SHA256 + _NO_SIGNATURE
-    return _SEQUENCE + _length(len(body)) + body
-
-
-def _length(size: int) -> bytes:
-    # The length octets of DER (X.690 section 8.1.3).
-    if size < 0x80:
-        return bytes((size,))
-    octets = size.to_bytes((size.bit_length() + 7) // 8)
-    return bytes((0x80 | len(octets),)) + octets
+    return UnsignedCertificate(name, is_intermediate=False)

@@ -1,36 +1,10 @@
 """Certificates: from untrusted bytes to the verified identity of a peer, or a refusal.
 
-The form is the X.509-SVID of SPIFFE without its options: P-256 and SHA-256 only, exactly one
-URI name, not a CA, one key usage, issued by the trust anchor or by one intermediate of it.
-A chain is one or two certificates in this order: there is no path building, where verifiers
-have most of their bugs. The signature is checked before any content is trusted; size before
-parsing.
-
-Whether a certificate is valid at a moment, and what is said when it is not. Pure.
-
-The moment is that of the host's clock, which may be wrong. So a certificate that is over says two
-things: when the clock is right, how to have it renewed; and that it may be the clock. A certificate
-that is not valid yet always is a matter of clocks, as all begin an hour early.
-
-Intermediates: authorities that sign nodes for some months, under a root that stays offline.
-
-An intermediate is an authority of path length 0 for the same trust domain, signed by the root. Its
-SPIFFE ID is the domain, and every verifier here requires the same domain of its leaves. X.509 name
-constraints could say that for URIs, but `cryptography`'s verifier refuses chains that have them.
-A certificate policy, set at issuance, tells what its host may do: renew existing identities, or
-also enroll new ones. The host's own tools (`ca.authority`) enforce it. It does not bind an
-attacker: the holder of an intermediate's key can sign any name until the root revokes it.
-
-Renewal: a valid identity requests its successor, without operator action.
-
-The request is a CSR for the same name, inside a statement signed by the *old* key: the CSR proves
-possession of the new key, the statement the right to the name. Its type is in the signed header, so
-nothing else the key signs is a renewal. The key may stay the same (and keeps its grants) or be new.
-The authority's rules are here as well: the old identity is valid and not revoked, the name is the
-same, at least half of the lifetime is over, and the new lifetime is not longer than the old one.
-
-A node writes its new key to the disk *before* it sends the request, and repeats the same bytes
-until it has the answer: the authority answers one request always with the same certificate.
+The form is the X.509-SVID of SPIFFE without its options (`ca.svid`), issued by the trust anchor or
+by one intermediate. A chain is one or two certificates in this order: there is no path building,
+where verifiers have most of their bugs. The signature is checked before any content is trusted;
+size before parsing. A valid identity requests its successor without operator action: the CSR proves
+possession of the new key, the old key's signature around it the right to the name.
 """
 
 from collections import OrderedDict
@@ -40,7 +14,6 @@ from datetime import UTC, datetime
 from typing import Final, NamedTuple, Self
 
 from cryptography import x509
-from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding
 
@@ -57,14 +30,12 @@ from ca.errors import (
     RequestRefused,
     SignatureError,
 )
-from ca.keys.signing import Profile, Signer, X509Signer, thumbprint
-from ca.names import check_domain, check_wildcard, covers, parse_spiffe_id, refuse_alias
+from ca.keys.signing import Profile, Signer, thumbprint
+from ca.names import SCHEME, check_domain, check_wildcard, covers, parse_spiffe_id, refuse_alias
 from ca.svid import (
     MAX_CERTIFICATE,
     MAX_REQUEST,
-    SCHEME,
     IdentityRequest,
-    build_request,
     check_request,
     read_request,
     request_builder,
@@ -74,6 +45,26 @@ SET_CLOCK: Final = "set this host's clock, or synchronize it (NTP)"
 _SECONDS: Final = 180  # up to which a span is given in seconds
 _DAY: Final = 86_400
 _PLAUSIBLE: Final = 2 * _DAY  # that a host was off, or nothing was signed
+
+# Private policies, from UUIDs (ITU-T X.667): what an intermediate's host may do, as its own tools
+# (`ca.authority`) enforce. They do not bind an attacker: the holder of an intermediate's key can sign
+# any name until the root revokes it.
+MAY_RENEW: Final = x509.ObjectIdentifier("2.25.283421307419275216482910536471209357741")
+MAY_ENROLL: Final = x509.ObjectIdentifier("2.25.140372948105529641730282947561038846219")
+_HINT: Final = "make it on the host with `rossec ca intermediate request`"
+
+_MAX_PEM: Final = 16 * 1024
+
+CACHE_SIZE: Final = 256
+
+PROFILE: Final = Profile("rossec-renewal+cwt")
+MAX_CHAIN: Final = 2
+MAX_RENEWAL: Final = MAX_REQUEST + MAX_CHAIN * MAX_CERTIFICATE + 512
+MAX_AGE: Final = 300  # seconds: two clocks and a slow network
+# Certificates are backdated by this much: the clock of robots without a battery-backed one may be
+# behind after a start.
+BACKDATE: Final = 3600
+_IAT, _CSR, _CHAIN = 6, -70021, -70022
 
 
 def utc(seconds: int) -> str:
@@ -101,6 +92,8 @@ def way_back(name: str) -> str:
 
 
 def check_time(what: str, start: int, end: int, now: int, back: str) -> None:
+    # The moment is that of the host's clock, which may be wrong: so the hint has both cases. What is not
+    # valid yet is always a matter of clocks, as all certificates begin an hour early.
     if now < start:
         raise CertificateNotYetValid(
             f"the {what} becomes valid in {span(start - now)}",
@@ -130,18 +123,11 @@ def own_end(name: str, end: int, now: int, seen: int) -> CertificateExpired:
 
 
 def everything_ended(domain: str, end: int, now: int) -> CertificateExpired:
-    """The refusal where the certificate of the authority itself is over: it lasts ten years."""
     return CertificateExpired(
         f"by this host's clock, which says {utc(now)}, everything of {domain!r} is over, the"
         f" authority's own certificate too, since {utc(end)}",
         f"the clock is wrong, or the authority is ten years old: {SET_CLOCK}",
     )
-
-
-# Private policies, from UUIDs (ITU-T X.667).
-MAY_RENEW: Final = x509.ObjectIdentifier("2.25.283421307419275216482910536471209357741")
-MAY_ENROLL: Final = x509.ObjectIdentifier("2.25.140372948105529641730282947561038846219")
-_HINT: Final = "make it on the host with `rossec ca intermediate request`"
 
 
 @dataclass(frozen=True)
@@ -160,19 +146,20 @@ class Intermediate:
 
 def read_intermediate(certificate: x509.Certificate, der: bytes, domain: str) -> Intermediate:
     """Read an intermediate whose signature was verified; its validity is not checked here."""
+    # Its name is the domain. X.509 name constraints could say that of its leaves, but `cryptography`'s
+    # verifier refuses chains that have them.
     extensions = svid.extensions(certificate)
     svid.check_intermediate(extensions)
     found = svid.trust_domain(extensions)
     if found != domain:
         raise CertificateRefused(f"the intermediate is for trust domain {found!r}, not {domain!r}")
     key = svid.key_of(certificate)
-    start, end = svid.validity(certificate)
+    times = svid.validity(certificate)
     policies = svid.policies(extensions)
     if policies not in ({MAY_RENEW}, {MAY_ENROLL}):
         raise CertificateRefused("the intermediate has no policy to renew or enroll", "make a new one")
-    may_enroll = MAY_ENROLL in policies
-    subject = svid.subject(certificate)
-    return Intermediate(key, thumbprint(key), start, end, der, subject, certificate.serial_number, may_enroll)
+    subject, serial = svid.subject(certificate), certificate.serial_number
+    return Intermediate(key, thumbprint(key), *times, der, subject, serial, MAY_ENROLL in policies)
 
 
 def policy(*, may_enroll: bool) -> x509.CertificatePolicies:
@@ -181,9 +168,8 @@ def policy(*, may_enroll: bool) -> x509.CertificatePolicies:
 
 
 def build_intermediate_request(signer: Signer, domain: str) -> bytes:
-    """Return a CSR (DER) for an intermediate of `domain` with the signer's key."""
     builder = request_builder(f"{SCHEME}{check_domain(domain)}")
-    return builder.sign(X509Signer(signer), hashes.SHA256()).public_bytes(Encoding.DER)
+    return svid.sign(builder, signer)
 
 
 def check_intermediate_request(csr: bytes, domain: str) -> ec.EllipticCurvePublicKey:
@@ -194,46 +180,26 @@ def check_intermediate_request(csr: bytes, domain: str) -> ec.EllipticCurvePubli
     return key
 
 
-__all__ = [
-    "MAX_CERTIFICATE",
-    "MAX_REQUEST",
-    "Identity",
-    "IdentityRequest",
-    "TrustAnchor",
-    "build_request",
-    "check_request",
-    "from_pem",
-    "to_pem",
-]
-
-_MAX_PEM: Final = 16 * 1024
-
-
 @dataclass(frozen=True)
 class Identity:
     """The identity in a verified certificate. Times are inclusive, in seconds.
 
-    `thumbprint` names the key (32 bytes, RFC 9679), `certificate` is the DER as received, `issuers`
-    are the thumbprints of the intermediates in the chain: when one is revoked, so is this identity.
-    `not_after` is the earliest one of the chain below the anchor.
-    Grants and rules are for `name`; with `wildcard` it also covers anonymous nodes (`covers`).
     For a node of a foreign domain `name` is its alias here, `/remote/LABEL/...`, so that no
-    comparison of names can take it for a node of the own domain; `certified` is then the name in
-    its certificate, `root` the thumbprint of the foreign root (`ca.domains.trust` sets them).
+    comparison of names can take it for a node of the own domain (`ca.domains.trust` sets that).
     """
 
     domain: str
-    name: str
+    name: str  # which grants and rules are for
     public_key: ec.EllipticCurvePublicKey
-    thumbprint: bytes
+    thumbprint: bytes  # of the key (RFC 9679)
     not_before: int
-    not_after: int
+    not_after: int  # the earliest one of the chain below the anchor
     serial: int
-    certificate: bytes
-    wildcard: bool = False
-    issuers: tuple[bytes, ...] = ()
-    certified: str = ""
-    root: bytes = b""
+    certificate: bytes  # DER, as received
+    wildcard: bool = False  # it also covers anonymous nodes (`covers`)
+    issuers: tuple[bytes, ...] = ()  # thumbprints of intermediates: when one is revoked, so is this identity
+    certified: str = ""  # the name in a foreign node's certificate
+    root: bytes = b""  # the thumbprint of the foreign root
 
     @property
     def certified_name(self) -> str:
@@ -284,8 +250,7 @@ class TrustAnchor:
         extensions = svid.extensions(certificate)
         svid.check_authority(extensions)
         domain, below = svid.trust_domain(extensions), svid.path_length(extensions)
-        start, end = svid.validity(certificate)
-        return cls(domain, key, thumbprint(key), start, end, der, subject, below)
+        return cls(domain, key, thumbprint(key), *svid.validity(certificate), der, subject, below)
 
     def verify(self, chain: Sequence[bytes], now: int) -> Identity:
         """Return the identity of `chain`: a leaf, or a leaf and its intermediate, as DER."""
@@ -337,7 +302,6 @@ class TrustAnchor:
         return found
 
     def check_time(self, now: int) -> None:
-        """Return if the authority's own certificate is valid at `now`."""
         check_time(
             "authority's certificate",
             self.not_before,
@@ -383,35 +347,28 @@ class _CachedLeaf(NamedTuple):
 # certificate is a pure function of its bytes, so the result is cached once it has verified.
 # The decision is never cached: signature and validity times are checked each time.
 _cache: Final[OrderedDict[tuple[bytes, bytes], _CachedLeaf]] = OrderedDict()
-CACHE_SIZE: Final = 256
 
 
 def _read(domain: str, certificate: x509.Certificate, der: bytes) -> Identity:
     extensions = svid.extensions(certificate)
     svid.check_leaf(extensions)
     wildcard = svid.has_wildcard(extensions)
-    name = _name(domain, svid.only_uri(extensions), wildcard=wildcard)
+    try:
+        found, name = parse_spiffe_id(svid.only_uri(extensions))
+        refuse_alias(name)
+        if wildcard:
+            check_wildcard(name)
+    except NameRefused as error:
+        raise CertificateRefused(f"the certificate's name is invalid: {error}") from error
+    if found != domain:
+        raise CertificateRefused(f"the certificate is for trust domain {found!r}, not {domain!r}")
     key = svid.key_of(certificate)
     start, end = svid.validity(certificate)
     serial = certificate.serial_number
     return Identity(domain, name, key, thumbprint(key), start, end, serial, der, wildcard)
 
 
-def _name(expected: str, uri: str, *, wildcard: bool) -> str:
-    try:
-        domain, name = parse_spiffe_id(uri)
-        refuse_alias(name)
-        if wildcard:
-            check_wildcard(name)
-    except NameRefused as error:
-        raise CertificateRefused(f"the certificate's name is invalid: {error}") from error
-    if domain != expected:
-        raise CertificateRefused(f"the certificate is for trust domain {domain!r}, not {expected!r}")
-    return name
-
-
 def to_pem(*certificates: bytes) -> bytes:
-    """Return DER certificates as one PEM bundle."""
     return b"".join(svid.parse(der).public_bytes(Encoding.PEM) for der in certificates)
 
 
@@ -431,20 +388,8 @@ def from_pem(data: bytes) -> tuple[bytes, ...]:
     return tuple(certificate.public_bytes(Encoding.DER) for certificate in certificates)
 
 
-PROFILE: Final = Profile("rossec-renewal+cwt")
-MAX_CHAIN: Final = 2
-MAX_RENEWAL: Final = MAX_REQUEST + MAX_CHAIN * MAX_CERTIFICATE + 512
-MAX_AGE: Final = 300  # seconds: two clocks and a slow network
-# Certificates are backdated by this much: the clock of robots without a battery-backed one may be
-# behind after a start.
-BACKDATE: Final = 3600
-_IAT, _CSR, _CHAIN = 6, -70021, -70022
-
-
 @dataclass(frozen=True)
 class Renewal:
-    """A verified renewal: the current identity, and the request."""
-
     identity: Identity
     request: IdentityRequest
     csr: bytes
@@ -477,7 +422,11 @@ def retry_delay(not_before: int, not_after: int, longest: int) -> int:
 
 
 def sign_renewal(old: Signer, chain: Sequence[bytes], csr: bytes, now: int) -> bytes:
-    """Sign, with the old key, the request that `csr` succeed `chain` (DER, leaf first)."""
+    """Sign, with the old key, the request that `csr` succeed `chain` (DER, leaf first).
+
+    A node writes its new key to the disk *before* it sends this, and repeats the same bytes until it
+    has the answer: the authority answers one request always with the same certificate.
+    """
     certificates: list[Value] = [*chain]
     return PROFILE.sign(old, {_IAT: now, _CSR: csr, _CHAIN: certificates})
 
@@ -488,9 +437,19 @@ def open_renewal(data: bytes, anchor: TrustAnchor, now: int, check: Callable[[by
     `check(entry, now)` raises when a key's thumbprint is revoked, or its status is unknown
     (`Revocations.check`).
     """
-    _, _, chain = _renewal_read(_peek(data))
+    # 1. The chain in it says whose signature to verify; nothing else of it is used before that.
+    try:
+        _, _, chain = _read_renewal(PROFILE.peek(data, limit=MAX_RENEWAL))
+    except (SignatureError, EncodingError) as error:
+        raise RenewalRefused(f"this is not a renewal: {error}") from error
     identity = anchor.verify(chain, now)
-    issued, csr, _ = _renewal_read(_open(data, identity))
+    try:
+        issued, csr, _ = _read_renewal(PROFILE.open(data, identity.public_key, limit=MAX_RENEWAL))
+    except (SignatureError, EncodingError) as error:
+        raise RenewalRefused(
+            f"the renewal is not signed by {identity.name}: {error}", "renew on the node that has the key"
+        ) from error
+    # 2. The old identity counts, now, and asks for its own name.
     for key in identity.keys:
         check(key, now)
     if not now - MAX_AGE <= issued <= now + MAX_AGE:
@@ -501,11 +460,7 @@ def open_renewal(data: bytes, anchor: TrustAnchor, now: int, check: Callable[[by
             f"{identity.name} requests the identity of {request.name}",
             "a node renews its own name; for another one it must be enrolled",
         )
-    _check_due(identity, now)
-    return Renewal(identity, request, csr)
-
-
-def _check_due(identity: Identity, now: int) -> None:
+    # 3. At least half of its lifetime is over.
     began = signed_at(identity.not_before, identity.not_after)
     half = began + (identity.not_after - began) // 2
     if now < half:
@@ -514,25 +469,10 @@ def _check_due(identity: Identity, now: int) -> None:
             "possible after half its lifetime; before that, where the authority is:"
             f" rossec ca renew {identity.name}",
         )
+    return Renewal(identity, request, csr)
 
 
-def _peek(data: bytes) -> Value:
-    try:
-        return PROFILE.peek(data, limit=MAX_RENEWAL)
-    except (SignatureError, EncodingError) as error:
-        raise RenewalRefused(f"this is not a renewal: {error}") from error
-
-
-def _open(data: bytes, identity: Identity) -> Value:
-    try:
-        return PROFILE.open(data, identity.public_key, limit=MAX_RENEWAL)
-    except (SignatureError, EncodingError) as error:
-        raise RenewalRefused(
-            f"the renewal is not signed by {identity.name}: {error}", "renew on the node that has the key"
-        ) from error
-
-
-def _renewal_read(value: Value) -> tuple[int, bytes, tuple[bytes, ...]]:
+def _read_renewal(value: Value) -> tuple[int, bytes, tuple[bytes, ...]]:
     match value:
         case {6: int() as issued, -70021: bytes() as csr, -70022: list() as items, **rest} if (
             not rest and not isinstance(issued, bool) and 1 <= len(items) <= MAX_CHAIN

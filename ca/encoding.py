@@ -1,16 +1,15 @@
 """Strict deterministic CBOR (RFC 8949): one value, one encoding, nothing else accepted.
 
 `cbor2` decodes; the strict checks are here. A value is accepted only if encoding it again gives
-the same bytes, which refuses in one comparison long integers, long floats, unsorted maps and
-trailing bytes. Map keys are sorted length-first (RFC 8949 section 4.2.3), floats take their
-shortest form. Tags are refused before `cbor2` interprets them (its decoder of tag 35 would
-compile an attacker's regular expression).
+the same bytes. Map keys are sorted length-first (RFC 8949 section 4.2.3), floats take their
+shortest form. Tags are refused before `cbor2` interprets them (its decoder of tag 35 would compile
+an attacker's regular expression).
 """
 
 import math
 from collections.abc import Iterable
 from io import BytesIO
-from typing import Any, Final, NoReturn, TypeAlias
+from typing import Any, Final, NoReturn, TypeAlias, TypeGuard
 
 import cbor2
 
@@ -20,6 +19,7 @@ Value: TypeAlias = "int | float | str | bytes | bool | list[Value] | dict[int | 
 
 MAX_SIZE: Final = 16 * 1024
 MAX_DEPTH: Final = 16
+NUMBER_LIMIT: Final = 1 << 53  # of the numbers in statements: exact also where numbers are floats
 _INT_LIMIT: Final = 1 << 64  # from here on cbor2 writes a bignum, which is a tag
 _PLAIN: Final = frozenset({str, bytes, bool, type(None)})  # these need no check
 # Tuples, made once: `isinstance` with a union costs three times as much.
@@ -53,8 +53,12 @@ _BUILT_IN_TAGS: Final = (
 )
 
 
+def is_number(value: object) -> TypeGuard[int]:
+    """Whether `value` may be a number of a statement: no boolean, not negative, below 2^53."""
+    return type(value) is int and 0 <= value < NUMBER_LIMIT
+
+
 def encode(value: Value) -> bytes:
-    """Encode `value` in its one deterministic form."""
     _check(value, MAX_DEPTH)
     return cbor2.dumps(value, canonical=True)
 

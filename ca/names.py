@@ -1,39 +1,12 @@
-"""Names: the syntax of node names, trust domains and SPIFFE IDs.
+"""Names: the syntax of node names, trust domains and SPIFFE IDs, patterns over them, and aliases.
 
-A node name is an absolute ROS name (`/robot1/camera`). It is unique in its trust domain (`home`).
-Together they form the SPIFFE ID `spiffe://home/robot1/camera`, the only name in a certificate.
-Both syntaxes are subsets of ASCII, so there is exactly one spelling: nothing is escaped, folded
-or normalised, and two names are equal if their bytes are.
-
-An identity with a wildcard tail covers its name, and that name followed by `_` and more:
-`/rviz` also covers `/rviz_1234_1700000000000`, the form of the names of anonymous nodes in ROS.
-
-What was probably meant by a value that is not known, or by a name that is refused. Pure.
-
-For hints alone: nothing is decided by it.
-
-Patterns over ROS names: `*` stands for one segment, `**` for one or more.
-
-Segments are compared whole, so `/a` never covers `/ab` (the prefix confusion of ROSRV), and a
-wildcard never stands for part of a segment. Names are absolute: relative and private (`~`)
-names must be resolved by the caller, or they are refused. Names are ASCII: homoglyphs are refused.
-
-A tail pattern is `/rviz~/get_loggers`: `rviz~` stands for `rviz` and all that a wildcard tail of
-`/rviz` covers (`ca.names`), in the last segment of one node's name and nowhere else. Only grants
-to an identity with that tail have them; `check_pattern` refuses them.
-
-Names of other masters and domains here: `/remote/<label>`, then the name at the origin.
-
-The only place that maps between the two. A label is chosen by the importing side; an alias is a
-local name: it is on no wire, in no grant of the origin, and cannot be registered or enrolled. What
-is not below `/remote` is a name of the own domain.
-
-What a gateway serves of another domain: `/gateway/<label>`, then the name at the origin.
-
-A served name stands for the same thing as the alias `/remote/<label>/...`, but it is a name of the
-own domain: its authority grants rights on it, and never on the alias, where the origin's count. The
-only place that maps between the two (docs/decisions/0035). A label is never the last segment, so
-no served name is the name of a gateway.
+A node name is an absolute ROS name (`/robot1/camera`), unique in its trust domain (`home`). All are
+ASCII, so there is exactly one spelling: nothing is escaped, folded or normalised. Patterns compare
+whole segments, so `/a` never covers `/ab` (the prefix confusion of ROSRV); relative and private
+(`~`) names are refused. An identity with a wildcard tail also covers `/rviz_...`, the form of
+anonymous nodes. `/remote/<label>/...` is the local alias of a name of another domain: it is on no
+wire, in no grant of the origin, and cannot be enrolled. `/gateway/<label>/...` is what a gateway
+serves of it, a name of the own domain (docs/decisions/0035).
 """
 
 import re
@@ -44,26 +17,36 @@ from typing import Final
 
 from ca.errors import NameRefused, PatternRefused
 
+MAX_NAME: Final = 255
 _SIMILAR: Final = 0.6
 _COMPARED: Final = 5000  # values; more would take a second
-_MAX: Final = 255  # as `ca.names.MAX_NAME`; of longer ones nothing is proposed
-_LETTERS: Final = str.maketrans(
-    {
-        "ß": "ss",
-        "æ": "ae",
-        "Æ": "AE",
-        "ø": "o",
-        "Ø": "O",
-        "œ": "oe",
-        "Œ": "OE",
-        "ł": "l",
-        "Ł": "L",
-        "đ": "d",
-        "Đ": "D",
-    }
-)
+_SPELLED: Final = "ß=ss æ=ae Æ=AE ø=o Ø=O œ=oe Œ=OE ł=l Ł=L đ=d Đ=D"
+_LETTERS: Final = str.maketrans(dict(each.split("=") for each in _SPELLED.split()))
 _NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9_]+")
 _NOT_IN_DOMAINS: Final = re.compile(r"[^a-z0-9._-]+")
+
+AUTHORITY: Final = "/ca"  # the authority's own node
+MASTER: Final = "/master"  # a domain's first master; others are `/master/<segment>`
+RELAY: Final = "/relay"  # a domain's first relay; others are `/relay/<segment>`
+GATEWAY: Final = "/gateway"  # a domain's first gateway; others are `/gateway/<segment>`
+_NAME: Final = re.compile(r"(?:/[A-Za-z][A-Za-z0-9_]*)+")
+_SEGMENT: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_TAIL: Final = re.compile(r"_[A-Za-z0-9_]+")
+_DOMAIN: Final = re.compile(r"[a-z0-9._-]+")  # SPIFFE-ID section 2.1
+SCHEME: Final = "spiffe://"
+
+# `rviz~` stands for `rviz` and all that a wildcard tail of `/rviz` covers, in the last segment of one
+# node's name and nowhere else. Only grants to an identity with that tail have such patterns.
+TAIL: Final = "~"
+_WILDCARDS = ("*", "**")
+_HINT: Final = "* stands for one whole segment, ** for one or more: /robot1/*/scan, /robot1/**"
+_HINT_LABEL: Final = "a pattern is of one domain's own names, which have no label: /robot1/**"
+
+REMOTE: Final = "/remote"
+MAX_LABEL: Final = 32
+_PREFIX: Final = f"{REMOTE}/"
+
+_SERVED_PREFIX: Final = f"{GATEWAY}/"
 
 
 def closest(value: str, known: Iterable[str]) -> str | None:
@@ -80,43 +63,26 @@ def proposed_name(text: str) -> str | None:
 
     None: there is nothing to keep, or it is private (`~pose`) and has its place elsewhere.
     """
-    if len(text) > _MAX or text.startswith("~"):
+    if len(text) > MAX_NAME or text.startswith("~"):
         return None
-    segments = [found for each in _plain(text).split("/") if (found := _segment(each))]
-    name = "".join(f"/{each}" for each in segments)
-    return name if name and len(name) <= _MAX else None
+    name = ""
+    for each in _plain(text).split("/"):
+        # What is not in a segment becomes `_`, and it begins with a letter.
+        if kept := _NOT_IN_NAMES.sub("_", each).strip("_"):
+            name += f"/n{kept}" if kept[0].isdigit() else f"/{kept}"
+    return name if name and len(name) <= MAX_NAME else None
 
 
 def proposed_domain(text: str) -> str | None:
     """The trust domain most like `text`, which is none: `My Home` -> `my-home`."""
-    if len(text) > _MAX:
+    if len(text) > MAX_NAME:
         return None
     return _NOT_IN_DOMAINS.sub("-", _plain(text).lower()).strip("-") or None
-
-
-def _segment(text: str) -> str:
-    # A segment of a name: what is not in it becomes `_`, and it begins with a letter.
-    kept = _NOT_IN_NAMES.sub("_", text).strip("_")
-    return f"n{kept}" if kept[:1].isdigit() else kept
 
 
 def _plain(text: str) -> str:
     decomposed = unicodedata.normalize("NFKD", text.translate(_LETTERS))
     return "".join(each for each in decomposed if not unicodedata.combining(each))
-
-
-MAX_NAME: Final = 255
-AUTHORITY: Final = "/ca"  # the authority's own node
-MASTER: Final = "/master"  # a domain's first master; others are `/master/<segment>`
-RELAY: Final = "/relay"  # a domain's first relay; others are `/relay/<segment>`
-GATEWAY: Final = "/gateway"  # a domain's first gateway; others are `/gateway/<segment>`
-_NAME: Final = re.compile(r"(?:/[A-Za-z][A-Za-z0-9_]*)+")
-_OTHER_MASTER: Final = re.compile(r"/master/[A-Za-z][A-Za-z0-9_]*")
-_OTHER_RELAY: Final = re.compile(r"/relay/[A-Za-z][A-Za-z0-9_]*")
-_OTHER_GATEWAY: Final = re.compile(r"/gateway/[A-Za-z][A-Za-z0-9_]*")
-_TAIL: Final = re.compile(r"_[A-Za-z0-9_]+")
-_DOMAIN: Final = re.compile(r"[a-z0-9._-]+")  # SPIFFE-ID section 2.1
-_SCHEME: Final = "spiffe://"
 
 
 def check_name(text: str) -> str:
@@ -127,14 +93,13 @@ def check_name(text: str) -> str:
             "shorten the node's name or its namespace",
         )
     if _NAME.fullmatch(text) is None:
-        raise NameRefused(f"{text!a} is not an absolute ROS name", _name_hint(text))
+        proposed = proposed_name(text)
+        example = "write it as /robot1/camera" if proposed is None else f"for example {proposed}"
+        raise NameRefused(
+            f"{text!a} is not an absolute ROS name",
+            f"{example}: segments begin with a letter, then letters, digits or _",
+        )
     return text
-
-
-def _name_hint(text: str) -> str:
-    proposed = proposed_name(text)
-    example = "write it as /robot1/camera" if proposed is None else f"for example {proposed}"
-    return f"{example}: segments begin with a letter, then letters, digits or _"
 
 
 def check_domain(text: str) -> str:
@@ -168,17 +133,22 @@ def covers(name: str, asked: str, *, wildcard: bool) -> bool:
 
 def is_master_name(name: str) -> bool:
     """Whether a master is certified for `name`: `/master`, or `/master` and one segment."""
-    return name == MASTER or _OTHER_MASTER.fullmatch(name) is not None
+    return _is_at(MASTER, name)
 
 
 def is_relay_name(name: str) -> bool:
     """Whether a relay is certified for `name`: `/relay`, or `/relay` and one segment."""
-    return name == RELAY or _OTHER_RELAY.fullmatch(name) is not None
+    return _is_at(RELAY, name)
 
 
 def is_gateway(name: str) -> bool:
     """Whether a gateway is certified for `name`: `/gateway`, or `/gateway` and one segment."""
-    return name == GATEWAY or _OTHER_GATEWAY.fullmatch(name) is not None
+    return _is_at(GATEWAY, name)
+
+
+def _is_at(place: str, name: str) -> bool:
+    rest = name.removeprefix(f"{place}/")
+    return name == place or (rest != name and _SEGMENT.fullmatch(rest) is not None)
 
 
 def is_reserved(name: str) -> bool:
@@ -197,21 +167,14 @@ def check_wildcard(name: str) -> str:
 
 
 def spiffe_id(domain: str, name: str) -> str:
-    """Return `spiffe://<domain><name>`."""
-    return f"{_SCHEME}{check_domain(domain)}{check_name(name)}"
+    return f"{SCHEME}{check_domain(domain)}{check_name(name)}"
 
 
 def parse_spiffe_id(text: str) -> tuple[str, str]:
-    if not text.startswith(_SCHEME):
+    if not text.startswith(SCHEME):
         raise NameRefused(f"{text[:MAX_NAME]!a} is not a SPIFFE ID")
-    domain, slash, path = text.removeprefix(_SCHEME).partition("/")
+    domain, slash, path = text.removeprefix(SCHEME).partition("/")
     return check_domain(domain), check_name(slash + path)
-
-
-TAIL: Final = "~"
-_WILDCARDS = ("*", "**")
-_HINT: Final = "* stands for one whole segment, ** for one or more: /robot1/*/scan, /robot1/**"
-_HINT_LABEL: Final = "a pattern is of one domain's own names, which have no label: /robot1/**"
 
 
 def check_pattern(text: str) -> str:
@@ -220,15 +183,11 @@ def check_pattern(text: str) -> str:
     try:
         check_name("/".join(segments))
     except NameRefused as error:
-        raise PatternRefused(f"not a name pattern: {error}", _hint(text)) from None
+        proposed = None if "*" in text else proposed_name(text)
+        hint = _HINT if proposed is None else f"for example {proposed}; {_HINT}"
+        hint = _HINT_LABEL if ":/" in text else hint
+        raise PatternRefused(f"not a name pattern: {error}", hint) from None
     return text
-
-
-def _hint(text: str) -> str:
-    if ":/" in text:
-        return _HINT_LABEL
-    proposed = None if "*" in text else proposed_name(text)
-    return _HINT if proposed is None else f"for example {proposed}; {_HINT}"
 
 
 def check_tail_pattern(text: str) -> str:
@@ -259,12 +218,10 @@ def fits(segment: str, found: str) -> bool:
     """
     if segment in ("*", found):
         return True
-    return segment.endswith(TAIL) and _in_tail(segment[:-1], found.removesuffix(TAIL))
-
-
-def _in_tail(base: str, segment: str) -> bool:
-    rest = segment.removeprefix(base)
-    return segment == base or (rest != segment and len(rest) > 1 and rest.startswith("_"))
+    if not segment.endswith(TAIL):
+        return False
+    base, found = segment[:-1], found.removesuffix(TAIL)
+    return found == base or (found.startswith(f"{base}_") and len(found) > len(base) + 1)
 
 
 def pattern_covers(pattern: str, name: str) -> bool:
@@ -335,15 +292,9 @@ def _advance(ends: set[int], segment: str, name: list[str]) -> set[int]:
     return {at + 1 for at in ends if at < len(name) and segment in ("*", name[at])}
 
 
-REMOTE: Final = "/remote"
-MAX_LABEL: Final = 32
-_LABEL: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_PREFIX: Final = f"{REMOTE}/"
-
-
 def check_label(text: str) -> str:
     """Return `text` if it is a label: one segment of a name, at most 32 characters."""
-    if len(text) > MAX_LABEL or _LABEL.fullmatch(text) is None:
+    if len(text) > MAX_LABEL or _SEGMENT.fullmatch(text) is None:
         raise NameRefused(
             f"{text[:MAX_NAME]!a} is not a label",
             f"one word of at most {MAX_LABEL} letters, digits or _, for example hospital",
@@ -375,7 +326,6 @@ def origin_of(name: str) -> str:
 
 
 def is_alias(name: str) -> bool:
-    """Whether a name lies in `/remote`."""
     return name == REMOTE or name.startswith(_PREFIX)
 
 
@@ -422,13 +372,11 @@ def local_pattern(text: str) -> str:
     return check_pattern(f"{_PREFIX}{check_label(label)}{pattern}")
 
 
-__all__ = ("GATEWAY", "alias_of_served", "is_gateway", "is_in_gateway", "is_served", "served_name")
-
-_SERVED_PREFIX: Final = f"{GATEWAY}/"
-
-
 def served_name(alias: str) -> str:
-    """The served name of an alias: `/gateway/hospital/pose` for `/remote/hospital/pose`."""
+    """The served name of an alias: `/gateway/hospital/pose` for `/remote/hospital/pose`.
+
+    A name of the own domain: its authority grants rights on it, and never on the alias.
+    """
     found = split_alias(alias)
     if found is None:
         raise NameRefused(f"{alias} is a name of this domain: no gateway serves it")

@@ -1,20 +1,15 @@
-"""The form of rossec's certificates: X.509-SVIDs of SPIFFE with every freedom removed.
+"""The form of rossec's certificates and requests: X.509-SVIDs of SPIFFE with every freedom removed.
 
-Each function checks one part of a parsed certificate and refuses every other form; trust and
-validity times are checked by `ca.certificates`. `cryptography` parses lazily, so a malformed part
-may be found at any access: each access converts its exceptions into ours.
-
-Certificate requests: one name for one key, with proof of possession, and nothing else.
-
-A request is a PKCS#10 CSR (so every CA tool can read it) in the one form `build_request` writes:
-empty subject, one extension with one URI. The approver therefore sees everything it contains;
-anything more (CA:TRUE, a second name, a key usage) is refused, never silently dropped. The only
-option is a wildcard tail; it is refused as well unless the approver allowed it.
+Each function checks one part and refuses every other form; trust and validity times are checked by
+`ca.certificates`. `cryptography` parses lazily, so a malformed part may be found at any access:
+each access converts its exceptions into ours. A request is a PKCS#10 CSR in the one form that
+`build_request` writes: anything more (CA:TRUE, a second name) is refused, never silently dropped, so
+that the approver sees everything it contains.
 """
 
 import hashlib
 from dataclasses import dataclass
-from typing import Final, NamedTuple, NoReturn
+from typing import Final, NamedTuple, NoReturn, TypeVar
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
@@ -26,9 +21,8 @@ from cryptography.x509.oid import ExtensionOID, SignatureAlgorithmOID
 
 from ca.errors import CertificateRefused, KeyRefused, NameRefused, RequestRefused
 from ca.keys.signing import Signer, X509Signer, require_p256, thumbprint
-from ca.names import check_domain, check_wildcard, parse_spiffe_id, refuse_alias, spiffe_id
+from ca.names import SCHEME, check_domain, check_wildcard, parse_spiffe_id, refuse_alias, spiffe_id
 
-SCHEME: Final = "spiffe://"
 MAX_CERTIFICATE: Final = 2048  # a leaf with the longest name has about 900 bytes
 # All that `cryptography` raises for malformed DER; some of these are not a ValueError.
 PARSE_ERRORS: Final = (
@@ -57,6 +51,13 @@ _USAGES: Final = (
 _UNDERSTOOD: Final = frozenset(
     {ExtensionOID.BASIC_CONSTRAINTS, ExtensionOID.KEY_USAGE, ExtensionOID.SUBJECT_ALTERNATIVE_NAME}
 )
+
+MAX_REQUEST: Final = 2048  # a request for the longest name has about 800 bytes
+_EXTENSION_REQUEST: Final = x509.ObjectIdentifier("1.2.840.113549.1.9.14")
+_HINT: Final = "make the request on the node with `rossec node request`"
+
+
+_Extension = TypeVar("_Extension", bound=x509.ExtensionType)
 
 
 def parse(der: bytes) -> x509.Certificate:
@@ -155,11 +156,9 @@ def extensions(certificate: x509.Certificate) -> x509.Extensions:
 
 
 def check_leaf(extensions: x509.Extensions) -> None:
-    match _critical(extensions, x509.BasicConstraints):
-        case x509.BasicConstraints(ca=False):
-            pass
-        case _:
-            raise CertificateRefused("the certificate has no critical basic constraints with CA false")
+    constraints = _critical(extensions, x509.BasicConstraints)
+    if constraints is None or constraints.ca:
+        raise CertificateRefused("the certificate has no critical basic constraints with CA false")
     if _usages(extensions) != {"digital_signature"}:
         raise CertificateRefused("the certificate's key usage is not digital signature only")
 
@@ -171,13 +170,9 @@ def is_authority(extensions: x509.Extensions) -> bool:
 
 
 def check_authority(extensions: x509.Extensions) -> None:
-    match _critical(extensions, x509.BasicConstraints):
-        case x509.BasicConstraints(ca=True):
-            pass
-        case _:
-            raise CertificateRefused(
-                "this is not an authority's certificate", "name the ca.pem of the authority"
-            )
+    constraints = _critical(extensions, x509.BasicConstraints)
+    if constraints is None or not constraints.ca:
+        raise CertificateRefused("this is not an authority's certificate", "name the ca.pem of the authority")
     if "key_cert_sign" not in _usages(extensions):
         raise CertificateRefused("the authority's certificate may not sign certificates")
 
@@ -193,7 +188,7 @@ def check_intermediate(extensions: x509.Extensions) -> None:
 def path_length(extensions: x509.Extensions) -> int | None:
     """The path length constraint; None: there is none."""
     constraints = _critical(extensions, x509.BasicConstraints)
-    return constraints.path_length if isinstance(constraints, x509.BasicConstraints) else 0
+    return 0 if constraints is None else constraints.path_length
 
 
 def policies(extensions: x509.Extensions) -> frozenset[x509.ObjectIdentifier]:
@@ -220,7 +215,7 @@ def _usages(extensions: x509.Extensions) -> set[str]:
     return {name for name in _USAGES if getattr(usage, name, False)}
 
 
-def _critical(extensions: x509.Extensions, kind: type[x509.ExtensionType]) -> x509.ExtensionType | None:
+def _critical(extensions: x509.Extensions, kind: type[_Extension]) -> _Extension | None:
     for extension in extensions:
         if isinstance(extension.value, kind) and extension.critical:
             return extension.value
@@ -272,50 +267,55 @@ def _malformed(error: Exception) -> NoReturn:
     raise CertificateRefused("this is not a well-formed certificate") from error
 
 
-MAX_REQUEST: Final = 2048  # a request for the longest name has about 800 bytes
-_EXTENSION_REQUEST: Final = x509.ObjectIdentifier("1.2.840.113549.1.9.14")
-_HINT: Final = "make the request on the node with `rossec node request`"
-
-
 @dataclass(frozen=True)
 class IdentityRequest:
-    """A verified request.
-
-    `digest` is the SHA-256 of the DER bytes, as in the enrollment code. `wildcard`: it requests a
-    wildcard tail.
-    """
+    """A verified request."""
 
     domain: str
     name: str
     public_key: ec.EllipticCurvePublicKey
     thumbprint: bytes
-    digest: bytes
-    wildcard: bool = False
+    digest: bytes  # SHA-256 of the DER bytes, as in the enrollment code
+    wildcard: bool = False  # it requests a wildcard tail
 
 
 def build_request(signer: Signer, domain: str, name: str, *, wildcard: bool = False) -> bytes:
-    """Return a CSR (DER) for `name` in `domain` with the signer's key."""
     builder = request_builder(spiffe_id(domain, refuse_alias(name)))
     if wildcard:
         check_wildcard(name)
         builder = builder.add_extension(x509.UnrecognizedExtension(WILDCARD, WILDCARD_VALUE), critical=False)
-    return builder.sign(X509Signer(signer), hashes.SHA256()).public_bytes(Encoding.DER)
+    return sign(builder, signer)
 
 
 def request_builder(uri: str) -> x509.CertificateSigningRequestBuilder:
-    names = x509.SubjectAlternativeName([x509.UniformResourceIdentifier(uri)])
     builder = x509.CertificateSigningRequestBuilder(x509.Name([]))
-    return builder.add_extension(names, critical=True)
+    return builder.add_extension(alternative_name(uri), critical=True)
+
+
+def alternative_name(uri: str) -> x509.SubjectAlternativeName:
+    return x509.SubjectAlternativeName([x509.UniformResourceIdentifier(uri)])
+
+
+def sign(builder: x509.CertificateBuilder | x509.CertificateSigningRequestBuilder, signer: Signer) -> bytes:
+    return builder.sign(X509Signer(signer), hashes.SHA256()).public_bytes(Encoding.DER)
 
 
 def check_request(csr: bytes, domain: str, *, wildcard: bool = False) -> IdentityRequest:
-    """Return the request in the CSR, if it is for one name in `domain` and a proven P-256 key.
+    """The request in the CSR, if it is for one name in `domain` and a proven P-256 key.
 
-    Args:
-        wildcard: the approver allows a wildcard tail.
+    `wildcard`: the approver allows a wildcard tail.
     """
     key, uri, asks = read_request(csr, _HINT)
-    name = _check_name(uri, domain)
+    try:
+        asked_domain, name = parse_spiffe_id(uri)
+        refuse_alias(name)
+    except NameRefused as error:
+        raise RequestRefused(f"the request asks for an invalid name: {error}", _HINT) from error
+    if asked_domain != domain:
+        raise RequestRefused(
+            f"the request is for trust domain {asked_domain!r}, this authority is {domain!r}",
+            f"make the request on the node for {domain!r}",
+        )
     if asks and not wildcard:
         raise RequestRefused(
             f"the request asks for all names that begin with {name}_",
@@ -370,7 +370,9 @@ def requested_name(request: x509.CertificateSigningRequest) -> tuple[str, bool]:
                     "the request asks to be an authority", "do not sign it: find out who made it"
                 )
             case _:
-                raise RequestRefused(f"the request asks for extension {_extension_name(extension)}", _HINT)
+                known = {oid: name for name, oid in vars(ExtensionOID).items() if not name.startswith("_")}
+                asked = known.get(extension.oid, extension.oid.dotted_string)
+                raise RequestRefused(f"the request asks for extension {asked}", _HINT)
     match names:
         case [x509.UniformResourceIdentifier(value=uri)]:
             return uri, wildcard
@@ -378,22 +380,3 @@ def requested_name(request: x509.CertificateSigningRequest) -> tuple[str, bool]:
             raise RequestRefused(
                 f"the request asks for {len(names)} names where exactly one URI is allowed", _HINT
             )
-
-
-def _check_name(uri: str, domain: str) -> str:
-    try:
-        asked_domain, name = parse_spiffe_id(uri)
-        refuse_alias(name)
-    except NameRefused as error:
-        raise RequestRefused(f"the request asks for an invalid name: {error}", _HINT) from error
-    if asked_domain != domain:
-        raise RequestRefused(
-            f"the request is for trust domain {asked_domain!r}, this authority is {domain!r}",
-            f"make the request on the node for {domain!r}",
-        )
-    return name
-
-
-def _extension_name(extension: x509.Extension[x509.ExtensionType]) -> str:
-    known = {oid: name for name, oid in vars(ExtensionOID).items() if not name.startswith("_")}
-    return known.get(extension.oid, extension.oid.dotted_string)

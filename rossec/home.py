@@ -29,7 +29,7 @@ from ca.errors import (
     RevocationRefused,
 )
 from ca.keys import private_keys
-from ca.keys.signing import KeySigner
+from ca.keys.signing import KeySigner, thumbprint
 from ca.names import check_name
 from ca.revocation.lists import MAX_TREE_ENTRIES_SIZE
 from ca.revocation.trust_status import NO_FLOOR, open_statement
@@ -174,7 +174,7 @@ class NodeHome:
         if not (self.path / "node.key").exists():
             self.create_request(domain, wildcard=wildcard)
         request = self.request()
-        own = private_keys.thumbprint(self.signer().public_key)
+        own = thumbprint(self.signer().public_key)
         if check_request(request, domain, wildcard=wildcard).thumbprint != own:
             raise ConfigurationError(
                 f"{self.request_path} is for another key than {self.name} has here",
@@ -215,7 +215,7 @@ class NodeHome:
         chain, root = _split(bundle)
         anchor = TrustAnchor.load(root)
         identity = anchor.verify(chain, now)
-        own = private_keys.thumbprint(self.signer().public_key)
+        own = thumbprint(self.signer().public_key)
         if identity.name != self.name or identity.thumbprint != own:
             raise ConfigurationError(
                 f"this identity is for {identity.name} with another key than {self.name} has here",
@@ -248,7 +248,7 @@ class NodeHome:
                 f"{self.path} holds the identity of {identity.name}, not of {self.name}",
                 f"next: rossec node request {self.name}",
             )
-        if identity.thumbprint != private_keys.thumbprint(own.signer.public_key):
+        if identity.thumbprint != thumbprint(own.signer.public_key):
             raise ConfigurationError(
                 f"the key and the certificate in {self.path} do not belong together",
                 "restore the key; without it move the directory away and enroll the node anew",

@@ -27,6 +27,7 @@ from ca.domains.trust import MAX_LIST as MAX_DOMAINS
 from ca.domains.trust import Anchors, open_domains
 from ca.errors import HintedError, ThingRefused
 from ca.keys import private_keys
+from ca.keys.signing import thumbprint
 from ca.names import check_domain
 from ca.revocation.lists import MAX_LIST
 from ca.revocation.trust_status import NO_FLOOR, Revocations, Standing, open_statement
@@ -283,7 +284,7 @@ class ThingFiles:
     def _verified(self, data: bytes) -> ThingStatement:
         anchor = self._home.anchor()
         statement = verify_statement(data, anchor.public_key, domain=anchor.domain)
-        if statement.border != private_keys.thumbprint(self._home.signer().public_key):
+        if statement.border != thumbprint(self._home.signer().public_key):
             raise ThingRefused(
                 f"the statement about {statement.name} is for another border router",
                 f"for this one: rossec ca thing {statement.name} --border {self._home.name}",

@@ -1,37 +1,10 @@
-"""The client data of WebAuthn: what a browser says about the page that used a passkey. Pure.
+"""Passkeys: their registration, their assertions, and the approvals that are recorded with them. Pure.
 
-Strict JSON of at most 4 KiB in which no key occurs twice. Unknown keys are allowed, as browsers add
-some on purpose (Web Authentication section 5.8.1). Checked in the order of section 7.2: type,
-challenge, origin, and that the page was not embedded in another.
-
-What an authenticator says in WebAuthn: its data, and its key. Pure.
-
-The beginning of authenticator data has a fixed form (Web Authentication section 6.1), so an
-assertion is verified without any library. Only a registration has more that is read
-(`ca.approvals.passkeys`); extensions are signed and ignored, as none is asked for.
-
-A passkey, and an assertion by it, verified against what it had to sign. Pure.
-
-The order is that of Web Authentication section 7.2: type, challenge, origin, no embedding page,
-RP id, user present, user verified, counter, signature. Only ES256 is accepted. A passkey that
+The order of checks is that of Web Authentication section 7.2: type, challenge, origin, no embedding
+page, RP id, user present, user verified, counter, signature. Only ES256 is accepted. A passkey that
 is synchronized between devices always has the counter 0: what stops a replay is the id of a
-statement, which the record takes once.
-
-Challenges for passkeys that approve nothing: of a login, and of a new passkey. Pure.
-
-Their first field differs from that of a statement, and so does the type that a browser signs for a
-new passkey: nothing signed for one purpose is ever taken for another. The service takes each once.
-
-A new passkey, from what `navigator.credentials.create` returned. Pure.
-
-No attestation is asked for, and one that comes is not read: it would say who made the device, not
-whose it is. The key must be ES256, the device must have verified its user, and the key is kept in
-one form, not as it came. Browsers encode this object in different orders, so `fido2` parses it.
-
-A recorded approval, and its verification from the record alone. Pure.
-
-Everything that convinced the service is kept: statement, payload, assertion. Whoever has the record
-and trusts that its passkeys are theirs can check later that every act was approved by a touch.
+statement, which the record takes once. Everything that convinced the service is kept: whoever has
+the record and trusts its passkeys can check later that every act was approved by a touch.
 """
 
 import base64
@@ -40,8 +13,7 @@ import struct
 from collections.abc import Iterable
 from enum import StrEnum
 from hashlib import sha256
-from types import ModuleType
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn, Self
+from typing import Any, Final, NamedTuple, NoReturn, Self
 
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric import ec
@@ -64,11 +36,29 @@ from ca.errors import (
     StatementRefused,
 )
 
-if TYPE_CHECKING:
-    from fido2 import webauthn
-
-
 MAX_CLIENT_DATA: Final = 4096
+
+MAX_AUTHENTICATOR_DATA: Final = 2048
+_FIXED_SIZE: Final = 37  # a digest, the flags, the counter
+_PRESENT, _VERIFIED, _MORE = 0x01, 0x04, 0xC0  # UP, UV; AT and ED: more follows
+_COORDINATE: Final = 32
+_HINT: Final = "try again, or with another browser"
+
+MAX_SIGNATURE: Final = 80  # DER of two integers of 33 bytes needs 72
+
+MAX_ATTESTATION: Final = 16 * 1024
+MAX_NAME: Final = 64
+_REGISTRATION_HINT: Final = "try again, or with another device"
+# What its parser raises for bytes that are not of the form.
+_MALFORMED: Final = (
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    RecursionError,
+    MemoryError,
+    struct.error,
+)
 
 
 class Ceremony(StrEnum):
@@ -84,8 +74,7 @@ def check_client_data(data: bytes, ceremony: Ceremony, challenge: bytes, origin:
         raise OtherChallenge(
             "the passkey signed something else", "look at the page again: what it shows may have changed"
         )
-    found = value.get("origin")
-    if found != origin:
+    if (found := value.get("origin")) != origin:
         raise OtherOrigin(
             f"the passkey was used at {str(found)[:80]!a} instead of {origin}",
             "open the console by its own address, and register the phone there",
@@ -99,6 +88,7 @@ def base64url(data: bytes) -> str:
 
 
 def _parse(data: bytes) -> dict[str, Any]:
+    # Strict JSON. Unknown keys are allowed: browsers add some on purpose (section 5.8.1).
     if len(data) > MAX_CLIENT_DATA:
         raise _malformed(f"{len(data)} bytes of client data")
     try:
@@ -122,14 +112,7 @@ def _refuse_constant(name: str) -> NoReturn:
 
 
 def _malformed(what: str) -> AssertionMalformed:
-    return AssertionMalformed(f"the browser sent {what}", "try again, or with another browser")
-
-
-MAX_AUTHENTICATOR_DATA: Final = 2048
-_FIXED_SIZE: Final = 37  # a digest, the flags, the counter
-_PRESENT, _VERIFIED, _MORE = 0x01, 0x04, 0xC0  # UP, UV; AT and ED: more follows
-_COORDINATE: Final = 32
-_HINT: Final = "try again, or with another browser"
+    return AssertionMalformed(f"the browser sent {what}", _HINT)
 
 
 class AuthenticatorData(NamedTuple):
@@ -172,29 +155,18 @@ def read_key(cose_key: bytes) -> ec.EllipticCurvePublicKey:
         raise AssertionMalformed("the device's key is not a key of P-256", _HINT) from error
 
 
-MAX_SIGNATURE: Final = 80  # DER of two integers of 33 bytes needs 72
-
-
 class Passkey(NamedTuple):
-    """A registered passkey.
-
-    `id` is its credential id, `cose_key` its public key as deterministic CBOR, `approval` the id of
-    the approval that added it, empty if the terminal did.
-    """
-
-    id: bytes
+    id: bytes  # its credential id
     name: str
-    cose_key: bytes
+    cose_key: bytes  # its public key as deterministic CBOR
     aaguid: bytes
     rp_id: str
     origin: str
-    approval: bytes
+    approval: bytes  # the id of the approval that added it; empty: the terminal did
     at: int
 
 
 class Assertion(NamedTuple):
-    """What `navigator.credentials.get` returned."""
-
     credential: bytes
     client_data: bytes
     authenticator_data: bytes
@@ -214,9 +186,7 @@ def verify(assertion: Assertion, passkey: Passkey, challenge: bytes, counter: in
             "if it was used once only, somebody has a copy: remove it, and register a new one",
         )
     if len(assertion.signature) > MAX_SIGNATURE:
-        raise AssertionMalformed(
-            f"a signature of {len(assertion.signature)} bytes", "try again, or with another browser"
-        )
+        raise AssertionMalformed(f"a signature of {len(assertion.signature)} bytes", _HINT)
     signed = assertion.authenticator_data + sha256(assertion.client_data).digest()
     try:
         read_key(passkey.cose_key).verify(assertion.signature, signed, ec.ECDSA(SHA256()))
@@ -229,12 +199,11 @@ def verify(assertion: Assertion, passkey: Passkey, challenge: bytes, counter: in
 
 
 def counter_of(authenticator_data: bytes) -> int:
-    """The counter in recorded authenticator data."""
     return AuthenticatorData.read(authenticator_data).counter
 
 
 class Purpose(StrEnum):
-    """What a challenge is for."""
+    """What a challenge is for: not the first field of any statement, so none is taken for another."""
 
     LOGIN = "rossec-login-v1"
     PASSKEY = "rossec-passkey-v1"
@@ -256,24 +225,7 @@ class Challenge(NamedTuple):
         return sha256(encode([str(self.purpose), *self[1:]])).digest()
 
 
-MAX_ATTESTATION: Final = 16 * 1024
-MAX_NAME: Final = 64
-_REGISTRATION_HINT: Final = "try again, or with another device"
-# What its parser raises for bytes that are not of the form.
-_MALFORMED: Final = (
-    ValueError,
-    LookupError,
-    TypeError,
-    AttributeError,
-    RecursionError,
-    MemoryError,
-    struct.error,
-)
-
-
 class Registration(NamedTuple):
-    """What the browser returned for a new passkey."""
-
     client_data: bytes
     attestation: bytes
 
@@ -286,26 +238,29 @@ def register(
     attestation = registration.attestation
     if len(attestation) > MAX_ATTESTATION:
         raise AssertionMalformed(f"{len(attestation)} bytes of attestation", _REGISTRATION_HINT)
-    library = _library()
+    try:  # browsers encode this object in different orders, so a library parses it
+        from fido2 import webauthn  # noqa: PLC0415  (an extra)
+    except ImportError:
+        raise ConsoleExtraMissing(
+            "passkeys need the package fido2", "pip install 'rossec[console]'"
+        ) from None
+    # No attestation is asked for, and one that comes is not read: it would say who made the device.
     try:
-        data: webauthn.AuthenticatorData = library.AttestationObject(attestation).auth_data
+        data = webauthn.AttestationObject(attestation).auth_data
     except _MALFORMED as error:
         raise AssertionMalformed("an attestation of an unknown form", _REGISTRATION_HINT) from error
-    parsed = data
-    AuthenticatorData.read(bytes(parsed)).check(challenge.rp_id)
-    found = parsed.credential_data
+    AuthenticatorData.read(bytes(data)).check(challenge.rp_id)
+    found = data.credential_data
     if found is None or not 0 < len(found.credential_id) <= MAX_CREDENTIAL:
         raise PasskeyRefused("the device made no passkey", _REGISTRATION_HINT)
-    return Passkey(
-        found.credential_id,
-        check_passkey_name(name),
-        _key(found),
-        bytes(found.aaguid),
-        challenge.rp_id,
-        challenge.origin,
-        approval,
-        at,
-    )
+    name = check_passkey_name(name)
+    try:
+        key = encode(dict(found.public_key))  # in one form, not as it came
+    except (EncodingError, TypeError) as error:
+        raise AssertionMalformed("the device's key is of an unknown form", _REGISTRATION_HINT) from error
+    read_key(key)
+    aaguid, rp_id, origin = bytes(found.aaguid), challenge.rp_id, challenge.origin
+    return Passkey(found.credential_id, name, key, aaguid, rp_id, origin, approval, at)
 
 
 def to_approve(passkey: Passkey) -> NewPasskey:
@@ -319,26 +274,6 @@ def check_passkey_name(name: str) -> str:
             f"the name of a phone has 1 to {MAX_NAME} printable characters", "for example: Ann's phone"
         )
     return name
-
-
-def _key(found: "webauthn.AttestedCredentialData") -> bytes:
-    try:
-        key = encode(dict(found.public_key))
-    except (EncodingError, TypeError) as error:
-        raise AssertionMalformed("the device's key is of an unknown form", _REGISTRATION_HINT) from error
-    read_key(key)
-    return key
-
-
-def _library() -> ModuleType:
-    # `fido2.webauthn`, which only the extra `console` installs.
-    try:
-        from fido2 import webauthn  # noqa: PLC0415
-    except ImportError:
-        raise ConsoleExtraMissing(
-            "passkeys need the package fido2", "pip install 'rossec[console]'"
-        ) from None
-    return webauthn
 
 
 class Approval(NamedTuple):
@@ -358,15 +293,8 @@ class Approval(NamedTuple):
     @classmethod
     def of(cls, statement: Statement, payload: bytes, assertion: Assertion, at: int) -> Self:
         """The approval of `statement` by `assertion`, not verified."""
-        return cls(
-            statement.id,
-            int(statement.kind),
-            statement.subject,
-            statement.to_bytes(),
-            payload,
-            *assertion,
-            at,
-        )
+        kind, data = int(statement.kind), statement.to_bytes()
+        return cls(statement.id, kind, statement.subject, data, payload, *assertion, at)
 
     @property
     def assertion(self) -> Assertion:
@@ -386,10 +314,7 @@ class Approval(NamedTuple):
 
 
 class ApprovalVerifier:
-    """Verifies approvals, in the order in which they were made.
-
-    `counters`: those of the passkeys before, by credential id.
-    """
+    """Verifies approvals, in the order in which they were made; `counters`: those of the passkeys before."""
 
     def __init__(self, passkeys: Iterable[Passkey], counters: Iterable[tuple[bytes, int]] = ()) -> None:
         self._passkeys = {passkey.id: passkey for passkey in passkeys}

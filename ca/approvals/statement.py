@@ -11,7 +11,7 @@ from enum import IntEnum
 from hashlib import sha256
 from typing import Final, NamedTuple, Self, TypeAlias
 
-from ca.encoding import Value, decode, encode
+from ca.encoding import Value, decode, encode, is_number
 from ca.errors import EncodingError, StatementRefused
 from ca.names import MASTER, is_master_name
 
@@ -23,7 +23,6 @@ MAX_CREDENTIAL: Final = 1023  # Web Authentication section 4, "Credential ID"
 MAX_PAYLOAD: Final = 1024 * 1024
 _DIGEST_SIZE: Final = 32
 _MAX_TEXT: Final = 1024  # bytes of UTF-8
-_INT_LIMIT: Final = 1 << 53
 _HINT: Final = "ask again: the statement may come from another version of rossec"
 
 
@@ -60,14 +59,11 @@ class Grant(NamedTuple):
 
 
 class PolicyChange(NamedTuple):
-    """A policy file put in force: digests of the one before (zeros: none) and of the new one.
+    """A policy file put in force, by digests."""
 
-    `effect`: digest of the grants that it makes and revokes (`rossec.authority.policyfile`).
-    """
-
-    old: bytes
+    old: bytes  # of the file before; zeros: none
     new: bytes
-    effect: bytes
+    effect: bytes  # of the grants that it makes and revokes (`rossec.authority.policyfile`)
 
 
 class Delegate(NamedTuple):
@@ -138,10 +134,6 @@ def _is_name(value: object) -> bool:
     return _is_text(value) and value != ""
 
 
-def _is_number(value: object) -> bool:
-    return type(value) is int and 0 <= value < _INT_LIMIT
-
-
 def _is_flag(value: object) -> bool:
     return isinstance(value, bool)
 
@@ -163,27 +155,21 @@ def _is_master(value: object) -> bool:
 
 
 class _Form(NamedTuple):
-    """The form of a kind: its fields' checks, which field names what it is about, and which
-    is the digest of a payload.
-
-    A last field that equals `default` is left out, as before there was one.
-    """
-
     build: Callable[..., What]
-    fields: tuple[Callable[[object], bool], ...]
-    subject: int | None = None
-    payload: int | None = None
-    default: str | None = None
+    fields: tuple[Callable[[object], bool], ...]  # checks
+    subject: int | None = None  # which field names what it is about
+    payload: int | None = None  # which one is the digest of a payload
+    default: str | None = None  # a last field that equals it is left out
 
 
 _FORMS: Final[Mapping[Kind, _Form]] = {
-    Kind.ENROLL: _Form(Enroll, (_is_digest, _is_name, _is_digest, _is_flag, _is_number, _is_flag), 0, 0),
+    Kind.ENROLL: _Form(Enroll, (_is_digest, _is_name, _is_digest, _is_flag, is_number, _is_flag), 0, 0),
     Kind.GRANT: _Form(Grant, (_is_id, _is_digest), 0, 1),
     Kind.POLICY: _Form(PolicyChange, (_is_digest, _is_digest, _is_digest), 1, 1),
-    Kind.DELEGATE: _Form(Delegate, (_is_digest, _is_number, _is_number), 0),
-    Kind.INTERMEDIATE: _Form(Intermediate, (_is_digest, _is_flag, _is_number), 0, 0),
+    Kind.DELEGATE: _Form(Delegate, (_is_digest, is_number, is_number), 0),
+    Kind.INTERMEDIATE: _Form(Intermediate, (_is_digest, _is_flag, is_number), 0, 0),
     Kind.PASSKEY: _Form(NewPasskey, (_is_credential, _is_digest, _is_name), 0),
-    Kind.INVITATION: _Form(Invitation, (_is_name, _is_number, _is_number, _is_flag)),
+    Kind.INVITATION: _Form(Invitation, (_is_name, is_number, is_number, _is_flag)),
     Kind.FOREIGN_DOMAIN: _Form(ForeignDomain, (_is_digest,), 0),
     Kind.REVOKE_MASTER: _Form(RevokeMaster, (_is_text, _is_master), default=MASTER),
 }
@@ -202,15 +188,14 @@ class Statement(NamedTuple):
     what: What
 
     def to_bytes(self) -> bytes:
-        """Its one encoding."""
         _check(self)
         log: Value = [self.log_size, self.log_root]
         head: list[Value] = [VERSION, int(self.kind), self.id, self.domain, self.made, self.until]
-        return encode([*head, log, _fields(self.kind, self.what)])
+        fields: list[Value] = [*self.what]
+        return encode([*head, log, fields[:-1] if fields[-1] == _FORMS[self.kind].default else fields])
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """Read a statement."""
         try:
             value = decode(data, limit=MAX_STATEMENT)
         except EncodingError as error:
@@ -226,8 +211,10 @@ class Statement(NamedTuple):
                 [int(size), bytes(root)],
                 [*fields],
             ] if version == VERSION:
-                what = _what(_kind(kind), fields)
-                found = cls(_kind(kind), id_, domain, made, until, size, root, what)
+                if isinstance(kind, bool) or kind not in _FORMS:  # True equals 1, and is encoded otherwise
+                    raise StatementRefused("a statement of an unknown kind", _HINT)
+                what = _what(Kind(kind), fields)
+                found = cls(Kind(kind), id_, domain, made, until, size, root, what)
                 _check(found)
                 return found
             case _:
@@ -259,12 +246,6 @@ class Statement(NamedTuple):
         return found
 
 
-def _kind(number: int) -> Kind:
-    if isinstance(number, bool) or number not in _FORMS:  # True equals 1, and is encoded otherwise
-        raise StatementRefused("a statement of an unknown kind", _HINT)
-    return Kind(number)
-
-
 def _what(kind: Kind, fields: list[Value]) -> What:
     form = _FORMS[kind]
     if form.default is not None and len(fields) == len(form.fields) - 1:
@@ -274,28 +255,17 @@ def _what(kind: Kind, fields: list[Value]) -> What:
     return form.build(*fields)
 
 
-def _fields(kind: Kind, what: What) -> list[Value]:
-    fields: list[Value] = list(what)
-    return fields[:-1] if fields[-1] == _FORMS[kind].default else fields
-
-
 def _check(statement: Statement) -> None:
     form = _FORMS[statement.kind]
     if type(statement.what) is not form.build:
         raise StatementRefused(f"a statement of kind {statement.kind} about another", _HINT)
-    fields = (*zip(form.fields, statement.what, strict=True), *_head_of(statement))
-    if not all(is_right(field) for is_right, field in fields):
+    head = (
+        (_is_id, statement.id),
+        (_is_name, statement.domain),
+        (_is_digest, statement.log_root),
+        *((is_number, each) for each in (statement.made, statement.until, statement.log_size)),
+    )
+    if not all(check(field) for check, field in (*zip(form.fields, statement.what, strict=True), *head)):
         raise StatementRefused("a field of the statement is not of its form", _HINT)
     if not statement.made < statement.until <= statement.made + LIFETIME:
         raise StatementRefused(f"a statement is valid for at most {LIFETIME} seconds", _HINT)
-
-
-def _head_of(statement: Statement) -> tuple[tuple[Callable[[object], bool], object], ...]:
-    return (
-        (_is_id, statement.id),
-        (_is_name, statement.domain),
-        (_is_number, statement.made),
-        (_is_number, statement.until),
-        (_is_number, statement.log_size),
-        (_is_digest, statement.log_root),
-    )

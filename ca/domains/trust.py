@@ -1,36 +1,24 @@
-"""A domain's card: what one authority hands to another, which may then trust the domain.
+"""Foreign trust domains: their cards, the signed list of them, and whom a node trusts to name somebody.
 
-It is signed by the root key it contains. So it proves that its maker has the key and wants what it
-says, and nothing about who that is: the fingerprint of the root, or the digest of the card in a
-code, is compared over another way. It is no secret. Names and addresses are proposals; what is
-admitted is decided by who accepts.
-
-The list of foreign domains: who else exists, signed by the own authority's root.
-
-Ordered, kept and delivered as the revocation list: (epoch, seq), the higher one wins, an older one
-is refused. It also names the keys of the own domain's masters, whose tickets count
-(docs/spec/domains.md section 2). One set of domains has one encoding.
-
-Whom a node trusts to say who somebody is: its own authority, and the listed foreign ones.
-
-The trust domain in a leaf is a lookup key only: exactly one root is tried, and the whole
-verification is that of the own domain. What a foreign root says counts for the names that the list
-admits, and for nothing else; its wildcard tails are not honoured. The newest list is one immutable
-value, replaced in one step: threads verify while a list arrives.
+A card is signed by the root key in it: it proves that its maker has the key, and nothing about who
+that is, so the fingerprint is compared over another way. The list is the own authority's, ordered
+as the revocation list: the higher (epoch, seq) wins, an older one is refused. The domain in a leaf
+is a lookup key only: exactly one root is tried. What a foreign root says counts for the names that
+the list admits and for nothing else; its wildcard tails are not honoured. docs/spec/domains.md
 """
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca import svid
 from ca.certificates import Identity, TrustAnchor
-from ca.encoding import Value, decode, encode
+from ca.encoding import Value, decode, encode, is_number
 from ca.errors import (
     CAError,
     CardRefused,
@@ -53,31 +41,38 @@ MAX_CARD_MASTERS: Final = 8
 MAX_CARD: Final = MAX_CERTIFICATE + 8 * 1024
 SKEW: Final = 300  # seconds that another site's clock may be behind
 _EXP, _IAT, _ROOT, _NAMES, _MASTERS = 4, 6, -70037, -70038, -70039
-_INT_LIMIT: Final = 1 << 53
 _URI: Final = re.compile(r"http://[A-Za-z0-9.:\[\]-]{1,255}/?", re.ASCII)
 _HINT: Final = "ask for the file that `rossec domain card` wrote"
+
+DOMAINS: Final = Profile("rossec-domains+cwt")
+MAX_LIST: Final = 64 * 1024
+MAX_DOMAINS: Final = 64
+MAX_MASTERS: Final = 64
+MAX_RULES: Final = 64  # patterns of one domain, of each kind
+LEAST_FRESH, MOST_FRESH = 30, 7 * 86400
+ALL_RIGHTS: Final = 255  # bits, docs/spec/grant.md section 2
+
+_EPOCH, _SEQ, _DOMAINS, _OWN_MASTERS = -70001, -70002, -70031, -70036
+
+NameRights = tuple[str, int]
+"""A pattern of names, and the bits of the rights on them."""
+
+NO_FLOOR: Final = (0, 0)
+ADMIT_HINT: Final = "at this side's authority: rossec domain list, rossec domain accept CARD"
 
 
 @dataclass(frozen=True)
 class Card:
-    """What a card says.
+    """What a card says. Names and addresses are proposals: who accepts decides what is admitted."""
 
-    Args:
-        root: the root certificate of the domain, DER.
-        names: patterns of the nodes for which admission is asked; at most 16.
-        masters: where its masters are, `http://host:port`; at most 8.
-        issued, expires: seconds; at most 30 days.
-    """
-
-    root: bytes
-    names: tuple[str, ...]
-    masters: tuple[str, ...]
+    root: bytes  # the root certificate of the domain, DER
+    names: tuple[str, ...]  # patterns of the nodes for which admission is asked
+    masters: tuple[str, ...]  # where its masters are, `http://host:port`
     issued: int
     expires: int
 
     def __post_init__(self) -> None:
-        times = type(self.issued), type(self.expires)
-        if times != (int, int) or not 0 <= self.issued < self.expires < _INT_LIMIT:
+        if not (is_number(self.issued) and is_number(self.expires) and self.issued < self.expires):
             raise CardRefused("a card that is never valid", _HINT)
         if self.expires - self.issued > MAX_CARD_LIFETIME:
             raise CardRefused("a card that is valid for more than 30 days", _HINT)
@@ -95,7 +90,6 @@ class Card:
 
 
 def sign_card(signer: Signer, card: Card) -> bytes:
-    """Sign a card with the key of its root."""
     if thumbprint(signer.public_key) != card.anchor.thumbprint:
         raise CardRefused("the card is not about this authority", "an intermediate signs no cards")
     names: list[Value] = [*card.names]
@@ -108,7 +102,7 @@ def sign_card(signer: Signer, card: Card) -> bytes:
 def open_card(data: bytes, now: int) -> Card:
     """Verify a card by the root in it, and read it."""
     try:
-        card = _read(CARD.peek(data, limit=MAX_CARD))  # the key to verify with is in it
+        card = _read_card(CARD.peek(data, limit=MAX_CARD))  # the key to verify with is in it
         CARD.open(data, card.anchor.public_key, limit=MAX_CARD)
     except CardRefused:
         raise
@@ -123,7 +117,7 @@ def open_card(data: bytes, now: int) -> Card:
     return card
 
 
-def _read(payload: Value) -> Card:
+def _read_card(payload: Value) -> Card:
     match payload:
         case {4: int() as exp, 6: int() as iat, -70037: bytes() as root, -70038: list() as names, **rest} if (
             rest.keys() <= {_MASTERS}
@@ -143,43 +137,16 @@ def _texts(items: list[Value]) -> tuple[str, ...]:
     return texts
 
 
-DOMAINS: Final = Profile("rossec-domains+cwt")
-MAX_LIST: Final = 64 * 1024
-MAX_DOMAINS: Final = 64
-MAX_MASTERS: Final = 64
-MAX_RULES: Final = 64  # patterns of one domain, of each kind
-LEAST_FRESH, MOST_FRESH = 30, 7 * 86400
-ALL_RIGHTS: Final = 255  # bits, docs/spec/grant.md section 2
-
-_LISTS_EXP, _LISTS_IAT, _EPOCH, _SEQ, _DOMAINS, _LISTS_MASTERS = (4, 6, -70001, -70002, -70031, -70036)
-
-NameRights = tuple[str, int]
-"""A pattern of names, and the bits of the rights on them."""
-
-
 @dataclass(frozen=True)
 class ForeignDomain:
-    """One foreign domain, as far as it is trusted.
-
-    Args:
-        domain: its trust domain.
-        label: what it is called here.
-        root: its root certificate, DER.
-        admitted: patterns of the names of its nodes that may connect; at least one.
-        fresh: how old the last word on its revocations may be, seconds.
-        until: when this trust ends.
-        exported: what its masters are shown, and for which rights; None: whatever grants allow.
-        imported: what is taken into the own graph; None: everything that is shown.
-    """
-
     domain: str
-    label: str
-    root: bytes
-    admitted: tuple[str, ...]
-    fresh: int
-    until: int
-    exported: tuple[NameRights, ...] | None = None
-    imported: tuple[NameRights, ...] | None = None
+    label: str  # what it is called here
+    root: bytes  # its root certificate, DER
+    admitted: tuple[str, ...]  # patterns of the names of its nodes that may connect
+    fresh: int  # how old the last word on its revocations may be, seconds
+    until: int  # when this trust ends
+    exported: tuple[NameRights, ...] | None = None  # what its masters are shown; None: all that grants allow
+    imported: tuple[NameRights, ...] | None = None  # what enters the own graph; None: all that is shown
 
     def __post_init__(self) -> None:
         check_domain(self.domain)
@@ -190,9 +157,8 @@ class ForeignDomain:
             check_pattern(pattern)
         for rules in (self.exported, self.imported):
             _check_rules(rules or ())
-        whole = type(self.fresh) is int and type(self.until) is int
-        times = LEAST_FRESH <= self.fresh <= MOST_FRESH and 0 < self.until < _INT_LIMIT
-        if not (whole and times):
+        whole = is_number(self.fresh) and is_number(self.until)
+        if not (whole and LEAST_FRESH <= self.fresh <= MOST_FRESH and self.until > 0):
             raise DomainsRefused(
                 f"the times of domain {self.domain} are out of range", "30 seconds to 7 days"
             )
@@ -208,32 +174,23 @@ class ForeignDomain:
         return encode(_claims(self))
 
     @classmethod
-    def from_terms(cls, data: bytes) -> Self:
-        """Read what `terms` wrote."""
-        return cls(*_domain(decode(data, limit=MAX_LIST)))
+    def from_terms(cls, data: bytes) -> "ForeignDomain":
+        return _domain(decode(data, limit=MAX_LIST))
 
 
 @dataclass(frozen=True)
 class DomainList:
-    """All foreign domains, sorted by name, and the own masters.
-
-    Args:
-        epoch, seq: the order of lists.
-        issued, expires: seconds; an expired list admits nobody and cuts nobody.
-        domains: at most 64.
-        masters: the keys of the own domain's masters, as x and y (64 octets), sorted.
-    """
+    """All foreign domains, sorted by name, and the own masters."""
 
     epoch: int
     seq: int
     issued: int
-    expires: int
+    expires: int  # an expired list admits nobody and cuts nobody
     domains: tuple[ForeignDomain, ...] = ()
-    masters: tuple[bytes, ...] = ()
+    masters: tuple[bytes, ...] = ()  # keys whose tickets count, as x and y (64 octets), sorted
 
     def __post_init__(self) -> None:
-        numbers = (self.epoch, self.seq, self.issued, self.expires)
-        if not all(type(number) is int and 0 <= number < _INT_LIMIT for number in numbers):
+        if not all(map(is_number, (self.epoch, self.seq, self.issued, self.expires))):
             raise DomainsRefused("a number of the list of domains is out of range")
         if self.expires <= self.issued:
             raise DomainsRefused("a list of domains that is never valid")
@@ -254,17 +211,16 @@ class DomainList:
 
 
 def sign_domains(signer: Signer, domains: DomainList, own_domain: str) -> bytes:
-    """Sign `domains` with the root key of `own_domain`."""
     _check_own(domains, own_domain, to_coordinates(signer.public_key))
     data = DOMAINS.sign(
         signer,
         {
-            _LISTS_EXP: domains.expires,
-            _LISTS_IAT: domains.issued,
+            _EXP: domains.expires,
+            _IAT: domains.issued,
             _EPOCH: domains.epoch,
             _SEQ: domains.seq,
             _DOMAINS: [_claims(each) for each in domains.domains],
-            **({_LISTS_MASTERS: [*domains.masters]} if domains.masters else {}),
+            **({_OWN_MASTERS: [*domains.masters]} if domains.masters else {}),
         },
     )
     if len(data) > MAX_LIST:
@@ -282,7 +238,7 @@ def open_domains(data: bytes, own: TrustAnchor) -> DomainList:
 def verify_domains(data: bytes, key: ec.EllipticCurvePublicKey) -> DomainList:
     """As `open_domains`, for a list that may name the domain whose root key `key` is."""
     try:
-        return _lists_read(DOMAINS.open(data, key, limit=MAX_LIST))
+        return _read_list(DOMAINS.open(data, key, limit=MAX_LIST))
     except (SignatureError, EncodingError) as error:
         raise DomainsRefused(f"not a list of domains of this authority: {error}") from None
     except DomainsRefused:
@@ -314,7 +270,7 @@ def _claims(domain: ForeignDomain) -> Value:
     return claims
 
 
-def _lists_read(payload: Value) -> DomainList:
+def _read_list(payload: Value) -> DomainList:
     match payload:
         case {
             4: int() as exp,
@@ -323,33 +279,21 @@ def _lists_read(payload: Value) -> DomainList:
             -70002: int() as seq,
             -70031: list() as items,
             **rest,
-        } if rest.keys() <= {_LISTS_MASTERS}:
-            masters = rest.get(_LISTS_MASTERS, [])
+        } if rest.keys() <= {_OWN_MASTERS}:
+            masters = rest.get(_OWN_MASTERS, [])
         case _:
             raise DomainsRefused("the list of domains has missing or unknown fields")
-    if not isinstance(masters, list) or (_LISTS_MASTERS in rest and not masters):
+    if not isinstance(masters, list) or (_OWN_MASTERS in rest and not masters):
         raise DomainsRefused("the masters of the list of domains are not a list of keys")
     if len(items) > MAX_DOMAINS or len(masters) > MAX_MASTERS:
         raise DomainsRefused("a list of too many domains or masters")
     keys = tuple(key for key in masters if isinstance(key, bytes))
     if len(keys) != len(masters):
         raise DomainsRefused("the masters of the list of domains are not a list of keys")
-    domains = tuple(ForeignDomain(*_domain(item)) for item in items)
-    return DomainList(epoch, seq, iat, exp, domains, keys)
+    return DomainList(epoch, seq, iat, exp, tuple(map(_domain, items)), keys)
 
 
-class _Terms(NamedTuple):
-    domain: str
-    label: str
-    root: bytes
-    admitted: tuple[str, ...]
-    fresh: int
-    until: int
-    exported: tuple[NameRights, ...] | None
-    imported: tuple[NameRights, ...] | None
-
-
-def _domain(item: Value) -> _Terms:
+def _domain(item: Value) -> ForeignDomain:
     match item:
         case {
             1: str() as domain,
@@ -363,16 +307,8 @@ def _domain(item: Value) -> _Terms:
             patterns = tuple(each for each in admitted if isinstance(each, str))
             if len(patterns) != len(admitted):
                 raise DomainsRefused("an admitted name of a domain is not text")
-            return _Terms(
-                domain,
-                label,
-                root,
-                patterns,
-                fresh,
-                until,
-                _rules(rest[8]) if 8 in rest else None,
-                _rules(rest[9]) if 9 in rest else None,
-            )
+            exported, imported = (_rules(rest[key]) if key in rest else None for key in (8, 9))
+            return ForeignDomain(domain, label, root, patterns, fresh, until, exported, imported)
         case _:
             raise DomainsRefused("a domain of the list has missing or unknown fields")
 
@@ -402,14 +338,8 @@ def _check_sorted(items: list[Any]) -> None:
         raise DomainsRefused("the list of domains is not sorted, or has an entry twice")
 
 
-NO_FLOOR: Final = (0, 0)
-_ANCHORS_HINT: Final = "at this side's authority: rossec domain list, rossec domain accept CARD"
-
-
 @dataclass(frozen=True)
 class ListedDomain:
-    """A foreign domain and its root, ready to verify with."""
-
     entry: ForeignDomain
     anchor: TrustAnchor
 
@@ -417,10 +347,10 @@ class ListedDomain:
         """The identity of a node of this domain, under its alias."""
         entry = self.entry
         if now >= entry.until:
-            raise NotAdmitted(f"the trust in domain {entry.label} has ended", _ANCHORS_HINT)
+            raise NotAdmitted(f"the trust in domain {entry.label} has ended", ADMIT_HINT)
         identity = self.anchor.verify(chain, now)
         if not any(pattern_covers(pattern, identity.name) for pattern in entry.admitted):
-            raise NotAdmitted(f"{entry.label}:{identity.name} is not admitted here", _ANCHORS_HINT)
+            raise NotAdmitted(f"{entry.label}:{identity.name} is not admitted here", ADMIT_HINT)
         try:
             alias = alias_of(entry.label, identity.name)
         except NameRefused as error:
@@ -436,6 +366,7 @@ class ListedDomain:
 
 
 class _Snapshot(NamedTuple):
+    # Immutable, and replaced in one step: threads verify while a list arrives.
     data: bytes
     current: DomainList | None
     by_domain: dict[str, ListedDomain]
@@ -447,12 +378,7 @@ _NOTHING: Final = _Snapshot(b"", None, {}, {}, ())
 
 
 class Anchors:
-    """The own authority, and the newest list of foreign domains.
-
-    Args:
-        own: the own authority.
-        floor: lists below this (epoch, seq) are refused.
-    """
+    """The own authority, and the newest list of foreign domains; none below `floor` is taken."""
 
     def __init__(self, own: TrustAnchor, floor: tuple[int, int] = NO_FLOOR) -> None:
         self.own: Final = own
@@ -491,21 +417,21 @@ class Anchors:
         if persist is not None:
             persist(data)
         self._floor = new.number
-        self._snapshot = _Snapshot(
-            data,
-            new,
-            {each.entry.domain: each for each in listed},
-            {each.entry.label: each for each in listed},
-            masters,
-        )
-        return _ended(held.by_domain.values(), self._snapshot.by_domain)
+        by_domain = {each.entry.domain: each for each in listed}
+        by_label = {each.entry.label: each for each in listed}
+        self._snapshot = _Snapshot(data, new, by_domain, by_label, masters)
+        before = held.by_domain.items()
+        return frozenset(name for name, each in before if _terms(each) != _terms(by_domain.get(name)))
 
     def verify(self, chain: Sequence[bytes], now: int) -> Identity:
         """The identity of a peer: of the own domain, or of a listed one under its alias."""
         held = self._snapshot
         if not held.by_domain or not chain:
             return self.own.verify(chain, now)
-        domain = _claimed_domain(chain[0])
+        try:
+            domain = svid.claimed_domain(svid.parse(chain[0]))  # not trusted: it selects the root to try
+        except CertificateRefused:
+            domain = ""
         if domain == self.own.domain or domain not in held.by_domain:
             return self.own.verify(chain, now)
         if held.current is None or now >= held.current.expires:
@@ -527,21 +453,5 @@ class Anchors:
         return frozenset(name for name, each in self._snapshot.by_domain.items() if now >= each.entry.until)
 
 
-def _ended(before: Iterable[ListedDomain], after: dict[str, ListedDomain]) -> frozenset[str]:
-    return frozenset(
-        each.entry.domain
-        for each in before
-        if each.entry.domain not in after or _terms(each) != _terms(after[each.entry.domain])
-    )
-
-
-def _terms(listed: ListedDomain) -> tuple[object, ...]:
-    return listed.anchor.thumbprint, listed.entry.label, listed.entry.admitted
-
-
-def _claimed_domain(leaf: bytes) -> str:
-    # The trust domain a leaf claims; empty: none. Not trusted: it selects the root to try.
-    try:
-        return svid.claimed_domain(svid.parse(leaf))
-    except CertificateRefused:
-        return ""
+def _terms(listed: ListedDomain | None) -> tuple[object, ...]:
+    return () if listed is None else (listed.anchor.thumbprint, listed.entry.label, listed.entry.admitted)

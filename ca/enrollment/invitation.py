@@ -1,35 +1,11 @@
-"""The code of an invitation: one line that lets nodes join, and the key derived from its secret.
+"""What lets nodes join: the code of an invitation, the tag that holds it, and the proofs of its secret.
 
-It names the root by its hash, so a node knows the authority before it trusts anything. The secret
-never leaves the code: both sides derive a P-256 key from it, the authority keeps the public half,
-and a node proves the secret by a signature. The text is `ROSSEC-JOIN:` + base32 (RFC 4648): base45
-has a space, `$` and `*`, which a shell changes; base64url leaves the alphanumeric mode of QR codes
-and is longer there. Its last octets are a checksum, since half of a pasted line looks like a whole.
-
-An invitation on an NFC tag: an NDEF message of one record (NFC Forum, NDEF 1.0).
-
-The record is of the type MIME media (TNF 2), `application/vnd.rossec.join`; its payload are the
-octets of the code, not its text, so that it fits on the smallest common tag (NTAG213, 144 octets).
-A phone that reads the tag opens nothing: only a URI or a well-known type would be acted on. The
-reader accepts this one form and no other.
-
-The transcript hash of a join, and the two statements signed over it.
-
-The transcript binds the invitation, a fresh nonce of each side, and the authority's certificates.
-`/ca` signs it, which shows that this very peer has the key of `/ca` now; the node signs it together
-with its request, by the key derived from the secret of the invitation. Each statement is of a kind
-of its own and holds hashes that the signer computed: neither side signs what the other chooses.
-
-A request to join, as it reaches the authority's key, and its proof.
-
-The process that has the key gets it from one that talks to strangers. So its octets have a fixed
-layout, which is cut and not parsed, and nothing in it is looked at before the proof is verified
-over its hashes: whoever does not know an invitation's secret reaches no parser.
-
-A claim of a node that joins, as it reaches the authority's key: its metadata, and its proof.
-
-As with a request to join (`join_request`), its octets are cut and not parsed, and the proof is
-verified over hashes. The metadata are parsed by no process that has a key.
+The code names the root by its hash, so a node knows the authority before it trusts anything. Its
+secret never leaves it: both sides derive a P-256 key from it, the authority keeps the public half.
+The transcript binds the invitation, a fresh nonce of each side and the authority's certificates;
+`/ca` signs it, the node signs it with its request, and neither signs what the other chooses.
+Requests and claims come from strangers: their octets are cut, not parsed, and nothing in them is
+looked at before the proof over their hashes is verified.
 """
 
 import base64
@@ -60,6 +36,9 @@ from ca.keys.signing import KeySigner, Profile, Signer, require_p256
 from ca.names import MAX_NAME
 from ca.svid import MAX_REQUEST
 
+# The text is base32 (RFC 4648): base45 has a space, `$` and `*`, which a shell changes; base64url
+# leaves the alphanumeric mode of QR codes and is longer there. Its last octets are a checksum, since
+# half of a pasted line looks like a whole.
 PREFIX: Final = "ROSSEC-JOIN:"
 MAX_TEXT: Final = 640
 SECRET_SIZE: Final = 16
@@ -68,8 +47,8 @@ _MAX_ADDRESS: Final = 64
 _MAX_PATTERN: Final = 255
 _ONE_NAME: Final = 0x31  # the low half is the version
 _ANONYMOUS: Final = 0x41
-_DIGEST_SIZE: Final = 32
 _CHECK_SIZE: Final = 4
+_DIGEST_SIZE: Final = 32
 _FIXED: Final = 1 + _DIGEST_SIZE + SECRET_SIZE + 4 + 1
 _KEY: Final = "rossec-join-key-v1"
 # FIPS 186-5 A.2.1: 16 octets more than the order has, so that the reduction is not biased.
@@ -79,26 +58,38 @@ _ADDRESS: Final = re.compile(r"[!-~]+", re.ASCII)
 _PATTERN: Final = re.compile(r"/[A-Za-z0-9_*/]+", re.ASCII)
 _HINT: Final = "paste the whole line of `rossec ca invite`, beginning with ROSSEC-JOIN:"
 
+# On an NFC tag: an NDEF message of one record of MIME media (NFC Forum, NDEF 1.0), whose payload is
+# the octets of the code, not its text: so it fits on the smallest common tag (NTAG213, 144 octets).
+# A phone that reads it opens nothing: only a URI or a well-known type would be acted on.
+MEDIA_TYPE: Final = b"application/vnd.rossec.join"
+MAX_MESSAGE: Final = 512
+# Message begin and end, TNF 2 (NDEF 3.2): with a payload length of one octet, or of four.
+_SHORT: Final = 0xD2
+_LONG: Final = 0xC2
+
+MAX_STATEMENT: Final = 512
+MAX_METADATA: Final = 4096  # what a node says of itself, where rules give names
+_CONTEXT: Final = "rossec-join-v1"
+_LIVE: Final = Profile("rossec-join-live+cbor")
+_PROOF: Final = Profile("rossec-join-proof+cbor")
+_CLAIM: Final = Profile("rossec-join-claim+cbor")
+
+_SIZES: Final = ID_SIZE + _DIGEST_SIZE  # where those of proof, name and metadata are
+_HEAD: Final = _SIZES + 5
+MAX_REQUEST_SIZE: Final = _HEAD + MAX_STATEMENT + MAX_NAME + MAX_METADATA + MAX_REQUEST
+
+_CLAIM_HEAD: Final = ID_SIZE + _DIGEST_SIZE + 2  # and the size of the proof
+MAX_CLAIM_SIZE: Final = _CLAIM_HEAD + MAX_STATEMENT + MAX_METADATA
+
 
 @dataclass(frozen=True)
 class InvitationCode:
-    """The content of a code.
-
-    Args:
-        root: SHA-256 of the authority's root certificate (DER).
-        secret: 16 random octets, used for nothing else.
-        expires: the last second at which it can be used.
-        address: `host:port` of the authority.
-        pattern: the names that it allows.
-        wildcard: the identities are for anonymous nodes too.
-    """
-
-    root: bytes
-    secret: bytes = field(repr=False)
-    expires: int
-    address: str
-    pattern: str
-    wildcard: bool = False
+    root: bytes  # SHA-256 of the authority's root certificate (DER)
+    secret: bytes = field(repr=False)  # 16 random octets, used for nothing else
+    expires: int  # the last second at which it can be used
+    address: str  # `host:port` of the authority
+    pattern: str  # the names that it allows
+    wildcard: bool = False  # the identities are for anonymous nodes too
 
     def __post_init__(self) -> None:
         sizes = len(self.root) == _DIGEST_SIZE and len(self.secret) == SECRET_SIZE
@@ -126,7 +117,6 @@ class InvitationCode:
 
     @property
     def id(self) -> bytes:
-        """The SHA-256 of `key`: the name of the invitation, not secret."""
         return sha256(self.key).digest()
 
     def check_time(self, now: int) -> None:
@@ -139,18 +129,9 @@ class InvitationCode:
 
     def body(self) -> bytes:
         """The content as octets, with the checksum: what a tag for NFC holds."""
-        address = self.address.encode()
-        body = b"".join(
-            (
-                bytes([_ANONYMOUS if self.wildcard else _ONE_NAME]),
-                self.root,
-                self.secret,
-                self.expires.to_bytes(4),
-                bytes([len(address)]),
-                address,
-                self.pattern.encode(),
-            )
-        )
+        kind, address = bytes([_ANONYMOUS if self.wildcard else _ONE_NAME]), self.address.encode()
+        fixed = kind + self.root + self.secret + self.expires.to_bytes(4) + bytes([len(address)])
+        body = fixed + address + self.pattern.encode()
         return body + _checksum(body)
 
     def text(self) -> str:
@@ -183,13 +164,9 @@ def parse_body(body: bytes) -> InvitationCode:
     texts = rest[SECRET_SIZE + 5 :]
     if not texts.isascii() or size >= len(texts):
         raise _damaged()
+    address, pattern = texts[:size].decode(), texts[size:].decode()
     return InvitationCode(
-        root,
-        secret,
-        int.from_bytes(expires),
-        texts[:size].decode(),
-        texts[size:].decode(),
-        wildcard=kind == _ANONYMOUS,
+        root, secret, int.from_bytes(expires), address, pattern, wildcard=kind == _ANONYMOUS
     )
 
 
@@ -206,13 +183,6 @@ def _checksum(body: bytes) -> bytes:
 
 def _damaged() -> CodeRefused:
     return CodeRefused("the code of the invitation is incomplete or damaged", _HINT)
-
-
-MEDIA_TYPE: Final = b"application/vnd.rossec.join"
-MAX_MESSAGE: Final = 512
-# Message begin and end, TNF 2 (NDEF 3.2): with a payload length of one octet, or of four.
-_SHORT: Final = 0xD2
-_LONG: Final = 0xC2
 
 
 def write(code: InvitationCode) -> bytes:
@@ -240,14 +210,6 @@ def read(data: bytes) -> InvitationCode:
     )
 
 
-MAX_STATEMENT: Final = 512
-MAX_METADATA: Final = 4096  # what a node says of itself, where rules give names
-_CONTEXT: Final = "rossec-join-v1"
-_LIVE: Final = Profile("rossec-join-live+cbor")
-_PROOF: Final = Profile("rossec-join-proof+cbor")
-_CLAIM: Final = Profile("rossec-join-claim+cbor")
-
-
 def transcript(
     invitation: bytes, node_nonce: bytes, own_nonce: bytes, chain: Sequence[bytes], root: bytes
 ) -> bytes:
@@ -270,7 +232,6 @@ def check_live(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: byt
 
 
 def sign_proof(signer: Signer, transcript_hash: bytes, csr: bytes, name: str, metadata: bytes = b"") -> bytes:
-    """The node's proof of the secret; `signer` has the key derived from it."""
     return _PROOF.sign(signer, _asked(transcript_hash, csr, name, metadata))
 
 
@@ -287,7 +248,6 @@ def check_proof(
 
 
 def sign_claim(signer: Signer, transcript_hash: bytes, metadata: bytes) -> bytes:
-    """The node's proof of the secret, to be told its name by metadata."""
     return _CLAIM.sign(signer, [transcript_hash, _digest(metadata)])
 
 
@@ -313,36 +273,25 @@ def _digest(data: bytes) -> bytes:
     return sha256(data).digest()
 
 
-_HASH: Final = 32
-_SIZES: Final = ID_SIZE + _HASH  # where those of proof, name and metadata are
-_HEAD: Final = _SIZES + 5
-MAX_REQUEST_METADATA: Final = MAX_METADATA
-MAX_REQUEST_SIZE: Final = _HEAD + MAX_STATEMENT + MAX_NAME + MAX_REQUEST_METADATA + MAX_REQUEST
-
-
 @dataclass(frozen=True)
 class JoinRequest:
-    """A node's request to join: the invitation's id, the transcript, what is asked, the proof.
+    """A node's request to join; everything is untrusted until `verify`."""
 
-    `csr` is DER of at most 2048 octets, `name` is ASCII, `metadata` are empty if the node chose its
-    name itself; everything is untrusted until `verify`.
-    """
-
-    invitation: bytes
+    invitation: bytes  # its id
     transcript: bytes
-    name: str
-    csr: bytes
+    name: str  # ASCII
+    csr: bytes  # DER
     proof: bytes
-    metadata: bytes = b""
+    metadata: bytes = b""  # empty: the node chose its name itself
 
     def __post_init__(self) -> None:
-        exact = len(self.invitation) == ID_SIZE and len(self.transcript) == _HASH
+        exact = len(self.invitation) == ID_SIZE and len(self.transcript) == _DIGEST_SIZE
         fits = (
             self.name.isascii()
             and len(self.name) <= MAX_NAME
             and len(self.csr) <= MAX_REQUEST
             and len(self.proof) <= MAX_STATEMENT
-            and len(self.metadata) <= MAX_REQUEST_METADATA
+            and len(self.metadata) <= MAX_METADATA
         )
         if not exact or not fits:
             raise EnrollmentMessageRefused("the parts of a request to join have wrong sizes")
@@ -352,36 +301,24 @@ class JoinRequest:
         return sha256(self.csr).digest()
 
     def to_bytes(self) -> bytes:
-        """The request for the process that has the key."""
         name, parts = self.name.encode(), (self.invitation, self.transcript)
         sizes = len(self.proof).to_bytes(2) + len(name).to_bytes(1) + len(self.metadata).to_bytes(2)
         return b"".join((*parts, sizes, self.proof, name, self.metadata, self.csr))
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """The request that `to_bytes` wrote."""
         name = _HEAD + int.from_bytes(data[_SIZES : _SIZES + 2])
         metadata = name + int.from_bytes(data[_SIZES + 2 : _SIZES + 3])
         csr = metadata + int.from_bytes(data[_SIZES + 3 : _HEAD])
         if not csr <= len(data) <= MAX_REQUEST_SIZE or not data[name:metadata].isascii():
             raise EnrollmentMessageRefused("a request to join of a wrong size")
-        return cls(
-            data[:ID_SIZE],
-            data[ID_SIZE:_SIZES],
-            data[name:metadata].decode(),
-            data[csr:],
-            data[_HEAD:name],
-            data[metadata:csr],
-        )
+        asked, proof = data[name:metadata].decode(), data[_HEAD:name]
+        return cls(data[:ID_SIZE], data[ID_SIZE:_SIZES], asked, data[csr:], proof, data[metadata:csr])
 
     def verify(self, point: bytes) -> None:
         """Return if it was made with the secret of the invitation whose key is `point`."""
         key = public_key(point)
         check_proof(self.proof, key, self.transcript, self.csr, self.name, self.metadata)
-
-
-_JOIN_CLAIM_HEAD: Final = ID_SIZE + _HASH + 2  # and the size of the proof
-MAX_CLAIM_SIZE: Final = _JOIN_CLAIM_HEAD + MAX_STATEMENT + MAX_METADATA
 
 
 @dataclass(frozen=True)
@@ -394,7 +331,7 @@ class JoinClaim:
     proof: bytes
 
     def __post_init__(self) -> None:
-        exact = len(self.invitation) == ID_SIZE and len(self.transcript) == _HASH
+        exact = len(self.invitation) == ID_SIZE and len(self.transcript) == _DIGEST_SIZE
         fits = 0 < len(self.metadata) <= MAX_METADATA and len(self.proof) <= MAX_STATEMENT
         if not exact or not fits:
             raise EnrollmentMessageRefused("the parts of a claim have wrong sizes")
@@ -405,12 +342,11 @@ class JoinClaim:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """The claim that `to_bytes` wrote."""
-        metadata = _JOIN_CLAIM_HEAD + int.from_bytes(data[_JOIN_CLAIM_HEAD - 2 : _JOIN_CLAIM_HEAD])
+        metadata = _CLAIM_HEAD + int.from_bytes(data[_CLAIM_HEAD - 2 : _CLAIM_HEAD])
         if not metadata < len(data) <= MAX_CLAIM_SIZE:
             raise EnrollmentMessageRefused("a claim of a wrong size")
-        transcript = data[ID_SIZE : ID_SIZE + _HASH]
-        return cls(data[:ID_SIZE], transcript, data[metadata:], data[_JOIN_CLAIM_HEAD:metadata])
+        transcript = data[ID_SIZE : ID_SIZE + _DIGEST_SIZE]
+        return cls(data[:ID_SIZE], transcript, data[metadata:], data[_CLAIM_HEAD:metadata])
 
     def verify(self, point: bytes) -> None:
         """Return if it was made with the secret of the invitation whose key is `point`."""

@@ -1,24 +1,11 @@
-"""The messages of a join, in the frames of `ca.enrollment.messages`: deterministic CBOR arrays.
-
-Their numbers continue those of an enrollment, so that no message of one mode is one of the other.
-Messages are untrusted here: the state machines authenticate them. `Issued`, `Waiting` and `Refused`
-are the answers: what the authority's side decides, and all that a node is told.
-
-What a node says about an answer that is not its identity: message and hint for each reason.
-
-The node's side of a join, sans-IO: from the code of an invitation to an identity.
+"""A join, sans-IO: from the code of an invitation to an identity; both sides and their messages.
 
 The node says nothing of itself before the peer has shown that it is the authority *now*: a leaf for
-`/ca` under the root that the code names, whose key signed a transcript with this node's fresh
-nonce. Every node has a chain to that root; none but `/ca` is taken. Then it proves the secret and
-sends its request, once a session; the answer is taken only if it is its own identity. `TABLE` has
-all transitions; any other message ends the session.
-
-The authority's side of a join, sans-IO: the process that talks to strangers.
-
-It shows that it is `/ca` now, by a signature over both nonces, and hands the request on: it has no
-record and not the authority's key, and decides nothing. What it is given as the answer it sends.
-A session is one hello, at most one claim, one request, one answer; any other message ends it.
+`/ca` under the root that the code names, whose key signed a transcript with this node's nonce. Then
+it proves the secret and sends its request, once a session. The authority's side talks to strangers:
+it has no record and not the authority's key, hands the request on and sends what it is given. The
+tables have all transitions; any other message ends the session. Message numbers continue those of
+an enrollment, so that no message of one mode is one of the other.
 """
 
 from collections.abc import Callable
@@ -29,7 +16,7 @@ from hmac import compare_digest
 from typing import Final, TypeAlias
 
 from ca.certificates import Identity, TrustAnchor
-from ca.encoding import Value, decode, encode
+from ca.encoding import Value, encode
 from ca.enrollment import NONCE_SIZE, invitation
 from ca.enrollment.invitation import (
     ID_SIZE,
@@ -39,12 +26,11 @@ from ca.enrollment.invitation import (
     JoinClaim,
     JoinRequest,
 )
-from ca.enrollment.messages import MAX_CHAIN, MAX_MESSAGE, VERSION, check_issued
+from ca.enrollment.messages import VERSION, check_issued, fields_of, read_chain, read_fields, transition
 from ca.errors import (
     CAError,
     CertificateExpired,
     CertificateNotYetValid,
-    EncodingError,
     EnrollmentMessageRefused,
     EnrollmentOver,
     EnrollmentRefused,
@@ -58,35 +44,27 @@ from ca.keys.signing import Signer
 from ca.names import AUTHORITY, MAX_NAME, check_name, is_reserved, pattern_covers
 from ca.svid import MAX_REQUEST, IdentityRequest, check_request
 
+_AGAIN: Final = "then run `rossec node join` again: the same request gets its answer"
+
+_CLOCK: Final = "check this computer's clock; if it is right, at the authority: rossec ca renew /ca"
+
 
 class WaitReason(IntEnum):
-    """Why a request waits."""
-
     LOCKED = 1
     PERSON = 2
 
 
 class RefuseReason(IntEnum):
-    """Why a join was refused. A peer that did not prove the secret is told REFUSED or BUSY.
+    """Why a join was refused. A peer that did not prove the secret is told REFUSED or BUSY."""
 
-    REFUSED: no such invitation, or the proof is wrong; ENDED: it has expired, was ended or is used
-    up; NAME: it does not allow the name; REQUEST: the request is invalid; DENIED: a person denied
-    it, or its key is revoked; BUSY: too many at once. Only where there are metadata: UNNAMED: the
-    authority has no rules for names; METADATA: its rules give no name for them.
-    """
-
-    REFUSED = 1
-    ENDED = 2
-    NAME = 3
-    REQUEST = 4
-    DENIED = 5
-    BUSY = 6
-    UNNAMED = 7
-    METADATA = 8
-
-
-_WAITS: Final = frozenset(WaitReason)
-_REFUSALS: Final = frozenset(RefuseReason)
+    REFUSED = 1  # no such invitation, or the proof is wrong
+    ENDED = 2  # it has expired, was ended or is used up
+    NAME = 3  # it does not allow the name
+    REQUEST = 4  # the request is invalid
+    DENIED = 5  # by a person, or its key is revoked
+    BUSY = 6  # too many at once
+    UNNAMED = 7  # metadata, but the authority has no rules for names
+    METADATA = 8  # its rules give no name for them
 
 
 @dataclass(frozen=True)
@@ -105,15 +83,12 @@ class Welcome:
 
 @dataclass(frozen=True)
 class Join:
-    """Node to authority: the name, the request (CSR, DER), and the proof of the secret.
-
-    With `metadata` the authority issues only the name that its rules give for them.
-    """
+    """Node to authority: the name, the request (CSR, DER), and the proof of the secret."""
 
     name: str
     csr: bytes
     proof: bytes
-    metadata: bytes = b""
+    metadata: bytes = b""  # with them the authority issues only the name that its rules give
 
 
 @dataclass(frozen=True)
@@ -157,85 +132,55 @@ NameAnswer: TypeAlias = Named | Refused
 JoinMessage: TypeAlias = Hello | Welcome | Join | Claim | Named | JoinAnswer
 
 
+# They continue those of an enrollment.
+_KINDS: Final = (Hello, Welcome, Join, Issued, Waiting, Refused, Claim, Named)
+_NUMBERS: Final[dict[type[JoinMessage], int]] = {kind: number for number, kind in enumerate(_KINDS, 7)}
+
+
 def write(message: JoinMessage) -> bytes:
-    """Encode one message."""
-    return encode([VERSION, *_fields(message)])
+    fields = fields_of(message)
+    if isinstance(message, Join) and not message.metadata:
+        fields.pop()
+    return encode([VERSION, _NUMBERS[type(message)], *fields])
 
 
 def read(data: bytes) -> JoinMessage:
-    """Decode one message, strictly."""
-    try:
-        message = _message(decode(data, limit=MAX_MESSAGE))
-    except EncodingError as error:
-        raise EnrollmentMessageRefused(f"invalid message: {error}") from error
+    message = _message(read_fields(data))
     if message is None or write(message) != data:  # True == 1, but it has another encoding
         raise EnrollmentMessageRefused("not a message of a join")
     return message
-
-
-def _fields(message: JoinMessage) -> list[Value]:
-    match message:
-        case Hello(invitation, nonce):
-            return [7, invitation, nonce]
-        case Welcome(nonce, chain, root, statement):
-            return [8, nonce, list(chain), root, statement]
-        case Join(name, csr, proof, metadata):
-            return [9, name, csr, proof, *([metadata] if metadata else [])]
-        case Claim(metadata, proof):
-            return [13, metadata, proof]
-        case _:
-            return _answer_fields(message)
-
-
-def _answer_fields(answer: JoinAnswer | Named) -> list[Value]:
-    match answer:
-        case Issued(chain):
-            return [10, list(chain)]
-        case Waiting(reason):
-            return [11, int(reason)]
-        case Refused(reason):
-            return [12, int(reason)]
-        case Named(name):
-            return [14, name]
 
 
 def _message(fields: Value) -> JoinMessage | None:
     match fields:
         case [1, 7, bytes() as invitation, bytes() as nonce] if len(invitation) == ID_SIZE:
             return Hello(invitation, nonce) if len(nonce) == NONCE_SIZE else None
-        case [1, 8, bytes() as nonce, [*chain], bytes() as root, bytes() as statement]:
-            return _welcome(nonce, _chain(chain), root, statement)
+        case [1, 8, bytes() as nonce, [*items], bytes() as root, bytes() as statement]:
+            chain = read_chain(items)
+            if chain and len(nonce) == NONCE_SIZE and len(statement) <= MAX_STATEMENT:
+                return Welcome(nonce, chain, root, statement)
         case [1, 9, str() as name, bytes() as csr, bytes() as proof]:
             return _fitting(Join(name, csr, proof))
         case [1, 9, str() as name, bytes() as csr, bytes() as proof, bytes() as metadata]:
             return _fitting(Join(name, csr, proof, metadata))
-        case [int() as version, *_] if version != VERSION:
-            raise EnrollmentMessageRefused(
-                f"the other side uses version {version} of the enrollment",
-                "update the older of the two sides",
-            )
-    return _claim(fields) or _answer(fields)
-
-
-def _claim(fields: Value) -> Claim | Named | None:
-    match fields:
         case [1, 13, bytes() as metadata, bytes() as proof]:
             fits = 0 < len(metadata) <= MAX_METADATA and len(proof) <= MAX_STATEMENT
             return Claim(metadata, proof) if fits else None
-        case [1, 14, str() as name]:
-            return Named(name) if len(name) <= MAX_NAME else None
         case _:
-            return None
+            pass
+    return _answer(fields)
 
 
-def _answer(fields: Value) -> JoinAnswer | None:
+def _answer(fields: Value) -> JoinAnswer | Named | None:
     match fields:
         case [1, 10, [*items]]:
-            return None if (issued := _chain(items)) is None else Issued(issued)
-        case [1, 11, int() as reason] if reason in _WAITS:
+            return None if (issued := read_chain(items)) is None else Issued(issued)
+        case [1, 11, int() as reason] if reason in frozenset(WaitReason):
             return Waiting(WaitReason(reason))
-        case [1, 12, int() as reason] if reason in _REFUSALS:
+        case [1, 12, int() as reason] if reason in frozenset(RefuseReason):
             return Refused(RefuseReason(reason))
+        case [1, 14, str() as name] if len(name) <= MAX_NAME:
+            return Named(name)
     return None
 
 
@@ -249,18 +194,6 @@ def _fitting(join: Join) -> Join | None:
     return join if fits else None
 
 
-def _welcome(nonce: bytes, chain: tuple[bytes, ...] | None, root: bytes, statement: bytes) -> Welcome | None:
-    if chain is None or len(nonce) != NONCE_SIZE or len(statement) > MAX_STATEMENT:
-        return None
-    return Welcome(nonce, chain, root, statement)
-
-
-def _chain(items: list[Value]) -> tuple[bytes, ...] | None:
-    certificates = tuple(item for item in items if isinstance(item, bytes))
-    return certificates if 0 < len(certificates) == len(items) <= MAX_CHAIN else None
-
-
-_AGAIN: Final = "then run `rossec node join` again: the same request gets its answer"
 WAITING: Final = {
     WaitReason.LOCKED: ("the authority is locked", f"at the authority: rossec ca unlock; {_AGAIN}"),
     WaitReason.PERSON: (
@@ -311,8 +244,6 @@ CLAIM_REFUSED: Final = {
     ),
 }
 
-_CLOCK: Final = "check this computer's clock; if it is right, at the authority: rossec ca renew /ca"
-
 
 class NodeJoinState(Enum):
     GREETING = "waiting for the authority"
@@ -353,12 +284,10 @@ class JoinedIdentity:
 
 
 class NodeJoin:
-    """One session of one node with the authority of an invitation; used once."""
-
     def __init__(self, code: InvitationCode, nonce: bytes) -> None:
         if len(nonce) != NONCE_SIZE:
             raise EnrollmentRefused(f"a nonce has {NONCE_SIZE} octets")
-        self.state = NodeJoinState.GREETING
+        self.state = _S.GREETING
         self._code = code
         self._nonce = nonce
         self._transcript = b""
@@ -396,26 +325,21 @@ class NodeJoin:
         """Process one message of the authority; a refusal ends the session."""
         try:
             message = read(data)
-            entry = NODE_TABLE.get((self.state, type(message)))
-            if entry is None:
-                raise EnrollmentMessageRefused(
-                    f"unexpected {type(message).__name__} in state {self.state.value!r}"
-                )
-            method, followers = entry
+            method, followers = transition(NODE_TABLE, self.state, message)
             action: Callable[[JoinMessage, int], None] = getattr(self, method)
             action(message, now)
         except CAError:
-            if self.state is not NodeJoinState.WAITING:
-                self.state = NodeJoinState.OVER
+            if self.state is not _S.WAITING:
+                self.state = _S.OVER
             raise
         assert self.state in followers  # noqa: S101 - the table is the truth
 
     def claim(self, metadata: bytes) -> bytes:
         """Ask which name the authority's rules give for `metadata`, of 1 to 4096 octets."""
-        self._require(NodeJoinState.WELCOMED)
+        self._require(_S.WELCOMED)
         self._metadata = _checked(metadata)
         proof = invitation.sign_claim(self._code.signer, self._transcript, metadata)
-        self.state = NodeJoinState.CLAIMED
+        self.state = _S.CLAIMED
         return write(Claim(metadata, proof))
 
     def join(self, csr: bytes, metadata: bytes = b"") -> bytes:
@@ -424,16 +348,15 @@ class NodeJoin:
         With `metadata`, those of the claim if there was one, the name must be the one that the
         authority's rules give for them.
         """
-        self._require(NodeJoinState.WELCOMED, NodeJoinState.NAMED)
+        self._require(_S.WELCOMED, _S.NAMED)
         if metadata and not self._metadata:
             self._metadata = _checked(metadata)
-        wildcard = self._code.wildcard
-        self._request = check_request(csr, self.anchor.domain, wildcard=wildcard)
+        self._request = check_request(csr, self.anchor.domain, wildcard=self._code.wildcard)
         name, signer, metadata = self._request.name, self._code.signer, self._metadata
         if self._name and name != self._name:
             raise RequestRefused(f"the request is not for {self._name}")
         proof = invitation.sign_proof(signer, self._transcript, csr, name, metadata)
-        self.state = NodeJoinState.PROVED
+        self.state = _S.PROVED
         return write(Join(name, csr, proof, metadata))
 
     def _require(self, *states: NodeJoinState) -> None:
@@ -448,13 +371,14 @@ class NodeJoin:
                 "is the invitation of this site? find out who answers there",
             )
         anchor = TrustAnchor.load(message.root)
+        # Every node has a chain to that root; none but `/ca` is taken.
         live = _live_identity(anchor, message.chain, now)
         transcript_hash = invitation.transcript(
             self._code.id, self._nonce, message.nonce, message.chain, message.root
         )
         invitation.check_live(message.statement, live.public_key, transcript_hash)
         self._anchor, self._transcript = anchor, transcript_hash
-        self.state = NodeJoinState.WELCOMED
+        self.state = _S.WELCOMED
 
     def _named(self, message: Named, _: int) -> None:
         name = check_name(message.name)
@@ -463,17 +387,17 @@ class NodeJoin:
                 f"the peer gives the name {name}, which the invitation does not allow",
                 "the authority gives none outside of it: find out who answers at that address",
             )
-        self._name, self.state = name, NodeJoinState.NAMED
+        self._name, self.state = name, _S.NAMED
 
     def _issued(self, message: Issued, now: int) -> None:
         assert self._request is not None  # noqa: S101 - in PROVED there is one
         root = self.anchor.certificate
         anchor = check_issued(root, message.chain, self._request, now)
         self._identity = JoinedIdentity(message.chain, root, anchor)
-        self.state = NodeJoinState.JOINED
+        self.state = _S.JOINED
 
     def _waiting(self, message: Waiting, _: int) -> None:
-        self.state = NodeJoinState.WAITING
+        self.state = _S.WAITING
         raise JoinWaiting(*WAITING[message.reason])
 
     def _refused(self, message: Refused, _: int) -> None:
@@ -492,7 +416,6 @@ def _checked(metadata: bytes) -> bytes:
 
 
 def _live_identity(anchor: TrustAnchor, chain: tuple[bytes, ...], now: int) -> Identity:
-    # The identity of the peer, which must be the authority's own node.
     try:
         found = anchor.verify(chain, now)
     except (CertificateExpired, CertificateNotYetValid) as error:
@@ -510,8 +433,6 @@ def _live_identity(anchor: TrustAnchor, chain: tuple[bytes, ...], now: int) -> I
 
 
 class AuthorityJoinState(Enum):
-    """The state of one session, at the authority."""
-
     GREETING = "waiting for a node"
     WELCOMED = "waiting for the request"
     NAMING = "a name is being found"
@@ -521,19 +442,17 @@ class AuthorityJoinState(Enum):
     OVER = "ended"
 
 
-_JOIN_AUTHORITY_S = AuthorityJoinState
-AUTHORITY_TABLE: Final[
-    dict[tuple[_JOIN_AUTHORITY_S, type[JoinMessage]], tuple[str, tuple[_JOIN_AUTHORITY_S, ...]]]
-] = {
-    (_JOIN_AUTHORITY_S.GREETING, Hello): ("_welcome", (_JOIN_AUTHORITY_S.WELCOMED,)),
-    (_JOIN_AUTHORITY_S.WELCOMED, Claim): ("_take_claim", (_JOIN_AUTHORITY_S.NAMING,)),
-    (_JOIN_AUTHORITY_S.WELCOMED, Join): ("_accept", (_JOIN_AUTHORITY_S.DECIDING, _JOIN_AUTHORITY_S.OVER)),
-    (_JOIN_AUTHORITY_S.NAMED, Join): ("_accept", (_JOIN_AUTHORITY_S.DECIDING, _JOIN_AUTHORITY_S.OVER)),
+_A = AuthorityJoinState
+AUTHORITY_TABLE: Final[dict[tuple[_A, type[JoinMessage]], tuple[str, tuple[_A, ...]]]] = {
+    (_A.GREETING, Hello): ("_welcome", (_A.WELCOMED,)),
+    (_A.WELCOMED, Claim): ("_take_claim", (_A.NAMING,)),
+    (_A.WELCOMED, Join): ("_accept", (_A.DECIDING, _A.OVER)),
+    (_A.NAMED, Join): ("_accept", (_A.DECIDING, _A.OVER)),
 }
 AUTHORITY_WITHOUT_MESSAGE: Final = (
-    (_JOIN_AUTHORITY_S.NAMING, _JOIN_AUTHORITY_S.NAMED, "name()"),
-    (_JOIN_AUTHORITY_S.NAMING, _JOIN_AUTHORITY_S.ANSWERED, "name()"),
-    (_JOIN_AUTHORITY_S.DECIDING, _JOIN_AUTHORITY_S.ANSWERED, "answer()"),
+    (_A.NAMING, _A.NAMED, "name()"),
+    (_A.NAMING, _A.ANSWERED, "name()"),
+    (_A.DECIDING, _A.ANSWERED, "answer()"),
 )
 """The transitions that no message causes."""
 
@@ -548,12 +467,10 @@ class LiveIdentity:
 
 
 class AuthorityJoin:
-    """One session with one node; used once."""
-
     def __init__(self, identity: LiveIdentity, nonce: bytes) -> None:
         if len(nonce) != NONCE_SIZE:
             raise EnrollmentRefused(f"a nonce has {NONCE_SIZE} octets")
-        self.state = AuthorityJoinState.GREETING
+        self.state = _A.GREETING
         self.invitation = b""
         self._identity = identity
         self._nonce = nonce
@@ -579,32 +496,26 @@ class AuthorityJoin:
         """Process one message of a node; returns what to send, or None: see `claim`, `request`."""
         try:
             message = read(data)
-            entry = AUTHORITY_TABLE.get((self.state, type(message)))
-            if entry is None:
-                raise EnrollmentMessageRefused(
-                    f"unexpected {type(message).__name__} in state {self.state.value!r}"
-                )
-            method, followers = entry
+            method, followers = transition(AUTHORITY_TABLE, self.state, message)
             sent: bytes | None = getattr(self, method)(message)
         except EnrollmentRefused:
-            self.state = AuthorityJoinState.OVER
+            self.state = _A.OVER
             raise
         assert self.state in followers  # noqa: S101 - the table is the truth
         return sent
 
     def name(self, answer: NameAnswer) -> bytes:
         """The answer to the claim; after a refusal the connection is closed."""
-        if self.state is not AuthorityJoinState.NAMING:
+        if self.state is not _A.NAMING:
             raise EnrollmentOver(f"not possible in state {self.state.value!r}")
-        is_named = isinstance(answer, Named)
-        self.state = AuthorityJoinState.NAMED if is_named else AuthorityJoinState.ANSWERED
+        self.state = _A.NAMED if isinstance(answer, Named) else _A.ANSWERED
         return write(answer)
 
     def answer(self, answer: JoinAnswer) -> bytes:
         """The last message; the connection is closed after it."""
-        if self.state is not AuthorityJoinState.DECIDING:
+        if self.state is not _A.DECIDING:
             raise EnrollmentOver(f"not possible in state {self.state.value!r}")
-        self.state = AuthorityJoinState.ANSWERED
+        self.state = _A.ANSWERED
         return write(answer)
 
     def _welcome(self, message: Hello) -> bytes:
@@ -614,15 +525,15 @@ class AuthorityJoin:
             message.invitation, message.nonce, self._nonce, own.chain, own.root
         )
         statement = invitation.sign_live(own.signer, self._transcript)
-        self.state = AuthorityJoinState.WELCOMED
+        self.state = _A.WELCOMED
         return write(Welcome(self._nonce, own.chain, own.root, statement))
 
     def _take_claim(self, message: Claim) -> None:
         self._claim = JoinClaim(self.invitation, self._transcript, message.metadata, message.proof)
-        self.state = AuthorityJoinState.NAMING
+        self.state = _A.NAMING
 
     def _accept(self, message: Join) -> None:
         self._request = JoinRequest(
             self.invitation, self._transcript, message.name, message.csr, message.proof, message.metadata
         )
-        self.state = AuthorityJoinState.DECIDING
+        self.state = _A.DECIDING

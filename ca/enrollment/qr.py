@@ -1,22 +1,10 @@
-"""The text in a node's QR code, and its rendering.
+"""The text in a node's QR code, its rendering, sheets of labels, and the code of a domain's card.
 
 A code authenticates a request that is sent over an untrusted network: it holds the request's
 SHA-256. A *label code* holds nothing else and may be printed. A *screen code* adds a one-time
 secret, its expiry, and the address the request can be fetched from. The text is `ROSSEC:` + base45
 (RFC 9285) of fixed binary, so that it stays in the QR alphanumeric mode; it is never a URL, which
-a phone's camera app would open.
-
-A sheet of labels to print: one page of HTML per 24 nodes, each label an SVG in millimetres.
-
-A label authenticates a request and holds no secret, so it may stay on the robot. The layout is that
-of the common A4 sheets of 24 labels, 63.5 by 33.9 mm; everything is drawn in SVG, so that browsers
-do not change the layout, and the page cannot load or run anything.
-
-The code of a card: its digest, as text that a QR code holds in 19 lines of a terminal.
-
-A card has about 700 octets, and a code of them no place on a screen. Its digest authenticates the
-file, which then may come by any way: who scans the code from the other authority's screen need not
-compare a fingerprint. It is of another kind than those of enrollment (`ca.enrollment.qr`).
+a phone's camera app would open. The code of a card holds the card's digest.
 """
 
 from collections.abc import Iterator, Sequence
@@ -49,6 +37,28 @@ _HALF_BLOCKS: Final = {(0, 0): " ", (1, 0): "\u2580", (0, 1): "\u2584", (1, 1): 
 _BORDER: Final = 2
 _PRINTED_BORDER: Final = 4
 
+# A sheet: that of the common A4 sheets of 24 labels; all is drawn in SVG, so that browsers do not
+# change the layout. A label holds no secret, so it may stay on the robot.
+COLUMNS, ROWS = 3, 8
+PER_PAGE: Final = COLUMNS * ROWS
+_WIDTH, _HEIGHT = 63.5, 33.9  # millimetres
+_STEP: Final = 66.0  # from label to label, sideways
+_LEFT, _TOP = 7.25, 12.9
+_CODE: Final = 33.0  # with its quiet zone: 0.8 mm a module
+_LINE: Final = 17  # characters of a name that fit beside the code
+_LINES: Final = 5
+_PAGE: Final = (
+    '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>rossec labels</title>\n'
+    '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
+    "style-src 'unsafe-inline'\">\n"
+    "<style>@page {{ size: A4; margin: 0 }} body {{ margin: 0 }} "
+    "svg.page {{ display: block; break-after: page }}</style></head>\n<body>\n{}</body></html>\n"
+)
+
+_CARD: Final = 0x51  # the low half is the version
+_MAX_CARD_TEXT: Final = 64
+_CARD_HINT: Final = "scan or paste what `rossec domain card --qr` shows, beginning with ROSSEC:"
+
 
 @dataclass(frozen=True)
 class Code:
@@ -69,7 +79,7 @@ class Code:
 
 
 def label_code(request: bytes) -> str:
-    return _text(bytes([_LABEL]) + sha256(request).digest())
+    return PREFIX + encode_base45(bytes([_LABEL]) + sha256(request).digest())
 
 
 def screen_code(request: bytes, secret: bytes, expires: int, address: str) -> str:
@@ -81,8 +91,8 @@ def screen_code(request: bytes, secret: bytes, expires: int, address: str) -> st
         )
     if not 0 <= expires < 1 << 32:
         raise CodeRefused("the expiry of a screen code is out of range")
-    encoded_address = address.encode()
-    return _text(bytes([_SCREEN]) + sha256(request).digest() + secret + expires.to_bytes(4) + encoded_address)
+    head = bytes([_SCREEN]) + sha256(request).digest()
+    return PREFIX + encode_base45(head + secret + expires.to_bytes(4) + address.encode())
 
 
 def parse(text: str) -> Code:
@@ -105,9 +115,8 @@ def parse(text: str) -> Code:
 
 
 def terminal(text: str) -> str:
-    rows = [
-        list(row) for row in segno.make_qr(text, error="l", boost_error=False).matrix_iter(border=_BORDER)
-    ]
+    code = segno.make_qr(text, error="l", boost_error=False)
+    rows = [list(row) for row in code.matrix_iter(border=_BORDER)]
     rows.append([0] * len(rows[0]))  # a QR code has an odd number of rows
     lines = (
         "".join(_HALF_BLOCKS[int(above), int(below)] for above, below in zip(*pair, strict=True))
@@ -161,48 +170,22 @@ def _printed(text: str) -> segno.QRCode:
     return segno.make_qr(text, error="m", boost_error=False)
 
 
-def _text(data: bytes) -> str:
-    return PREFIX + encode_base45(data)
-
-
-COLUMNS, ROWS = 3, 8
-PER_PAGE: Final = COLUMNS * ROWS
-_WIDTH, _HEIGHT = 63.5, 33.9  # millimetres
-_STEP: Final = 66.0  # from label to label, sideways
-_LEFT, _TOP = 7.25, 12.9
-_CODE: Final = 33.0  # with its quiet zone: 0.8 mm a module
-_LINE: Final = 17  # characters of a name that fit beside the code
-_LINES: Final = 5
-_PAGE: Final = (
-    '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>rossec labels</title>\n'
-    '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
-    "style-src 'unsafe-inline'\">\n"
-    "<style>@page {{ size: A4; margin: 0 }} body {{ margin: 0 }} "
-    "svg.page {{ display: block; break-after: page }}</style></head>\n<body>\n{}</body></html>\n"
-)
-
-
 @dataclass(frozen=True)
 class Label:
-    """One label: the node's name, its key's fingerprint, the text of its code."""
-
     name: str
     fingerprint: str
     text: str
 
 
 def sheet(labels: Sequence[Label]) -> str:
-    """The labels as one HTML page, to be printed without scaling."""
-    starts = range(0, len(labels), PER_PAGE)
-    return _PAGE.format("".join(_page(labels[start : start + PER_PAGE]) for start in starts))
-
-
-def _page(labels: Sequence[Label]) -> str:
-    drawn = "".join(_label(position, label) for position, label in enumerate(labels))
-    return (
-        '<svg class="page" xmlns="http://www.w3.org/2000/svg" width="210mm" height="297mm" '
-        f'viewBox="0 0 210 297"><rect width="210" height="297" fill="white"/>{drawn}</svg>\n'
-    )
+    pages = []
+    for start in range(0, len(labels), PER_PAGE):
+        drawn = (_label(at, label) for at, label in enumerate(labels[start : start + PER_PAGE]))
+        pages.append(
+            '<svg class="page" xmlns="http://www.w3.org/2000/svg" width="210mm" height="297mm" '
+            f'viewBox="0 0 210 297"><rect width="210" height="297" fill="white"/>{"".join(drawn)}</svg>\n'
+        )
+    return _PAGE.format("".join(pages))
 
 
 def _label(position: int, label: Label) -> str:
@@ -229,24 +212,19 @@ def _lines(label: Label) -> Iterator[str]:
         )
 
 
-_KIND: Final = 0x51  # the low half is the version
-_MAX_TEXT: Final = 64
-_CARD_CODES_HINT: Final = "scan or paste what `rossec domain card --qr` shows, beginning with ROSSEC:"
-
-
 def card_code(data: bytes) -> str:
     """The text of a code that fits this card alone: `ROSSEC:` and 50 characters."""
-    return PREFIX + encode_base45(bytes([_KIND]) + sha256(data).digest())
+    return PREFIX + encode_base45(bytes([_CARD]) + sha256(data).digest())
 
 
 def check_code(text: str, data: bytes) -> None:
     """Return if the code `text`, as scanned or pasted, is that of the card `data`."""
     stripped = text.strip()
-    if not stripped.startswith(PREFIX) or len(stripped) > _MAX_TEXT:
-        raise CodeRefused("this is not the code of a card", _CARD_CODES_HINT)
+    if not stripped.startswith(PREFIX) or len(stripped) > _MAX_CARD_TEXT:
+        raise CodeRefused("this is not the code of a card", _CARD_HINT)
     found = decode_base45(stripped.removeprefix(PREFIX))
-    if len(found) != 1 + _DIGEST_SIZE or found[0] != _KIND:
-        raise CodeRefused("this is not the code of a card", _CARD_CODES_HINT)
+    if len(found) != 1 + _DIGEST_SIZE or found[0] != _CARD:
+        raise CodeRefused("this is not the code of a card", _CARD_HINT)
     if not compare_digest(found[1:], sha256(data).digest()):
         raise CardRefused(
             "the card does not fit the code: it was changed on its way, or is another one",

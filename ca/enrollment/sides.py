@@ -1,23 +1,11 @@
-"""The transcript hash of an enrollment, and the statements, tag and digits computed from it.
+"""An enrollment, sans-IO: the node's side, the authority's side, and what both compute.
 
-The transcript binds request, certificates, trust anchor and a fresh nonce, under its own context:
-nothing signed here can be replayed in a later enrollment or taken for another statement, and no
-peer can choose the octets that a node signs. The six digits also depend on `contribution`, random
-octets the node reveals only *after* the offer is fixed: otherwise an attacker posing as the
-authority could try a million nonces until the digits match.
-
-The node's side of an enrollment, sans-IO.
-
-It shows a code, sends its request to any peer, and answers *one* valid offer. The offer has no
-effect until a person has confirmed it here. A second valid offer means that another party has the
-code, or is in the middle: both are dropped. Five offers with a wrong tag lock a screen code. Every
-state has a deadline. `TABLE` has all transitions; any other message changes nothing.
-
-The authority's side of an enrollment, sans-IO.
-
-The code comes from the node itself, read by a person or a camera; everything else comes over the
-network and is checked against it. The node is enrolled when it says so in a statement signed over
-this transcript; the authority does not report it as enrolled before.
+The transcript binds request, certificates, trust anchor and a fresh nonce: nothing signed here can
+be replayed or taken for another statement, and no peer chooses the octets that a node signs. The
+node answers *one* valid offer, which has no effect until a person has confirmed it there; a second
+one means that another party has the code, and both are dropped. Everything the authority gets is
+checked against the code, which came from the node itself; the node is enrolled when it says so in a
+signed statement. The tables have all transitions; any other message changes nothing.
 """
 
 import hmac
@@ -43,6 +31,7 @@ from ca.enrollment.messages import (
     Reason,
     check_issued,
     read,
+    transition,
     write,
 )
 from ca.enrollment.qr import Code
@@ -53,7 +42,6 @@ from ca.errors import (
     EncodingError,
     EnrollmentExpired,
     EnrollmentLocked,
-    EnrollmentMessageRefused,
     EnrollmentOver,
     EnrollmentRefused,
     OfferRefused,
@@ -70,6 +58,24 @@ _ACKNOWLEDGEMENT: Final = Profile("rossec-enroll-ack+cbor")
 _DONE: Final = Profile("rossec-enroll-done+cbor")
 _MAX_STATEMENT: Final = 512
 
+MAX_BAD_TAGS: Final = 5
+MAX_BAD_DIGITS: Final = 3
+_RESTART_HINT: Final = "start again: rossec node enroll NAME"
+
+_ABORTS: Final[dict[Reason, tuple[type[EnrollmentRefused], str, str]]] = {
+    Reason.REFUSED: (
+        EnrollmentOver,
+        "the node refused the offer",
+        "does it show a new code, or is its clock wrong? `rossec node enroll` says why",
+    ),
+    Reason.OVER: (EnrollmentOver, "the node has ended the enrollment", "show a new code on the node"),
+    Reason.CONFLICT: (
+        ConflictingOffer,
+        "the node received two different offers: another party has its code",
+        "the node accepted none; find the other party, then show a new code",
+    ),
+}
+
 
 def transcript(csr: bytes, chain: Sequence[bytes], root: bytes, nonce: bytes) -> bytes:
     certificates = [_digest(certificate) for certificate in chain]
@@ -85,12 +91,13 @@ def verify_tag(secret: bytes, transcript_hash: bytes, given: bytes) -> bool:
 
 
 def digits(transcript_hash: bytes, contribution: bytes) -> str:
+    # `contribution` is revealed only *after* the offer is fixed: otherwise an attacker posing as the
+    # authority could try a million nonces until the digits match.
     number = int.from_bytes(_digest(encode([_DIGITS, transcript_hash, contribution]))[:8])
     return f"{number % 1_000_000:06}"
 
 
 def group_digits(six: str) -> str:
-    """The digits in two groups: `123 456`."""
     return f"{six[:3]} {six[3:]}"
 
 
@@ -137,14 +144,7 @@ def _digest(data: bytes) -> bytes:
     return sha256(data).digest()
 
 
-MAX_BAD_TAGS: Final = 5
-MAX_BAD_DIGITS: Final = 3
-_RESTART_HINT: Final = "start again: rossec node enroll NAME"
-
-
 class NodeState(Enum):
-    """The state of one enrollment, at the node."""
-
     SHOWING = "waiting for an offer"
     PENDING = "waiting for confirmation"
     CONFIRMED = "confirmed"
@@ -152,38 +152,30 @@ class NodeState(Enum):
     OVER = "ended"
 
 
-NODE_TABLE: Final[dict[tuple[NodeState, type[Message]], tuple[str, tuple[NodeState, ...]]]] = {
-    (NodeState.SHOWING, Fetch): ("_deliver", (NodeState.SHOWING,)),
-    (NodeState.SHOWING, Offer): (
-        "_check_first_offer",
-        (NodeState.SHOWING, NodeState.PENDING, NodeState.OVER),
-    ),
-    (NodeState.PENDING, Fetch): ("_deliver", (NodeState.PENDING,)),
-    (NodeState.PENDING, Offer): ("_compare", (NodeState.PENDING, NodeState.OVER)),
-    (NodeState.CONFIRMED, Offer): ("_compare", (NodeState.CONFIRMED, NodeState.OVER)),
-    (NodeState.ENROLLED, Offer): ("_repeat_answers", (NodeState.ENROLLED,)),
+_S = NodeState
+NODE_TABLE: Final[dict[tuple[_S, type[Message]], tuple[str, tuple[_S, ...]]]] = {
+    (_S.SHOWING, Fetch): ("_deliver", (_S.SHOWING,)),
+    (_S.SHOWING, Offer): ("_check_first_offer", (_S.SHOWING, _S.PENDING, _S.OVER)),
+    (_S.PENDING, Fetch): ("_deliver", (_S.PENDING,)),
+    (_S.PENDING, Offer): ("_compare", (_S.PENDING, _S.OVER)),
+    (_S.CONFIRMED, Offer): ("_compare", (_S.CONFIRMED, _S.OVER)),
+    (_S.ENROLLED, Offer): ("_repeat_answers", (_S.ENROLLED,)),
 }
 
 
 @dataclass(frozen=True)
 class Pending:
-    """A valid offer to be confirmed by a person.
+    """A valid offer to be confirmed by a person."""
 
-    `chain` and `root` are DER; `anchor` is the root as it will be trusted; `digits` are those the
-    authority must show too.
-    """
-
-    chain: tuple[bytes, ...]
-    root: bytes
-    anchor: TrustAnchor
-    digits: str
+    chain: tuple[bytes, ...]  # DER
+    root: bytes  # DER
+    anchor: TrustAnchor  # the root as it will be trusted
+    digits: str  # those that the authority must show too
     transcript: bytes
     acknowledgement: bytes
 
 
 class NodeEnrollment:
-    """One enrollment of one node; used once."""
-
     def __init__(
         self,
         signer: Signer,
@@ -204,7 +196,7 @@ class NodeEnrollment:
         if len(secret) not in {0, qr.SECRET_SIZE} or len(contribution) != NONCE_SIZE:
             raise EnrollmentRefused("an enrollment needs 16 octets of each random value")
         self.request = check_request(csr, domain, wildcard=wildcard)
-        self.state = NodeState.SHOWING
+        self.state = _S.SHOWING
         self.end_reason: EnrollmentRefused | None = None
         self.expires = expires
         self._signer = signer
@@ -233,12 +225,7 @@ class NodeEnrollment:
         self.tick(now)
         self._check_not_over()
         message = read(data)
-        entry = NODE_TABLE.get((self.state, type(message)))
-        if entry is None:
-            raise EnrollmentMessageRefused(
-                f"unexpected {type(message).__name__} in state {self.state.value!r}"
-            )
-        method, followers = entry
+        method, followers = transition(NODE_TABLE, self.state, message)
         action: Callable[[Message, int], list[bytes]] = getattr(self, method)
         before = self.state
         answers = action(message, now)
@@ -250,7 +237,7 @@ class NodeEnrollment:
         self.tick(now)
         self._check_not_over()
         pending = self.pending
-        if self.state is not NodeState.PENDING:
+        if self.state is not _S.PENDING:
             raise EnrollmentOver("this was confirmed already")
         if digits != pending.digits:  # not secret: they can be computed from the messages
             self._bad_digits += 1
@@ -261,26 +248,26 @@ class NodeEnrollment:
             if self._bad_digits >= MAX_BAD_DIGITS:
                 self.stop(error)
             raise error
-        self.state = NodeState.CONFIRMED
+        self.state = _S.CONFIRMED
         return pending
 
     def activated(self) -> list[bytes]:
         """The confirmed identity is on the disk; returns the message for the authority."""
-        if self.state is not NodeState.CONFIRMED:
+        if self.state is not _S.CONFIRMED:
             raise EnrollmentOver("nothing was confirmed")
-        self.state = NodeState.ENROLLED
+        self.state = _S.ENROLLED
         return [self._done()]
 
     def stop(self, why: EnrollmentRefused) -> None:
-        if self.state not in {NodeState.ENROLLED, NodeState.OVER}:
-            self.state, self.end_reason, self._pending = NodeState.OVER, why, None
+        if self.state not in {_S.ENROLLED, _S.OVER}:
+            self.state, self.end_reason, self._pending = _S.OVER, why, None
 
     def tick(self, now: int) -> None:
-        if self.state in {NodeState.SHOWING, NodeState.PENDING} and now > self.expires:
+        if self.state in {_S.SHOWING, _S.PENDING} and now > self.expires:
             self.stop(EnrollmentExpired("the enrollment was not finished in time", _RESTART_HINT))
 
     def _check_not_over(self) -> None:
-        if self.state is NodeState.OVER:
+        if self.state is _S.OVER:
             raise EnrollmentOver(f"the enrollment is over: {self.end_reason}", _RESTART_HINT)
 
     def _deliver(self, _: Fetch, __: int) -> list[bytes]:
@@ -297,7 +284,7 @@ class NodeEnrollment:
             transcript_hash,
             sign_acknowledgement(self._signer, transcript_hash, self._contribution),
         )
-        self.state, self.expires = NodeState.PENDING, now + WINDOW
+        self.state, self.expires = _S.PENDING, now + WINDOW
         return [self._acknowledged()]
 
     def _compare(self, offer: Offer, now: int) -> list[bytes]:
@@ -317,11 +304,11 @@ class NodeEnrollment:
             raise EnrollmentOver("the node is enrolled already", _RESTART_HINT)
         return [self._acknowledged(), self._done()]
 
-    def _transcript(self, offer: Offer) -> bytes:
-        return transcript(self._csr, offer.chain, offer.root, offer.nonce)
-
     def _is_pending_offer(self, offer: Offer) -> bool:
         return self._transcript(offer) == self.pending.transcript
+
+    def _transcript(self, offer: Offer) -> bytes:
+        return transcript(self._csr, offer.chain, offer.root, offer.nonce)
 
     def _acknowledged(self) -> bytes:
         return write(Acknowledgement(self.pending.acknowledgement))
@@ -335,10 +322,8 @@ class NodeEnrollment:
             if offer.tag:
                 raise OfferRefused("an offer with a tag, but the code is a label")
         elif not verify_tag(self._secret, transcript_hash, offer.tag):
-            if (
-                self.state is NodeState.SHOWING
-            ):  # a wrong tag must not disturb an offer that waits for confirmation
-                self._bad_tags += 1
+            # A wrong tag must not disturb an offer that waits for confirmation.
+            self._bad_tags += self.state is _S.SHOWING
             if self._bad_tags >= MAX_BAD_TAGS:
                 error = EnrollmentLocked(f"{MAX_BAD_TAGS} offers without the code's secret", _RESTART_HINT)
                 self.stop(error)
@@ -347,24 +332,7 @@ class NodeEnrollment:
         return transcript_hash
 
 
-_ABORTS: Final[dict[Reason, tuple[type[EnrollmentRefused], str, str]]] = {
-    Reason.REFUSED: (
-        EnrollmentOver,
-        "the node refused the offer",
-        "does it show a new code, or is its clock wrong? `rossec node enroll` says why",
-    ),
-    Reason.OVER: (EnrollmentOver, "the node has ended the enrollment", "show a new code on the node"),
-    Reason.CONFLICT: (
-        ConflictingOffer,
-        "the node received two different offers: another party has its code",
-        "the node accepted none; find the other party, then show a new code",
-    ),
-}
-
-
 class AuthorityState(Enum):
-    """The state of one enrollment, at the authority."""
-
     FETCHING = "fetching the request"
     COMPARED = "request verified"
     APPROVED = "approved"
@@ -374,19 +342,17 @@ class AuthorityState(Enum):
     OVER = "ended"
 
 
-AUTHORITY_TABLE: Final[dict[tuple[AuthorityState, type[Message]], tuple[str, tuple[AuthorityState, ...]]]] = {
-    (AuthorityState.FETCHING, Delivery): ("_compare", (AuthorityState.COMPARED, AuthorityState.OVER)),
-    (AuthorityState.FETCHING, Abort): ("_aborted", (AuthorityState.OVER,)),
-    (AuthorityState.OFFERED, Acknowledgement): (
-        "_acknowledged",
-        (AuthorityState.ACKNOWLEDGED, AuthorityState.OVER),
-    ),
-    (AuthorityState.OFFERED, Abort): ("_aborted", (AuthorityState.OVER,)),
-    (AuthorityState.ACKNOWLEDGED, Acknowledgement): ("_acknowledged_again", (AuthorityState.ACKNOWLEDGED,)),
-    (AuthorityState.ACKNOWLEDGED, Done): ("_done", (AuthorityState.ENROLLED, AuthorityState.OVER)),
-    (AuthorityState.ACKNOWLEDGED, Abort): ("_aborted", (AuthorityState.OVER,)),
-    (AuthorityState.ENROLLED, Acknowledgement): ("_acknowledged_again", (AuthorityState.ENROLLED,)),
-    (AuthorityState.ENROLLED, Done): ("_done", (AuthorityState.ENROLLED,)),
+_A = AuthorityState
+AUTHORITY_TABLE: Final[dict[tuple[_A, type[Message]], tuple[str, tuple[_A, ...]]]] = {
+    (_A.FETCHING, Delivery): ("_compare", (_A.COMPARED, _A.OVER)),
+    (_A.FETCHING, Abort): ("_aborted", (_A.OVER,)),
+    (_A.OFFERED, Acknowledgement): ("_acknowledged", (_A.ACKNOWLEDGED, _A.OVER)),
+    (_A.OFFERED, Abort): ("_aborted", (_A.OVER,)),
+    (_A.ACKNOWLEDGED, Acknowledgement): ("_acknowledged_again", (_A.ACKNOWLEDGED,)),
+    (_A.ACKNOWLEDGED, Done): ("_done", (_A.ENROLLED, _A.OVER)),
+    (_A.ACKNOWLEDGED, Abort): ("_aborted", (_A.OVER,)),
+    (_A.ENROLLED, Acknowledgement): ("_acknowledged_again", (_A.ENROLLED,)),
+    (_A.ENROLLED, Done): ("_done", (_A.ENROLLED,)),
 }
 
 
@@ -394,16 +360,16 @@ class AuthorityEnrollment:
     """One enrollment of the node whose code was read; used once."""
 
     def __init__(self, code: Code, domain: str, *, wildcard: bool = False) -> None:
-        self.state = AuthorityState.FETCHING
+        self.state = _A.FETCHING
         self.digits = ""
         self._code = code
         self._domain = domain
         self._wildcard = wildcard
         self._request: IdentityRequest | None = None
-        self._csr = b""
+        self.csr = b""
         self._transcript = b""
         self._statement = b""
-        self._deadline = code.expires if code.secret else 0
+        self.deadline = code.expires if code.secret else 0
 
     def fetch(self) -> bytes:
         return write(Fetch())
@@ -415,20 +381,11 @@ class AuthorityEnrollment:
             raise EnrollmentOver("there is no request yet")
         return self._request
 
-    @property
-    def csr(self) -> bytes:
-        return self._csr
-
     def receive(self, data: bytes, now: int) -> None:
         """Process one message of the node."""
         self.tick(now)
         message = read(data)
-        entry = AUTHORITY_TABLE.get((self.state, type(message)))
-        if entry is None:
-            raise EnrollmentMessageRefused(
-                f"unexpected {type(message).__name__} in state {self.state.value!r}"
-            )
-        method, followers = entry
+        method, followers = transition(AUTHORITY_TABLE, self.state, message)
         action: Callable[[Message, int], None] = getattr(self, method)
         before = self.state
         action(message, now)
@@ -436,10 +393,10 @@ class AuthorityEnrollment:
 
     def approve(self, now: int) -> None:
         self.tick(now)
-        self._move(AuthorityState.COMPARED, AuthorityState.APPROVED)
+        self._move(_A.COMPARED, _A.APPROVED)
 
     def deny(self) -> None:
-        self._move(AuthorityState.COMPARED, AuthorityState.OVER)
+        self._move(_A.COMPARED, _A.OVER)
 
     def offer(self, chain: Sequence[bytes], root: bytes, nonce: bytes, now: int) -> bytes:
         """Return the offer to send, and to send again unchanged when the connection breaks.
@@ -448,31 +405,26 @@ class AuthorityEnrollment:
         are 16 fresh random octets.
         """
         self.tick(now)
-        identity = TrustAnchor.load(root).verify(chain, now)
-        request = self.request
+        identity, request = TrustAnchor.load(root).verify(chain, now), self.request
         ours = (request.domain, request.name, request.wildcard, request.thumbprint)
         offered = (identity.domain, identity.name, identity.wildcard, identity.thumbprint)
         if offered != ours:
             raise EnrollmentRefused("the certificate is not the one that was asked for")
         if len(nonce) != NONCE_SIZE:
             raise EnrollmentRefused(f"a nonce has {NONCE_SIZE} octets")
-        self._move(AuthorityState.APPROVED, AuthorityState.OFFERED)
-        self._deadline = now + WINDOW
-        self._transcript = transcript(self._csr, chain, root, nonce)
+        self._move(_A.APPROVED, _A.OFFERED)
+        self.deadline = now + WINDOW
+        self._transcript = transcript(self.csr, chain, root, nonce)
         secret = self._code.secret
         proof = tag(secret, self._transcript) if secret else b""
         return write(Offer(tuple(chain), root, nonce, proof))
 
-    @property
-    def deadline(self) -> int:
-        return self._deadline
-
     def tick(self, now: int) -> None:
         """Check the deadline at `now`."""
-        if self.state in {AuthorityState.ENROLLED, AuthorityState.OVER}:
+        if self.state in {_A.ENROLLED, _A.OVER}:
             return
-        if self._deadline and now > self._deadline:
-            self.state = AuthorityState.OVER
+        if self.deadline and now > self.deadline:
+            self.state = _A.OVER
             raise EnrollmentExpired("the enrollment was not finished in time", "show a new code on the node")
 
     def _move(self, begin: AuthorityState, end: AuthorityState) -> None:
@@ -482,35 +434,35 @@ class AuthorityEnrollment:
 
     def _compare(self, message: Delivery, _: int) -> None:
         # Check the hash first: a request that does not match the code is not parsed.
-        self.state = AuthorityState.OVER
+        self.state = _A.OVER
         if not self._code.matches(message.csr):
             raise RequestSwapped(
                 "the request is not the one the code was made for",
                 "it was replaced on the network, or this is another node: scan the code again",
             )
         self._request = check_request(message.csr, self._domain, wildcard=self._wildcard)
-        self._csr = message.csr
-        self.state = AuthorityState.COMPARED
+        self.csr = message.csr
+        self.state = _A.COMPARED
 
     def _acknowledged(self, message: Acknowledgement, now: int) -> None:
-        self.state = AuthorityState.OVER
+        self.state = _A.OVER
         contribution = open_acknowledgement(message.statement, self.request.public_key, self._transcript)
         self.digits = digits(self._transcript, contribution)
         self._statement = message.statement
-        self._deadline = now + WINDOW
-        self.state = AuthorityState.ACKNOWLEDGED
+        self.deadline = now + WINDOW
+        self.state = _A.ACKNOWLEDGED
 
     def _acknowledged_again(self, message: Acknowledgement, _: int) -> None:
         if message.statement != self._statement:
             raise AcknowledgementRefused("a second, different answer of the node", "start again")
 
     def _done(self, message: Done, _: int) -> None:
-        if self.state is AuthorityState.ACKNOWLEDGED:  # in ENROLLED, an invalid one changes nothing
-            self.state = AuthorityState.OVER
+        if self.state is _A.ACKNOWLEDGED:  # in ENROLLED, an invalid one changes nothing
+            self.state = _A.OVER
         check_done(message.statement, self.request.public_key, self._transcript)
-        self.state = AuthorityState.ENROLLED
+        self.state = _A.ENROLLED
 
     def _aborted(self, message: Abort, _: int) -> None:
-        self.state = AuthorityState.OVER
+        self.state = _A.OVER
         error, text, hint = _ABORTS[message.reason]
         raise error(text, hint)

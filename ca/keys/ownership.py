@@ -1,15 +1,11 @@
 """Owner and mode of files and directories that are trusted without a signature. Does I/O.
 
-Files decide which peers a node trusts, so a user that can change them can decide that as well. A
-file is trusted only if it belongs to the user rossec runs as, or to root, and no other user can
-write it; it is opened first, and the open file is checked (the path may be replaced meanwhile). The
-same holds for its directory and all above it, up to the root and through every symbolic link. A
-directory above may be writable by others if it is sticky, as /tmp is: then other users cannot
-remove or rename its entries (stat(2) S_ISVTX). OpenSSH does the same (StrictModes, sshd_config(5)).
-
-A user private group counts as its owner, as on systems with umask 002. It has its owner's name
-(pam_umask(8) usergroups), since a directory service need not list all members of a group. The same
-checks hold for root: files in a user's directory were written by that user.
+A file is trusted only if it belongs to the user rossec runs as, or to root, and no other user can
+write it; it is opened first, and the open file is checked. The same holds for its directory and all
+above it, through every symbolic link; one above may be writable by others if it is sticky, as /tmp
+is (stat(2) S_ISVTX). OpenSSH does the same (StrictModes, sshd_config(5)). A user private group
+counts as its owner, as on systems with umask 002. Root is held to the same: files in a user's
+directory were written by that user.
 """
 
 import grp

@@ -1,20 +1,10 @@
-"""A PKCS#8 private key encrypted with PBES2: scrypt, then AES-256-CBC (RFC 7914 section 7).
+"""Encryption under a passphrase: a private key as PBES2 (scrypt, AES-256-CBC), an authority's backup.
 
-`cryptography` reads this form but cannot write it: its `BestAvailableEncryption` is PBKDF2 with
-2048 iterations, 4 ms a guess. The cost here is half a second. N stays at 2^14 because OpenSSL 3.0
-refuses scrypt beyond 32 MiB; p makes up for it. PKCS#8 readers support only CBC without a MAC: a
-damaged file fails at its padding or its structure, and does not become another usable key.
-
-A key file says itself what trying a passphrase costs. One in a backup is its maker's: that is read
-and bounded first.
-
-An authority's backup: its files in one, encrypted under a passphrase. Bytes in, bytes out.
-
-scrypt (RFC 7914) derives the key from the passphrase, AES-256-GCM encrypts one deterministic CBOR
-map from file names to contents; the header is authenticated data. A wrong passphrase and a changed
-byte cannot be told apart. Names are restricted: an untrusted backup cannot write outside the
-directory it is restored to, nor add a journal file that SQLite would apply to the record. Which
-files an authority has, the parts say that own them (`rossec.authority.backup`).
+`cryptography` reads this form of key but cannot write it: its `BestAvailableEncryption` is PBKDF2
+with 2048 iterations, 4 ms a guess; here it is half a second. A key file says itself what trying a
+passphrase costs, so that is read and bounded first. A backup is scrypt (RFC 7914), then AES-256-GCM
+over one deterministic CBOR map from file names to contents. Its names are restricted: an untrusted
+one cannot write outside the directory it is restored to.
 """
 
 import re
@@ -32,17 +22,27 @@ from ca.errors import BackupRefused, EncodingError, KeyRefused, PassphraseRefuse
 
 SALT_SIZE: Final = 16
 IV_SIZE: Final = 16
-_N, _R, _P = 2**14, 8, 8
+_N, _R, _P = 2**14, 8, 8  # OpenSSL 3.0 refuses scrypt beyond 32 MiB: N stays small, p makes up for it
 _KEY_SIZE: Final = 32
 _MAX_MEMORY: Final = 2**26  # bytes, four times ours
 _MAX_WORK: Final = 2**22  # N r p, four times ours
 _MAX_ITERATIONS: Final = 4_000_000  # of PBKDF2: OWASP asks for 600,000 of SHA-256
 
-_INTEGER, _OCTETS, _SEQUENCE = 0x02, 0x04, 0x30
+_INTEGER, _OCTETS, SEQUENCE = 0x02, 0x04, 0x30  # of DER
 _OID_PBES2: Final = bytes.fromhex("06092a864886f70d01050d")  # 1.2.840.113549.1.5.13
 _OID_SCRYPT: Final = bytes.fromhex("06092b06010401da47040b")  # 1.3.6.1.4.1.11591.4.11
 _OID_PBKDF2: Final = bytes.fromhex("06092a864886f70d01050c")  # 1.2.840.113549.1.5.12
 _OID_AES256_CBC: Final = bytes.fromhex("060960864801650304012a")  # 2.16.840.1.101.3.4.1.42
+
+MAGIC: Final = b"rossec-backup/1\n"
+NONCE_SIZE: Final = 12
+MAX_BACKUP: Final = 256 * 1024 * 1024
+_HEAD: Final = len(MAGIC) + SALT_SIZE + NONCE_SIZE
+_BACKUP_N, _BACKUP_R, _BACKUP_P = (2**15, 8, 3)  # OWASP's equivalent of 2^17, 8, 1 in a quarter of its memory
+_DIRECTORIES: Final = ("node", "inbox")
+_JOURNALS: Final = ("-journal", "-wal", "-shm")  # of SQLite, which applies them on opening
+_SEGMENT: Final = r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,254}"
+_NAME: Final = re.compile(rf"(?:{_SEGMENT}/){{0,3}}{_SEGMENT}")
 
 
 def encrypt(private_key_info: bytes, passphrase: bytes, *, salt: bytes, iv: bytes) -> bytes:
@@ -51,19 +51,27 @@ def encrypt(private_key_info: bytes, passphrase: bytes, *, salt: bytes, iv: byte
     `salt` and `iv` are 16 random bytes each, never used before.
     """
     key = Scrypt(salt=salt, length=_KEY_SIZE, n=_N, r=_R, p=_P).derive(passphrase)
-    return _der(_SEQUENCE, _algorithm(salt, iv), _der(_OCTETS, _cbc(key, iv, private_key_info)))
+    parameters = der(SEQUENCE, der(_OCTETS, salt), *map(_integer, (_N, _R, _P, _KEY_SIZE)))
+    derivation = der(SEQUENCE, _OID_SCRYPT, parameters)
+    encryption = der(SEQUENCE, _OID_AES256_CBC, der(_OCTETS, iv))
+    algorithm = der(SEQUENCE, _OID_PBES2, der(SEQUENCE, derivation, encryption))
+    # PKCS#8 readers support only CBC without a MAC: a damaged file fails at its padding or its
+    # structure, and does not become another usable key.
+    padder, encryptor = PKCS7(128).padder(), Cipher(algorithms.AES(key), modes.CBC(iv)).encryptor()
+    padded = padder.update(private_key_info) + padder.finalize()
+    return der(SEQUENCE, algorithm, der(_OCTETS, encryptor.update(padded) + encryptor.finalize()))
 
 
 def check_cost(encrypted: bytes) -> None:
-    body = _only(encrypted, _SEQUENCE)
-    algorithm, secret = _read(body, _SEQUENCE)
+    body = _only(encrypted, SEQUENCE)
+    algorithm, secret = _read(body, SEQUENCE)
     _only(secret, _OCTETS)
-    parameters = _only(_after(_OID_PBES2, algorithm), _SEQUENCE)
-    derivation, encryption = _read(parameters, _SEQUENCE)
-    _only(encryption, _SEQUENCE)
+    parameters = _only(_after(_OID_PBES2, algorithm), SEQUENCE)
+    derivation, encryption = _read(parameters, SEQUENCE)
+    _only(encryption, SEQUENCE)
     is_scrypt = derivation.startswith(_OID_SCRYPT)
     asked = _after(_OID_SCRYPT if is_scrypt else _OID_PBKDF2, derivation)
-    _, rest = _read(_only(asked, _SEQUENCE), _OCTETS)
+    _, rest = _read(_only(asked, SEQUENCE), _OCTETS)
     costs = []
     for _ in range(3 if is_scrypt else 1):
         content, rest = _read(rest, _INTEGER)
@@ -79,25 +87,12 @@ def check_cost(encrypted: bytes) -> None:
         )
 
 
-def _algorithm(salt: bytes, iv: bytes) -> bytes:
-    parameters = _der(_SEQUENCE, _der(_OCTETS, salt), *map(_integer, (_N, _R, _P, _KEY_SIZE)))
-    derivation = _der(_SEQUENCE, _OID_SCRYPT, parameters)
-    encryption = _der(_SEQUENCE, _OID_AES256_CBC, _der(_OCTETS, iv))
-    return _der(_SEQUENCE, _OID_PBES2, _der(_SEQUENCE, derivation, encryption))
-
-
-def _cbc(key: bytes, iv: bytes, plain: bytes) -> bytes:
-    padder = PKCS7(algorithms.AES.block_size).padder()
-    encryptor = Cipher(algorithms.AES(key), modes.CBC(iv)).encryptor()
-    padded = padder.update(plain) + padder.finalize()
-    return encryptor.update(padded) + encryptor.finalize()
-
-
 def _integer(value: int) -> bytes:
-    return _der(_INTEGER, value.to_bytes(value.bit_length() // 8 + 1, signed=True))
+    return der(_INTEGER, value.to_bytes(value.bit_length() // 8 + 1, signed=True))
 
 
-def _der(tag: int, *contents: bytes) -> bytes:
+def der(tag: int, *contents: bytes) -> bytes:
+    """One element of DER (X.690 section 8.1.3) with these contents."""
     body = b"".join(contents)
     size = len(body)
     if size < 0x80:
@@ -127,20 +122,9 @@ def _read(data: bytes, tag: int) -> tuple[bytes, bytes]:
         begin += size & 0x7F
         size = int.from_bytes(data[2:begin])
     content = data[begin : begin + size]
-    if data[: begin + size] != _der(tag, content):  # truncated, or not the shortest length
+    if data[: begin + size] != der(tag, content):  # truncated, or not the shortest length
         raise ValueError("not DER")
     return content, data[begin + size :]
-
-
-MAGIC: Final = b"rossec-backup/1\n"
-NONCE_SIZE: Final = 12
-MAX_BACKUP: Final = 256 * 1024 * 1024
-_HEAD: Final = len(MAGIC) + SALT_SIZE + NONCE_SIZE
-_BACKUP_N, _BACKUP_R, _BACKUP_P = (2**15, 8, 3)  # OWASP's equivalent of 2^17, 8, 1 in a quarter of its memory
-_DIRECTORIES: Final = ("node", "inbox")
-_JOURNALS: Final = ("-journal", "-wal", "-shm")  # of SQLite, which applies them on opening
-_SEGMENT: Final = r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,254}"
-_NAME: Final = re.compile(rf"(?:{_SEGMENT}/){{0,3}}{_SEGMENT}")
 
 
 def seal(files: Mapping[str, bytes], passphrase: str, *, salt: bytes, nonce: bytes) -> bytes:
@@ -167,10 +151,10 @@ def unseal(data: bytes, passphrase: str) -> dict[str, bytes]:
             "the passphrase does not open the backup",
             "try again; if it is certainly right, the file is damaged: take an older one",
         ) from None
-    return _backup_read(plain)
+    return _read_files(plain)
 
 
-def _backup_read(plain: bytes) -> dict[str, bytes]:
+def _read_files(plain: bytes) -> dict[str, bytes]:
     try:
         value = decode(plain, limit=MAX_BACKUP)
     except EncodingError as error:

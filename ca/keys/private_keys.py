@@ -1,14 +1,9 @@
-"""Private keys on disk: created with mode 0600 and O_EXCL, never overwritten, never printed.
+"""Private keys, in files and in PKCS#11 tokens. Does I/O and uses system randomness.
 
-This module does I/O and uses system randomness. A key that other users of the host can read is
-refused, as by ssh: it must be assumed to be copied. The format is PKCS#8 in PEM, encrypted with
-scrypt (`ca.keys.passphrases`) when there is a passphrase.
-
-A P-256 key in a PKCS#11 token: a `Signer` that uses the key without reading it.
-
-This module does I/O, and is the only one that uses python-pkcs11 (the extra `hsm`). A key is named
-by a URI of RFC 7512, `pkcs11:token=T;object=O?module-path=/path/to.so`; a PIN in it is refused, as
-URIs are written to files and logs. Keys created here are generated in the token, not extractable.
+A file is PKCS#8 in PEM, created with mode 0600 and O_EXCL, never overwritten, never printed. A key
+that other users of the host can read is refused, as by ssh: it must be assumed to be copied. A key
+in a token is used without reading it, and named by a URI of RFC 7512,
+`pkcs11:token=T;object=O?module-path=/path/to.so`; a PIN in it is refused, as URIs get into logs.
 """
 
 import base64
@@ -35,9 +30,7 @@ from cryptography.hazmat.primitives.serialization import (
 
 from ca.errors import KeyRefused, PassphraseRefused, TokenRefused
 from ca.keys import ownership, passphrases
-from ca.keys.signing import require_p256, thumbprint
-
-__all__ = ["generate", "load_private", "thumbprint", "write_private"]
+from ca.keys.signing import require_p256
 
 _MAX_FILE: Final = 8 * 1024
 _ENCRYPTED: Final = b"-----BEGIN ENCRYPTED PRIVATE KEY-----"
@@ -45,6 +38,12 @@ _END: Final = _ENCRYPTED.replace(b"BEGIN", b"END")
 # O_NONBLOCK: opening a FIFO must not hang; it is refused afterwards, as not a regular file.
 _READ: Final = os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
 _CREATE: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+
+SCHEME: Final = "pkcs11:"
+DEFAULT_MODULE: Final = "/usr/lib/softhsm/libsofthsm2.so"
+_INSTALL_HINT: Final = "install it: pip install 'rossec[hsm]'"
+_OCTET_STRING: Final = b"\x04\x41"  # CKA_EC_POINT is the point inside an OCTET STRING
+_LIST_HINT: Final = "list tokens and keys with: pkcs11-tool --list-token-slots --list-objects"
 
 
 def generate() -> ec.EllipticCurvePrivateKey:
@@ -66,7 +65,11 @@ def write_private(path: Path, key: ec.EllipticCurvePrivateKey, passphrase: str |
             file.write(pem)
             file.flush()
             os.fsync(file.fileno())
-        _sync_directory(path.parent)
+        directory = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            os.fsync(directory)
+        finally:
+            os.close(directory)
     except OSError as error:
         path.unlink(missing_ok=True)
         raise KeyRefused(
@@ -120,14 +123,6 @@ def _to_pem(key: ec.EllipticCurvePrivateKey, passphrase: str | None) -> bytes:
     return b"\n".join([_ENCRYPTED, *lines, _END, b""])
 
 
-def _sync_directory(directory: Path) -> None:
-    descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
 def _read(path: Path) -> bytes:
     ownership.check_directory(path.parent)
     try:
@@ -153,13 +148,6 @@ def _read(path: Path) -> bytes:
         if status.st_size > _MAX_FILE:
             raise KeyRefused(f"{path} is too large for a key", "name the file of the private key")
         return file.read(_MAX_FILE)
-
-
-SCHEME: Final = "pkcs11:"
-DEFAULT_MODULE: Final = "/usr/lib/softhsm/libsofthsm2.so"
-_INSTALL_HINT: Final = "install it: pip install 'rossec[hsm]'"
-_OCTET_STRING: Final = b"\x04\x41"  # CKA_EC_POINT is the point inside an OCTET STRING
-_LIST_HINT: Final = "list tokens and keys with: pkcs11-tool --list-token-slots --list-objects"
 
 
 @dataclass(frozen=True)
@@ -201,7 +189,7 @@ class TokenSigner:
     def __init__(self, session: Any, key: Any, public_key: ec.EllipticCurvePublicKey) -> None:
         self._session = session
         self._key = key
-        self._public_key = public_key
+        self.public_key = public_key
 
     @classmethod
     def open(cls, uri: KeyUri, pin: str) -> Self:
@@ -219,7 +207,14 @@ class TokenSigner:
             ) from error
         if extractable:
             raise KeyRefused(f"the key {uri.object} is extractable from its token", "create one that is not")
-        return cls(session, key, _public(uri, point))
+        wrong = f"the key {uri.object} is not a P-256 key", "make one with rossec ca init DOMAIN"
+        if not point.startswith(_OCTET_STRING):
+            raise KeyRefused(*wrong)
+        try:
+            found = require_p256(ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), point[2:]))
+        except ValueError as error:
+            raise KeyRefused(*wrong) from error
+        return cls(session, key, found)
 
     @classmethod
     def create(cls, uri: KeyUri, pin: str) -> Self:
@@ -250,10 +245,6 @@ class TokenSigner:
         session.close()
         return cls.open(uri, pin)
 
-    @property
-    def public_key(self) -> ec.EllipticCurvePublicKey:
-        return self._public_key
-
     def sign(self, message: bytes) -> bytes:
         """ES256 over `message`: 64 bytes, r || s (RFC 9053 section 2.1)."""
         pkcs11 = _library()
@@ -281,7 +272,11 @@ def _session(uri: KeyUri, pin: str) -> Any:
     if not os.path.exists(uri.module):  # noqa: PTH110  (the module is loaded by this very path)
         raise TokenRefused(f"there is no PKCS#11 module at {uri.module}", "name it: ?module-path=")
     try:
-        return _log_in(pkcs11.lib(uri.module).get_token(token_label=uri.token), pin)
+        token = pkcs11.lib(uri.module).get_token(token_label=uri.token)
+        try:
+            return token.open(rw=True, user_pin=pin)
+        except pkcs11.exceptions.UserAlreadyLoggedIn:
+            return token.open(rw=True)
     except pkcs11.exceptions.NoSuchToken as error:
         raise TokenRefused(f"there is no token {uri.token}", _LIST_HINT) from error
     except pkcs11.exceptions.PinIncorrect as error:
@@ -290,24 +285,6 @@ def _session(uri: KeyUri, pin: str) -> Any:
         ) from error
     except pkcs11.exceptions.PKCS11Error as error:
         raise TokenRefused(f"the token {uri.token} cannot be opened{_reason(error)}", _LIST_HINT) from error
-
-
-def _log_in(token: Any, pin: str) -> Any:
-    try:
-        return token.open(rw=True, user_pin=pin)
-    except _library().exceptions.UserAlreadyLoggedIn:
-        return token.open(rw=True)
-
-
-def _public(uri: KeyUri, point: bytes) -> ec.EllipticCurvePublicKey:
-    if not point.startswith(_OCTET_STRING):
-        raise KeyRefused(f"the key {uri.object} is not a P-256 key", "make one with rossec ca init DOMAIN")
-    try:
-        return require_p256(ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), point[2:]))
-    except ValueError as error:
-        raise KeyRefused(
-            f"the key {uri.object} is not a P-256 key", "make one with rossec ca init DOMAIN"
-        ) from error
 
 
 def _fields(text: str, separator: str) -> dict[str, str]:

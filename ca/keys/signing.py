@@ -1,23 +1,10 @@
-"""P-256 public keys, the only ones accepted, and their thumbprints.
+"""P-256 keys, their thumbprints, and the one form of signed statement (COSE_Sign1, RFC 9052).
 
-Keys are identified by their COSE thumbprint (RFC 9679): grants, lists and logs refer to the key,
-not to one of its certificates. A renewed certificate keeps its grants, a revoked key loses all.
-
-The interface of a private key: a `Signer` signs, and does not expose the key.
-
-Keys in files and in PKCS#11 tokens have the same interface.
-
-Let `cryptography`'s X.509 builders sign with a `Signer`.
-
-The builders require one of the library's private key classes; a subclass that forwards `sign` is
-enough. It does not have the key: everything but signing is refused, also for tokens.
-
-COSE_Sign1 (RFC 9052) in one fixed form, shared by every signed statement of rossec.
-
-A statement type is a `Profile`: its protected header is one constant, compared byte for byte, so
-algorithm, type and version cannot be negotiated, confused or extended, and `crit` needs no
-interpretation. The unprotected header is empty: it is not signed. Trust is not decided here: the
-caller supplies the key.
+Keys are identified by their COSE thumbprint (RFC 9679): grants, lists and logs refer to the key, not
+to one of its certificates. A renewed certificate keeps its grants, a revoked key loses all. A
+`Signer` signs and does not expose the key, be it in a file or in a token. A statement type is a
+`Profile`: its protected header is one constant, compared byte for byte, so algorithm, type and
+version cannot be negotiated, confused or extended. Trust is not decided here.
 """
 
 import hashlib
@@ -45,6 +32,17 @@ _COORDINATE: Final = 32
 # The deterministic COSE_Key {1: 2 (EC2), -1: 1 (P-256), -2: x, -3: y} has a fixed shape.
 _HEAD: Final = bytes.fromhex("a40102200121 5820")
 _BETWEEN: Final = bytes.fromhex("225820")
+
+_ECDSA: Final = ec.ECDSA(hashes.SHA256())
+
+Buffer: TypeAlias = bytes | bytearray | memoryview
+
+_SIGN1_TAG: Final = b"\xd2"  # tag 18, RFC 9052 section 2
+_ALG, _CRIT, _TYP = 1, 2, 16  # RFC 9052 section 3.1; typ: RFC 9596
+_COSE_ES256: Final = -7
+_BYTES: Final = 0x40  # major type 2
+_SIGNATURE_HEAD: Final = b"\x58\x40"  # a byte string of 64 bytes
+_HEAD_SIZES: Final = {0x58: 2, 0x59: 3, 0x5A: 5}  # bytes; shorter strings have a head of one byte
 
 
 def require_p256(key: object) -> ec.EllipticCurvePublicKey:
@@ -82,9 +80,6 @@ def from_coordinates(data: bytes) -> ec.EllipticCurvePublicKey:
         raise KeyRefused("the key is not a point of P-256") from None
 
 
-_ES256: Final = ec.ECDSA(hashes.SHA256())
-
-
 class Signer(Protocol):
     """A P-256 private key, in memory or in a token."""
 
@@ -110,15 +105,15 @@ class KeySigner:
 
     def sign(self, message: bytes) -> bytes:
         """ES256 over `message`: 64 bytes, r || s (RFC 9053 section 2.1)."""
-        r, s = decode_dss_signature(self._key.sign(message, _ES256))
+        r, s = decode_dss_signature(self._key.sign(message, _ECDSA))
         return r.to_bytes(_COORDINATE) + s.to_bytes(_COORDINATE)
 
 
-Buffer: TypeAlias = bytes | bytearray | memoryview
-
-
 class X509Signer(ec.EllipticCurvePrivateKey):
-    """A P-256 private key for the builders of `cryptography.x509`, over a `Signer`."""
+    """A P-256 private key for the builders of `cryptography.x509`, over a `Signer`.
+
+    They require one of the library's classes; a subclass that forwards `sign` is enough.
+    """
 
     def __init__(self, signer: Signer) -> None:
         self._signer = signer
@@ -143,11 +138,9 @@ class X509Signer(ec.EllipticCurvePrivateKey):
         return 256
 
     def exchange(self, algorithm: ec.ECDH, peer_public_key: ec.EllipticCurvePublicKey) -> NoReturn:
-        """Refused: a `Signer` only signs."""
         raise NotImplementedError("a Signer only signs")
 
     def private_numbers(self) -> NoReturn:
-        """Refused: a `Signer` does not expose its key."""
         raise NotImplementedError("a Signer does not expose its key")
 
     def private_bytes(
@@ -156,7 +149,6 @@ class X509Signer(ec.EllipticCurvePrivateKey):
         format: PrivateFormat,  # noqa: A002  (the name the library gave it)
         encryption_algorithm: KeySerializationEncryption,
     ) -> NoReturn:
-        """Refused: a `Signer` does not expose its key."""
         raise NotImplementedError("a Signer does not expose its key")
 
     def __copy__(self) -> "X509Signer":
@@ -164,15 +156,6 @@ class X509Signer(ec.EllipticCurvePrivateKey):
 
     def __deepcopy__(self, memo: dict[int, object]) -> "X509Signer":
         return self
-
-
-_SIGN1_TAG: Final = b"\xd2"  # tag 18, RFC 9052 section 2
-_ALG, _CRIT, _TYP = 1, 2, 16  # RFC 9052 section 3.1; typ: RFC 9596
-_COSE_ES256: Final = -7
-_ECDSA: Final = ec.ECDSA(hashes.SHA256())
-_BYTES: Final = 0x40  # major type 2
-_SIGNATURE_HEAD: Final = b"\x58\x40"  # a byte string of 64 bytes
-_HEAD_SIZES: Final = {0x58: 2, 0x59: 3, 0x5A: 5}  # bytes; shorter strings have a head of one byte
 
 
 @dataclass(frozen=True)

@@ -1,30 +1,23 @@
-"""The two signed statements of revocation, and their bytes.
+"""The signed statements of revocation, their bytes, and proofs of single entries.
 
 The authority signs the *list*: everything revoked, numbered by (epoch, seq), valid for some weeks.
 The master signs the *timestamp*: "the list with this digest was the newest at this time", valid
-for at most 30 seconds. These are the snapshot and timestamp roles of TUF: the authority's key
-stays offline, and a stolen master key can delay revocations but not undo one. Both are maps
-without other fields; claims 4 (exp) and 6 (iat) are CWT's (RFC 8392), the negative ones are from
-its private range. Entries are sorted, so one set of entries has one encoding.
-
-Revocations too many for a list: the authority signs a Merkle tree, the master sends proofs.
-
-The tree is RFC 6962's over the sorted entries (`ca.revocation.merkle`); the authority signs its
-root and size, numbered like a list. The holder of all entries can prove that an entry is present,
-or absent: then it would be between two adjacent leaves, or outside the first or last one. So the
-master can hide nothing, and a node requests only the entries it needs.
+for at most 30 seconds (the snapshot and timestamp roles of TUF): a stolen master key can delay
+revocations but not undo one. Where the entries are too many, the authority signs a Merkle *tree*
+over them instead, sorted, and the master proves that an entry is present, or absent because it
+would be between two adjacent leaves: it can hide nothing, and a node asks for what it needs.
 """
 
 import hashlib
 from bisect import bisect_left
-from collections.abc import Collection, Generator, Sequence
+from collections.abc import Collection, Generator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final, TypeVar
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.encoding import Value, decode, encode, head
+from ca.encoding import Value, decode, encode, head, is_number
 from ca.errors import EncodingError, ProofRefused, RevocationRefused, SignatureError
 from ca.keys.signing import THUMBPRINT_SIZE, Profile, Signer
 from ca.revocation.merkle import HASH_SIZE, Tree, verify_inclusion
@@ -41,8 +34,24 @@ TIMESTAMP_PROFILE: Final = Profile("rossec-timestamp+cwt")
 
 _EXP, _IAT = 4, 6
 _EPOCH, _SEQ, _ENTRIES, _DIGEST, _MAX_AGE = -70001, -70002, -70003, -70004, -70005
-_INT_LIMIT: Final = 1 << 53  # also exact where numbers are floats
 _SIZES: Final = (GRANT_ID_SIZE, THUMBPRINT_SIZE)
+
+TREE: Final = Profile("rossec-revocation-tree+cwt")
+MAX_TREE: Final = 512  # bytes of the statement
+MAX_LEAVES: Final = 32 * 1024  # what fits in one call to the master
+MAX_TREE_ENTRIES_SIZE: Final = MAX_LEAVES * 34 + 16
+MAX_PROOF: Final = 4096
+
+_SIZE, _ROOT = -70006, -70007
+_ARRAY: Final = 4 << 5
+_SHORT: Final = 17, b"\x50"  # octets of an encoded grant id, and its head
+_LONG: Final = 34, b"\x58\x20"  # of a thumbprint
+_STEP: Final = 256  # entries; a millisecond
+_NO_ENTRIES: Final = "not the entries of a revocation tree"
+_NOT_THOSE: Final = ("the entries are not those of the signed tree", "deliver it again: rossec ca publish")
+_T = TypeVar("_T")
+
+_FRAME: Final = b"\xd2\x84" + encode(TREE.protected)
 
 
 @dataclass(frozen=True)
@@ -74,12 +83,11 @@ class Timestamp:
 
 
 def digest(data: bytes) -> bytes:
-    """Return the digest of a list in a timestamp: SHA-256 of its bytes as received."""
+    """The digest of a list in a timestamp: SHA-256 of its bytes as received."""
     return hashlib.sha256(data).digest()
 
 
 def sign_list(signer: Signer, revocations: RevocationList) -> bytes:
-    """Sign `revocations` with the authority's key."""
     _check_list(revocations)
     entries: list[Value] = [*sorted(revocations.entries)]
     return LIST_PROFILE.sign(
@@ -98,9 +106,11 @@ def open_list(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationList:
     """Verify and read a list; its age is not checked here."""
     match _open(LIST_PROFILE, data, ca_key, MAX_LIST):
         case {4: exp, 6: iat, -70001: epoch, -70002: seq, -70003: list() as items, **rest} if not rest:
-            revocations = RevocationList(
-                _number(epoch), _number(seq), _number(iat), _number(exp), _read_entries(items)
-            )
+            entries = [check_entry(item) for item in items]
+            if any(first >= second for first, second in pairwise(entries)):
+                raise RevocationRefused("the entries of the revocation list are not sorted")
+            epoch, seq, iat, exp = map(_number, (epoch, seq, iat, exp))
+            revocations = RevocationList(epoch, seq, iat, exp, frozenset(entries))
         case _:
             raise RevocationRefused("the revocation list has missing or unknown fields")
     _check_list(revocations)
@@ -108,7 +118,6 @@ def open_list(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationList:
 
 
 def sign_timestamp(signer: Signer, timestamp: Timestamp) -> bytes:
-    """Sign `timestamp` with the master's key."""
     _check_timestamp(timestamp)
     return TIMESTAMP_PROFILE.sign(
         signer,
@@ -158,13 +167,6 @@ def check_entry(entry: object) -> bytes:
     return entry
 
 
-def _read_entries(items: list[Value]) -> frozenset[bytes]:
-    entries = [check_entry(item) for item in items]
-    if any(first >= second for first, second in pairwise(entries)):
-        raise RevocationRefused("the entries of the revocation list are not sorted")
-    return frozenset(entries)
-
-
 def _check_timestamp(timestamp: Timestamp) -> None:
     for value in (timestamp.seq, timestamp.issued):
         _number(value)
@@ -177,25 +179,9 @@ def _check_timestamp(timestamp: Timestamp) -> None:
 
 
 def _number(value: object) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < _INT_LIMIT:
+    if not is_number(value):
         raise RevocationRefused("a number in the statement is out of range")
     return value
-
-
-TREE: Final = Profile("rossec-revocation-tree+cwt")
-MAX_TREE: Final = 512  # bytes of the statement
-MAX_LEAVES: Final = 32 * 1024  # what fits in one call to the master
-MAX_TREE_ENTRIES_SIZE: Final = MAX_LEAVES * 34 + 16
-MAX_PROOF: Final = 4096
-
-_TREE_EPOCH, _TREE_SEQ, _SIZE, _ROOT = -70001, -70002, -70006, -70007
-_ARRAY: Final = 4 << 5
-_SHORT: Final = 17, b"\x50"  # octets of an encoded grant id, and its head
-_LONG: Final = 34, b"\x58\x20"  # of a thumbprint
-_STEP: Final = 256  # entries; a millisecond
-_NO_ENTRIES: Final = "not the entries of a revocation tree"
-_NOT_THOSE: Final = ("the entries are not those of the signed tree", "deliver it again: rossec ca publish")
-_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
@@ -210,8 +196,7 @@ class RevocationTree:
     root: bytes
 
     def __post_init__(self) -> None:
-        numbers = (self.epoch, self.seq, self.issued, self.expires, self.size)
-        if not all(type(number) is int and 0 <= number < _INT_LIMIT for number in numbers):
+        if not all(map(is_number, (*self.number, self.issued, self.expires, self.size))):
             raise RevocationRefused("a number of the revocation tree is out of range")
         if self.expires <= self.issued or not 0 < self.size <= MAX_LEAVES:
             raise RevocationRefused("a revocation tree that is empty, too large, or never valid")
@@ -228,18 +213,14 @@ def is_tree(data: bytes) -> bool:
     return data.startswith(_FRAME)
 
 
-_FRAME: Final = b"\xd2\x84" + encode(TREE.protected)
-
-
 def sign_tree(signer: Signer, tree: RevocationTree) -> bytes:
-    """Sign `tree` with the authority's key."""
     return TREE.sign(
         signer,
         {
             _EXP: tree.expires,
             _IAT: tree.issued,
-            _TREE_EPOCH: tree.epoch,
-            _TREE_SEQ: tree.seq,
+            _EPOCH: tree.epoch,
+            _SEQ: tree.seq,
             _SIZE: tree.size,
             _ROOT: tree.root,
         },
@@ -309,7 +290,6 @@ class TreeEntries:
 
     @classmethod
     def read(cls, data: bytes) -> "TreeEntries":
-        """Read what `encoded` wrote."""
         return finished(cls.reading(data))
 
     @classmethod
@@ -349,7 +329,6 @@ class TreeEntries:
         return len(self._entries), self._tree.root()
 
     def check(self, tree: RevocationTree) -> None:
-        """Return if these are the entries of `tree`."""
         if self.size_and_root != (tree.size, tree.root):
             raise RevocationRefused(*_NOT_THOSE)
 
@@ -359,16 +338,18 @@ class TreeEntries:
         if position < len(self._entries) and self._entries[position] == entry:
             indexes = [position]
         else:
-            indexes = [index for index in (position - 1, position) if 0 <= index < len(self._entries)]
-        proof: list[Value] = [
-            [index, self._entries[index], [*self._tree.inclusion(index)]] for index in indexes
-        ]
-        return encode(proof)
+            indexes = [at for at in (position - 1, position) if 0 <= at < len(self._entries)]
+        return encode([[at, self._entries[at], [*self._tree.inclusion(at)]] for at in indexes])
 
 
 def is_revoked(tree: RevocationTree, entry: bytes, proof: bytes) -> bool:
-    leaves = [_leaf(tree, part) for part in _parts(proof)]
-    match leaves:
+    try:
+        parts = decode(proof, limit=MAX_PROOF)
+    except EncodingError as error:
+        raise RevocationRefused(f"not a proof: {error}") from error
+    if not isinstance(parts, list):
+        raise RevocationRefused("a proof is a list of leaves")
+    match [_leaf(tree, part) for part in parts]:
         case [(_, leaf)] if leaf == entry:
             return True
         case [(0, first)] if entry < first:
@@ -379,16 +360,6 @@ def is_revoked(tree: RevocationTree, entry: bytes, proof: bytes) -> bool:
             return False
         case _:
             raise RevocationRefused("the proof does not show the status of this entry")
-
-
-def _parts(proof: bytes) -> Sequence[Value]:
-    try:
-        value = decode(proof, limit=MAX_PROOF)
-    except EncodingError as error:
-        raise RevocationRefused(f"not a proof: {error}") from error
-    if not isinstance(value, list):
-        raise RevocationRefused("a proof is a list of leaves")
-    return value
 
 
 def _leaf(tree: RevocationTree, part: Value) -> tuple[int, bytes]:

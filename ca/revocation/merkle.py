@@ -1,7 +1,7 @@
 """Merkle trees as in Certificate Transparency: roots, and short proofs that a verifier can check.
 
 RFC 6962 section 2.1 defines the hashes (the prefixes 0x00 and 0x01 separate leaves from inner
-nodes), RFC 9162 section 2.1 the two verifications. This module only knows hashes: the meaning of
+nodes), RFC 9162 section 2.1 the verification. This module only knows hashes: the meaning of
 a leaf, and the signature and age of a root, are the callers'. An *inclusion* proof shows that a
 leaf is at an index; with sorted leaves, the proofs of two adjacent leaves show that an entry
 between them is absent. A *consistency* proof shows that a tree extends an older one. Verification
@@ -39,7 +39,6 @@ class Tree:
         return len(self._levels[0])
 
     def append(self, data: bytes) -> None:
-        """Add a leaf with the content `data`."""
         digest = leaf_hash(data)
         for level in self._levels:
             level.append(digest)
@@ -122,7 +121,6 @@ def extend(peaks: Sequence[bytes], size: int, data: bytes) -> tuple[bytes, ...]:
 
 
 def root_of(peaks: Sequence[bytes]) -> bytes:
-    """The root of the tree with these peaks."""
     if not peaks:
         return EMPTY_ROOT
     *rest, root = peaks
@@ -133,7 +131,7 @@ def root_of(peaks: Sequence[bytes]) -> bytes:
 
 def verify_inclusion(data: bytes, index: int, size: int, proof: Sequence[bytes], root: bytes) -> None:
     """Return if `proof` shows a leaf with the content `data` at `index` (RFC 9162, 2.1.3.2)."""
-    _check_form(proof)
+    check_form(proof)
     if not 0 <= index < size:
         raise ProofRefused(f"there is no leaf {index} in a tree of {size}")
     number, last, digest = index, size - 1, leaf_hash(data)
@@ -151,45 +149,6 @@ def verify_inclusion(data: bytes, index: int, size: int, proof: Sequence[bytes],
         raise ProofRefused("the inclusion proof does not lead to the root")
 
 
-def verify_consistency(
-    first: int, second: int, proof: Sequence[bytes], first_root: bytes, second_root: bytes
-) -> None:
-    """Return if `proof` shows that the second tree extends the first (RFC 9162, 2.1.4.2)."""
-    _check_form(proof)
-    if not 0 < first <= second:
-        raise ProofRefused(f"a tree of {second} leaves does not extend one of {first}")
-    if first == second:
-        if proof or first_root != second_root:
-            raise ProofRefused("two trees of the same size have different roots")
-        return
-    _check_growth(first, second, proof, first_root, second_root)
-
-
-def _check_growth(
-    first: int, second: int, proof: Sequence[bytes], first_root: bytes, second_root: bytes
-) -> None:
-    # The old root is not in the proof: it is prepended when the old tree is a complete subtree.
-    path = [first_root, *proof] if first & (first - 1) == 0 else list(proof)
-    if not path:
-        raise ProofRefused("the consistency proof is empty")
-    number, last = first - 1, second - 1
-    while number & 1:
-        number, last = number >> 1, last >> 1
-    old = new = path[0]
-    for sibling in path[1:]:
-        if last == 0:
-            raise ProofRefused("the consistency proof is too long")
-        if number & 1 or number == last:
-            old, new = node_hash(sibling, old), node_hash(sibling, new)
-            while number and not number & 1:
-                number, last = number >> 1, last >> 1
-        else:
-            new = node_hash(new, sibling)
-        number, last = number >> 1, last >> 1
-    if last != 0 or old != first_root or new != second_root:
-        raise ProofRefused("the consistency proof does not lead from the old root to the new one")
-
-
-def _check_form(proof: Sequence[bytes]) -> None:
+def check_form(proof: Sequence[bytes]) -> None:
     if len(proof) > MAX_PROOF or any(len(digest) != HASH_SIZE for digest in proof):
         raise ProofRefused(f"a proof is at most {MAX_PROOF} hashes of {HASH_SIZE} bytes")

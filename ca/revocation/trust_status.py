@@ -1,21 +1,11 @@
-"""The revocations this node knows, and whether they are fresh.
+"""The revocations this node knows of its own domain and of the listed ones, and whether they are fresh.
 
 The state fails closed: without a list, without a confirmation, after its maximum age, after the
-list's own expiry, or on a clock that was set back, `check` refuses. It only moves forward: a list
-older than the newest ever seen is refused, also after a restart, because the caller persists the
-list *before* it takes effect (CVE-2025-2888 in tough was that order reversed) and passes its number
-as `floor`. Clock and disk are the caller's: `now` and `persist` are arguments.
-
-Where the authority signed a tree instead of a list (`ca.revocation.lists`), each entry needs a
-proof: until it is received the status is unknown, and the entry is in `unproved`.
-
-What is revoked, and known to be: of the own domain, and of each listed foreign one.
-
-A foreign domain's list is verified by its root's key, and confirmed by a timestamp of a master of
-that domain, which any peer may hand over. It counts for the nodes and the grants of that domain
-and for nothing else: a hospital cannot revoke what is not its own. The own list counts for every
-key. Pure; a state lasts as long as the root it was made for. Whoever shares it between threads
-locks it.
+list's own expiry, or on a clock that was set back, `check` refuses. It only moves forward, also
+over a restart: the caller persists the list *before* it takes effect (CVE-2025-2888 in tough was
+that order reversed) and passes its number as `floor`. A foreign list counts for the nodes and
+grants of that domain and for nothing else, the own one for every key. Clock and disk are the
+caller's; whoever shares a state between threads locks it.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,7 +17,7 @@ from typing import Final
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.certificates import Identity
-from ca.domains.trust import Anchors, ListedDomain
+from ca.domains.trust import ADMIT_HINT, Anchors, ListedDomain
 from ca.errors import (
     ClocksDisagree,
     NotAdmitted,
@@ -40,8 +30,6 @@ from ca.keys.signing import thumbprint
 from ca.names import is_master_name, pattern_covers
 from ca.revocation.lists import (
     MAX_AGE,
-    MAX_ENTRIES,
-    MAX_LIST,
     RevocationList,
     RevocationTree,
     Timestamp,
@@ -53,42 +41,20 @@ from ca.revocation.lists import (
     open_list,
     open_timestamp,
     open_tree,
-    sign_list,
-    sign_timestamp,
 )
-
-__all__ = [
-    "MAX_AGE",
-    "MAX_ENTRIES",
-    "MAX_LIST",
-    "NO_FLOOR",
-    "SKEW",
-    "RevocationList",
-    "Revocations",
-    "Timestamp",
-    "check_entry",
-    "digest",
-    "open_list",
-    "open_statement",
-    "open_timestamp",
-    "sign_list",
-    "sign_timestamp",
-]
 
 NO_FLOOR: Final = (0, 0)
 SKEW: Final = 5  # seconds two synchronised clocks may differ
 MAX_PROOFS: Final = 16 * 1024  # cached entries proved absent, and entries without a proof
 NO_LIST_YET: Final = "no revocation list was received yet"
-_HINT_STALE: Final = "check that the master is running and reachable, and both clocks"
+_STALE: Final = "check that the master is running and reachable, and both clocks"
+
+MAX_DELEGATES: Final = 16  # masters of one foreign domain, the last ones seen
+_SILENT: Final = "does this side's master reach that domain's? rossec federation status"
 
 
 class Revocations:
-    """The newest list of one authority, and the last confirmation that it is the newest.
-
-    Attributes:
-        fresh: how old a confirmation may be, seconds; None: what each one says (`max_age`). Another
-            value is for foreign domains: 30 s would end visits with every outage of the line.
-    """
+    """The newest list of one authority, and the last confirmation that it is the newest."""
 
     def __init__(
         self,
@@ -97,11 +63,13 @@ class Revocations:
         fresh: int | None = None,
     ) -> None:
         self._key = anchor_key
-        self._floor = floor
+        self.floor = floor
+        # How old a confirmation may be, seconds; None: what each one says (`max_age`). Another value is for
+        # foreign domains: 30 s would end visits with every outage of the line.
         self.fresh = fresh
-        self._list: RevocationList | RevocationTree | None = None
-        self._data = b""
-        self._entries: frozenset[bytes] = frozenset()
+        self.current: RevocationList | RevocationTree | None = None
+        self.data = b""  # as signed
+        self.entries: frozenset[bytes] = frozenset()
         self._received = 0
         self._complete = True  # False: `_entries` are the known ones of a tree
         self._absent: set[bytes] = set()
@@ -110,27 +78,11 @@ class Revocations:
         self._relied_until = 0  # the end of a confirmation that was expired early
 
     @property
-    def floor(self) -> tuple[int, int]:
-        return self._floor
-
-    @property
-    def data(self) -> bytes:
-        return self._data
-
-    @property
-    def current(self) -> RevocationList | RevocationTree | None:
-        return self._list
-
-    @property
-    def entries(self) -> frozenset[bytes]:
-        return self._entries
-
-    @property
     def fresh_until(self) -> int:
         """The last second at which `check` may succeed; 0 if there is none."""
-        if self._list is None or self._confirmed is None:
+        if self.current is None or self._confirmed is None:
             return self._relied_until
-        return min(self._end(self._confirmed), self._list.expires - 1)
+        return min(self._end(self._confirmed), self.current.expires - 1)
 
     def status_valid_until(self, entry: bytes) -> int:
         """As `fresh_until`, for one entry: a proof may take as long as a confirmation."""
@@ -139,20 +91,19 @@ class Revocations:
         return min(self.fresh_until, self._received + MAX_AGE)
 
     def is_proved(self, entry: bytes) -> bool:
-        return self._complete or entry in self._absent or entry in self._entries
+        return self._complete or entry in self._absent or entry in self.entries
 
     @property
     def unproved(self) -> list[bytes]:
         return list(self._unproved)
 
     def add_proof(self, entry: bytes, proof: bytes) -> None:
-        """Add the proof that `entry` is in the current tree, or is not."""
-        if not isinstance(self._list, RevocationTree):
+        if not isinstance(self.current, RevocationTree):
             return  # replaced by a list meanwhile, which needs no proofs
-        revoked = is_revoked(self._list, check_entry(entry), proof)
+        revoked = is_revoked(self.current, check_entry(entry), proof)
         self._unproved.pop(entry, None)
         if revoked:
-            self._entries |= {entry}
+            self.entries |= {entry}
             return
         if len(self._absent) >= MAX_PROOFS:
             self._absent.clear()
@@ -160,10 +111,10 @@ class Revocations:
 
     def set_entries(self, tree_entries: TreeEntries) -> None:
         """Set all entries of the current tree: no proofs are needed any more."""
-        if not isinstance(self._list, RevocationTree):
+        if not isinstance(self.current, RevocationTree):
             raise RevocationRefused("entries of a tree, but there is no tree")
-        tree_entries.check(self._list)
-        self._entries, self._complete = tree_entries.entries, True
+        tree_entries.check(self.current)
+        self.entries, self._complete = tree_entries.entries, True
 
     def update(
         self, data: bytes, now: int, persist: Callable[[bytes], None] | None = None
@@ -177,26 +128,26 @@ class Revocations:
         """
         revocations = open_statement(data, self._key)
         self.check_number(revocations)
-        if data == self._data:
+        if data == self.data:
             return frozenset()
         if persist is not None:
             persist(data)
         self._complete = isinstance(revocations, RevocationList)
-        entries = revocations.entries if isinstance(revocations, RevocationList) else self._entries
-        added = entries - self._entries
-        self._list, self._data, self._floor = revocations, data, revocations.number
-        self._entries, self._received = entries, now
+        entries = revocations.entries if isinstance(revocations, RevocationList) else self.entries
+        added = entries - self.entries
+        self.current, self.data, self.floor = revocations, data, revocations.number
+        self.entries, self._received = entries, now
         self._confirmed, self._relied_until = None, 0
         self._absent, self._unproved = set(), {}
         return added
 
     def confirm(self, timestamp: Timestamp, now: int) -> None:
         """Apply a timestamp, opened with `open_timestamp`: the current list is the newest."""
-        if self._list is None:
-            raise RevocationRefused("a timestamp came before any revocation list", _HINT_STALE)
-        if timestamp.seq != self._list.seq or timestamp.digest != digest(self._data):
+        if self.current is None:
+            raise RevocationRefused("a timestamp came before any revocation list", _STALE)
+        if timestamp.seq != self.current.seq or timestamp.digest != digest(self.data):
             raise RevocationRefused(
-                f"the timestamp is for another list than the current number {self._list.seq}",
+                f"the timestamp is for another list than the current number {self.current.seq}",
                 "fetch the newest list from the master",
             )
         if timestamp.max_age > MAX_AGE:
@@ -221,24 +172,22 @@ class Revocations:
             self._unproved[entry] = None
         self.check_fresh(now)
         if unproved:
-            raise RevocationsStale(f"no proof received yet that {entry.hex()} is not revoked", _HINT_STALE)
+            raise RevocationsStale(f"no proof received yet that {entry.hex()} is not revoked", _STALE)
 
     def check_fresh(self, now: int) -> None:
         """Return if the current list is confirmed and valid at `now`."""
-        if self._list is None:
-            raise RevocationsStale(NO_LIST_YET, _HINT_STALE)
-        if now >= self._list.expires:
+        if self.current is None:
+            raise RevocationsStale(NO_LIST_YET, _STALE)
+        if now >= self.current.expires:
             raise RevocationsStale(
-                f"the revocation list expired {now - self._list.expires} s ago",
+                f"the revocation list expired {now - self.current.expires} s ago",
                 "have the authority sign a new one: `rossec ca refresh`",
             )
         if self._confirmed is None:
-            raise RevocationsStale("the revocation list is not confirmed by the master", _HINT_STALE)
+            raise RevocationsStale("the revocation list is not confirmed by the master", _STALE)
         if now > self.fresh_until:
-            raise RevocationsStale(
-                f"the last confirmation expired {now - self.fresh_until} s ago", _HINT_STALE
-            )
-        if now < max(self._list.issued, self._confirmed.issued) - SKEW:
+            raise RevocationsStale(f"the last confirmation expired {now - self.fresh_until} s ago", _STALE)
+        if now < max(self.current.issued, self._confirmed.issued) - SKEW:
             raise RevocationsStale("the clock is behind the revocation list", "set the clock")
 
     def _end(self, timestamp: Timestamp) -> int:
@@ -246,12 +195,12 @@ class Revocations:
 
     def check_number(self, new: RevocationList | RevocationTree) -> None:
         """Return if a list or tree may follow the current one, or is the same."""
-        if new.number < self._floor:
+        if new.number < self.floor:
             raise RollbackRefused(
-                f"revocation list {_text(new.number)} is older than {_text(self._floor)}",
+                f"revocation list {_text(new.number)} is older than {_text(self.floor)}",
                 "an old list was replayed: find out which peer sent it",
             )
-        if self._list is not None and new.number == self._list.number and new != self._list:
+        if self.current is not None and new.number == self.current.number and new != self.current:
             raise RollbackRefused(
                 f"there are two different revocation lists {_text(new.number)}",
                 "the authority's database was restored or copied: begin a new epoch",
@@ -259,17 +208,11 @@ class Revocations:
 
 
 def open_statement(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationList | RevocationTree:
-    """Verify and read a list or a tree."""
     return open_tree(data, ca_key) if is_tree(data) else open_list(data, ca_key)
 
 
 def _text(number: tuple[int, int]) -> str:
     return f"{number[0]}.{number[1]}"
-
-
-MAX_DELEGATES: Final = 16  # masters of one foreign domain, the last ones seen
-_HINT: Final = "at this side's authority: rossec domain list, rossec domain accept CARD"
-_SILENT: Final = "does this side's master reach that domain's? rossec federation status"
 
 
 @dataclass
@@ -280,12 +223,7 @@ class _Foreign:
 
 
 class Standing:
-    """The revocations of the own domain and of the listed ones.
-
-    Args:
-        anchors: which domains are listed.
-        own: the own authority's list.
-    """
+    """The revocations of the own domain and of those that `anchors` lists."""
 
     def __init__(self, anchors: Anchors, own: Revocations) -> None:
         self.anchors: Final = anchors
@@ -320,10 +258,8 @@ class Standing:
         """Take a foreign list (empty: the one held) and its timestamp; returns what it adds.
 
         A valid list is kept even when the timestamp is not accepted. `persist(list)` is called
-        after all checks of the list and before it takes effect.
-
-        Args:
-            chain: the certificates of the master that signed the timestamp, DER, the leaf first.
+        after all checks of the list and before it takes effect. `chain` are the certificates of the
+        master that signed the timestamp, DER, the leaf first.
         """
         listed, held = self._listed(domain), self._held(domain)
         if held is None:
@@ -333,7 +269,10 @@ class Standing:
             added = held.revocations.update(revocations, now, persist)
         if not timestamp:
             raise RevocationsStale(f"no word of {listed.entry.label}'s master", _SILENT)
-        master = _master(listed, chain, now)
+        # The master that signed it need not be admitted as a peer.
+        master = listed.anchor.verify(chain, now)
+        if not is_master_name(master.name) or master.wildcard:
+            raise NotAdmitted(f"{listed.entry.label}:{master.name} is no master, and confirms no revocations")
         for key in master.keys:
             for each in (self.own, held.revocations):
                 with suppress(RevocationsStale):  # the timestamp may end it
@@ -394,10 +333,10 @@ class Standing:
         listed = self._listed(peer.domain)
         entry = listed.entry
         if now >= entry.until or listed.anchor.thumbprint != peer.root:
-            raise NotAdmitted(f"the trust in domain {entry.label} has ended", _HINT)
+            raise NotAdmitted(f"the trust in domain {entry.label} has ended", ADMIT_HINT)
         name, label = peer.certified_name, peer.name.split("/")[2]
         if label != entry.label or not any(pattern_covers(each, name) for each in entry.admitted):
-            raise NotAdmitted(f"{entry.label}:{name} is not admitted here any more", _HINT)
+            raise NotAdmitted(f"{entry.label}:{name} is not admitted here any more", ADMIT_HINT)
 
     def status_valid_until(self, domain: str, entry: bytes) -> int:
         """The last second at which `check` may succeed, now or before; 0: it never could."""
@@ -450,13 +389,5 @@ class Standing:
         return held
 
 
-def _master(listed: ListedDomain, chain: Sequence[bytes], now: int) -> Identity:
-    # The identity of a master of a foreign domain; it need not be admitted as a peer.
-    identity = listed.anchor.verify(chain, now)
-    if not is_master_name(identity.name) or identity.wildcard:
-        raise NotAdmitted(f"{listed.entry.label}:{identity.name} is no master, and confirms no revocations")
-    return identity
-
-
 def _not_listed(domain: str) -> NotAdmitted:
-    return NotAdmitted(f"domain {domain!a} is not listed here", _HINT)
+    return NotAdmitted(f"domain {domain!a} is not listed here", ADMIT_HINT)

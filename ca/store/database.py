@@ -1,36 +1,16 @@
 """The database file of the authority's record: SQLite, private to its owner, durable transactions.
 
-Does I/O. `ca.store.database` defines the tables. This module opens the file, refusing a foreign,
-damaged or missing one without changing it, and runs transactions, which are on the disk when the
-call returns. What is read to decide a change must be read inside `transaction`, which excludes
-every other command until the change is made.
-
-SQLite errors as `StoreError`: whether the record is damaged, or only cannot be used now.
-
-A damaged record must be restored. A full disk, or another running command, is no reason to: a
-backup lacks the revocations made since. So only what SQLite reports as corrupt is called damaged,
-and every other message says that nothing was changed (https://sqlite.org/rescode.html).
-
-The tables and triggers of the authority's record; `ca.store.database` brings older ones up.
-
-All but requests for identities are append-only: triggers refuse every change. Such a request
-follows `ca.store.values.TRANSITIONS` and is deleted at its end; triggers made from that table
-refuse every other transition. Every table in `LOGGED_TABLES` has its rows in the log. All
-functions run inside the caller's transaction.
-
-Older versions of the record are brought up to the present one, and lose nothing.
-
-Version 2 made a tree of the log. Version 3 took the requests for grants and their answers into the
-log, which until then were tables of their own, and knows which grants came from a policy: those
-signed before count as made by hand. Version 4 adds passkeys and approvals, version 5 foreign
-domains, version 6 constrained things, of which there were none. Each step runs inside the caller's
-transaction.
+All tables but that of requests for identities are append-only: triggers refuse every change. Such a
+request follows `ca.store.values.TRANSITIONS`, also by triggers, and is deleted at its end. Every
+table in `LOGGED_TABLES` has its rows in the log. A foreign, damaged or missing file is refused
+without changing it, an older version is brought up and loses nothing. What is read to decide a
+change must be read inside `transaction`, which excludes every other command until it is made.
 """
 
 import os
 import re
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final, Self
@@ -58,52 +38,9 @@ _FAULTS: Final[dict[int, tuple[str, str]]] = {
     ),
 }
 
-
-def fault(path: Path, error: sqlite3.Error) -> StoreError:
-    code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF  # the primary code
-    if code in _DAMAGED:
-        return RecordUnusable(f"{path} is damaged: {error}", "restore it from a backup, with --list")
-    if code == sqlite3.SQLITE_CONSTRAINT:
-        return StoreError(f"the record refuses the entry: {error}")
-    if code in {sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN} and _is_full(path.parent):
-        code = sqlite3.SQLITE_FULL
-    what, hint = _FAULTS.get(code, (f"{error}, nothing was changed", "run the command again"))
-    return RecordUnusable(f"{path} cannot be used: {what}", hint)
-
-
-def _is_full(directory: Path) -> bool:
-    with suppress(OSError):
-        found = os.statvfs(directory)
-        return found.f_bavail * found.f_frsize < _MIN_FREE
-    return False
-
-
 APPLICATION_ID: Final = 0x524F5343  # "ROSC"
 VERSION: Final = 6
 _RESTORE_HINT: Final = "restore a backup of your own, and find out who made this one"
-APPEND_ONLY: Final = ("certificate", "grant_", "revocation", "list", "head", "log")  # of version 1
-ANSWERS: Final = "answer"  # of version 2, and append-only as well
-DECISIONS: Final = (  # of version 3, all append-only
-    "grant_request",
-    "decision",
-    "policy_grant",
-    "invitation",
-    "invitation_use",
-    "invitation_end",
-)
-APPROVALS: Final = (  # of version 4, all append-only
-    "passkey",
-    "passkey_end",
-    "approval",
-    "approval_end",
-)
-DOMAINS: Final = (  # of version 5, all append-only
-    "foreign_domain",
-    "foreign_domain_end",
-    "domain_list",
-    "foreign_certificate",
-)
-THINGS: Final = ("thing",)  # of version 6, append-only
 _APPROVAL: Final = (
     "id, kind, subject, statement, payload, passkey, client_data, authenticator_data, signature, at"
 )
@@ -236,6 +173,7 @@ VERSION_6: Final = (
     ) STRICT""",
 )
 _TABLES: Final = (*VERSION_1, *VERSION_2, *VERSION_3, *VERSION_4, *VERSION_5, *VERSION_6)
+_MIGRATIONS: Final = {4: VERSION_4, 5: VERSION_5, 6: VERSION_6}  # that only add tables
 _NO_CHANGE: Final = """
 CREATE TRIGGER {table}_no_{verb} BEFORE {verb} ON {table}
 BEGIN SELECT RAISE(ABORT, 'the record is append-only'); END;
@@ -256,11 +194,37 @@ BEGIN SELECT RAISE(ABORT, 'a request does not go this way'); END;
 """
 _SET: Final = re.compile(r"in \(([^()]*)\)")
 
+_OF_VERSION_1: Final = ("certificate", "grant", "revocation", "list")  # kinds of log entries
+
+BUSY_TIMEOUT: Final = 30.0  # seconds; other commands hold the lock for milliseconds
+# The statements that begin, commit and roll back a transaction, and a nested one.
+_TRANSACTION: Final = ("BEGIN IMMEDIATE", "COMMIT", ("ROLLBACK",))
+_SAVEPOINT: Final = ("SAVEPOINT part", "RELEASE part", ("ROLLBACK TO part", "RELEASE part"))
+
+
+def fault(path: Path, error: sqlite3.Error) -> StoreError:
+    # Only what SQLite reports as corrupt is called damaged, and must be restored: a backup lacks the
+    # revocations made since (https://sqlite.org/rescode.html).
+    code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF  # the primary code
+    if code in _DAMAGED:
+        return RecordUnusable(f"{path} is damaged: {error}", "restore it from a backup, with --list")
+    if code == sqlite3.SQLITE_CONSTRAINT:
+        return StoreError(f"the record refuses the entry: {error}")
+    if code in {sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN} and _is_full(path.parent):
+        code = sqlite3.SQLITE_FULL
+    what, hint = _FAULTS.get(code, (f"{error}, nothing was changed", "run the command again"))
+    return RecordUnusable(f"{path} cannot be used: {what}", hint)
+
+
+def _is_full(directory: Path) -> bool:
+    with suppress(OSError):
+        found = os.statvfs(directory)
+        return found.f_bavail * found.f_frsize < _MIN_FREE
+    return False
+
 
 def create(db: sqlite3.Connection) -> None:
-    append_only = (*APPEND_ONLY, ANSWERS, *DECISIONS, *APPROVALS, *DOMAINS, *THINGS)
-    for statement in (*_TABLES, *append_only_triggers(append_only)):
-        db.execute(statement)
+    _create_tables(db, _TABLES)
     for statement in request_triggers():
         db.execute(statement)
     db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
@@ -303,18 +267,14 @@ def version(db: sqlite3.Connection) -> int:
 
 def check(db: sqlite3.Connection) -> None:
     rows = db.execute("SELECT name, sql FROM sqlite_master WHERE type = 'table'")
-    found = {name: _normal(sql) for name, sql in rows}
+    found = {name: sql.split() for name, sql in rows}
     for statement in _TABLES:
         kind, name = statement.split()[1:3]
-        if kind == "TABLE" and found.get(name) != _normal(statement):
+        if kind == "TABLE" and found.get(name) != statement.split():
             raise StoreError(
                 f"the table {name} of the record differs from rossec's schema",
                 "restore it from a backup of your own, and find out who changed it",
             )
-
-
-def _normal(statement: str) -> str:
-    return " ".join(statement.split())
 
 
 def append_entry(
@@ -327,7 +287,18 @@ def append_entry(
     db.execute("INSERT INTO log VALUES (?, ?, ?, ?, ?, ?, ?)", (*entry, extend_peaks(peaks, entry)))
 
 
-def append_only_triggers(tables: tuple[str, ...]) -> Iterator[str]:
+def _create_tables(db: sqlite3.Connection, statements: Sequence[str]) -> None:
+    for statement in (*statements, *append_only_triggers(append_only(statements))):
+        db.execute(statement)
+
+
+def append_only(statements: Sequence[str]) -> list[str]:
+    """The tables among these that never change: all but that of requests for identities."""
+    made = [statement.split()[1:3] for statement in statements]
+    return [name for kind, name in made if kind == "TABLE" and name != "csr"]
+
+
+def append_only_triggers(tables: Iterable[str]) -> Iterator[str]:
     for table in tables:
         for verb in ("UPDATE", "DELETE"):
             yield _NO_CHANGE.format(table=table, verb=verb)
@@ -340,36 +311,32 @@ def request_triggers() -> tuple[str, str, str]:
     return _NEW_REQUEST, _REQUEST_IMMUTABLE, _REQUEST_TRANSITIONS.format(allowed=transitions)
 
 
-_OF_VERSION_1: Final = ("certificate", "grant", "revocation", "list")  # kinds of log entries
-
-
 def migrate(db: sqlite3.Connection) -> None:
-    if version(db) == 1:
-        _to_version_2(db)
-        _finish(db, 2)
-    if version(db) == 2:
-        _to_version_3(db)
-        _finish(db, 3)
-    if version(db) == 3:
-        _add_tables(db, VERSION_4, APPROVALS)
-        _finish(db, 4)
-    if version(db) == 4:
-        _add_tables(db, VERSION_5, DOMAINS)
-        _finish(db, 5)
-    if version(db) == 5:
-        _add_tables(db, VERSION_6, THINGS)
-        _finish(db, 6)
+    for new in range(version(db) + 1, VERSION + 1):
+        if new == 2:
+            _to_version_2(db)
+        elif new == 3:
+            _to_version_3(db)
+        else:
+            _create_tables(db, _MIGRATIONS[new])
+        (at,) = db.execute("SELECT coalesce(max(at), 0) FROM log").fetchone()
+        append_entry(db, at, "migrated", "record", f"{new - 1} to {new}", b"")
+        db.execute(f"PRAGMA user_version = {new}")
 
 
 def _to_version_2(db: sqlite3.Connection) -> None:
+    # It made a tree of the log.
     old = db.execute("SELECT at, what, subject, detail FROM log ORDER BY number").fetchall()
     db.execute("DROP TABLE log")  # and its triggers with it
     if _has_table(db, "request"):  # requests for grants: the name is not theirs any more
         db.execute("ALTER TABLE request RENAME TO grant_request")
-    tables = ("log", "head", ANSWERS)
-    for statement in (*VERSION_2, *append_only_triggers(tables), *request_triggers()):
+    _create_tables(db, VERSION_2)
+    for statement in request_triggers():
         db.execute(statement)
-    rows = {what: _rows_of(db, what) for what in _OF_VERSION_1}
+    rows: dict[str, Iterator[Any]] = {}
+    for what in _OF_VERSION_1:
+        table, columns = LOGGED_TABLES[what]
+        rows[what] = iter(db.execute(f"SELECT {columns} FROM {table} ORDER BY rowid").fetchall())  # noqa: S608  (constants)
     for number, (at, what, subject, detail) in enumerate(old):
         row = next(rows.get(what, iter(())), None)
         if row is None:
@@ -381,10 +348,11 @@ def _to_version_2(db: sqlite3.Connection) -> None:
 
 
 def _to_version_3(db: sqlite3.Connection) -> None:
+    # It took the requests for grants and their answers into the log, which until then were tables of their
+    # own, and knows which grants came from a policy: those signed before count as made by hand.
     requests = _taken(db, "grant_request", "id, name, data, at")
     decisions = _taken(db, "decision", "request, right, pattern, answer, reason, at")
-    for statement in (*VERSION_3, *append_only_triggers(DECISIONS)):
-        db.execute(statement)
+    _create_tables(db, VERSION_3)
     for row in requests:
         db.execute("INSERT INTO grant_request VALUES (?, ?, ?, ?)", row)
         append_entry(db, row[3], "grant request", row[1], row[0].hex(), digest_of(row))
@@ -393,11 +361,6 @@ def _to_version_3(db: sqlite3.Connection) -> None:
         db.execute("INSERT INTO decision VALUES (?, ?, ?, ?, ?, ?)", row)
         subject = names.get(row[0], "")
         append_entry(db, row[5], "decision", subject, f"{row[3]} {row[2]}", digest_of(row))
-
-
-def _add_tables(db: sqlite3.Connection, statements: tuple[str, ...], append_only: tuple[str, ...]) -> None:
-    for statement in (*statements, *append_only_triggers(append_only)):
-        db.execute(statement)
 
 
 def _taken(db: sqlite3.Connection, table: str, columns: str) -> list[tuple[Any, ...]]:
@@ -409,31 +372,12 @@ def _taken(db: sqlite3.Connection, table: str, columns: str) -> list[tuple[Any, 
     return rows
 
 
-def _finish(db: sqlite3.Connection, version: int) -> None:
-    (at,) = db.execute("SELECT coalesce(max(at), 0) FROM log").fetchone()
-    append_entry(db, at, "migrated", "record", f"{version - 1} to {version}", b"")
-    db.execute(f"PRAGMA user_version = {version}")
-
-
 def _has_table(db: sqlite3.Connection, name: str) -> bool:
     query = "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = ?"
     return db.execute(query, (name,)).fetchone() is not None
 
 
-def _rows_of(db: sqlite3.Connection, what: str) -> Iterator[tuple[int | str | bytes, ...]]:
-    table, columns = LOGGED_TABLES[what]
-    return iter(db.execute(f"SELECT {columns} FROM {table} ORDER BY rowid").fetchall())  # noqa: S608  (constants)
-
-
-BUSY_TIMEOUT: Final = 30.0  # seconds; other commands hold the lock for milliseconds
-# The statements that begin, commit and roll back a transaction, and a nested one.
-_TRANSACTION: Final = ("BEGIN IMMEDIATE", "COMMIT", ("ROLLBACK",))
-_SAVEPOINT: Final = ("SAVEPOINT part", "RELEASE part", ("ROLLBACK TO part", "RELEASE part"))
-
-
 class Database:
-    """An open database. Create it with `create` or `open`."""
-
     def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
         self.connection = connection
         self._path = path.absolute()
@@ -442,7 +386,6 @@ class Database:
 
     @classmethod
     def create(cls, path: Path) -> Self:
-        """Create a new, empty record, readable only by its owner."""
         try:
             os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR | os.O_CLOEXEC, 0o600))
         except OSError as error:
@@ -458,7 +401,6 @@ class Database:
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Open an existing record; an older version is migrated first."""
         if not path.is_file():
             raise StoreError(f"there is no record at {path}", "restore it from a backup")
         if path.stat().st_mode & 0o077:
@@ -472,7 +414,10 @@ class Database:
         try:
             _check_kind(database.connection, path)
             _configure(database.connection)
-            database._migrate()
+            if version(database.connection) != VERSION:
+                with database.transaction() as db:
+                    migrate(db)
+            check(database.connection)
         except (sqlite3.Error, StoreError) as error:
             database.close()
             if isinstance(error, StoreError):
@@ -490,8 +435,12 @@ class Database:
         except sqlite3.Error as error:
             raise fault(self._path, error) from error
 
+    def logged(self, what: str, clause: str = "ORDER BY rowid", *values: object) -> list[Any]:
+        """The rows about which log entries of the kind `what` are, with the columns of the digest."""
+        table, columns = LOGGED_TABLES[what]
+        return self.rows(f"SELECT {columns} FROM {table} {clause}", *values)  # noqa: S608  (constants)
+
     def rows(self, query: str, *values: object) -> list[Any]:
-        """The rows that `query` selects."""
         try:
             return self.connection.execute(query, values).fetchall()
         except sqlite3.Error as error:
@@ -547,12 +496,6 @@ class Database:
             yield
         finally:
             self.connection.execute("ROLLBACK")
-
-    def _migrate(self) -> None:
-        if version(self.connection) != VERSION:
-            with self.transaction() as db:
-                migrate(db)
-        check(self.connection)
 
 
 def _connect(path: Path) -> sqlite3.Connection:

@@ -1,20 +1,10 @@
-"""The identities in the authority's record: which were signed, and which key a name may have.
+"""Identities in the authority's record, the requests for them, and the invitations by which nodes join.
 
 A name keeps its key. Another key is accepted in three cases only: the name has no valid identity;
 the operator gives the name again (`replace_key`); or the newest valid key itself signs the renewal
-(`renews`). A renewal by an older key comes from a copy or a restored disk and is refused.
-
-The requests for identities in the authority's record: pending, approved, denied, issued.
-
-It applies `ca.store.values`. A name has one owner: approving a key for a name that has a valid
-identity with another key needs the name again (`replace_key`), and of two keys that request one
-name at the same time neither is approved until the other is denied.
-
-Invitations in the authority's record: nodes that join by a code, without a person each time.
-
-A use is one identity for one new name. It is recorded in the transaction that issues the identity,
-so that two commands never share the last use; the same request uses an invitation once. An
-invitation ends by its time, by its number of uses, or by an entry that says why.
+(`renews`). A renewal by an older key comes from a copy or a restored disk and is refused. Of two
+keys that request one name at the same time neither is approved until the other is denied. A use of
+an invitation is one identity for one new name, recorded in the transaction that issues it.
 """
 
 import hashlib
@@ -53,8 +43,19 @@ from ca.store.values import (
 )
 from ca.svid import IdentityRequest
 
-_COLUMNS = "serial, name, thumbprint, der, not_before, not_after"
 _BEGINS = "(name >= ? AND name < ?)"  # by the index on names, where substr() reads every row
+
+_REQUESTS_COLUMNS = (
+    "digest, name, thumbprint, der, source, arrived, state, reason, changed, replaces, wildcard"
+)
+
+_OPEN = ", ".join(f"'{state}'" for state in sorted(OPEN))
+_RETENTION = " ".join(f"WHEN '{state}' THEN {kept}" for state, kept in RETENTION.items())
+# A row in an unknown state is read, and refused: it must not be taken for an expired one.
+_EXPIRES = f"changed + CASE state {_RETENTION} ELSE {1 << 53} END"
+
+
+_AGAIN = "make another: rossec ca invite PATTERN"
 
 
 class IdentityTable:
@@ -176,7 +177,6 @@ class IdentityTable:
             )
 
     def check_not_revoked(self, name: str, thumbprint: bytes) -> None:
-        # Return if the key `thumbprint` of `name` is not revoked.
         if self._database.rows("SELECT 1 FROM revocation WHERE entry = ?", thumbprint):
             raise StoreError(f"the key of {name} is revoked", "make a new key and request on the node")
 
@@ -194,7 +194,7 @@ class IdentityTable:
         )
 
     def _find(self, clause: str, *values: object) -> list[CertificateRow]:
-        rows = self._database.rows(f"SELECT {_COLUMNS} FROM certificate {clause}", *values)  # noqa: S608  (constants)
+        rows = self._database.logged("certificate", clause, *values)
         return [CertificateRow(int.from_bytes(serial), *rest) for serial, *rest in rows]
 
 
@@ -206,16 +206,6 @@ def _signer(row: CertificateRow, made: list[CertificateRow]) -> CertificateRow |
     if row.name.startswith(INTERMEDIATE):  # only the root signs these
         return None
     return next((issuer for issuer in made if row.is_signed_by(issuer)), None)
-
-
-_REQUESTS_COLUMNS = (
-    "digest, name, thumbprint, der, source, arrived, state, reason, changed, replaces, wildcard"
-)
-
-_OPEN = ", ".join(f"'{state}'" for state in sorted(OPEN))
-_RETENTION = " ".join(f"WHEN '{state}' THEN {kept}" for state, kept in RETENTION.items())
-# A row in an unknown state is read, and refused: it must not be taken for an expired one.
-_EXPIRES = f"changed + CASE state {_RETENTION} ELSE {1 << 53} END"
 
 
 class RequestTable:
@@ -230,20 +220,23 @@ class RequestTable:
             stored = self.find(request.digest)
             if stored is not None and now <= stored.expires:
                 return stored
-            self._check_new(request, source, now)
+            if self._identities.issued_for(request.digest) is not None:
+                raise RequestClosed(
+                    f"this request of {request.name} has its certificate already",
+                    f"see: rossec ca show {request.name}; for another: rossec ca renew {request.name}",
+                )
+            waiting = self.open(now)
+            joining = sum(row.source.startswith(JOINING) for row in waiting)
+            full = source.startswith(JOINING) and joining >= MAX_JOINING
+            if full or len(waiting) >= MAX_OPEN:
+                raise TooManyRequests(
+                    f"{MAX_OPEN} requests are pending, the maximum",
+                    "list them with: rossec ca requests, and deny unknown ones",
+                )
             if stored is not None:  # it expired, and is asked anew
                 _delete(db, stored, now)
-            row = RequestRow(
-                request.digest,
-                request.name,
-                request.thumbprint,
-                der,
-                source,
-                now,
-                RequestState.PENDING,
-                "",
-                now,
-            )
+            asked = request.digest, request.name, request.thumbprint, der
+            row = RequestRow(*asked, source, now, RequestState.PENDING, "", now)
             db.execute("INSERT INTO csr VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", row)
             append_entry(db, now, RequestState.PENDING, row.name, source, row.digest)
         return row
@@ -285,7 +278,7 @@ class RequestTable:
                 if other.name == row.name and other.thumbprint != row.thumbprint:
                     raise NameContested(
                         f"two different keys request the name {row.name}",
-                        f"compare fingerprints, then deny the other: rossec ca deny {_short(other)}",
+                        f"compare fingerprints, then deny the other: rossec ca deny {other.digest.hex()[:8]}",
                     )
             self._identities.check_names(
                 row.name, row.thumbprint, now, lambda other: covers(row.name, other, wildcard=wildcard)
@@ -295,7 +288,6 @@ class RequestTable:
             return self._advance(approved, RequestState.APPROVED, now, reason)
 
     def deny(self, digest: bytes, now: int, reason: str = "") -> RequestRow:
-        # Deny a request, also an approved one that is not issued yet.
         with self._database.transaction():
             return self._advance(self.get(digest), RequestState.DENIED, now, reason)
 
@@ -320,21 +312,6 @@ class RequestTable:
         # All but the newest of those that expired, if they did so `COLLECTED_AFTER` ago.
         newest_first = f"WHERE {_EXPIRES} < ? ORDER BY changed DESC, rowid DESC LIMIT -1 OFFSET ?"
         return self._rows(newest_first, now - COLLECTED_AFTER, KEPT_EXPIRED)
-
-    def _check_new(self, request: IdentityRequest, source: str, now: int) -> None:
-        if self._identities.issued_for(request.digest) is not None:
-            raise RequestClosed(
-                f"this request of {request.name} has its certificate already",
-                f"see: rossec ca show {request.name}; for another: rossec ca renew {request.name}",
-            )
-        waiting = self.open(now)
-        joining = sum(row.source.startswith(JOINING) for row in waiting)
-        full = source.startswith(JOINING) and joining >= MAX_JOINING
-        if full or len(waiting) >= MAX_OPEN:
-            raise TooManyRequests(
-                f"{MAX_OPEN} requests are pending, the maximum",
-                "list them with: rossec ca requests, and deny unknown ones",
-            )
 
     def _advance(self, row: RequestRow, state: RequestState, now: int, reason: str) -> RequestRow:
         moved = advance(row, state, now, reason)
@@ -364,25 +341,14 @@ def _update(db: sqlite3.Connection, row: RequestRow) -> None:
     append_entry(db, row.changed, row.state, row.name, "; ".join(filter(None, details)), row.digest)
 
 
-def _short(row: RequestRow) -> str:
-    return row.digest.hex()[:8]
-
-
-_INVITATIONS_COLUMNS = "id, key, pattern, uses, wildcard, expires, at"
-
-
 class InvitationRow(NamedTuple):
-    """An invitation: nodes whose names `pattern` covers may join, `uses` of them, until `expires`.
+    """An invitation: nodes whose names `pattern` covers may join, `uses` of them, until `expires`."""
 
-    `key` is the public half of the key in its code (an uncompressed P-256 point, 65 bytes), `id`
-    the SHA-256 of `key`; `wildcard`: identities for anonymous nodes too.
-    """
-
-    id: bytes
-    key: bytes
+    id: bytes  # SHA-256 of `key`
+    key: bytes  # the public half of the key in its code: an uncompressed P-256 point
     pattern: str
     uses: int
-    wildcard: bool
+    wildcard: bool  # identities for anonymous nodes too
     expires: int
     at: int
 
@@ -420,11 +386,8 @@ class InvitationTable:
         return found[0]
 
     def uses(self, id: bytes) -> list[InvitationUse]:  # noqa: A002 - as in the row
-        query = (
-            "SELECT invitation, request, name, thumbprint, at FROM invitation_use"
-            " WHERE invitation = ? ORDER BY rowid"
-        )
-        return [InvitationUse(*row) for row in self._database.rows(query, id)]
+        rows = self._database.logged("join", "WHERE invitation = ? ORDER BY rowid", id)
+        return [InvitationUse(*row) for row in rows]
 
     def ended(self, id: bytes) -> str | None:  # noqa: A002 - as in the row
         rows = self._database.rows("SELECT reason FROM invitation_end WHERE invitation = ?", id)
@@ -454,7 +417,6 @@ class InvitationTable:
                 append_entry(db, now, "invitation ended", pattern, reason, digest_of(row))
 
     def end_all(self, reason: str, now: int) -> None:
-        # End every invitation that has not ended.
         # Also those that have expired: the clock may be ahead, and is set back some day.
         with self._database.transaction():
             for row in self.all():
@@ -470,11 +432,5 @@ class InvitationTable:
             raise InvitationRefused(f"the invitation has had its {row.uses} uses", _AGAIN)
 
     def _rows(self, clause: str, *values: object) -> list[InvitationRow]:
-        rows = self._database.rows(
-            f"SELECT {_INVITATIONS_COLUMNS} FROM invitation {clause}",  # noqa: S608  (constants)
-            *values,
-        )
+        rows = self._database.logged("invitation", clause, *values)
         return [InvitationRow(*row)._replace(wildcard=row[4] != 0) for row in rows]
-
-
-_AGAIN = "make another: rossec ca invite PATTERN"

@@ -1,25 +1,10 @@
-"""The log in the authority's record: written with every change, and audited as a whole.
+"""The log in the authority's record, its audit, and what persons approved: passkeys and approvals.
 
-`audit` trusts no stored hash: it computes the tree from the entries, compares every row of the
-record with its log entry, replays the transitions of every request, the approvals of persons, the
-foreign domains and the things, and checks each signed head.
-
-The audit of approvals: replayed from the log, in the order in which they were made.
-
-Each was by a passkey that was registered and had not ended, signs its statement, and names a head
-of this log that is true, from after the record was last restored. Each end is of an approval that
-waited. The rows are those of the log already (`ca.store.log`).
-
-Passkeys in the authority's record: the devices that can approve.
-
-A passkey is recorded once, by its credential id, and ends by an entry that says why. One that has
-ended never comes back: the device registers another.
-
-Approvals in the authority's record: what a person approved, and what came of it.
-
-A statement is approved once: its id is the primary key. An approval waits until an entry says that
-it was carried out, failed, or came to nothing. The statement names a head of this log, made since
-the record was last restored: one from before says nothing about the record as it is now.
+`audit` trusts no stored hash: it computes the tree from the entries, compares every row with its
+log entry, replays the requests, the approvals, the foreign domains and the things, and checks each
+signed head. A passkey that has ended never comes back. A statement is approved once, by a passkey
+that was active then, and names a true head of this log from after the last restore: one from before
+says nothing about the record as it is now. An approval waits until one entry says how it ended.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -45,6 +30,7 @@ from ca.store import database
 from ca.store.database import Database, append_entry
 from ca.store.signed_statements import KIND, KINDS, replay_domains, replay_things
 from ca.store.values import (
+    REPLAY_HINT,
     TRANSITIONS,
     Head,
     LogEntry,
@@ -54,26 +40,27 @@ from ca.store.values import (
     digest_of,
     leaf,
     open_head,
+    replay,
+    require,
     split_peaks,
 )
 
 RESTORED: Final = "restored"
-_HINT: Final = "somebody changed the record: restore a backup, and find out who"
 Row = tuple[Any, ...]
+
+COLLECTED = "collected"
+_OF_APPROVALS: Final = ("passkey", "passkey ended", "approval", "approval ended")
+
+_STATES = frozenset(RequestState)
+
+_AGAIN = "look at the page again, and approve that"
 
 
 def replay_approvals(entries: Iterable[LogEntry], rows: Mapping[str, Iterable[Row]], tree: Tree) -> None:
-    replay = _Replay(rows, tree)
-    for entry in entries:
-        step = replay.steps.get(entry.what)
-        if step is not None:
-            try:
-                step(entry)
-            except ApprovalRefused as error:
-                raise LogDamaged(f"log entry {entry.number}: {error}", _HINT) from error
+    replay(entries, _ApprovalReplay(rows, tree).steps, ApprovalRefused)
 
 
-class _Replay:
+class _ApprovalReplay:
     def __init__(self, rows: Mapping[str, Iterable[Row]], tree: Tree) -> None:
         self._tree = tree
         self._passkeys = starmap(Passkey, rows["passkey"])
@@ -100,38 +87,28 @@ class _Replay:
         passkey = next(self._passkeys)
         if passkey.approval:
             by = self._approved.get(passkey.approval)
-            _require(by is not None and by.what == to_approve(passkey), entry)
+            require(by is not None and by.what == to_approve(passkey), entry)
         self._active.add(passkey.id)
         self._verifier.add_passkey(passkey)
 
     def _end_passkey(self, entry: LogEntry) -> None:
         ended = next(self._passkey_ends)[0]
-        _require(ended in self._active, entry)
+        require(ended in self._active, entry)
         self._active.discard(ended)
 
     def _approve(self, entry: LogEntry) -> None:
         approval = next(self._approvals)
-        _require(approval.passkey in self._active, entry)
+        require(approval.passkey in self._active, entry)
         statement = self._verifier.verify(approval)
-        _require(self._restored < statement.log_size <= entry.number, entry)
-        _require(self._tree.root(statement.log_size) == statement.log_root, entry)
+        require(self._restored < statement.log_size <= entry.number, entry)
+        require(self._tree.root(statement.log_size) == statement.log_root, entry)
         self._approved[approval.id] = statement
         self._waiting.add(approval.id)
 
     def _end(self, entry: LogEntry) -> None:
         ended = next(self._ends)[0]
-        _require(ended in self._waiting, entry)
+        require(ended in self._waiting, entry)
         self._waiting.discard(ended)
-
-
-def _require(holds: bool, entry: LogEntry) -> None:
-    if not holds:
-        raise LogDamaged(f"log entry {entry.number} says {entry.what}, which cannot be", _HINT)
-
-
-COLLECTED = "collected"
-_OF_APPROVALS: Final = ("passkey", "passkey ended", "approval", "approval ended")
-_LOG_HINT = "somebody changed the record: restore a backup, and find out who"
 
 
 class AuthorityLog:
@@ -139,20 +116,15 @@ class AuthorityLog:
         self._database = database
 
     def entries(self) -> list[LogEntry]:
-        rows = self._database.rows(
-            "SELECT number, at, what, subject, detail, digest FROM log ORDER BY number"
-        )
-        return [LogEntry(*row) for row in rows]
+        return self._find("ORDER BY number")
 
     def newest(self, count: int, before: int | None = None) -> list[LogEntry]:
         clause, values = ("", ()) if before is None else ("WHERE number < ?", (before,))
-        rows = self._database.rows(
-            f"SELECT number, at, what, subject, detail, digest FROM log {clause}"  # noqa: S608  (constants)
-            " ORDER BY number DESC LIMIT ?",
-            *values,
-            count,
-        )
-        return [LogEntry(*row) for row in rows]
+        return self._find(f"{clause} ORDER BY number DESC LIMIT ?", *values, count)
+
+    def _find(self, clause: str, *values: object) -> list[LogEntry]:
+        query = f"SELECT number, at, what, subject, detail, digest FROM log {clause}"  # noqa: S608  (constants)
+        return [LogEntry(*row) for row in self._database.rows(query, *values)]
 
     def head(self, now: int) -> Head:
         rows = self._database.rows("SELECT number, peaks FROM log ORDER BY number DESC LIMIT 1")
@@ -189,18 +161,23 @@ class AuthorityLog:
     def audit(self, key: ec.EllipticCurvePublicKey, *more: bytes) -> Head:
         # `key` is the authority's; `more` are heads stored elsewhere.
         with self._database.read_transaction():  # another command may be writing
-            tree = check_entries(self._stored_entries())
-            entries = self.entries()
+            # 1. The tree is computed, and no entry differs from it.
+            query = "SELECT number, at, what, subject, detail, digest, peaks FROM log ORDER BY number"
+            stored = [(LogEntry(*row[:-1]), row[-1]) for row in self._database.rows(query)]
+            tree, entries = check_entries(stored), [entry for entry, _ in stored]
+            # 2. Every row has its entry, and the other way round.
             for what in database.LOGGED_TABLES:
                 self._check_rows(what, [entry for entry in entries if entry.what == what])
-            states = _replay(entries)
+            # 3. What was done one after the other was allowed.
+            states = _request_states(entries)
             rows = self._database.rows("SELECT digest, state, der FROM csr")
             found = {bytes(digest): RequestState(state) for digest, state, _ in rows}
             if found != states:
-                raise LogDamaged("the states of the requests differ from the log", _LOG_HINT)
-            replay_approvals(entries, {what: self._rows_of(what) for what in _OF_APPROVALS}, tree)
-            replay_domains(entries, {what: self._rows_of(what) for what in KINDS}, key)
-            replay_things(entries, self._rows_of(KIND), key)
+                raise LogDamaged("the states of the requests differ from the log", REPLAY_HINT)
+            replay_approvals(entries, {what: self._database.logged(what) for what in _OF_APPROVALS}, tree)
+            replay_domains(entries, {what: self._database.logged(what) for what in KINDS}, key)
+            replay_things(entries, self._database.logged(KIND), key)
+            # 4. Each signed head is of this tree.
             newest = Head(0, root_of(()), 0)
             for data in (*self.heads(), *more):
                 head = open_head(data, key)
@@ -208,27 +185,17 @@ class AuthorityLog:
                 newest = max(newest, head, key=lambda each: each.size)
             return newest
 
-    def _stored_entries(self) -> list[tuple[LogEntry, bytes]]:
-        rows = self._database.rows(
-            "SELECT number, at, what, subject, detail, digest, peaks FROM log ORDER BY number"
-        )
-        return [(LogEntry(*row[:-1]), row[-1]) for row in rows]
-
     def _check_rows(self, what: str, entries: list[LogEntry]) -> None:
-        for row, entry in zip_longest(self._rows_of(what), entries):
+        for row, entry in zip_longest(self._database.logged(what), entries):
             if entry is None:
-                raise LogDamaged(f"a {what} is recorded that is not in the log", _LOG_HINT)
+                raise LogDamaged(f"a {what} is recorded that is not in the log", REPLAY_HINT)
             if row is None or digest_of(row) != entry.digest:
                 raise LogDamaged(
-                    f"the {what} of log entry {entry.number} is missing or was changed", _LOG_HINT
+                    f"the {what} of log entry {entry.number} is missing or was changed", REPLAY_HINT
                 )
 
-    def _rows_of(self, what: str) -> list[Any]:
-        table, columns = database.LOGGED_TABLES[what]
-        return self._database.rows(f"SELECT {columns} FROM {table} ORDER BY rowid")  # noqa: S608  (constants)
 
-
-def _replay(entries: list[LogEntry]) -> dict[bytes, RequestState]:
+def _request_states(entries: list[LogEntry]) -> dict[bytes, RequestState]:
     # The states of all requests that were not collected, from the log.
     states: dict[bytes, RequestState] = {}
     for entry in entries:
@@ -239,15 +206,10 @@ def _replay(entries: list[LogEntry]) -> dict[bytes, RequestState]:
             state = RequestState(entry.what)
             if not (state is RequestState.PENDING if current is None else state in TRANSITIONS[current]):
                 raise LogDamaged(
-                    f"log entry {entry.number} is not an allowed transition of a request", _LOG_HINT
+                    f"log entry {entry.number} is not an allowed transition of a request", REPLAY_HINT
                 )
             states[entry.digest] = state
     return states
-
-
-_STATES = frozenset(RequestState)
-
-_COLUMNS = "id, name, cose_key, aaguid, rp_id, origin, approval, at"
 
 
 class PasskeyTable:
@@ -295,14 +257,7 @@ class PasskeyTable:
         return len(active)
 
     def _rows(self, clause: str) -> list[Passkey]:
-        rows = self._database.rows(f"SELECT {_COLUMNS} FROM passkey {clause}")  # noqa: S608  (constants)
-        return [Passkey(*row) for row in rows]
-
-
-_APPROVALS_COLUMNS = (
-    "id, kind, subject, statement, payload, passkey, client_data, authenticator_data, signature, at"
-)
-_AGAIN = "look at the page again, and approve that"
+        return [Passkey(*row) for row in self._database.logged("passkey", clause)]
 
 
 class ApprovalState(StrEnum):
@@ -315,8 +270,6 @@ class ApprovalState(StrEnum):
 
 
 class ApprovalEnd(NamedTuple):
-    """The end of an approval; `result` is one line about it."""
-
     approval: bytes
     state: str
     result: str
@@ -373,8 +326,7 @@ class ApprovalTable:
 
     def ends(self) -> dict[bytes, ApprovalEnd]:
         # How approvals ended, by their id; those that wait are not in it.
-        rows = self._database.rows("SELECT approval, state, result, at FROM approval_end")
-        return {row[0]: ApprovalEnd(*row) for row in rows}
+        return {row[0]: ApprovalEnd(*row) for row in self._database.logged("approval ended")}
 
     def state(self, id: bytes) -> ApprovalState:  # noqa: A002 - as in the row
         query = "SELECT state FROM approval_end WHERE approval = ?"
@@ -405,5 +357,4 @@ class ApprovalTable:
         return counter_of(rows[0][0]) if rows else 0
 
     def _rows(self, clause: str, *values: object) -> list[Approval]:
-        rows = self._database.rows(f"SELECT {_APPROVALS_COLUMNS} FROM approval {clause}", *values)  # noqa: S608  (constants)
-        return [Approval(*row) for row in rows]
+        return [Approval(*row) for row in self._database.logged("approval", clause, *values)]

@@ -9,7 +9,6 @@ Callers that decide by the record and then change it do both inside `transaction
 import json
 import sqlite3
 from collections.abc import Collection
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Self
 
@@ -22,28 +21,22 @@ from ca.store.log import ApprovalState, ApprovalTable, AuthorityLog, PasskeyTabl
 from ca.store.signed_statements import DomainTable, ThingTable
 from ca.store.values import CertificateRow, GrantRow, RevocationRow, digest_of
 
-_OF_NODES = "name IN (SELECT value FROM json_each(?))"  # one pass, however many they are
-
 __all__ = ["CertificateRow", "GrantRow", "RevocationRow", "Store"]
+
+_OF_NODES = "name IN (SELECT value FROM json_each(?))"  # one pass, however many they are
 
 
 class Store:
-    """An open record. Create it with `create` or `open`.
-
-    `requests` are those for identities, `identities` what came of them, `log` what was done;
-    `passkeys` and `approvals` say who approved it; `domains` are the foreign ones that are trusted,
-    `things` the statements about constrained things.
-    """
-
     def __init__(self, database: Database) -> None:
         self.database = database
+        self.transaction, self.close = database.transaction, database.close
         self.identities = IdentityTable(database)
-        self.requests = RequestTable(database, self.identities)
+        self.requests = RequestTable(database, self.identities)  # for identities
         self.invitations = InvitationTable(database)
         self.log = AuthorityLog(database)
         self.passkeys = PasskeyTable(database)
         self.approvals = ApprovalTable(database, self.passkeys, self.log)
-        self.domains = DomainTable(database)
+        self.domains = DomainTable(database)  # the foreign ones that are trusted
         self.things = ThingTable(database)
 
     @classmethod
@@ -55,13 +48,6 @@ class Store:
     def open(cls, path: Path) -> Self:
         """Open an existing record; an older version is migrated first."""
         return cls(Database.open(path))
-
-    def close(self) -> None:
-        self.database.close()
-
-    def transaction(self) -> AbstractContextManager[sqlite3.Connection]:
-        """A transaction: all steps or none, and no other command in between."""
-        return self.database.transaction()
 
     def add_certificate(
         self,
@@ -78,7 +64,7 @@ class Store:
         and `renews` allow another key (`ca.store.identities`). The key that `replace_key` replaces
         is revoked in the same transaction: no crash leaves two keys for one name.
         """
-        with self.database.transaction() as db:
+        with self.transaction() as db:
             self.identities.check_names(row.name, row.thumbprint, now, row.covers)
             self.identities.check_key(row.name, row.thumbprint, now, replace_key=replace_key, renews=renews)
             if request is not None and self.identities.issued_for(request) is not None:
@@ -159,7 +145,7 @@ class Store:
 
     def add_grant(self, row: GrantRow, now: int, rules: str = "") -> None:
         """Record a grant before it is delivered; `rules`: those of the policy it came from."""
-        with self.database.transaction() as db:
+        with self.transaction() as db:
             db.execute("INSERT INTO grant_ VALUES (?, ?, ?, ?, ?, ?)", (*row, now))
             append_entry(db, now, "grant", row.name, row.id.hex(), digest_of(row))
             if rules:
@@ -195,14 +181,10 @@ class Store:
         return self._grants("WHERE id IN (SELECT entry FROM revocation)")
 
     def _grants(self, clause: str, *values: str) -> list[GrantRow]:
-        rows = self.database.rows(
-            f"SELECT id, name, data, not_before, expires FROM grant_ {clause} ORDER BY rowid",  # noqa: S608  (constants)
-            *values,
-        )
-        return [GrantRow(*row) for row in rows]
+        return [GrantRow(*row) for row in self.database.logged("grant", f"{clause} ORDER BY rowid", *values)]
 
     def revoke(self, entry: bytes, reason: str, now: int) -> None:
-        with self.database.transaction() as db:
+        with self.transaction() as db:
             _revoke(db, entry, reason, now)
 
     def revocations(self) -> list[RevocationRow]:
@@ -218,7 +200,7 @@ class Store:
 
     def remove_passkey(self, id: bytes, reason: str, now: int) -> None:  # noqa: A002 - as in the row
         """End a passkey, and every approval by it that was not carried out."""
-        with self.database.transaction():
+        with self.transaction():
             self.passkeys.end(id, reason, now)
             for approval in self.approvals.waiting():
                 if approval.passkey == id:
@@ -230,8 +212,7 @@ class Store:
         return (1, 1) if number is None else (number[0], number[1] + 1)
 
     def save_list(self, number: tuple[int, int], data: bytes, now: int) -> None:
-        """Record a signed revocation list."""
-        with self.database.transaction() as db:
+        with self.transaction() as db:
             db.execute("INSERT INTO list VALUES (?, ?, ?, ?)", (*number, data, now))
             append_entry(db, now, "list", f"{number[0]}.{number[1]}", "", digest_of((*number, data)))
 
@@ -240,7 +221,7 @@ class Store:
         return None if found is None else bytes(found[0])
 
     def log_event(self, what: str, subject: str, detail: str, now: int) -> None:
-        with self.database.transaction() as db:
+        with self.transaction() as db:
             append_entry(db, now, what, subject, detail, b"")
 
     def _newest(self, columns: str) -> tuple[Any, ...] | None:

@@ -1,29 +1,11 @@
-"""Foreign domains in the authority's record: accepted, changed, ended; the lists that were signed.
+"""Foreign domains and constrained things in the authority's record, and the audit of both.
 
-Each acceptance and each change of terms is a row, and the newest row of a domain counts until an
-end refers to it. What was accepted never goes from the record: a label that once meant a domain is
-not given to another one while a grant that names it can live (`rossec.authority.domains` asks
-`labelled`). A domain is its root key here: whoever has another key is another domain.
-
-The audit of foreign domains: replayed from the log, in the order in which they were trusted.
-
-Terms are in form, and no two trusted domains share a name, a label or a root key; an end is of a
-domain that is trusted. A list is signed by the authority, newer than the one before, and names only
-domains with the terms that the record has at that point: the record cannot be made to deny what a
-list said. The rows are those of the log already (`ca.store.log`).
-
-The statements about constrained things in the authority's record.
-
-A statement is in force until it expires or is revoked. Among those in force, one name is one thing
-and one credential is one thing; at one border router, so is one kid. A statement that would break
-this is refused: its caller first revokes what it replaces, in the same transaction. A repeated
-statement about the same thing at the same router is a renewal, and ends nothing.
-
-The audit of the statements about things: replayed from the log, in the order of their signing.
-
-Each is signed by the authority and says what its row says, and no two that were in force at the
-same time shared a name, a credential or a kid: the record cannot be made to hold a statement that
-the authority would not have signed. The rows are those of the log already (`ca.store.log`).
+Each acceptance of a domain and each change of its terms is a row, and the newest row counts until
+an end refers to it. Nothing accepted goes from the record: a label is not given to another domain
+while a grant that names it can live. Whoever has another root key is another domain. Of the
+statements about things in force, one name is one thing and one credential is one thing; at one
+border router, so is one kid. The audit replays both from the log, in the order of their entries:
+the record cannot be made to hold what the authority would not have signed, or to deny what it did.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -33,14 +15,20 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.certificates import Identity
 from ca.domains.trust import ForeignDomain, verify_domains
-from ca.errors import CAError, DomainUnknown, LogDamaged, StoreError, ThingChanged, ThingUnknown
+from ca.errors import CAError, DomainUnknown, StoreError, ThingChanged, ThingUnknown
 from ca.store.database import Database, append_entry
-from ca.store.values import LogEntry, digest_of
+from ca.store.values import LogEntry, digest_of, replay, require
 from ca.things.constrained_nodes import ThingStatement, peek_statement, verify_statement
 
-_COLUMNS = "number, domain, label, root, terms, at"
 _NEWEST = "number IN (SELECT max(number) FROM foreign_domain GROUP BY domain)"
 _NOT_ENDED = "number NOT IN (SELECT number FROM foreign_domain_end)"
+
+KINDS: Final = ("domain", "domain ended", "domain list")
+Row = tuple[Any, ...]
+
+_IN_FORCE = "expires > ? AND id NOT IN (SELECT entry FROM revocation)"
+
+KIND: Final = "thing"
 
 
 class DomainRow(NamedTuple):
@@ -85,8 +73,7 @@ class DomainTable:
         return self._rows("WHERE label = ? ORDER BY number", label)
 
     def ends(self) -> dict[int, tuple[str, int]]:
-        rows = self._database.rows("SELECT number, reason, at FROM foreign_domain_end")
-        return {number: (reason, at) for number, reason, at in rows}
+        return {number: (reason, at) for number, reason, at in self._database.logged("domain ended")}
 
     def accept(self, domain: ForeignDomain, now: int) -> None:
         with self._database.transaction() as db:
@@ -133,15 +120,11 @@ class DomainTable:
             append_entry(db, now, "foreign certificate", row.name, key, digest_of(row))
 
     def certificates(self, root: bytes) -> list[ForeignCertificateRow]:
-        rows = self._database.rows(
-            "SELECT thumbprint, root, name, der, at FROM foreign_certificate WHERE root = ? ORDER BY rowid",
-            root,
-        )
+        rows = self._database.logged("foreign certificate", "WHERE root = ? ORDER BY rowid", root)
         return [ForeignCertificateRow(*row) for row in rows]
 
     def _rows(self, clause: str, *values: object) -> list[DomainRow]:
-        rows = self._database.rows(f"SELECT {_COLUMNS} FROM foreign_domain {clause}", *values)  # noqa: S608  (constants)
-        return [DomainRow(*row) for row in rows]
+        return [DomainRow(*row) for row in self._database.logged("domain", clause, *values)]
 
 
 def check_domains_apart(known: DomainRow, domain: str, label: str, root: bytes) -> None:
@@ -165,25 +148,13 @@ def check_domains_apart(known: DomainRow, domain: str, label: str, root: bytes) 
     )
 
 
-KINDS: Final = ("domain", "domain ended", "domain list")
-_HINT: Final = "somebody changed the record: restore a backup, and find out who"
-Row = tuple[Any, ...]
-
-
 def replay_domains(
     entries: Iterable[LogEntry], rows: Mapping[str, Iterable[Row]], key: ec.EllipticCurvePublicKey
 ) -> None:
-    replay = _Replay(rows, key)
-    for entry in entries:
-        step = replay.steps.get(entry.what)
-        if step is not None:
-            try:
-                step(entry)
-            except CAError as error:
-                raise LogDamaged(f"log entry {entry.number}: {error}", _HINT) from error
+    replay(entries, _DomainReplay(rows, key).steps, CAError)
 
 
-class _Replay:
+class _DomainReplay:
     def __init__(self, rows: Mapping[str, Iterable[Row]], key: ec.EllipticCurvePublicKey) -> None:
         self._key = key
         self._rows: dict[str, Iterator[Row]] = {kind: iter(rows[kind]) for kind in KINDS}
@@ -199,7 +170,7 @@ class _Replay:
         row = DomainRow(*next(self._rows["domain"]))
         terms = row.read()
         found = terms.domain, terms.label, terms.anchor.thumbprint
-        _require(found == (row.domain, row.label, row.root), entry)
+        require(found == (row.domain, row.label, row.root), entry)
         for known in self._trusted.values():
             check_domains_apart(known, *found)
         self._trusted[row.domain] = row
@@ -207,26 +178,17 @@ class _Replay:
     def _end(self, entry: LogEntry) -> None:
         number = next(self._rows["domain ended"])[0]
         ended = [row for row in self._trusted.values() if row.number == number]
-        _require(len(ended) == 1, entry)
+        require(len(ended) == 1, entry)
         del self._trusted[ended[0].domain]
 
     def _list(self, entry: LogEntry) -> None:
         epoch, seq, data = next(self._rows["domain list"])
         listed = verify_domains(data, self._key)
-        _require(self._last < (epoch, seq) == listed.number, entry)
+        require(self._last < (epoch, seq) == listed.number, entry)
         self._last = listed.number
         for each in listed.domains:
             known = self._trusted.get(each.domain)
-            _require(known is not None and known.terms == each.terms, entry)
-
-
-def _require(holds: bool, entry: LogEntry) -> None:
-    if not holds:
-        raise LogDamaged(f"log entry {entry.number} says {entry.what}, which cannot be", _HINT)
-
-
-_THINGS_COLUMNS = "id, name, border, data, not_before, expires"
-_IN_FORCE = "expires > ? AND id NOT IN (SELECT entry FROM revocation)"
+            require(known is not None and known.terms == each.terms, entry)
 
 
 class ThingRow(NamedTuple):
@@ -278,9 +240,6 @@ class ThingTable:
     def ids(self, name: str, now: int) -> frozenset[bytes]:
         return frozenset(row.id for row in self.in_force(now) if row.name == name)
 
-    def of_border(self, border: str, now: int) -> list[ThingRow]:
-        return [row for row in self.in_force(now) if row.border == border]
-
     def add(self, row: ThingRow, statement: ThingStatement, now: int) -> None:
         with self._database.transaction() as db:
             for known in self.in_force(now):
@@ -289,8 +248,7 @@ class ThingTable:
             append_entry(db, now, "thing", row.name, row.id.hex(), digest_of(row))
 
     def _rows(self, clause: str, *values: object) -> list[ThingRow]:
-        rows = self._database.rows(f"SELECT {_THINGS_COLUMNS} FROM thing {clause}", *values)  # noqa: S608  (constants)
-        return [ThingRow(*row) for row in rows]
+        return [ThingRow(*row) for row in self._database.logged(KIND, clause, *values)]
 
 
 def check_things_apart(known: ThingStatement, new: ThingStatement) -> None:
@@ -313,33 +271,20 @@ def check_things_apart(known: ThingStatement, new: ThingStatement) -> None:
         )
 
 
-KIND: Final = "thing"
-_REVOCATION: Final = "revocation"
-
-
 def replay_things(entries: Iterable[LogEntry], rows: Iterable[Row], key: ec.EllipticCurvePublicKey) -> None:
     made, in_force = iter(rows), dict[str, ThingStatement]()
-    for entry in entries:
-        if entry.what == _REVOCATION:
-            in_force.pop(entry.subject, None)
-        elif entry.what == KIND:
-            try:
-                _take(entry, made, in_force, key)
-            except CAError as error:
-                raise LogDamaged(f"log entry {entry.number}: {error}", _HINT) from error
 
+    def take(entry: LogEntry) -> None:
+        row = ThingRow(*next(made))
+        found = verify_statement(row.data, key, domain=peek_statement(row.data).domain)
+        said = (found.id, found.name, found.not_before, found.expires)
+        require(said == (row.id, row.name, row.not_before, row.expires), entry)
+        for number, known in list(in_force.items()):
+            if known.expires <= entry.at:
+                del in_force[number]
+            else:
+                check_things_apart(known, found)
+        in_force[row.id.hex()] = found
 
-def _take(
-    entry: LogEntry, made: Iterator[Row], in_force: dict[str, ThingStatement], key: ec.EllipticCurvePublicKey
-) -> None:
-    row = ThingRow(*next(made))
-    found = verify_statement(row.data, key, domain=peek_statement(row.data).domain)
-    said = (found.id, found.name, found.not_before, found.expires)
-    if said != (row.id, row.name, row.not_before, row.expires):
-        raise LogDamaged(f"log entry {entry.number} says {KIND}, which cannot be", _HINT)
-    for number, known in list(in_force.items()):
-        if known.expires <= entry.at:
-            del in_force[number]
-        else:
-            check_things_apart(known, found)
-    in_force[row.id.hex()] = found
+    steps = {KIND: take, "revocation": lambda entry: in_force.pop(entry.subject, None)}
+    replay(entries, steps, CAError)

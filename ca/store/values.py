@@ -1,22 +1,15 @@
-"""The rows of the authority's record, as values.
+"""The rows of the authority's record as values, the life of a request, and the log as a Merkle tree.
 
-The life of a request for an identity: pending, then approved or denied, then issued.
-
-The states are those of Kubernetes' certificate signing requests: a person approves, the authority
-issues, and both are recorded separately. `TRANSITIONS` is complete; triggers made from it enforce
-it in the database too. Every request expires, and is collected long after. What was issued stays in
-the record, so that one request never gets two certificates.
-
-The log of everything the authority did, as leaves of a Merkle tree, and its signed heads.
-
-An *entry* is one action; its leaf is the deterministic CBOR of all its fields, and `digest` binds
-it to the row it is about. The tree's peaks are stored with each entry, so that a difference is
-found at the entry where it is. The *head* is the authority's signature over size and root: triggers
-prevent mistakes, but only a head stored elsewhere prevents the file's owner from rewriting the log.
+A request for an identity is pending, then approved or denied, then issued: a person approves, the
+authority issues, and both are recorded separately, as Kubernetes does. An entry of the log is one
+action; its leaf is the deterministic CBOR of all its fields, and `digest` binds it to its row. The
+tree's peaks are stored with each entry, so that a difference is found where it is. The *head* is
+the authority's signature over size and root: triggers prevent mistakes, but only a head stored
+elsewhere prevents the file's owner from rewriting the log.
 """
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, NamedTuple, NoReturn
@@ -24,13 +17,28 @@ from typing import Final, NamedTuple, NoReturn
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca import names, svid
-from ca.encoding import encode
-from ca.errors import EncodingError, LogDamaged, RequestClosed, SignatureError, StoreError
+from ca.encoding import encode, is_number
+from ca.errors import CAError, EncodingError, LogDamaged, RequestClosed, SignatureError, StoreError
 from ca.keys.signing import Profile, Signer
 from ca.revocation import merkle
 from ca.revocation.merkle import HASH_SIZE
 
 INTERMEDIATE: Final = "intermediate/"  # prefix of the key; not a prefix of any node name
+
+HOUR: Final = 3600
+DAY: Final = 24 * HOUR
+MAX_OPEN: Final = 256  # unauthenticated peers can send requests
+JOINING: Final = "invitation "  # begins the source of a request that came by an invitation
+MAX_JOINING: Final = 192  # open ones of those: the rest is for who enrolls nodes by hand
+COLLECTED_AFTER: Final = 30 * DAY  # seconds since it expired
+KEPT_EXPIRED: Final = 1024  # expired requests that stay, whatever the clock says
+
+HEAD_PROFILE: Final = Profile("rossec-log+cwt")
+MAX_HEAD: Final = 512
+_IAT, _SIZE, _ROOT = 6, -70011, -70012
+
+REPLAY_HINT: Final = "somebody changed the record: restore a backup, and find out who"
+_HINT: Final = "the record was changed: compare it with a backup, and trust neither until you know why"
 
 
 class CertificateRow(NamedTuple):
@@ -70,18 +78,7 @@ class RevocationRow(NamedTuple):
     at: int
 
 
-HOUR: Final = 3600
-DAY: Final = 24 * HOUR
-MAX_OPEN: Final = 256  # unauthenticated peers can send requests
-JOINING: Final = "invitation "  # begins the source of a request that came by an invitation
-MAX_JOINING: Final = 192  # open ones of those: the rest is for who enrolls nodes by hand
-COLLECTED_AFTER: Final = 30 * DAY  # seconds since it expired
-KEPT_EXPIRED: Final = 1024  # expired requests that stay, whatever the clock says
-
-
 class RequestState(StrEnum):
-    """The state of a request."""
-
     PENDING = "pending"
     APPROVED = "approved"
     DENIED = "denied"
@@ -120,23 +117,17 @@ _HINTS: Final = {
 
 
 class RequestRow(NamedTuple):
-    """One request, as recorded; `digest` is the SHA-256 of `der`, `source` is where it came from.
-
-    `changed` is the time of the last change of `state`, `reason` its reason; `replaces`: approved
-    although the name has another key; `wildcard`: for anonymous nodes too.
-    """
-
-    digest: bytes
+    digest: bytes  # SHA-256 of `der`
     name: str
     thumbprint: bytes
     der: bytes
-    source: str
+    source: str  # where it came from
     arrived: int
     state: RequestState
-    reason: str
-    changed: int
-    replaces: bool = False
-    wildcard: bool = False
+    reason: str  # of the last change of `state`
+    changed: int  # when that was
+    replaces: bool = False  # approved although the name has another key
+    wildcard: bool = False  # for anonymous nodes too
 
     @property
     def expires(self) -> int:
@@ -156,24 +147,13 @@ def advance(row: RequestRow, state: RequestState, now: int, reason: str = "") ->
     return row._replace(state=state, reason=reason, changed=now)
 
 
-HEAD_PROFILE: Final = Profile("rossec-log+cwt")
-MAX_HEAD: Final = 512
-_IAT, _SIZE, _ROOT = 6, -70011, -70012
-_INT_LIMIT: Final = 1 << 53
-
-
 class LogEntry(NamedTuple):
-    """One action: its number, time, kind, subject, details, and the digest of its data.
-
-    `digest` is `digest_of` the row this entry is about, or empty.
-    """
-
     number: int
     at: int
     what: str
     subject: str
     detail: str
-    digest: bytes
+    digest: bytes  # `digest_of` the row that it is about, or empty
 
 
 @dataclass(frozen=True)
@@ -184,12 +164,10 @@ class Head:
 
 
 def leaf(entry: LogEntry) -> bytes:
-    """The content of the entry's leaf."""
     return encode(list(entry))
 
 
 def digest_of(row: Sequence[int | str | bytes]) -> bytes:
-    """The digest of a row of the record in an entry."""
     return hashlib.sha256(encode(list(row))).digest()
 
 
@@ -222,28 +200,36 @@ def check_head(tree: merkle.Tree, head: Head) -> None:
         raise LogDamaged(f"the first {head.size} entries of the log are not those that were signed", _HINT)
 
 
+def replay(
+    entries: Iterable[LogEntry], steps: Mapping[str, Callable[[LogEntry], object]], refused: type[CAError]
+) -> None:
+    """Take the steps for the entries of these kinds, in their order; none may be refused."""
+    for entry in entries:
+        if (step := steps.get(entry.what)) is not None:
+            try:
+                step(entry)
+            except refused as error:
+                raise LogDamaged(f"log entry {entry.number}: {error}", REPLAY_HINT) from error
+
+
+def require(holds: bool, entry: LogEntry) -> None:
+    if not holds:
+        raise LogDamaged(f"log entry {entry.number} says {entry.what}, which cannot be", REPLAY_HINT)
+
+
 def sign_head(signer: Signer, head: Head) -> bytes:
-    """Sign `head` with the authority's key."""
     return HEAD_PROFILE.sign(signer, {_IAT: head.issued, _SIZE: head.size, _ROOT: head.root})
 
 
 def open_head(data: bytes, key: ec.EllipticCurvePublicKey) -> Head:
-    """Verify and read a head."""
     try:
         value = HEAD_PROFILE.open(data, key, limit=MAX_HEAD)
     except (SignatureError, EncodingError) as error:
         raise LogDamaged(f"this is not a signed head of the authority's log: {error}", _HINT) from error
     match value:
         case {6: int() as issued, -70011: int() as size, -70012: bytes() as root, **rest} if (
-            not rest and len(root) == HASH_SIZE and all(_in_range(n) for n in (issued, size))
+            not rest and len(root) == HASH_SIZE and is_number(issued) and is_number(size)
         ):
             return Head(size, root, issued)
         case _:
             raise LogDamaged("the head of the log has missing or unknown fields", _HINT)
-
-
-def _in_range(number: int) -> bool:
-    return not isinstance(number, bool) and 0 <= number < _INT_LIMIT
-
-
-_HINT: Final = "the record was changed: compare it with a backup, and trust neither until you know why"

@@ -1,23 +1,11 @@
-"""How a thing proves who it is: a key for EDHOC, or an OSCORE secret that only its border has.
+"""Constrained things: how one proves who it is, and what the authority says of it.
 
 A thing keeps its credential in flash, for years and under names it does not know. So a CCS (RFC
 8392 claims with a COSE_Key, RFC 9528 section 3.5.2) is taken as the thing has it, for its bytes
-enter the handshake; but only in the one deterministic form, so that its parts say it all. A secret
-is named by its thumbprint (RFC 9679), which of 16 random octets tells nothing about them.
-
-The text that carries a secret to its thing: on a screen, once, or in a file of its owner.
-
-`OSCORE:KID:SECRET` in upper-case hexadecimal digits: it stays in the alphanumeric mode of QR codes,
-and a microcontroller reads it in ten lines of C. It is never printed on a label: who sees it can
-speak as the thing, and to the thing as its border router.
-
-What the authority says of a thing: its name, its credential, and which border router has it.
-
-A border router serves a thing only by such a statement, which names the router's own key: one for
-another router is of no use to it. It is not secret. Its id lies on the revocation list as a
-grant's does, and has no signature in it for the same reason (`grants.document`). Of two statements
-about a name the one with the later `nbf` counts; the authority revokes those that it replaces.
-docs/spec/things.md
+enter the handshake, but only in the one deterministic form. A border router serves a thing only by
+the authority's statement, which names the router's own key. Its id lies on the revocation list and
+has no signature in it, as a grant's (`grants.document`). Of two statements about a name the one with
+the later `nbf` counts; the authority revokes those that it replaces. docs/spec/things.md
 """
 
 import hashlib
@@ -28,7 +16,7 @@ from typing import Final
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.encoding import Value, decode, encode
+from ca.encoding import Value, decode, encode, is_number
 from ca.errors import CAError, EncodingError, SignatureError, ThingOutdated, ThingRefused
 from ca.keys.signing import THUMBPRINT_SIZE, Profile, Signer, from_coordinates, thumbprint_of, to_coordinates
 from ca.names import check_domain, check_name, is_alias, is_reserved
@@ -44,20 +32,31 @@ _EC2, _SYMMETRIC, _P256 = 2, 4, 1
 _SUB, _CNF, _COSE_KEY = 2, 8, 1  # RFC 8392 section 4, RFC 8747 section 3.1
 _HINT: Final = "the thing's credential is a CCS: its subject and its P-256 key with a kid, as CBOR"
 
+# The text that carries a secret to its thing stays in the alphanumeric mode of QR codes, and a
+# microcontroller reads it in ten lines of C. It is never printed on a label: who sees it can speak as the
+# thing, and to the thing as its border router.
+_TEXT: Final = re.compile(
+    rf"OSCORE:((?:[0-9A-F]{{2}}){{1,{MAX_SECRET_KID}}}):([0-9A-F]{{{2 * SECRET_SIZE}}})"
+)
+
+THING: Final = Profile("rossec-thing+cwt")
+MAX_STATEMENT: Final = 1024
+SERIAL_SIZE: Final = 16
+ID_SIZE: Final = 16
+EDHOC, PSK = "edhoc", "psk"
+
+_AUD, _EXP, _NBF, _CTI, _BORDER, _SUBJECT = 3, 4, 5, 7, -70035, -70040
+_ID_PREFIX: Final = b"rossec-thing-id\0" + len(THING.protected).to_bytes(4) + THING.protected
+_STATEMENT_HINT: Final = "give a file that `rossec ca thing` wrote"
+
 
 @dataclass(frozen=True)
 class ThingKey:
-    """The public key of a thing that speaks EDHOC, as its credential has it.
+    """The public key of a thing that speaks EDHOC, as its credential has it."""
 
-    Args:
-        kid: 1 to 8 octets; how a handshake names the key.
-        coordinates: x and y, 64 octets.
-        subject: the name that the thing gives itself, if any; it means nothing here.
-    """
-
-    kid: bytes
-    coordinates: bytes
-    subject: str = ""
+    kid: bytes  # 1 to 8 octets; how a handshake names the key
+    coordinates: bytes  # x and y, 64 octets
+    subject: str = ""  # the name that the thing gives itself, if any; it means nothing here
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.kid) <= MAX_KEY_KID:
@@ -68,7 +67,6 @@ class ThingKey:
 
     @classmethod
     def of(cls, key: ec.EllipticCurvePublicKey, kid: bytes, subject: str = "") -> "ThingKey":
-        """The credential of a P-256 key."""
         return cls(kid, to_coordinates(key), subject)
 
     @cached_property
@@ -94,15 +92,10 @@ class ThingKey:
 
 @dataclass(frozen=True)
 class ThingSecret:
-    """Which OSCORE secret a thing without curves has; not the secret.
+    """Which OSCORE secret a thing without curves has; not the secret."""
 
-    Args:
-        kid: 1 to 7 octets; the thing's OSCORE sender ID. That of the border router is empty.
-        thumbprint: of the master secret, 32 octets.
-    """
-
-    kid: bytes
-    thumbprint: bytes
+    kid: bytes  # 1 to 7 octets; the thing's OSCORE sender ID. That of the border router is empty
+    thumbprint: bytes  # of the master secret (RFC 9679): of 16 random octets it tells nothing
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.kid) <= MAX_SECRET_KID:
@@ -112,7 +105,6 @@ class ThingSecret:
 
     @classmethod
     def of(cls, secret: bytes, kid: bytes) -> "ThingSecret":
-        """What is said about `secret`."""
         return cls(kid, secret_thumbprint(secret))
 
     @property
@@ -121,7 +113,6 @@ class ThingSecret:
         return encode({_CNF: write_confirmation(self)})
 
     def matches(self, secret: bytes) -> bool:
-        """Whether this is about `secret`."""
         return len(secret) == SECRET_SIZE and secret_thumbprint(secret) == self.thumbprint
 
 
@@ -137,7 +128,6 @@ def secret_thumbprint(secret: bytes) -> bytes:
 
 
 def read_ccs(data: bytes) -> ThingKey:
-    """Read the credential of a thing, as bytes of its CCS."""
     if len(data) > MAX_CCS:
         raise ThingRefused(f"a credential of {len(data)} octets, at most {MAX_CCS}", _HINT)
     try:
@@ -155,7 +145,6 @@ def read_ccs(data: bytes) -> ThingKey:
 
 
 def read_description(data: bytes) -> ThingSecret:
-    """Read what `ThingSecret.description` wrote."""
     hint = "give the file that `rossec border add NAME --psk` wrote, not the secret"
     try:
         match decode(data, limit=MAX_CCS):
@@ -199,64 +188,35 @@ def write_confirmation(credential: Credential) -> dict[int | str, Value]:
     return {3: credential.kid, 5: credential.thumbprint}
 
 
-_TEXT: Final = re.compile(
-    rf"OSCORE:((?:[0-9A-F]{{2}}){{1,{MAX_SECRET_KID}}}):([0-9A-F]{{{2 * SECRET_SIZE}}})"
-)
-
-
 def secret_text(kid: bytes, secret: bytes) -> str:
-    """The text for a thing with this kid and secret."""
     text = f"OSCORE:{kid.hex()}:{secret.hex()}".upper()
     parse_secret(text)
     return text
 
 
 def parse_secret(text: str) -> tuple[bytes, bytes]:
-    """The kid and the secret in such a text; whitespace around it is ignored."""
     found = _TEXT.fullmatch(text.strip())
     if found is None:
         raise ThingRefused("not the secret of a thing", "OSCORE:KID:SECRET, in hexadecimal digits")
     return bytes.fromhex(found[1]), bytes.fromhex(found[2])
 
 
-THING: Final = Profile("rossec-thing+cwt")
-MAX_STATEMENT: Final = 1024
-SERIAL_SIZE: Final = 16
-ID_SIZE: Final = 16
-EDHOC, PSK = "edhoc", "psk"
-
-_STATEMENT_SUB, _AUD, _EXP, _NBF, _CTI, _STATEMENT_CNF, _BORDER, _SUBJECT = (2, 3, 4, 5, 7, 8, -70035, -70040)
-_INT_LIMIT: Final = 1 << 53
-_ID_PREFIX: Final = b"rossec-thing-id\0" + len(THING.protected).to_bytes(4) + THING.protected
-_STATEMENT_HINT: Final = "give a file that `rossec ca thing` wrote"
-
-
 @dataclass(frozen=True)
 class ThingStatement:
-    """One thing, as the authority states it.
-
-    Args:
-        domain: the trust domain it is in.
-        name: its own ROS name, for example /things/lamp; the border router holds that identity.
-        credential: its key, or which secret it has.
-        border: thumbprint of the key of the border router that serves it.
-        not_before, expires: seconds, not_before <= now < expires.
-        serial: 16 random octets.
-    """
+    """One thing, as the authority states it, for not_before <= now < expires."""
 
     domain: str
-    name: str
+    name: str  # its own ROS name, for example /things/lamp; the border router holds that identity
     credential: Credential
-    border: bytes
+    border: bytes  # thumbprint of the key of the border router that serves it
     not_before: int
     expires: int
-    serial: bytes
+    serial: bytes  # 16 random octets
 
     def __post_init__(self) -> None:
         check_domain(self.domain)
         check_thing_name(self.name)
-        times = (self.not_before, self.expires)
-        if not all(type(time) is int and 0 <= time < _INT_LIMIT for time in times):
+        if not (is_number(self.not_before) and is_number(self.expires)):
             raise ThingRefused("a time of a thing's statement is out of range")
         if self.expires <= self.not_before:
             raise ThingRefused("a thing's statement that is never valid")
@@ -269,10 +229,9 @@ class ThingStatement:
 
     @property
     def id(self) -> bytes:
-        return _id(encode(_claims(self)))
+        return hashlib.sha256(_ID_PREFIX + encode(_claims(self))).digest()[:ID_SIZE]
 
     def check_time(self, now: int) -> None:
-        """Return if it is valid at `now`."""
         if now >= self.expires:
             late = now - self.expires
             renew = f"renew it where the authority is: rossec ca thing {self.name} --renew"
@@ -285,7 +244,6 @@ class ThingStatement:
 
 
 def check_thing_name(name: str) -> str:
-    """Return `name` if a thing may have it."""
     check_name(name)
     if is_reserved(name) or is_alias(name):
         raise ThingRefused(f"{name} cannot be the name of a thing", "choose another, as /things/lamp")
@@ -293,7 +251,6 @@ def check_thing_name(name: str) -> str:
 
 
 def sign_statement(signer: Signer, statement: ThingStatement) -> bytes:
-    """Sign `statement` with the authority's key; at most `MAX_STATEMENT` octets."""
     return THING.sign(signer, _claims(statement))
 
 
@@ -325,34 +282,21 @@ def verify_statement(data: bytes, ca_key: ec.EllipticCurvePublicKey, *, domain: 
 
 def peek_statement(data: bytes) -> ThingStatement:
     """Read a statement *without* verifying it: to show it."""
-    return _read(_body(data))
-
-
-def statement_id(data: bytes) -> bytes:
-    body = _body(data)
-    _read(body)
-    return _id(body)
-
-
-def _body(data: bytes) -> bytes:
     try:
-        return THING.peek_body(data, limit=MAX_STATEMENT)
+        body = THING.peek_body(data, limit=MAX_STATEMENT)
     except (SignatureError, EncodingError) as error:
         raise ThingRefused(f"not a statement about a thing: {error}", _STATEMENT_HINT) from None
-
-
-def _id(body: bytes) -> bytes:
-    return hashlib.sha256(_ID_PREFIX + body).digest()[:ID_SIZE]
+    return _read(body)
 
 
 def _claims(statement: ThingStatement) -> dict[int | str, Value]:
     claims: dict[int | str, Value] = {
-        _STATEMENT_SUB: statement.name,
+        _SUB: statement.name,
         _AUD: statement.domain,
         _EXP: statement.expires,
         _NBF: statement.not_before,
         _CTI: statement.serial,
-        _STATEMENT_CNF: write_confirmation(statement.credential),
+        _CNF: write_confirmation(statement.credential),
         _BORDER: statement.border,
     }
     if isinstance(statement.credential, ThingKey) and statement.credential.subject:

@@ -224,7 +224,7 @@ def _request(body: bytes) -> None:
 
 
 def _backup(structure: bytes) -> None:
-    passphrases._backup_read(structure)
+    passphrases._read_files(structure)
 
 
 # --- the network

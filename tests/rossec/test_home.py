@@ -14,6 +14,7 @@ from ca.errors import (
     RequestRefused,
 )
 from ca.keys import private_keys
+from ca.keys.signing import thumbprint
 from ca.svid import check_request
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -57,7 +58,7 @@ def test_a_request_and_its_key(tmp_path: Path) -> None:
     request = home.create_request("home")
     assert check_request(home.request(), "home") == request
     key = private_keys.load_private(home.path / "node.key")
-    assert request.thumbprint == private_keys.thumbprint(key.public_key())
+    assert request.thumbprint == thumbprint(key.public_key())
     assert stat.S_IMODE(home.path.stat().st_mode) == 0o700
     assert stat.S_IMODE((home.path / "node.key").stat().st_mode) == 0o600
 
@@ -251,7 +252,7 @@ def test_a_screen_gets_a_new_request_and_a_label_keeps_its_own(tmp_path: Path) -
     screens = {home.screen_request("home") for _ in range(2)}
     assert len(screens | {label}) == 3
     assert {check_request(csr, "home").thumbprint for csr in (label, *screens)} == {
-        private_keys.thumbprint(home.signer().public_key)
+        thumbprint(home.signer().public_key)
     }
     assert home.request() == label
     other = NodeHome.of(tmp_path, "/rviz")

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.keys import private_keys
+from ca.keys.signing import thumbprint
 from ca.store.signed_statements import ThingRow
 from ca.things.constrained_nodes import Credential, ThingSecret, ThingStatement, sign_statement
 from grants.model import Right
@@ -43,7 +43,7 @@ class BorderSite:
         """The authority states what a thing is, and the router takes it; its node is enrolled."""
         site, now = self.site, self.site.now()
         site.enroll(name)
-        border = private_keys.thumbprint(self.home.signer().public_key)
+        border = thumbprint(self.home.signer().public_key)
         statement = dataclasses.replace(
             ThingStatement(
                 site.anchor.domain, name, credential, border, now - 5, now + DAY, secrets.token_bytes(16)

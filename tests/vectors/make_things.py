@@ -15,8 +15,8 @@ from ca.things.constrained_nodes import (
     ThingKey,
     ThingSecret,
     ThingStatement,
+    peek_statement,
     sign_statement,
-    statement_id,
 )
 from tests.vectors.narrowings import FixedSigner
 
@@ -153,7 +153,7 @@ def vectors() -> dict[str, Any]:
         "authority": {"x_y": _coordinates(HOME)},
         "secret": SECRET.hex(),
         "statements": {
-            name: {"data": data.hex(), "id": statement_id(data).hex()} for name, data in valid.items()
+            name: {"data": data.hex(), "id": peek_statement(data).id.hex()} for name, data in valid.items()
         },
         "refused": {
             **{name: _refused(THING.sign(HOME, each)) for name, each in FLAWED.items()},

@@ -123,7 +123,7 @@ def test_a_token_that_was_pulled_out(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(TokenRefused, match="the token does not sign: DeviceRemoved"):
         signer.sign(b"message")
     with monkeypatch.context() as patched:
-        patched.setattr("ca.keys.private_keys._log_in", Mock(side_effect=pkcs11.exceptions.DeviceError()))
+        patched.setattr("pkcs11.lib", Mock(side_effect=pkcs11.exceptions.DeviceError()))
         with pytest.raises(TokenRefused, match="the token home cannot be opened: DeviceError"):
             TokenSigner.open(fresh(), PIN)
     session = failing(create_domain_parameters=pkcs11.exceptions.MechanismInvalid())

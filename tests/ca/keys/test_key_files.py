@@ -15,6 +15,7 @@ from cryptography.hazmat.primitives.serialization import (
 
 from ca.errors import KeyRefused, PassphraseRefused
 from ca.keys import private_keys
+from ca.keys.signing import thumbprint
 
 
 def public_bytes(key: ec.EllipticCurvePrivateKey) -> bytes:
@@ -30,7 +31,7 @@ def write(path: Path, data: bytes, mode: int = 0o600) -> Path:
 def test_generate_makes_new_p256_keys() -> None:
     first, second = private_keys.generate(), private_keys.generate()
     assert isinstance(first.curve, ec.SECP256R1)
-    assert private_keys.thumbprint(first.public_key()) != private_keys.thumbprint(second.public_key())
+    assert thumbprint(first.public_key()) != thumbprint(second.public_key())
 
 
 def test_unencrypted_round_trip(tmp_path: Path) -> None:

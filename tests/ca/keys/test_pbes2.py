@@ -56,18 +56,16 @@ def test_every_length_form(size: int) -> None:
 
 def asking(*costs: int, derivation: bytes = passphrases._OID_SCRYPT) -> bytes:
     """An encrypted key whose file asks for these costs; nothing was derived."""
-    salt = passphrases._der(passphrases._OCTETS, bytes(16))
-    parameters = passphrases._der(passphrases._SEQUENCE, salt, *map(passphrases._integer, costs))
-    encryption = passphrases._der(
-        passphrases._SEQUENCE, passphrases._OID_AES256_CBC, passphrases._der(passphrases._OCTETS, bytes(16))
+    salt = passphrases.der(passphrases._OCTETS, bytes(16))
+    parameters = passphrases.der(passphrases.SEQUENCE, salt, *map(passphrases._integer, costs))
+    encryption = passphrases.der(
+        passphrases.SEQUENCE, passphrases._OID_AES256_CBC, passphrases.der(passphrases._OCTETS, bytes(16))
     )
-    both = passphrases._der(
-        passphrases._SEQUENCE, passphrases._der(passphrases._SEQUENCE, derivation, parameters), encryption
+    both = passphrases.der(
+        passphrases.SEQUENCE, passphrases.der(passphrases.SEQUENCE, derivation, parameters), encryption
     )
-    algorithm = passphrases._der(passphrases._SEQUENCE, passphrases._OID_PBES2, both)
-    return passphrases._der(
-        passphrases._SEQUENCE, algorithm, passphrases._der(passphrases._OCTETS, bytes(160))
-    )
+    algorithm = passphrases.der(passphrases.SEQUENCE, passphrases._OID_PBES2, both)
+    return passphrases.der(passphrases.SEQUENCE, algorithm, passphrases.der(passphrases._OCTETS, bytes(160)))
 
 
 def test_what_rossec_and_openssl_write_costs_no_more_than_is_allowed() -> None:

@@ -9,16 +9,8 @@ from hypothesis import strategies as st
 
 from ca.errors import ProofRefused
 from ca.revocation import merkle
-from ca.revocation.merkle import (
-    EMPTY_ROOT,
-    Tree,
-    extend,
-    leaf_hash,
-    node_hash,
-    root_of,
-    verify_consistency,
-    verify_inclusion,
-)
+from ca.revocation.merkle import EMPTY_ROOT, Tree, extend, leaf_hash, node_hash, root_of, verify_inclusion
+from tests.support.consistency import verify_consistency
 
 # The reference tree of the Certificate Transparency project (merkletree tests of its C++, Go and
 # Java logs): contents, and the roots over the first 1, 2 ... 8 of them.

@@ -11,7 +11,7 @@ from ca.errors import StoreError, ThingChanged, ThingUnknown
 from ca.store.record import Store
 from ca.store.signed_statements import check_things_apart
 from ca.things.constrained_nodes import ThingKey, ThingSecret, ThingStatement
-from tests.support.things import BORDER, FAN, LAMP, add_thing, again, elsewhere
+from tests.support.things import FAN, LAMP, add_thing, again, elsewhere
 from tests.vectors.make_things import NOW, OTHER, SECRET
 
 
@@ -27,8 +27,6 @@ def test_a_statement_is_recorded_and_in_the_log(store: Store) -> None:
     assert store.things.get(LAMP.name, NOW).read() == LAMP
     assert [row.name for row in store.things.all()] == [LAMP.name, FAN.name]
     assert store.things.newest(NOW).keys() == {LAMP.name, FAN.name}
-    assert [row.name for row in store.things.of_border(BORDER, NOW)] == [LAMP.name, FAN.name]
-    assert store.things.of_border("/attic", NOW) == []
     assert [(e.what, e.subject, e.detail) for e in store.log.entries()] == [
         ("thing", LAMP.name, LAMP.id.hex()),
         ("thing", FAN.name, FAN.id.hex()),

@@ -3,10 +3,11 @@ import json
 import sqlite3
 from contextlib import closing
 
-from ca.revocation.merkle import verify_consistency, verify_inclusion
+from ca.revocation.merkle import verify_inclusion
 from ca.store.values import open_head
 from rossec.authority.home import AuthorityHome
 from tests.support.commands import Shell, refused
+from tests.support.consistency import verify_consistency
 
 NOBODY = ("--master", "http://127.0.0.1:1")
 
