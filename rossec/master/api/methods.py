@@ -1,9 +1,8 @@
-"""The types of a master method: its arguments, default and handler, and what handlers return.
+"""The types of a master method: its arguments, default and handler, and what handlers return. Pure.
 
-Long calls are processed in turns of limited time, so that they do not delay others. Pure.
-
-A count would not limit the time, since one call may cost ten thousand times as much as another. A
-generator yields where it can be suspended; `expired`, which reads the caller's clock, says when.
+Long calls are processed in turns of limited time, so that they do not delay others. A count would
+not limit the time, since one call may cost ten thousand times as much as another. A generator
+yields where it can be suspended; `expired`, which reads the caller's clock, says when.
 """
 
 from collections.abc import Callable, Generator, Mapping
@@ -154,6 +153,10 @@ class CallRequest(NamedTuple):
         if not isinstance(value, bytes):
             raise TypeError(f"argument {index} is not bytes")
         return value
+
+    def binaries(self, index: int) -> list[bytes]:
+        value = self.arguments[index]
+        return [item for item in value if isinstance(item, bytes)] if isinstance(value, list) else []
 
     def node(self, index: int) -> NodeRef:
         return NodeRef(self.caller.name, self.text(index), self.caller.thumbprint)

@@ -1,22 +1,15 @@
-"""A caller of the master and its rights at one time. Pure, default deny.
+"""A caller of the master and its rights at one time, and the rights lately denied. Pure, default deny.
 
 A right on an alias (`/remote/LABEL/...`) is the right on the origin's name, from grants of the
 origin's domain: a grant of the own one, whatever its pattern, gives no more there than `graph` and
 `admin`, which concern the own master. Nothing below `/remote` is published, provided or set here. A
 foreign caller has its alias as name, calls itself by its name at home, and sees no aliases: what
 was imported is shown to no other domain.
-
-The rights that nodes lacked within the last day, for a person to look at. Pure, in memory.
-
-Each right on a name counts once for a node, with the newest time and name: one run of an anonymous
-node is as the next. Nodes choose the names, so the
-number is bounded, for each certified name and in all; where the whole is full, the node with most
-entries loses its oldest: no node pushes out what another was denied, unless many do it together.
 """
 
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple, Protocol
 
@@ -48,6 +41,14 @@ class Refused(Exception):
         self.missing = missing
 
 
+@contextmanager
+def refusals_answered() -> Iterator[None]:
+    try:
+        yield
+    except HintedError as error:
+        raise Refused(f"{error} ({error.hint})" if error.hint else str(error)) from error
+
+
 class AddressTaken(Refused):
     """The address is registered by `owner`, which may be gone: only a probe can tell."""
 
@@ -57,15 +58,16 @@ class AddressTaken(Refused):
 
 
 class Peer(Protocol):
-    """A certified name and its key: a `ca.certificates.Identity` or a `NodeRef`."""
+    """A certified name, of a foreigner its alias, and the thumbprint of its key.
+
+    A `ca.certificates.Identity` or a `NodeRef`.
+    """
 
     @property
-    def name(self) -> str:
-        """The certified name; of a foreigner its alias."""
+    def name(self) -> str: ...
 
     @property
-    def thumbprint(self) -> bytes:
-        """The certified key's thumbprint."""
+    def thumbprint(self) -> bytes: ...
 
 
 _SAID: Final = 2  # near misses beside the command that gives the right
@@ -81,7 +83,7 @@ class OriginRights(NamedTuple):
     authorize: Authorize
 
 
-def no_domain(_: str) -> str | None:
+def no_domain(_label: str) -> str | None:
     return None
 
 
@@ -159,7 +161,8 @@ class Caller:
         if name.startswith(REMOTE) and is_alias(name):
             return self._may_elsewhere(right, name)
         if self.reach.covers(right, name):
-            return self.exported is None or self._is_exported(right, name)
+            exported = self.exported
+            return exported is None or right in _NOT_EXPORTED or exported.covers(right, name)
         return right is Right.GRAPH and (self.is_authority or self.is_own_master)
 
     def explain(self, right: Right, name: str) -> None:
@@ -254,10 +257,6 @@ class Caller:
             return 0
         return self.reach.slot(VISIBILITY_RIGHTS, name)
 
-    def _is_exported(self, right: Right, name: str) -> bool:
-        exported = self.exported
-        return exported is None or right in _NOT_EXPORTED or exported.covers(right, name)
-
     def _may_elsewhere(self, right: Right, alias: str) -> bool:
         if self.is_foreign:
             return False
@@ -323,7 +322,13 @@ class RecentDenial(NamedTuple):
 
 
 class RecentDenials:
-    """The newest denials of all nodes."""
+    """The newest denials of all nodes, for a person to look at; in memory.
+
+    Each right on a name counts once for a node, with the newest time and name: one run of an
+    anonymous node is as the next. Nodes choose the names, so the number is bounded, for each
+    certified name and in all; where the whole is full, the node with most entries loses its oldest:
+    no node pushes out what another was denied, unless many do it together.
+    """
 
     def __init__(self) -> None:
         self._nodes: dict[str, OrderedDict[tuple[Right, str], tuple[int, str]]] = {}

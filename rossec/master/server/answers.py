@@ -29,8 +29,7 @@ from rossec.master.api.dispatch import MULTICALL, MasterApi, Multicall
 from rossec.master.api.graph_calls import WATCH, is_unchanged
 from rossec.master.api.methods import CallDenied, CallOutcome, TurnExpired, Turns, Work, advance
 from rossec.master.api.site_calls import FOLLOW, UNCHANGED, is_idle
-from rossec.master.api.statement_calls import WATCH_GRANTS, is_empty
-from rossec.master.api.statement_calls import is_idle as has_no_renewal
+from rossec.master.api.statement_calls import WATCH_GRANTS, has_no_renewal, is_empty
 from rossec.master.operation.config import MasterLimits
 from rossec.master.rights.caller import Caller
 from rossec.master.server.effects import Effects, MasterState

@@ -92,9 +92,14 @@ def _address(host: str) -> _Address | None:
 
 
 ANY_TYPE: Final = "*"
+_TYPE_LIMIT: Final = 255
 REGISTRATIONS_LIMIT: Final = 1024  # registrations of one kind of one node
 NODES_LIMIT: Final = 64  # nodes of one key
 REPLACED: Final = "new node registered with same name"
+
+
+def is_type_name(value: str) -> bool:
+    return value.count("/") == 1 and len(value) <= _TYPE_LIMIT and value.isprintable()
 
 
 class Kind(Enum):
