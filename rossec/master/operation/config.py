@@ -1,9 +1,7 @@
 """The master's configuration file: YAML, a closed schema; every error names its line.
 
 No setting can widen a right. A missing key has its default, and an unknown key is an error: a
-misspelt limit must not be ignored.
-
-Limits on what one peer may use, each checked before memory is allocated for the peer.
+misspelt limit must not be ignored. A limit is checked before memory is allocated for the peer.
 """
 
 import dataclasses
@@ -87,8 +85,7 @@ class Config:
         announce: announce the master on the local links.
         metrics: port for Prometheus, on loopback; None: none.
         complaints: file of the denial log; None: none.
-        limits: see `rossec.master.operation.config`.
-        federation: a part of the file for `rossec.federation.settings`; None: there is none.
+        limits, federation: parts of the file; the second is for `rossec.federation.settings`.
     """
 
     port: int | None = None

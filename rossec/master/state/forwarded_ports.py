@@ -104,16 +104,13 @@ class _Relay:
 class Doors:
     """What is wanted of all relays, and what they have opened.
 
-    Args:
-        limit: targets that are wanted at a time.
-
     Attributes:
         on_wanted: called when relays are to be told of something.
         masters: those that relays shall poll too.
     """
 
     def __init__(self, limit: int = MAX_DOORS) -> None:
-        self.on_wanted: Callable[[], None] = _ignore
+        self.on_wanted: Callable[[], object] = lambda: None
         self.masters: Masters = dict
         self._limit = limit
         self._version = 0
@@ -140,7 +137,7 @@ class Doors:
             held.discard(target)
             self._release(target)
         missing, others = 0, sum(target.kind != MASTER for target in held)
-        for target in sorted(wanted - held, key=_masters_first):
+        for target in sorted(wanted - held, key=lambda each: (each.kind != MASTER, each)):
             has_left = others < self._limit - len(self._wanted)
             if target in self._wanted or target.kind == MASTER or has_left:
                 others += target.kind != MASTER
@@ -153,7 +150,6 @@ class Doors:
         return missing
 
     def forget(self, label: str) -> None:
-        """The site with this label is followed no longer."""
         self.want(label, ())
         self._wants.pop(label, None)
         self._listeners.pop(label, None)
@@ -177,7 +173,6 @@ class Doors:
         return self._superseded.get(relay) == instance
 
     def hear(self, relay: str, report: Report, now: int) -> WantedChange:
-        """Take over what a relay reports, and answer it."""
         held = self._relays.get(relay)
         if held is None or held.instance != report.instance:
             if held is not None:
@@ -239,7 +234,9 @@ class Doors:
         for peer, name in before.items():
             if name not in self._relays or peer not in self._relays[name].ways:
                 del self._serving[peer]
-                self._drop_doors(peer)
+                for relay in self._relays.values():
+                    for target in [each for each in relay.doors if each.peer == peer]:
+                        relay.drop(target)
         for name in sorted(self._relays):
             for peer in self._relays[name].ways:
                 if peer not in self._serving:
@@ -255,11 +252,6 @@ class Doors:
         for peer in [peer for peer, served_by in self._serving.items() if served_by == name]:
             del self._serving[peer]
 
-    def _drop_doors(self, peer: str) -> None:
-        for relay in self._relays.values():
-            for target in [each for each in relay.doors if each.peer == peer]:
-                relay.drop(target)
-
     def _next_version(self) -> int:
         self._version += 1
         return self._version
@@ -267,11 +259,3 @@ class Doors:
     def _notify(self) -> None:
         for changed in tuple(self._listeners.values()):
             changed()
-
-
-def _masters_first(target: Target) -> tuple[bool, Target]:
-    return target.kind != MASTER, target
-
-
-def _ignore() -> None:
-    pass

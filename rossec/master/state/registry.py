@@ -2,16 +2,10 @@
 
 Answers as stock `rosmaster` (registrations.py) gives them, in its order. Rights are checked before
 (`rossec.master.rights.access_rules`). A change of which nodes must be notified returns events; the
-shell delivers them. `version` grows with every change, so equal versions mean equal state.
-
-Beyond stock: when a node is replaced or removed, the subscribers of its topics are notified (stock
-leaves them with a dead publisher), and lookups by node are indexed.
-
-The hosts in the URIs that nodes register: validated and normalized. Pure.
-
-The master connects to these addresses, so it accepts neither unusual spellings of an IPv4 address
-nor broadcast and multicast addresses, nor loopback, which is the master's own host, from a node on
-another host (attack M8). That the node listens there is proved by its key when it is called.
+shell delivers them. Beyond stock: when a node is replaced or removed, the subscribers of its topics
+are notified (stock leaves them with a dead publisher), and lookups by node are indexed. The master
+connects to the addresses it is given, so these are validated and normalized (attack M8); that the
+node listens there is proved by its key when it is called.
 """
 
 import ipaddress
@@ -155,16 +149,13 @@ class _Node:
     ref: NodeRef
     keys: dict[Kind, dict[str, None]] = field(default_factory=lambda: {kind: {} for kind in Kind})
 
-    def is_empty(self) -> bool:
-        return not any(self.keys.values())
-
 
 class Registry:
     """All registrations. Methods that change it return the events to deliver."""
 
     def __init__(self, nodes_limit: int = NODES_LIMIT) -> None:
-        self.imported_publishers: Callable[[str], list[str]] = _nothing_imported
-        self.version = 0
+        self.imported_publishers: Callable[[str], list[str]] = lambda _topic: []
+        self.version = 0  # grows with every change, so equal versions mean equal state
         self._nodes: dict[str, _Node] = {}
         self._names: dict[Kind, dict[str, dict[str, None]]] = {kind: {} for kind in Kind}
         self._service_uris: dict[str, str] = {}
@@ -350,18 +341,15 @@ class Registry:
             if old.ref.uri != ref.uri:  # else the new node itself listens there
                 events.append(ShutdownNode(old.ref, REPLACED))
             old = None
-        node = old or self._add_node(ref)
+        if old is None:
+            self._nodes_per_key[ref.thumbprint] += 1
+            self._owners[endpoint(ref.uri)] = ref.name
+        node = self._nodes[ref.name] = old or _Node(ref)
         if key not in node.keys[kind]:
             node.keys[kind][key] = None
             self._names[kind].setdefault(key, {})[ref.name] = None
             self.version += 1
         return events
-
-    def _add_node(self, ref: NodeRef) -> _Node:
-        node = self._nodes[ref.name] = _Node(ref)
-        self._nodes_per_key[ref.thumbprint] += 1
-        self._owners[endpoint(ref.uri)] = ref.name
-        return node
 
     def _discard(self, kind: Kind, key: str, name: str) -> None:
         self.version += 1
@@ -374,7 +362,7 @@ class Registry:
                 self._drop_service_uri(key)
             if not any(key in self._names[each] for each in (Kind.PUBLISHER, Kind.SUBSCRIBER)):
                 self._types.pop(key, None)  # else one node could fill the memory with types
-        if node.is_empty():
+        if not any(node.keys.values()):
             del self._nodes[name]
             self._silent.discard(node.ref)
             self._nodes_per_key[node.ref.thumbprint] -= 1
@@ -394,7 +382,3 @@ class Registry:
     def _set_type(self, topic: str, type_name: str) -> None:
         self.version += self._types.get(topic) != type_name
         self._types[topic] = type_name
-
-
-def _nothing_imported(_topic: str) -> list[str]:
-    return []
