@@ -120,9 +120,9 @@ def _elsewhere(home: Path) -> str:
     except (OSError, RuntimeError):
         return ""
     other = closest(home.name, beside)
-    return (
-        "" if other is None else f"there is no directory {home}: did you mean {home.with_name(other)}? else "
-    )
+    if other is None:
+        return ""
+    return f"there is no directory {home}: did you mean {home.with_name(other)}? else "
 
 
 def _listed(names: list[str]) -> str:

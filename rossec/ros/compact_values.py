@@ -95,22 +95,6 @@ def encode_ahead(value: EncodedList) -> EncodedList:
     return value
 
 
-def _put_int(value: Any, out: Pieces, _depth: int) -> None:
-    out.append(encoded_number(value))
-
-
-def _put_bool(value: Any, out: Pieces, _depth: int) -> None:
-    out.append(TRUE if value else FALSE)
-
-
-def _put_float(value: Any, out: Pieces, _depth: int) -> None:
-    out.append(NAN if math.isnan(value) else struct.pack(">Bd", 0xFB, value))
-
-
-def _put_bytes(value: Any, out: Pieces, _depth: int) -> None:
-    out.append(head(BYTES, len(value)) + value)
-
-
 def _put_time(value: Any, out: Pieces, _depth: int) -> None:
     written = (
         f"{value.year:04}{value.month:02}{value.day:02}T{value.hour:02}:{value.minute:02}:{value.second:02}"
@@ -174,12 +158,13 @@ def _deeper(depth: int) -> int:
     return depth - 1
 
 
+# Called with the value, the pieces it is put into, and how deep it may nest.
 _WRITERS: Final[dict[type, Callable[[Any, Pieces, int], None]]] = {
-    int: _put_int,
-    bool: _put_bool,
-    float: _put_float,
-    bytes: _put_bytes,
-    bytearray: _put_bytes,
+    int: lambda value, out, _: out.append(encoded_number(value)),
+    bool: lambda value, out, _: out.append(TRUE if value else FALSE),
+    float: lambda value, out, _: out.append(NAN if math.isnan(value) else struct.pack(">Bd", 0xFB, value)),
+    bytes: lambda value, out, _: out.append(head(BYTES, len(value)) + value),
+    bytearray: lambda value, out, _: out.append(head(BYTES, len(value)) + value),
     datetime: _put_time,
     list: _put_array,
     tuple: _put_array,
@@ -325,23 +310,11 @@ class Reader:
             raise CompactRefused("a unit that ends too early")
         return self._data[begin:end]
 
-    def _uint(self, _depth: int) -> int:
-        return _int32(self.head(0))
-
-    def _negative(self, _depth: int) -> int:
-        return ~_int32(self.head(NEGATIVE))
-
-    def _bytes(self, _depth: int) -> bytes:
-        return self._take(self.head(BYTES))
-
     def _text(self, _depth: int) -> str:
         text = str(self._take(self.head(TEXT)), "utf-8")
         if not text.isprintable():
             _check_text(text)
         return text
-
-    def _array(self, depth: int) -> list[object]:
-        return self.items(self.head(ARRAY), _inside(depth))
 
     def _map(self, depth: int) -> object:
         if self._data.startswith(TIME_HEAD, self.at):
@@ -389,12 +362,13 @@ class Reader:
         return _TRUTH[first]
 
 
+# Its own table, by the type in the three highest bits; called with the depth that is left.
 _READERS: Final[tuple[Callable[[Reader, int], object], ...]] = (
-    Reader._uint,  # noqa: SLF001 - its own table, by the type in the three highest bits
-    Reader._negative,  # noqa: SLF001
-    Reader._bytes,  # noqa: SLF001
+    lambda reader, _: _int32(reader.head(UINT)),
+    lambda reader, _: ~_int32(reader.head(NEGATIVE)),
+    lambda reader, _: reader._take(reader.head(BYTES)),  # noqa: SLF001
     Reader._text,  # noqa: SLF001
-    Reader._array,  # noqa: SLF001
+    lambda reader, depth: reader.items(reader.head(ARRAY), _inside(depth)),
     Reader._map,  # noqa: SLF001
     Reader._refuse,  # noqa: SLF001
     Reader._simple,  # noqa: SLF001

@@ -306,21 +306,13 @@ def _typed(tokens: Tokens, outer: str, depth: int) -> object:
     if scalar is not None:
         value = scalar(text)
         _expect(tokens, f"/{tag}")
-    else:
+    elif depth > 0 and tag in ("array", "struct"):
         _check_blank(text)
-        value = _tree(tokens, tag, depth - 1)
+        value = _scanned_array(tokens, depth - 1) if tag == "array" else _struct(tokens, depth - 1)
+    else:
+        raise _NotPlainError
     _expect(tokens, "/value")
     return value
-
-
-def _tree(tokens: Tokens, tag: str, depth: int) -> object:
-    if depth < 0:
-        raise _NotPlainError
-    if tag == "array":
-        return _scanned_array(tokens, depth)
-    if tag == "struct":
-        return _struct(tokens, depth)
-    raise _NotPlainError
 
 
 def _scanned_array(tokens: Tokens, depth: int) -> list[object]:

@@ -294,8 +294,6 @@ _UNCONFIRMED: Final = b""
 
 
 class RevokedConnections:
-    """Counts the connections of each revoked key."""
-
     def __init__(self) -> None:
         self._counts: Counter[bytes] = Counter()
 

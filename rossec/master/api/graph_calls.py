@@ -13,7 +13,7 @@ from itertools import count
 from typing import Final, NamedTuple, TypeAlias
 
 from rossec.master.api import arguments as arg
-from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps
+from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps, collected
 from rossec.master.rights import publisher_views
 from rossec.master.rights.access_rules import AccessControl, require_capacity, require_place
 from rossec.master.rights.caller import Caller
@@ -145,13 +145,13 @@ class GraphCalls:
         return Reply(state, "current system state")
 
     def _visible_entries(self, kind: Kind, caller: Caller) -> Generator[None, None, list[object]]:
-        found, at_once = list[object](), caller.names_per_yield
-        for number, (key, nodes) in enumerate(shown_entries(self._graph, caller, kind), 1):
-            if names := self._access_control.visible_nodes(caller, key, nodes):
-                found.append(self._entry(key, names))
-            if not number % at_once:
-                yield
-        return found
+        found = (
+            self._entry(key, names)
+            if (names := self._access_control.visible_nodes(caller, key, nodes))
+            else None
+            for key, nodes in shown_entries(self._graph, caller, kind)
+        )
+        return list[object]((yield from collected(found, caller.names_per_yield)))
 
     def _entry(self, key: str, names: tuple[str, ...]) -> EncodedList:
         entry = self._entries.get((key, names))
@@ -182,13 +182,11 @@ class GraphCalls:
         return self._types_reply(caller, within, "current topics")
 
     def _types_reply(self, caller: Caller, topics: Iterable[tuple[str, str] | None], status: str) -> Steps:
-        shown, at_once = list[list[str]](), caller.names_per_yield
-        for number, topic in enumerate(topics, 1):
-            if topic is not None and is_topic_visible(self._graph, caller, topic[0]):
-                shown.append([*topic])
-            if not number % at_once:
-                yield
-        return Reply(shown, status)
+        shown = (
+            [*topic] if topic is not None and is_topic_visible(self._graph, caller, topic[0]) else None
+            for topic in topics
+        )
+        return Reply((yield from collected(shown, caller.names_per_yield)), status)
 
 
 BATCH: Final = 1024  # facts in one answer
@@ -257,7 +255,6 @@ class GraphViews:
 
 
 def is_unchanged(answer: object, cursor: object) -> bool:
-    """Whether an answer to a call with this cursor contains no change."""
     match answer:
         case [1, _, {"whole": False, "cursor": int() as now}]:
             return now == cursor
@@ -312,13 +309,8 @@ class WatchCalls:
         return self._watch_reply(request)
 
     def _watch_reply(self, request: CallRequest) -> Steps:
-        seen, at_once = set[Fact](), request.caller.names_per_yield
         found = facts(self._graph, self._access_control, request.caller)
-        for checked, fact in enumerate(found, 1):
-            if fact is not None:
-                seen.add(fact)
-            if not checked % at_once:
-                yield
+        seen = yield from collected(found, request.caller.names_per_yield)
         known = request.arguments[1], request.arguments[2]
         key, version = request.caller.thumbprint, self._graph.version
         version = 0 if request.caller.has_slots else version  # it grows with each registration

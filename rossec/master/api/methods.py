@@ -5,9 +5,9 @@ not limit the time, since one call may cost ten thousand times as much as anothe
 yields where it can be suspended; `expired`, which reads the caller's clock, says when.
 """
 
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, NamedTuple, TypeAlias, TypeVar
 
 from grants.model import Right
 from rossec.master.api.arguments import Check
@@ -28,8 +28,6 @@ class ParameterChanged:
 
 @dataclass(frozen=True)
 class StopMaster:
-    """An administrator has called `shutdown`."""
-
     reason: str
 
 
@@ -182,10 +180,21 @@ TURN: Final = 0.005  # seconds that one call may occupy the loop
 TurnExpired = Callable[[], bool]
 """Whether the turn has expired."""
 
+T = TypeVar("T")
+
+
+def collected(items: Iterable[T | None], at_once: int) -> Generator[None, None, list[T]]:
+    """The items that are not None; yields after so many of all, as each costs time."""
+    found: list[T] = []
+    for number, item in enumerate(items, 1):
+        if item is not None:
+            found.append(item)
+        if not number % at_once:
+            yield
+    return found
+
 
 class CallOutcome(NamedTuple):
-    """The answer and the events to deliver."""
-
     answer: object
     events: tuple[MasterEvent, ...] = ()
 

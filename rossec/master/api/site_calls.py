@@ -17,7 +17,7 @@ from grants.decision import Reach
 from grants.model import ALL_RIGHTS, Permission, Right
 from rossec.master.api import arguments as arg
 from rossec.master.api.graph_calls import Fact, GraphViews
-from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps
+from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps, collected
 from rossec.master.rights.caller import Caller, Refused
 from rossec.master.rights.statements import TrustState
 from rossec.master.state.forwarded_ports import MASTER, NODE, Doors, Report
@@ -53,13 +53,8 @@ class SiteCalls:
         return self._reply(request, _wanted(request.arguments[3]))
 
     def _reply(self, request: CallRequest, wanted: Reach | None) -> Steps:
-        seen, at_once = set[Fact](), request.caller.names_per_yield
         found = own_facts(self._registry, request.caller, wanted)
-        for checked, fact in enumerate(found, 1):
-            if fact is not None:
-                seen.add(fact)
-            if not checked % at_once:
-                yield
+        seen = yield from collected(found, request.caller.names_per_yield)
         known = request.arguments[1], request.arguments[2]
         key, version = request.caller.thumbprint, self._registry.version
         revocations, domains = self._digests()

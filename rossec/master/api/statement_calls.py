@@ -269,7 +269,6 @@ class DepositCalls:
 
 
 def is_empty(answer: object) -> bool:
-    """Whether an answer to a node has no grant."""
     match answer:
         case [1, _, {"grants": []}]:
             return True
@@ -323,7 +322,6 @@ class RenewalCalls:
 
 
 def has_no_renewal(answer: object) -> bool:
-    """Whether an answer to the authority's service has nothing for it to decide."""
     match answer:
         case [1, _, {"renewals": []}]:
             return True

@@ -86,7 +86,6 @@ class DenialRateLimit(logging.Filter):
 
 @contextmanager
 def denials_limited() -> Iterator[None]:
-    """Limit the rate of the lines that nodes cause."""
     limit, log = DenialRateLimit(), logging.getLogger(DENIALS)
     log.addFilter(limit)
     try:
@@ -113,12 +112,11 @@ class AdminPort:
         self._server: asyncio.Server | None = None
 
     async def start(self) -> None:
-        """Listen; a stale socket of a killed master is replaced."""
         if self._path.exists():
             with socket.socket(socket.AF_UNIX) as probe:
                 if probe.connect_ex(str(self._path)) == 0:
                     raise ConfigurationError(f"another program listens at {self._path}")
-            self._path.unlink()
+            self._path.unlink()  # of a master that was killed
         sock = listen_at(self._path)
         self._server = await asyncio.start_unix_server(self._handle, sock=sock, limit=_MAX_LINE)
 

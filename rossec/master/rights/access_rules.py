@@ -208,7 +208,6 @@ class AccessControl:
         return (caller.name,) if caller.name in nodes else ()
 
     def is_node_visible(self, caller: Caller, name: str) -> bool:
-        """Whether the caller is the node, or may see it or one of its topics and services."""
         if name == caller.name:
             return True
         if caller.may(Right.GRAPH, name) and (caller.exported is None or caller.may_see(name)):
@@ -219,7 +218,7 @@ class AccessControl:
         keys = ((kind, key) for kind in kinds for key in self._graph.keys_of(name, kind))
         return any(
             caller.may_see(key) and not (kind is Kind.PUBLISHER and caller.slot(key))
-            for kind, key in keys  # of what is in slots `slotted_views` tells
+            for kind, key in keys  # of what is in slots `publisher_views` tells
         )
 
 
@@ -297,7 +296,6 @@ def _require_foreign_address(registry: Registry, caller: Caller, uri: str, *, is
 
 
 def require_capacity(registry: Registry, kind: Kind, key: str, node: NodeRef) -> None:
-    """Raise `Refused` when a node has the most registrations, or a key the most nodes."""
     if not registry.has_capacity(kind, key, node):
         if registry.is_current(node):
             raise Refused(

@@ -143,7 +143,6 @@ class Caller:
         return any(not each.reach.is_empty for each in self.elsewhere.values())
 
     def acting_as(self, name: str) -> "Caller":
-        """The caller as the node `name`, which has its own entries in the registry."""
         if name == self.name and not name.startswith(REMOTE):  # the usual case
             return self
         own = origin_of(self.name)  # a foreigner calls itself by its name at home
@@ -210,23 +209,23 @@ class Caller:
         return GrantMissing(missing, _ways(right, alias))
 
     def may_all_below(self, right: Right, namespace: str) -> bool:
-        """Whether grants cover `right`, one of parameters, on every name below `namespace`."""
-        if not is_alias(namespace):
-            exported = self.exported is None or self.exported.covers_below(right, namespace)
-            return exported and self.reach.covers_below(right, namespace)
-        found = self._tree_origin(right, namespace)
-        return found is not None and found[0].covers_below(right, found[1])
+        return self._below(Reach.covers_below, right, namespace)
 
     def may_some_below(self, right: Right, namespace: str) -> bool:
-        """Whether a grant covers `right`, one of parameters, at `namespace` or anywhere below."""
+        return self._below(Reach.touches, right, namespace)
+
+    def _below(self, covers: Callable[[Reach, Right, str], bool], right: Right, namespace: str) -> bool:
+        # Whether grants cover a right of parameters on what is below a namespace.
         if not is_alias(namespace):
-            exported = self.exported is None or self.exported.touches(right, namespace)
-            return exported and self.reach.touches(right, namespace)
-        found = self._tree_origin(right, namespace)
-        return found is not None and found[0].touches(right, found[1])
+            exported = self.exported is None or covers(self.exported, right, namespace)
+            return exported and covers(self.reach, right, namespace)
+        if self.is_foreign or right is not Right.PARAM_GET or namespace == REMOTE:
+            return False
+        label, slash, rest = namespace.removeprefix(f"{REMOTE}/").partition("/")
+        rights = self._rights_at(label)
+        return rights is not None and covers(rights.reach, right, f"{slash}{rest}" or "/")
 
     def patterns(self, right: Right) -> int:
-        """How many patterns must be matched one by one against each name."""
         others = self.elsewhere.values()
         return self.reach.patterns(right) + sum(each.reach.patterns(right) for each in others)
 
@@ -235,7 +234,6 @@ class Caller:
         return max(1, NAMES_PER_YIELD // (1 + sum(map(self.patterns, Right)) // 8))
 
     def may_see(self, name: str) -> bool:
-        """Whether a topic, service or node name may appear in an answer to this caller."""
         if self.is_authority or self.is_own_master:
             return True
         if name.startswith(REMOTE) and is_alias(name):
@@ -284,13 +282,6 @@ class Caller:
             return None
         rights = self._rights_at(found[0])
         return None if rights is None else (rights, found[1])
-
-    def _tree_origin(self, right: Right, namespace: str) -> tuple[Reach, str] | None:
-        label, slash, rest = namespace.removeprefix(f"{REMOTE}/").partition("/")
-        if self.is_foreign or right is not Right.PARAM_GET or namespace == REMOTE:
-            return None
-        rights = self._rights_at(label)
-        return None if rights is None else (rights.reach, f"{slash}{rest}" or "/")
 
     def _rights_at(self, label: str) -> OriginRights | None:
         domain = self.domain_of(label)
@@ -350,7 +341,6 @@ class RecentDenials:
             self._forget_oldest(max(self._nodes, key=lambda each: len(self._nodes[each])))
 
     def newest_first(self, now: int) -> list[RecentDenial]:
-        """The denials of the last day."""
         self._drop_old(now)
         found = [
             RecentDenial(at, node, right, name)

@@ -179,7 +179,6 @@ class DomainTrust:
             raise stale
 
     def check_known(self, domain: str, entry: bytes, now: int) -> None:
-        """Raise if `entry` is known to be revoked by `domain`, or `domain` is not listed."""
         with suppress(RevocationsStale):
             self.standing.check(domain, entry, now)
 
@@ -194,7 +193,6 @@ class DomainTrust:
         return "" if listed is None else listed.entry.label
 
     def domain_of(self, label: str) -> str | None:
-        """The trust domain of a label (`rossec.master.rights.caller.DomainOf`)."""
         listed = self.anchors.listed(label)
         if listed is not None:
             return listed.entry.domain
@@ -229,7 +227,6 @@ class DomainTrust:
         return self.standing.delegates(self.anchors.own.domain)
 
     def keep_only(self, thumbprints: frozenset[bytes]) -> None:
-        """Discard what is known of all other keys."""
         self._stale_since = {key: since for key, since in self._stale_since.items() if key in thumbprints}
 
     def next_end(self, now: int) -> int | None:

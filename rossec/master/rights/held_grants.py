@@ -197,8 +197,6 @@ Persist = Callable[[Sequence[DepositChange]], object]
 
 
 class DeliveryState(Enum):
-    """How far the delivery of one grant is."""
-
     UNKNOWN = ""
     WAITING = "waiting"
     FETCHED = "fetched"
@@ -215,8 +213,6 @@ class Deposit:
 
 
 class Missing(NamedTuple):
-    """Grants that a node does not hold yet; `more`: not all of them."""
-
     grants: list[bytes]
     more: bool
 

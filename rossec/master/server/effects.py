@@ -337,14 +337,12 @@ class Effects:
         self.list_changed.set()
 
     def enforcement(self) -> Iterator[None]:
-        """Remove what is no longer authorized, some registrations in each step."""
         for step in enforcement_steps(self._state.registry):
             for event in enforce(self._state.registry, self._state.trust, step, self._state.now()):
                 self.deliver(event)
             yield
 
     def close_revoked(self) -> None:
-        """Close the connections of revoked identities, and drop their updates."""
         now = self._state.now()
         for stream in tuple(self._state.streams):
             try:

@@ -316,8 +316,6 @@ _maintenance_log = logging.getLogger("rossec.master.upkeep")
 
 
 class Maintenance:
-    """Runs rounds of maintenance on `state`, from `start` to `close`."""
-
     def __init__(
         self,
         state: MasterState,

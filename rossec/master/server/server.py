@@ -192,7 +192,6 @@ class MasterServer:
         self._gateways.start()
 
     def mirror(self, site: Site, tree: dict[str, object]) -> None:
-        """Take over the mirrored parameters of a site, and update their subscribers."""
         self._send_mirrored(self.state.imports.mirrors.replace(site, tree))
 
     def drop_mirror(self, label: str) -> None:
@@ -203,7 +202,6 @@ class MasterServer:
             self.effects.deliver(event)
 
     def status(self) -> dict[str, str | int]:
-        """Figures for administrators and metrics."""
         registry = self.state.registry
         entries = [entry for kind in Kind for entry in registry.entries(kind)]
         own = svid.parse(self.context.credentials.certificate)

@@ -190,7 +190,6 @@ class Doors:
         return self._change_since(relay, report.seen)
 
     def expire(self, now: int) -> tuple[str, ...]:
-        """Forget relays that are silent for too long; returns their names."""
         silent = [name for name, held in self._relays.items() if now - held.heard > SILENCE]
         for name in silent:
             self._superseded.pop(name, None)

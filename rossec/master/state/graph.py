@@ -150,8 +150,6 @@ def _served(alias: str) -> str | None:
 
 
 class GraphNode(NamedTuple):
-    """A node, here or imported."""
-
     name: str
     uri: str
 
@@ -169,7 +167,6 @@ class Graph:
         return self.registry.version + self.imports.version
 
     def entries(self, kind: Kind) -> Iterator[tuple[str, tuple[str, ...]]]:
-        """All names of one kind, each with its nodes."""
         own = frozenset(self.registry.keys(kind))
         imported = tuple(self.imports.keys(kind))
         for key, nodes in self.registry.entries(kind):

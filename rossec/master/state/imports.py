@@ -270,7 +270,6 @@ class Imports:
         return list(dict.fromkeys(address.uri for address in (*found, *kept)))
 
     def service_uri(self, service: str) -> str | None:
-        """The rosrpc URI of an imported service."""
         if not self.filter.gives(Right.CALL, service):
             return None
         for label, _ in self._used(Kind.SERVICE, service):
@@ -287,7 +286,6 @@ class Imports:
         return None if found is None else found[0].nodes[found[1]].uri
 
     def nodes(self) -> Iterator[tuple[str, str]]:
-        """All imported nodes as of now, as alias and URI."""
         for label in sorted(self._sites):
             held = self._sites.get(label)
             for address in () if held is None else tuple(held.nodes.values()):
@@ -296,7 +294,6 @@ class Imports:
                     yield address.name, found[0].nodes[found[1]].uri
 
     def keys_of(self, alias: str, kind: Kind) -> tuple[str, ...]:
-        """The names an imported node is registered for."""
         found = self._find(alias)
         if found is None:
             return ()

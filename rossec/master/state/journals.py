@@ -127,14 +127,10 @@ def _pieces(parameters: Parameters, key: str) -> Iterator[bytes]:
 
 
 class GrantDeposited(NamedTuple):
-    """The grant `data`, as signed, was deposited."""
-
     data: bytes
 
 
 class GrantHeld(NamedTuple):
-    """The holder of the deposited grant `grant_id` has presented it."""
-
     grant_id: bytes
 
 

@@ -127,20 +127,12 @@ class Parameters:
         self.size = encoded_size(self._top)
 
     def get(self, key: str) -> object:
-        """The value, or the tree, at `key`; a live reference."""
         value: object = self._top[""]
         for segment in _segments(key):
             if not isinstance(value, dict) or segment not in value:
                 raise ParameterMissing(key)
             value = value[segment]
         return value
-
-    def has(self, key: str) -> bool:
-        try:
-            self.get(key)
-        except ParameterMissing:
-            return False
-        return True
 
     def set(self, key: str, value: object, limit: int | None = None) -> None:
         segments = _segments(key)
@@ -317,7 +309,6 @@ class Mirrors:
         return [*events, *_changes(_namespace(site), before, _root(new))]
 
     def drop(self, label: str) -> list[MirrorChange]:
-        """Forget what is mirrored of a site."""
         held = self._mirrors.pop(label, None)
         if held is None:
             return []

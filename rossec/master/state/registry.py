@@ -60,7 +60,6 @@ def is_unicast_host(host: str) -> bool:
 
 
 def is_loopback_host(host: str) -> bool:
-    """Whether `host` is loopback: an address of it, or a name of localhost."""
     address = _address(host)
     return _LOCALHOST.fullmatch(host) is not None if address is None else address.is_loopback
 
@@ -214,7 +213,6 @@ class Registry:
     def unregister_service(
         self, service: str, name: str, service_uri: str, thumbprint: bytes
     ) -> Unregistered:
-        """Remove a service; name, key and service URI must match."""
         node = self._nodes.get(name)
         if node is None or node.ref.thumbprint != thumbprint:
             return Unregistered(f"[{name}] is not a registered node", 0)
@@ -228,7 +226,6 @@ class Registry:
         return Unregistered(f"Unregistered [{name}] as provider of [{service}]", 1)
 
     def remove_node(self, name: str) -> list[Event]:
-        """Remove all registrations of a node; subscribers of its topics are notified."""
         node = self._nodes.get(name)
         if node is None:
             return []
