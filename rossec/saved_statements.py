@@ -159,7 +159,15 @@ class ThingFiles:
         with files.locked_directory(self.path):
             path = self._file(statement.name, "cose")
             if path.exists():
-                self._check_not_older(path, statement)
+                try:
+                    held = self._read(path)
+                except HintedError:  # damaged, or of a key or an authority that this router had before
+                    held = None
+                if held is not None and statement.not_before < held.not_before:
+                    raise ThingRefused(
+                        f"the statement about {statement.name} is older than the one that is here",
+                        "install the newest one; see: rossec ca things",
+                    )
             elif sum(1 for _ in self.path.glob("*.cose")) >= MAX_THINGS:
                 raise ConfigurationError(
                     f"this border router has {MAX_THINGS} things, and takes no more",
@@ -275,17 +283,6 @@ class ThingFiles:
                 "a thing has a name of its own: /things/lamp",
             )
         return statement
-
-    def _check_not_older(self, path: Path, statement: ThingStatement) -> None:
-        try:
-            held = self._read(path)
-        except HintedError:
-            return  # damaged, or of a key or an authority that this router had before
-        if statement.not_before < held.not_before:
-            raise ThingRefused(
-                f"the statement about {statement.name} is older than the one that is here",
-                "install the newest one; see: rossec ca things",
-            )
 
     def _read(self, path: Path) -> ThingStatement:
         missing = ConfigurationError(f"there is no file {path}")

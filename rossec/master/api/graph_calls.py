@@ -145,10 +145,9 @@ class GraphCalls:
         return Reply(state, "current system state")
 
     def _visible_entries(self, kind: Kind, caller: Caller) -> Generator[None, None, list[object]]:
+        visible = self._access_control.visible_nodes
         found = (
-            self._entry(key, names)
-            if (names := self._access_control.visible_nodes(caller, key, nodes))
-            else None
+            self._entry(key, names) if (names := visible(caller, key, nodes)) else None
             for key, nodes in shown_entries(self._graph, caller, kind)
         )
         return list[object]((yield from collected(found, caller.names_per_yield)))

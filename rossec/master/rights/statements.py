@@ -134,7 +134,14 @@ class TrustState(ListInForce):
         refused: list[str] = []
         for token in tokens:
             try:
-                self._add(held, caller, token, now)
+                if hashlib.sha256(token).digest() in held.grants:
+                    continue
+                self._check_failures(held, now)
+                if held.is_full_for(len(token)):
+                    raise GrantError(f"the master holds at most {MAX_HELD} grants of one node")
+                grant = self._verifier_of(token, caller).open(token, now)
+                check_holder(caller, grant, self.domains.label_of(grant.domain))
+                held.put(token, grant)
             except HintedError as error:
                 held.count_failure(now)
                 refused.append(str(error))
@@ -231,17 +238,6 @@ class TrustState(ListInForce):
         yield from self._revoked_grants.values()
         for held in (*self._held.values(), *self._held_by_foreigners.values()):
             yield from held.grants.values()
-
-    def _add(self, held: PresentedGrants, caller: Caller, token: bytes, now: int) -> None:
-        key = hashlib.sha256(token).digest()
-        if key in held.grants:
-            return
-        self._check_failures(held, now)
-        if held.is_full_for(len(token)):
-            raise GrantError(f"the master holds at most {MAX_HELD} grants of one node")
-        grant = self._verifier_of(token, caller).open(token, now)
-        check_holder(caller, grant, self.domains.label_of(grant.domain))
-        held.put(token, grant)
 
     def _renew(self, held: PresentedGrants, caller: Caller, token: bytes, now: int) -> bytes:
         self._check_failures(held, now)

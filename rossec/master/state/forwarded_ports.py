@@ -142,7 +142,9 @@ class Doors:
             if target in self._wanted or target.kind == MASTER or has_left:
                 others += target.kind != MASTER
                 held.add(target)
-                self._begin(target)
+                if target not in self._wanted:
+                    self._gone.pop(target, None)
+                    self._wanted[target] = self._next_version()
             else:
                 missing += 1
         if self._version != before:
@@ -212,11 +214,6 @@ class Doors:
         new = tuple(target for _, target in told if target in self._wanted)
         old = tuple(target for _, target in told if target in self._gone)
         return WantedChange(version, new, old)
-
-    def _begin(self, target: Target) -> None:
-        if target not in self._wanted:
-            self._gone.pop(target, None)
-            self._wanted[target] = self._next_version()
 
     def _release(self, target: Target) -> None:
         if any(target in wants for wants in self._wants.values()):
