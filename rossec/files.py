@@ -31,19 +31,13 @@ _NO_EXCHANGE: Final = {errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.EXDEV
 
 @dataclass(frozen=True)
 class Owned:
-    """What the part that owns files in a directory says of them.
+    """What the part that owns files in a directory says of them."""
 
-    Args:
-        pattern: of their paths below it, a regular expression of the whole.
-        kept: whether they are in a backup.
-        public: whether others may read them.
-        stays: where a backup replaces the home they are in, they are newer than those of the
-            backup, and an older one would bring back what was taken away.
-    """
-
-    pattern: str
-    kept: bool = True
-    public: bool = False
+    pattern: str  # of their paths below it, a regular expression of the whole
+    kept: bool = True  # whether they are in a backup
+    public: bool = False  # whether others may read them
+    # where a backup replaces the home they are in, they are newer than those of the backup, and an older
+    # one would bring back what was taken away
     stays: bool = False
 
     def below(self, directory: str) -> "Owned":

@@ -46,24 +46,16 @@ _OTHER: Final = "other reasons"
 
 @dataclass(frozen=True)
 class Announcement:
-    """Where a master listens.
+    """Where a master listens."""
 
-    Attributes:
-        host: its name or address, as for ROS clients.
-        port: its TCP port.
-        instance: 8 random bytes, new at every start.
-        seq: counts the announcements of one instance.
-        issued, max_age: seconds; it is valid until `issued + max_age`.
-        version: of its graph, a hint to ask it now; None: it does not say, as masters before
-            rossec knew several of them, whose nodes refuse an announcement that has one.
-    """
-
-    host: str
-    port: int
-    instance: bytes
-    seq: int
-    issued: int
+    host: str  # its name or address, as for ROS clients
+    port: int  # its TCP port
+    instance: bytes  # 8 random bytes, new at every start
+    seq: int  # counts the announcements of one instance
+    issued: int  # issued, max_age: seconds; it is valid until `issued + max_age`
     max_age: int = MAX_AGE
+    # of its graph, a hint to ask it now; None: it does not say, as masters before rossec knew several of
+    # them, whose nodes refuse an announcement that has one
     version: int | None = None
 
 

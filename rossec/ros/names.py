@@ -93,27 +93,18 @@ def search_paths(space: str, key: str) -> Iterator[tuple[str, str]]:
 
 @dataclass(frozen=True)
 class Settings:
-    """One program's settings.
+    """One program's settings."""
 
-    Attributes:
-        name: absolute name of the node.
-        master_uri, master_host, master_port: where the master is.
-        address: what the node registers (ROS_HOSTNAME, else ROS_IP), or None: find one.
-        ipv6: prefer IPv6 (ROS_IPV6=on).
-        remappings: resolved name -> resolved name.
-        parameters: private parameters by their resolved name, values as written.
-        arguments: what is left for the program itself.
-    """
-
-    name: str
-    master_uri: str
+    name: str  # absolute name of the node
+    master_uri: str  # master_uri, master_host, master_port: where the master is
     master_host: str
     master_port: int
-    address: str | None
-    ipv6: bool
-    remappings: Mapping[str, str] = field(default_factory=dict)
+    address: str | None  # what the node registers (ROS_HOSTNAME, else ROS_IP), or None: find one
+    ipv6: bool  # prefer IPv6 (ROS_IPV6=on)
+    remappings: Mapping[str, str] = field(default_factory=dict)  # resolved name -> resolved name
+    # private parameters by their resolved name, values as written
     parameters: Mapping[str, str] = field(default_factory=dict)
-    arguments: tuple[str, ...] = ()
+    arguments: tuple[str, ...] = ()  # what is left for the program itself
 
     def resolve(self, name: str) -> str:
         """The absolute, remapped form of a name the program uses."""

@@ -81,21 +81,15 @@ class Denied:
 
 @dataclass(frozen=True)
 class CallDenied:
-    """A call was refused by rossec, alone or within a multicall: for the audit.
+    """A call was refused by rossec, alone or within a multicall: for the audit."""
 
-    Attributes:
-        node: the caller, for people.
-        taken_by: the node that registered the address, if that was the reason.
-        missing: the right that is missing, and the name it is missing on, if that was the reason.
-        certified: the name that the caller's connection proved; `wildcard`: it has a tail.
-    """
-
-    node: str
+    node: str  # the caller, for people
     method: str
     status: str
-    taken_by: NodeRef | None = None
+    taken_by: NodeRef | None = None  # the node that registered the address, if that was the reason
+    # the right that is missing, and the name it is missing on, if that was the reason
     missing: tuple[Right, str] | None = None
-    certified: str = ""
+    certified: str = ""  # the name that the caller's connection proved; `wildcard`: it has a tail
     wildcard: bool = False
 
 

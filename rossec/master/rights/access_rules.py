@@ -64,21 +64,14 @@ class Scope(Enum):
 
 @dataclass(frozen=True)
 class AccessRule:
-    """What a method needs.
+    """What a method needs."""
 
-    Attributes:
-        scope: what the call reaches.
-        right: the right needed on the argument at `name` (or, for MASTER, on the master's name).
-        name: index of that argument, counted from the caller_id.
-        api: index of the caller's slave API URI, which must not be another node's.
-        service: index of the URI of a service it provides.
-    """
-
-    scope: Scope
+    scope: Scope  # what the call reaches
+    # the right needed on the argument at `name` (or, for MASTER, on the master's name)
     right: Right | None = None
-    name: int = 1
-    api: int | None = None
-    service: int | None = None
+    name: int = 1  # index of that argument, counted from the caller_id
+    api: int | None = None  # index of the caller's slave API URI, which must not be another node's
+    service: int | None = None  # index of the URI of a service it provides
 
 
 RULES: Final[Mapping[str, AccessRule]] = {

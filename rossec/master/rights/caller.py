@@ -89,33 +89,21 @@ def no_domain(_label: str) -> str | None:
 
 @dataclass(frozen=True)
 class Caller:
-    """A caller and its rights at one time, from the grants it presented.
+    """A caller and its rights at one time, from the grants it presented."""
 
-    Attributes:
-        name: the certified name, of a foreigner its alias; within a call the name of the node, see
-            `acting_as`.
-        thumbprint: of the certified key, to which grants are bound.
-        reach: what its valid grants of the own domain cover.
-        authorize: called for a right on a name that `reach` does not cover.
-        wildcard: the certified name has a wildcard tail.
-        certified: the certified name where `name` is another one.
-        is_authority: it is the authority's own node, see `access_rules.is_authority`.
-        is_own_master: it is a listed master of the own domain.
-        elsewhere: what its grants of foreign domains give, by trust domain.
-        domain_of: resolves the labels of aliases.
-        exported: what a foreigner's domain is shown and given at all; None: what grants allow.
-    """
-
+    # the certified name, of a foreigner its alias; within a call the name of the node, see `acting_as`
     name: str
-    thumbprint: bytes
-    reach: Reach
-    authorize: Authorize
-    wildcard: bool = False
-    certified: str = ""
-    is_authority: bool = False
-    is_own_master: bool = False
+    thumbprint: bytes  # of the certified key, to which grants are bound
+    reach: Reach  # what its valid grants of the own domain cover
+    authorize: Authorize  # called for a right on a name that `reach` does not cover
+    wildcard: bool = False  # the certified name has a wildcard tail
+    certified: str = ""  # the certified name where `name` is another one
+    is_authority: bool = False  # it is the authority's own node, see `access_rules.is_authority`
+    is_own_master: bool = False  # it is a listed master of the own domain
+    # what its grants of foreign domains give, by trust domain
     elsewhere: Mapping[str, OriginRights] = field(default_factory=dict, hash=False)
-    domain_of: DomainOf = no_domain
+    domain_of: DomainOf = no_domain  # resolves the labels of aliases
+    # what a foreigner's domain is shown and given at all; None: what grants allow
     exported: Reach | None = None
 
     @property

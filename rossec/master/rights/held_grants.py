@@ -54,17 +54,12 @@ NOT_EVALUATED: Final = EvaluationContext(-1, b"", 0)
 
 
 class Judge(NamedTuple):
-    """How the grants of a peer are judged.
+    """How the grants of a peer are judged."""
 
-    Attributes:
-        domain: the own trust domain.
-        check: called with the domain of a grant, an entry of it and the time; raises if revoked.
-        domain_of, exported: as of `Caller`.
-    """
-
-    domain: str
+    domain: str  # the own trust domain
+    # called with the domain of a grant, an entry of it and the time; raises if revoked
     check: Callable[[str, bytes, int], None]
-    domain_of: DomainOf = no_domain
+    domain_of: DomainOf = no_domain  # domain_of, exported: as of `Caller`
     exported: Reach | None = None
 
 

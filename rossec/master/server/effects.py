@@ -161,30 +161,25 @@ _Recorded = PersistParameter | Denied | GrantsPresented | CallDenied | TypeContr
 
 @dataclass
 class MasterState:
-    """The state of one master, used in its event loop only.
-
-    Args:
-        parameter_file: the journal of parameters; None: they do not survive a restart.
-        deposit_file: the journal of deposited grants; None: none is accepted.
-        site_polls: followers that wait for changes of the registrations.
-        demand_changes, renewal_changes: what local nodes want of other masters, of the authority.
-        relay_polls: relays that wait for what is wanted.
-    """
+    """The state of one master, used in its event loop only."""
 
     name: str
     clock: Callable[[], float]
     registry: Registry
     trust: TrustState
-    parameter_file: ParameterFile | None
-    deposit_file: DepositFile | None = None
+    parameter_file: ParameterFile | None  # the journal of parameters; None: they do not survive a restart
+    deposit_file: DepositFile | None = None  # the journal of deposited grants; None: none is accepted
     graph_changes: GraphChanges = field(default_factory=GraphChanges)
     grant_changes: GrantChanges = field(default_factory=GrantChanges)
     streams: set[SecureStream[Identity]] = field(default_factory=set)
     recent_denials: RecentDenials = field(default_factory=RecentDenials)
+    # followers that wait for changes of the registrations
     site_polls: SitePolls = field(default_factory=SitePolls)
+    # demand_changes, renewal_changes: what local nodes want of other masters, of the authority
     demand_changes: GraphChanges = field(default_factory=GraphChanges)
     renewal_changes: GraphChanges = field(default_factory=GraphChanges)
     doors: Doors = field(default_factory=Doors)
+    # relays that wait for what is wanted
     relay_polls: SitePolls = field(default_factory=partial(SitePolls, 0.0))
     imports: Imports = field(init=False)
     aliases: AliasPublishers = field(init=False)

@@ -45,21 +45,13 @@ class Door(NamedTuple):
 
 
 class Way(NamedTuple):
-    """How a relay reaches a peer: what it says of its links, for people.
+    """How a relay reaches a peer: what it says of its links, for people."""
 
-    Args:
-        state: of its link; a relay dials when a door is used first.
-        rtt_ms: round trip, milliseconds; 0: not known yet.
-        retransmissions: since the link is there.
-        router: which one is in use.
-        streams: connections that the link carries.
-    """
-
-    state: str
-    rtt_ms: float
-    retransmissions: int
-    router: str
-    streams: int
+    state: str  # of its link; a relay dials when a door is used first
+    rtt_ms: float  # round trip, milliseconds; 0: not known yet
+    retransmissions: int  # since the link is there
+    router: str  # which one is in use
+    streams: int  # connections that the link carries
 
 
 class Report(NamedTuple):

@@ -34,17 +34,11 @@ PROVIDER: Final = "provider"
 
 
 class Site(NamedTuple):
-    """Another master.
+    """Another master."""
 
-    Args:
-        label: what it is called here; unique.
-        domain: the label of its foreign domain; empty: of the own domain.
-        on_this_host: it is followed over loopback, so its loopback addresses are this host's.
-    """
-
-    label: str
-    domain: str = ""
-    on_this_host: bool = False
+    label: str  # what it is called here; unique
+    domain: str = ""  # the label of its foreign domain; empty: of the own domain
+    on_this_host: bool = False  # it is followed over loopback, so its loopback addresses are this host's
 
     def check(self) -> "Site":
         """The site, if its labels are valid; raises NameRefused."""
