@@ -30,15 +30,11 @@ def counter() -> Seconds:
 
 
 class Clock:
-    """A host's clock; threads may share it, as its state is replaced in one step.
-
-    Args:
-        host: seconds since the epoch, as the host has them.
-        elapsed: seconds of a clock that cannot be set; this machine's.
-    """
+    """A host's clock; threads may share it, as its state is replaced in one step."""
 
     def __init__(self, host: Seconds = _time.time, elapsed: Seconds | None = None) -> None:
-        self._host = host
+        self._host = host  # seconds since the epoch, as the host has them
+        # seconds of a clock that cannot be set; this machine's
         self._elapsed = counter() if elapsed is None else elapsed
         self._latest = host(), self._elapsed()
         self._behind = 0.0  # by how much the host's clock is known to be behind

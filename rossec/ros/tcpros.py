@@ -92,19 +92,14 @@ def frame(message: bytes) -> bytes:
 
 
 class FrameReader:
-    """Splits a byte stream into frames.
-
-    Args:
-        limit: largest frame content, in bytes.
-        first: another limit for the first frame, the connection header.
-        lead: bytes before the length of every frame but a header (a service reply's `ok` byte);
-            they stay in front of the frame's content.
-    """
+    """Splits a byte stream into frames."""
 
     def __init__(self, limit: int = MESSAGE_LIMIT, *, first: int | None = None, lead: int = 0) -> None:
         self._buffer = bytearray()
-        self._limit = limit
-        self._first = first
+        self._limit = limit  # largest frame content, in bytes
+        self._first = first  # another limit for the first frame, the connection header
+        # bytes before the length of every frame but a header (a service reply's `ok` byte); they stay in
+        # front of the frame's content
         self._lead = lead
         self._refusal: str | None = None
 

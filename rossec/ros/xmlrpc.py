@@ -70,18 +70,14 @@ class Encoded(NamedTuple):
 
 
 class EncodedList(list[object]):
-    """A list that keeps its encodings; it must not change any more.
-
-    Attributes:
-        compact: the other form's encoding, if it was made, of `pieces` values
-            (`rossec.ros.compact_values`).
-    """
+    """A list that keeps its encodings; it must not change any more."""
 
     __slots__ = ("_text", "compact", "pieces")
 
     def __init__(self, items: list[object]) -> None:
         super().__init__(items)
         self._text: str | None = None
+        # the other form's encoding, if it was made, of `pieces` values (`rossec.ros.compact_values`)
         self.compact: bytes | None = None
         self.pieces = 0
 

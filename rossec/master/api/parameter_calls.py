@@ -122,12 +122,7 @@ Fault = xmlrpc.client.Fault
 
 
 class ParameterCalls:
-    """Handlers over one parameter tree.
-
-    Args:
-        caller_of: a subscriber with its rights when an update is sent; None: its key is revoked.
-        limit: bytes of all parameters together.
-    """
+    """Handlers over one parameter tree."""
 
     def __init__(
         self,
@@ -139,8 +134,9 @@ class ParameterCalls:
     ) -> None:
         self._parameters = parameters
         self._mirrors = Mirrors() if mirrors is None else mirrors
-        self._limit = limit
+        self._limit = limit  # bytes of all parameters together
         self._registry = registry
+        # a subscriber with its rights when an update is sent; None: its key is revoked
         self._caller_of = caller_of
         self._bytes_added: Counter[bytes] = Counter()  # by key, net of what it deleted
 

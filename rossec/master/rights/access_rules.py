@@ -132,20 +132,15 @@ CLEANUP_METHODS: Final = frozenset({"unregisterPublisher", "unregisterSubscriber
 
 
 class AccessControl:
-    """Authorizes calls whose arguments are already resolved.
-
-    Args:
-        master: the master's own certified name; ADMIN is a right on this name.
-        is_door: whether a relay of this site has a door at a place: no node is there.
-    """
+    """Authorizes calls whose arguments are already resolved."""
 
     def __init__(
         self, graph: Graph, master: str, is_door: Callable[[Endpoint], bool] = lambda _place: False
     ) -> None:
         self._graph = graph
         self._registry = graph.registry
-        self._master = master
-        self._is_door = is_door
+        self._master = master  # the master's own certified name; ADMIN is a right on this name
+        self._is_door = is_door  # whether a relay of this site has a door at a place: no node is there
 
     def acting_caller(self, method: str, caller: Caller, caller_id: str) -> Caller:
         """The caller as the node `caller_id`: itself, or a node whose registrations it cleans up."""

@@ -48,16 +48,7 @@ class ForeignWord(NamedTuple):
 
 
 class DomainTrust:
-    """The list of domains, and the revocations of those that are listed.
-
-    Args:
-        persist, persist_foreign: make a list durable; called before it takes effect.
-        load_foreign: finds a saved one when its domain is listed (again): no older one counts.
-
-    Attributes:
-        generation: grows with every change of what is trusted or revoked elsewhere.
-        own_sites: the labels of other masters of the own domain.
-    """
+    """The list of domains, and the revocations of those that are listed."""
 
     def __init__(
         self,
@@ -68,11 +59,13 @@ class DomainTrust:
     ) -> None:
         self.standing: Final = standing
         self.anchors: Final = standing.anchors
+        # persist, persist_foreign: make a list durable; called before it takes effect
         self._persist = persist
         self._persist_foreign = persist_foreign
+        # finds a saved one when its domain is listed (again): no older one counts
         self._load_foreign = load_foreign
-        self.generation = 0
-        self.own_sites: Callable[[], Iterable[str]] = tuple
+        self.generation = 0  # grows with every change of what is trusted or revoked elsewhere
+        self.own_sites: Callable[[], Iterable[str]] = tuple  # the labels of other masters of the own domain
         self._own_masters: frozenset[bytes] = frozenset()
         self._words: dict[str, ForeignWord] = {}
         self._proofs: dict[str, dict[bytes, bytes]] = {}

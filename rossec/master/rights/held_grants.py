@@ -231,16 +231,13 @@ def _refuse(data: bytes, now: int) -> Grant:
 
 
 class Deposits:
-    """The table of deposits, by holder and by id; `persist` is called before one takes effect.
-
-    Attributes:
-        unsaved: the grants presented since this was emptied: to be recorded at leisure, as a node
-            presents them again.
-    """
+    """The table of deposits, by holder and by id; `persist` is called before one takes effect."""
 
     def __init__(self, verify: VerifyDeposit = _refuse, persist: Persist = lambda _changes: None) -> None:
         self.verify = verify
         self._persist = persist
+        # the grants presented since this was emptied: to be recorded at leisure, as a node presents them
+        # again
         self.unsaved: list[GrantHeld] = []
         self._by_id: dict[bytes, Deposit] = {}
         self._by_holder: dict[bytes, dict[bytes, Deposit]] = {}

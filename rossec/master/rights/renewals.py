@@ -157,23 +157,17 @@ class _Entry:
 
 
 class IdentityRenewals:
-    """The table, by the key that asks.
-
-    Args:
-        renewer: renews at once, with an intermediate; None: the authority's service does.
-
-    Attributes:
-        on_asked: called when there is a request that the service has not seen.
-        on_answered: called with the key whose request is answered.
-    """
+    """The table, by the key that asks."""
 
     def __init__(self, anchor: TrustAnchor, renewer: Renewer | None = None) -> None:
         self._anchor = anchor
-        self._renewer = renewer
+        self._renewer = renewer  # renews at once, with an intermediate; None: the authority's service does
         self._entries: dict[bytes, _Entry] = {}
         self._seen_at: int | None = None
         self._is_locked = False
+        # called when there is a request that the service has not seen
         self.on_asked: Callable[[], object] = lambda: None
+        # called with the key whose request is answered
         self.on_answered: Callable[[bytes], object] = lambda _key: None
 
     def waiting(self, now: int) -> int:

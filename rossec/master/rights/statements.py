@@ -44,12 +44,7 @@ from rossec.master.state.registry import Event, Kind, NodeRef, Registry
 class TrustState(ListInForce):
     """Revocations and presented grants: who is still trusted, and for what.
 
-    Args:
-        anchor: the authority, and the domain that grants must be for.
-        signer: the master's own identity key; signs timestamps.
-        revocations: loaded with what was persisted, if anything.
-        persist, persist_entries: make a list, and before it the entries of a tree, durable.
-        renewer: renews identities at once; None: the authority's service does.
+    `renewer` renews identities at once; None: the authority's service does.
     """
 
     def __init__(

@@ -57,15 +57,12 @@ class LocalAuthority:
     A list that could not be delivered, as the master was not running or not reachable, would
     otherwise wait for a person, while the master keeps confirming the old one. An invalid list is
     logged, and the list in force stays.
-
-    Args:
-        find, find_domains: read the directory. They raise `HintedError` or `OSError`.
     """
 
     def __init__(
         self, find: FindRevocations, trust: TrustState, find_domains: FindDomains = no_domains
     ) -> None:
-        self._find = find
+        self._find = find  # find, find_domains: read the directory. They raise `HintedError` or `OSError`
         self._trust = trust
         self._find_domains = find_domains
         self._last_warnings: dict[str, str] = {}  # by what was looked for

@@ -168,12 +168,7 @@ class NodeClient:
 
 
 class Updates:
-    """All node clients. `post` never waits.
-
-    Args:
-        max_clients: clients for one key at a time. A node can register any number of addresses, one
-            after another; the master must neither run out of connections nor be used for a scan.
-    """
+    """All node clients. `post` never waits."""
 
     def __init__(
         self,
@@ -185,6 +180,8 @@ class Updates:
     ) -> None:
         self._on_taken = on_taken
         self._dial = dial
+        # clients for one key at a time. A node can register any number of addresses, one after another; the
+        # master must neither run out of connections nor be used for a scan
         self._max_clients = max_clients
         self._deadline = deadline
         self._clients: dict[NodeRef, tuple[NodeClient, TaskSet]] = {}
@@ -310,13 +307,10 @@ class SitePolls:
 
     Only own registrations wake a follower, not imports: else each change in a mesh would be answered
     by every master to every other.
-
-    Args:
-        delay: seconds from a change to the answer, which has what changes meanwhile too.
     """
 
     def __init__(self, delay: float = BATCH_DELAY) -> None:
-        self._delay = delay
+        self._delay = delay  # seconds from a change to the answer, which has what changes meanwhile too
         self._waiting: dict[bytes, asyncio.Event] = {}
         self._version = -1
         self._changes = 0

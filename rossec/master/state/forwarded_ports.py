@@ -94,16 +94,11 @@ class _Relay:
 
 
 class Doors:
-    """What is wanted of all relays, and what they have opened.
-
-    Attributes:
-        on_wanted: called when relays are to be told of something.
-        masters: those that relays shall poll too.
-    """
+    """What is wanted of all relays, and what they have opened."""
 
     def __init__(self, limit: int = MAX_DOORS) -> None:
-        self.on_wanted: Callable[[], object] = lambda: None
-        self.masters: Masters = dict
+        self.on_wanted: Callable[[], object] = lambda: None  # called when relays are to be told of something
+        self.masters: Masters = dict  # those that relays shall poll too
         self._limit = limit
         self._version = 0
         self._wants: dict[str, set[Target]] = {}

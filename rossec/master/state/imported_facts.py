@@ -89,28 +89,20 @@ class Registered(NamedTuple):
 
 
 class SiteFacts:
-    """What one site has said.
-
-    Attributes:
-        facts: as received.
-        nodes: the addresses of its nodes, by their name at the origin, as far as usable here.
-        registered: for what its nodes are registered.
-        types, providers: of topics and services, by local name.
-        is_lost: there is no connection with the site; its facts stay for now.
-        settled: the demand that its last complete answer was for (`Demand.version`).
-    """
+    """What one site has said."""
 
     __slots__ = ("facts", "is_lost", "nodes", "providers", "registered", "settled", "site", "types")
 
     def __init__(self, site: Site) -> None:
         self.site: Final = site.check()
-        self.facts: set[Fact] = set()
+        self.facts: set[Fact] = set()  # as received
+        # the addresses of its nodes, by their name at the origin, as far as usable here
         self.nodes: dict[str, Address] = {}
-        self.registered: dict[str, set[Registered]] = {}
-        self.types: dict[str, str] = {}
+        self.registered: dict[str, set[Registered]] = {}  # for what its nodes are registered
+        self.types: dict[str, str] = {}  # types, providers: of topics and services, by local name
         self.providers: dict[str, Address] = {}
-        self.is_lost = False
-        self.settled = -1
+        self.is_lost = False  # there is no connection with the site; its facts stay for now
+        self.settled = -1  # the demand that its last complete answer was for (`Demand.version`)
 
     def registration(self, fact: Fact) -> Registered | None:
         # What a fact about a registration is about here; None: another fact, or not usable.

@@ -128,28 +128,16 @@ _Entry = tuple[str, str]
 
 
 class Imports:
-    """The facts of all sites.
-
-    Args:
-        registry: the own registrations; its events name imported publishers from now on.
-        limit: facts of one site.
-
-    Attributes:
-        version: grows with every change.
-        demand: what local nodes want of the sites.
-        mirrors: parameters of the sites.
-        filter: what is taken from foreign domains at all.
-        on_settled: called when `is_settled` has become true.
-    """
+    """The facts of all sites."""
 
     def __init__(self, registry: Registry, limit: int = FACTS_LIMIT) -> None:
-        self.version = 0
-        self.demand: Final = Demand(registry)
-        self.mirrors: Final = Mirrors()
-        self.filter: Final = ImportFilter()
-        self.on_settled: Callable[[], object] = lambda: None
-        self._registry = registry
-        self._limit = limit
+        self.version = 0  # grows with every change
+        self.demand: Final = Demand(registry)  # what local nodes want of the sites
+        self.mirrors: Final = Mirrors()  # parameters of the sites
+        self.filter: Final = ImportFilter()  # what is taken from foreign domains at all
+        self.on_settled: Callable[[], object] = lambda: None  # called when `is_settled` has become true
+        self._registry = registry  # the own registrations; its events name imported publishers from now on
+        self._limit = limit  # facts of one site
         self._sites: dict[str, SiteFacts] = {}
         self._entries: dict[Kind, dict[str, dict[_Entry, None]]] = {kind: {} for kind in Kind}
         self._contradictions = Contradictions(registry)
