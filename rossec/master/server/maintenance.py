@@ -28,8 +28,8 @@ from rossec.master.rights.renewals import RenewalAnswer
 from rossec.master.rights.statements import TrustState
 from rossec.master.server.effects import Effects, MasterState
 from rossec.master.server.saved_state import ParameterFile
+from rossec.master.server.updates import SlaveClient
 from rossec.master.state.registry import Kind, NodeRef
-from rossec.net.rpc.calls import RpcClient
 from rossec.peer_limits import printable
 from rossec.ros.xmlrpc import Fault
 
@@ -227,11 +227,11 @@ class Gateways:
                 self._tasks.spawn(self._ask(node), f"asking {node.name}")
 
     async def _ask(self, node: NodeRef) -> None:
-        client, loop = _Client(self._effects, self._state.name, node), asyncio.get_running_loop()
+        client, loop = SlaveClient(node, self._effects.dialer.dial, ANSWER_WITHIN), asyncio.get_running_loop()
         heard, failures = loop.time(), 0
         try:
             while self._topics(node):
-                error = await client.ask()
+                error = await self._error_of(client, node)
                 if error is None:
                     heard, failures = loop.time(), 0
                     self._note(node, silent=False)
@@ -250,6 +250,18 @@ class Gateways:
             self._asked.discard(node)
             await client.close()
 
+    async def _error_of(self, client: SlaveClient, node: NodeRef) -> Exception | None:
+        # Why a gateway does not answer; None: it does, whatever it says.
+        try:
+            await client.ask("getPid", self._state.name)
+        except (Fault, AnswerRefused):
+            return None
+        except (RossecError, OSError, TimeoutError) as error:
+            _gateways_log.info("%s does not answer: %s", node.name, printable(error))
+            await client.close()
+            return error
+        return None
+
     def _note(self, node: NodeRef, *, silent: bool) -> None:
         if not self._state.registry.set_silent(node, silent=silent):
             return
@@ -263,35 +275,6 @@ class Gateways:
         registry = self._state.registry
         keys = registry.keys_of(node.name, Kind.PUBLISHER) if registry.is_current(node) else ()
         return [key for key in keys if is_in_gateway(key)]
-
-
-class _Client:
-    def __init__(self, effects: Effects, master: str, node: NodeRef) -> None:
-        self._effects = effects
-        self._master = master
-        self._node = node
-        self._client: RpcClient | None = None
-
-    async def ask(self) -> Exception | None:
-        try:
-            async with asyncio.timeout(ANSWER_WITHIN):
-                if self._client is None or self._client.closed:
-                    self._client = await self._effects.dialer.dial(self._node)
-                await self._client.ask("getPid", self._master)
-        except (Fault, AnswerRefused):
-            return None  # whatever it answers
-        except (RossecError, OSError, TimeoutError) as error:
-            _gateways_log.info("%s does not answer: %s", self._node.name, printable(error))
-            await self.close()
-            return error
-        return None
-
-    async def close(self) -> None:
-        client, self._client = self._client, None
-        if client is not None:
-            with contextlib.suppress(RossecError, OSError, TimeoutError):
-                async with asyncio.timeout(ANSWER_WITHIN):
-                    await client.close()
 
 
 def _is_refused(error: BaseException | None) -> bool:

@@ -86,6 +86,29 @@ Key = tuple[str, str]
 """Method and subject: of two pending updates with one key only the newer is sent."""
 
 
+class SlaveClient:
+    """One connection to a slave API, made when a call needs it."""
+
+    def __init__(self, node: NodeRef, dial: Dial, deadline: float) -> None:
+        self._node = node
+        self._dial = dial
+        self._deadline = deadline
+        self._client: RpcClient | None = None
+
+    async def ask(self, method: str, *params: object) -> None:
+        async with asyncio.timeout(self._deadline):
+            if self._client is None or self._client.closed:
+                self._client = await self._dial(self._node)
+            await self._client.ask(method, *params)
+
+    async def close(self) -> None:
+        client, self._client = self._client, None
+        if client is not None:
+            with contextlib.suppress(RossecError, OSError, TimeoutError):
+                async with asyncio.timeout(self._deadline):
+                    await client.close()
+
+
 class NodeClient:
     def __init__(
         self,
@@ -97,14 +120,12 @@ class NodeClient:
         retry_after: tuple[float, ...] = _RETRY_AFTER,
     ) -> None:
         self.node = node
-        self._dial = dial
+        self._client = SlaveClient(node, dial, deadline)
         self._on_taken = on_taken
-        self._deadline = deadline
         self._retry_after = retry_after
         self._pending: dict[Key, tuple[object, ...]] = {}
         self._encoded_sizes: dict[Key, int] = {}
         self._posted = asyncio.Event()
-        self._client: RpcClient | None = None
         self._failures = 0
 
     @property
@@ -142,29 +163,19 @@ class NodeClient:
                         await asyncio.sleep(self._retry_after[self._failures])
                         self._failures += 1
         finally:
-            await self._disconnect()
+            await self._client.close()
 
     async def _deliver(self, method: str, params: tuple[object, ...]) -> bool:
         try:
-            async with asyncio.timeout(self._deadline):
-                if self._client is None or self._client.closed:
-                    self._client = await self._dial(self.node)
-                await self._client.ask(method, *params)
+            await self._client.ask(method, *params)
             self._on_taken(self.node, method, params)
         except (Fault, AnswerRefused) as error:
             _log.info("%s answers %s: %s", self.node.name, method, printable(error))
         except (RossecError, OSError, TimeoutError) as error:
             _log.info("cannot reach %s for %s: %s", self.node.name, method, printable(error))
-            await self._disconnect()
+            await self._client.close()
             return False
         return True
-
-    async def _disconnect(self) -> None:
-        client, self._client = self._client, None
-        if client is not None:
-            with contextlib.suppress(RossecError, OSError, TimeoutError):
-                async with asyncio.timeout(self._deadline):
-                    await client.close()
 
 
 class Updates:
