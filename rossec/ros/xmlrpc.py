@@ -18,8 +18,7 @@ from xml.parsers import expat
 from rossec.errors import AnswerMalformed, AnswerRefused, XmlRpcRefused
 from rossec.peer_limits import printable
 
-Fault = xmlrpc.client.Fault
-"""What a server answers when there is no value: `Fault(faultCode, faultString)`."""
+Fault = xmlrpc.client.Fault  # What a server answers when there is no value: `Fault(faultCode, faultString)`
 
 FAULT_CODE: Final = 1  # the only one stock ROS uses
 BODY_LIMIT: Final = 4 * 1024 * 1024  # as XML, some 30,000 parameters

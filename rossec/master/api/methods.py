@@ -171,8 +171,7 @@ Methods = Mapping[str, Method]
 
 TURN: Final = 0.005  # seconds that one call may occupy the loop
 
-TurnExpired = Callable[[], bool]
-"""Whether the turn has expired."""
+TurnExpired = Callable[[], bool]  # Whether the turn has expired
 
 T = TypeVar("T")
 
@@ -193,8 +192,7 @@ class CallOutcome(NamedTuple):
     events: tuple[MasterEvent, ...] = ()
 
 
-Work: TypeAlias = Generator[None, None, CallOutcome]
-"""A call that may take many turns."""
+Work: TypeAlias = Generator[None, None, CallOutcome]  # A call that may take many turns
 
 
 class Turns:

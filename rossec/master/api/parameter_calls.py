@@ -52,8 +52,7 @@ from rossec.ros.xmlrpc import BODY_LIMIT
 MAX_NAMES_CHECKED: Final = 8192  # names checked for one call, namespaces included
 MAX_PATTERN_MATCHES: Final = 2 * MAX_NAMES_CHECKED  # of patterns with wildcards against names
 
-ParameterItem: TypeAlias = tuple[str, object]
-"""A key and its value; a dict is a namespace."""
+ParameterItem: TypeAlias = tuple[str, object]  # A key and its value; a dict is a namespace
 
 
 class TreeDecision(NamedTuple):

@@ -31,8 +31,7 @@ _ENTRY_SIZES: Final = (GRANT_ID_SIZE, THUMBPRINT_SIZE)  # no tree has others; th
 
 _NOTHING: Final = Reach(())
 
-PersistForeign = Callable[[str, bytes], None]
-"""Makes the revocation list of a foreign domain durable."""
+PersistForeign = Callable[[str, bytes], None]  # Makes the revocation list of a foreign domain durable
 
 LoadForeign = Callable[[str], bytes | None]
 """The newest revocation list that was saved of a foreign domain; None: there is none."""

@@ -82,8 +82,7 @@ Dial = Callable[[NodeRef], Awaitable[RpcClient]]
 OnTaken = Callable[[NodeRef, str, tuple[object, ...]], object]
 """Called with the method and parameters of an update that a node has accepted."""
 
-Key = tuple[str, str]
-"""Method and subject: of two pending updates with one key only the newer is sent."""
+Key = tuple[str, str]  # Method and subject: of two pending updates with one key only the newer is sent
 
 
 class SlaveClient:

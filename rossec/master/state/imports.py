@@ -123,8 +123,7 @@ class ImportFilter:
 
 MAX_REGISTERED: Final = 1024  # nodes of a site for one name; each update has all addresses
 
-_Entry = tuple[str, str]
-"""The label of a site, and the name there of a node."""
+_Entry = tuple[str, str]  # The label of a site, and the name there of a node
 
 
 class Imports:

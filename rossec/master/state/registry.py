@@ -23,8 +23,7 @@ _NUMERIC_HOST: Final = re.compile(r"(?:.*\.)?(?:[0-9]+|0x[0-9a-f]*)\.?", re.IGNO
 _LOCALHOST: Final = re.compile(r"(?:.*\.)?(?:localhost|localhost\.localdomain|ip6-localhost)\.?")
 _BROADCAST: Final = "255.255.255.255"
 URI_LIMIT: Final = 512
-Endpoint = tuple[str, int | None]
-"""Host and port, normalized."""
+Endpoint = tuple[str, int | None]  # Host and port, normalized
 _Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 _CACHE_SIZE: Final = 256  # a node sends its own URIs in each call
 
