@@ -208,9 +208,7 @@ def _bounded(file: BinaryIO, path: Path, limit: int) -> bytes:
 def read_own(path: Path, limit: int, missing: ConfigurationError, *, link: bool = False) -> bytes:
     """As `read`, of a file that is trusted: only its owner may have written it.
 
-    Args:
-        path, limit, missing: as for `read`.
-        link: it may be a symbolic link, as the operator's own files are; its target is checked.
+    With `link` it may be a symbolic link, as the operator's own files are; its target is checked.
     """
     try:
         descriptor = ownership.open_trusted(path, link=link)

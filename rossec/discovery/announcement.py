@@ -277,9 +277,7 @@ class Candidates:
     def heard(self, data: bytes, source: DatagramSource, now: int, clock: float) -> Candidate | None:
         """Process a datagram; returns the master it is from, None for a duplicate.
 
-        Args:
-            now: seconds since the epoch.
-            clock: seconds of a monotonic clock.
+        `now` is since the epoch, `clock` of a monotonic clock.
         """
         try:
             claim = read_claim(data, now)

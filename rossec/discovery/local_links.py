@@ -129,12 +129,7 @@ async def announce(
     version: Callable[[], int] = lambda: 0,
     period: float = PERIOD,
 ) -> None:
-    """Announce the master at `uri` until cancelled.
-
-    Args:
-        name: its certified name.
-        version: of its graph now; counts up.
-    """
+    """Announce the master at `uri` until cancelled; `version`: of its graph now, counts up."""
     host, port = parse_uri(uri, "the master's URI")
     if is_loopback(host):
         raise ConfigurationError(
@@ -249,10 +244,8 @@ async def discover_master(
 ) -> dict[str, str]:
     """`environ`, with the URI of the best link to its master where discovery was asked for.
 
-    Args:
-        identity: the node that will use it, or its directory, whose authority certifies the master;
-            None: any node of this home, if all of them trust the same authority.
-        settle: seconds to measure the links, once a master is found.
+    `identity`: the node that will use it, or its directory, whose authority certifies the master;
+    None: any node of this home, if all of them trust the same authority.
     """
     if environ.get(VARIABLE) != DISCOVER:
         return dict(environ)

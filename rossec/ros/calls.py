@@ -279,12 +279,9 @@ def _method(reader: Reader) -> str:
 
 
 class CallClient:
-    """`request`, `take` until it is not None, again.
+    """`request`, `take` until it is not None, again; `limit`: bytes of an answer.
 
-    Args:
-        host: of the peer, for HTTP.
-        limit: bytes of an answer.
-        compact: offer the compact form; only where units arrive as they were sent.
+    `compact`: offer the compact form; only where units arrive as they were sent.
     """
 
     def __init__(self, host: str, *, limit: int = BODY_LIMIT, compact: bool = True) -> None:
@@ -376,11 +373,9 @@ def body_of(answer: object) -> bytes:
 
 
 class CallServer:
-    """`take`, `load`, `respond`, again.
+    """`take`, `load`, `respond`, again; `limit`: bytes of a call, and of an answer.
 
-    Args:
-        limit: bytes of a call, and of an answer.
-        compact: take the offer; only where units arrive as they were sent.
+    `compact`: take the offer; only where units arrive as they were sent.
     """
 
     __slots__ = ("_http", "_limit", "_takes_offers", "_turn", "answering", "is_compact")
@@ -414,12 +409,7 @@ class CallServer:
         return unit
 
     def load(self, request: bytes | Oversized, bound: int | None = None) -> Call:
-        """The call in a request.
-
-        Args:
-            request: what `take` returned.
-            bound: bytes that this caller may have parsed now, fewer than `limit`.
-        """
+        """The call that `take` returned; `bound`: bytes that this caller may have parsed now."""
         request = self._bounded(request, bound)
         if self.is_compact:
             return load_compact_call(request, self._turn, limit=self._limit)

@@ -61,14 +61,9 @@ Fault = xmlrpc.client.Fault
 
 
 class MasterApi:
-    """Every method of the master.
+    """Every method of the master; `instance` identifies this run, which began at `started`.
 
-    Args:
-        uri, pid: what `getUri` and `getPid` answer.
-        instance: identifies this run of the master, which began at `started`.
-        deposits: by default none is accepted.
-        imports: what other masters have registered; by default nothing.
-        aliases: of the same registry and imports.
+    By default no deposit is accepted and nothing imported; `aliases` is of the same registry and imports.
     """
 
     def __init__(

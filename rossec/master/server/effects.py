@@ -206,16 +206,7 @@ class MasterState:
 
 
 class Effects:
-    """Delivers events; `calls` and `denials` are counters.
-
-    Args:
-        context: the master's own identity, to connect to nodes with.
-    Attributes:
-        stopping: set by `StopMaster`.
-        on_new_lists: called when a newer list is in force, whoever delivered it.
-        list_changed: set by `RevocationsChanged`: the next round of maintenance must not wait.
-        on_served: called with a served name whose publishers have changed.
-    """
+    """Delivers events; `calls` and `denials` are counters."""
 
     def __init__(
         self, state: MasterState, context: SecureContext[Identity], on_denial: OnDenial, max_clients: int
@@ -225,9 +216,9 @@ class Effects:
         self.dialer: Final = SlaveDialer(context, self.evict)
         self.updates: Final = Updates(self.dialer.dial, max_clients, on_taken=self._record_taken)
         self.stopping: Final = asyncio.Event()
-        self.list_changed: Final = asyncio.Event()
-        self.on_served: Callable[[str], object] = lambda _topic: None
-        self.on_new_lists: Final[list[Callable[[], None]]] = []
+        self.list_changed: Final = asyncio.Event()  # the next round of maintenance must not wait
+        self.on_served: Callable[[str], object] = lambda _topic: None  # its publishers have changed
+        self.on_new_lists: Final[list[Callable[[], None]]] = []  # one is in force, whoever delivered it
         self.calls = self.denials = 0
 
     def apply(self, outcome: CallOutcome) -> object:

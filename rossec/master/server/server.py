@@ -75,14 +75,8 @@ _denials = logging.getLogger(DENIALS)
 class MasterServer:
     """The master; not a context manager: `start`, then `stopped` or `close`.
 
-    Args:
-        host: address to listen on (None: all). port: 0 for any free one.
-        advertise: host name in `uri`, which nodes are sent.
-        parameter_file: the journal of parameters; None: they do not survive a restart.
-        deposit_file: the journal of deposited grants; None: none is accepted.
-        check_own_identity: called with the time in each round of maintenance.
-        turns: limits how long one call may delay others.
-        find_revocations, find_domains: read what an authority on this host has signed.
+    It listens at `host` (None: all), and nodes are sent `advertise` as its host; `check_own_identity`
+    is called with the time in each round of maintenance.
     """
 
     def __init__(
@@ -305,14 +299,10 @@ def master_of(
 ) -> MasterServer:
     """The master whose identity is in `home`, not yet started.
 
-    Args:
-        host: address to advertise (ROS_HOSTNAME or ROS_IP), and to listen on alone when it is
-            loopback, as in ROS; None: this machine's name, and any address.
-        newest: a revocation list that may be newer than the one saved, from an authority on this
-            host; otherwise the master waits until one is published.
-        entries: where `newest` is a tree, its entries.
-        renewer: renews identities with an intermediate of this host; None: the authority's service
-            does, through the table of requests.
+    `host` (ROS_HOSTNAME or ROS_IP) is advertised, and listened on alone when it is loopback, as in
+    ROS; None: this machine's name, and any address. `newest` is a revocation list (of a tree, with its
+    `entries`) that may be newer than the one saved, from an authority on this host. `renewer` renews
+    identities with an intermediate of this host; None: the authority's service does.
     """
     anchor, own_identity, saved_list = home.anchor(), OwnIdentity(home, now), ListFile(home)
     signer = own_identity.credentials.current.signer

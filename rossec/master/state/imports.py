@@ -155,12 +155,8 @@ class Imports:
         """Take over a complete answer of a site: nothing takes effect if it is refused.
 
         Yields where other calls may be answered, and returns the events. One answer of a site is
-        taken over at a time; `drop` ends it.
-
-        Args:
-            site: as in the calls before; another one with this label takes its place.
-            added, removed: facts with the origin's names.
-            whole: `added` is all that the site has.
+        taken over at a time; `drop` ends it. Another site with this label takes its place; `whole`:
+        `added` is all that the site has.
         """
         held = self._sites.get(site.label)
         old = held.facts if held is not None and held.site == site else set[Fact]()

@@ -284,11 +284,7 @@ class Mirrors:
         self._mirrors: dict[str, _Mirror] = {}
 
     def replace(self, site: Site, tree: dict[str, object]) -> list[MirrorChange]:
-        """Take over all that is mirrored of a site; returns what has changed.
-
-        Args:
-            tree: with the names of the origin, from its root.
-        """
+        """Take over all that is mirrored of a site, in its names from its root; returns what has changed."""
         new = Parameters()
         try:
             check_names(names.SEPARATOR, tree)
