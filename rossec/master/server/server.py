@@ -130,13 +130,8 @@ class MasterServer:
         )
         trust.domains.own_sites = state.imports.own_sites
         self.effects: Final = Effects(state, self.context, on_denial, limits.nodes_per_identity + MAX_CLOSING)
-        self._maintenance = Maintenance(
-            state,
-            self.effects,
-            timestamp_every,
-            check_own_identity,
-            LocalAuthority(find_revocations, trust, find_domains),
-        )
+        nearby = LocalAuthority(find_revocations, trust, find_domains)
+        self._maintenance = Maintenance(state, self.effects, timestamp_every, check_own_identity, nearby)
         self._gateways = Gateways(state, self.effects)
         self._admission = Admission(state, limits)
         self._revoked_connections = RevokedConnections()
