@@ -1,6 +1,4 @@
-"""From the environment: ROSSEC_HOME, the directory of all files, and names of own services.
-
-What to do where ROSSEC_HOME does not have what was asked for.
+"""From the environment: ROSSEC_HOME, names of own services, and hints where something is missing.
 
 The commonest mistakes are a variable that is not set in this terminal and a name with a letter too
 few. Who is told to make what is missing makes a second authority, or a second node. So what is here
@@ -10,6 +8,7 @@ is said first. Read without a check of who wrote it: nothing is decided by it.
 import os
 import re
 from collections.abc import Callable, Mapping
+from itertools import islice
 from pathlib import Path
 from typing import Final
 
@@ -21,6 +20,9 @@ DEFAULT_HOME: Final = "~/.local/share/rossec"
 OWN_MASTER: Final = "ROSSEC_MASTER"  # the name of a node's own master
 OWN_RELAY: Final = "ROSSEC_RELAY"  # the name of the relay of this host
 OWN_GATEWAY: Final = "ROSSEC_GATEWAY"  # the name of the gateway of this host
+_NUMBERS: Final = re.compile(r"(?<=[^_-])(?:[_-][0-9]+)+$")  # as ROS makes names anonymous
+_SHOWN: Final = 6
+_LOOKED_AT: Final = 512  # entries of a directory, which may be anybody's
 
 
 def rossec_home(environ: Mapping[str, str]) -> Path:
@@ -69,11 +71,6 @@ def _own(environ: Mapping[str, str], variable: str, first: str, is_one: Callable
     return name
 
 
-_NUMBERS: Final = re.compile(r"(?<=[^_-])(?:[_-][0-9]+)+$")  # as ROS makes names anonymous
-_SHOWN: Final = 6
-_LOOKED_AT: Final = 512  # entries of a directory, which may be anybody's
-
-
 def nodes_in(home: Path) -> list[str]:
     """The names of the nodes that have a key in this home, in order."""
     found = (path.parent.name for path in (home / "nodes").glob("*/node.key"))
@@ -113,22 +110,19 @@ def _elsewhere(home: Path) -> str:
     try:
         if home == Path(DEFAULT_HOME).expanduser():
             return "ROSSEC_HOME is not set: if it is elsewhere, export ROSSEC_HOME=DIRECTORY; else "
-        other = None if home.exists() else closest(home.name, _homes_beside(home))
+        if home.exists():
+            return ""
+        beside = list[str]()
+        with os.scandir(home.parent) as entries:
+            for path in (Path(entry.path) for entry in islice(entries, _LOOKED_AT)):
+                if (path / "ca" / "ca.pem").exists() or (path / "nodes").is_dir():
+                    beside.append(path.name)
     except (OSError, RuntimeError):
         return ""
+    other = closest(home.name, beside)
     if other is None:
         return ""
     return f"there is no directory {home}: did you mean {home.with_name(other)}? else "
-
-
-def _homes_beside(home: Path) -> list[str]:
-    found = list[str]()
-    with os.scandir(home.parent) as entries:
-        for entry, _ in zip(entries, range(_LOOKED_AT), strict=False):
-            path = Path(entry.path)
-            if (path / "ca" / "ca.pem").exists() or (path / "nodes").is_dir():
-                found.append(entry.name)
-    return found
 
 
 def _listed(names: list[str]) -> str:

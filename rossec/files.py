@@ -31,19 +31,13 @@ _NO_EXCHANGE: Final = {errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.EXDEV
 
 @dataclass(frozen=True)
 class Owned:
-    """What the part that owns files in a directory says of them.
+    """What the part that owns files in a directory says of them."""
 
-    Args:
-        pattern: of their paths below it, a regular expression of the whole.
-        kept: whether they are in a backup.
-        public: whether others may read them.
-        stays: where a backup replaces the home they are in, they are newer than those of the
-            backup, and an older one would bring back what was taken away.
-    """
-
-    pattern: str
-    kept: bool = True
-    public: bool = False
+    pattern: str  # of their paths below it, a regular expression of the whole
+    kept: bool = True  # whether they are in a backup
+    public: bool = False  # whether others may read them
+    # where a backup replaces the home they are in, they are newer than those of the backup, and an older
+    # one would bring back what was taken away
     stays: bool = False
 
     def below(self, directory: str) -> "Owned":
@@ -214,9 +208,7 @@ def _bounded(file: BinaryIO, path: Path, limit: int) -> bytes:
 def read_own(path: Path, limit: int, missing: ConfigurationError, *, link: bool = False) -> bytes:
     """As `read`, of a file that is trusted: only its owner may have written it.
 
-    Args:
-        path, limit, missing: as for `read`.
-        link: it may be a symbolic link, as the operator's own files are; its target is checked.
+    With `link` it may be a symbolic link, as the operator's own files are; its target is checked.
     """
     try:
         descriptor = ownership.open_trusted(path, link=link)

@@ -1,19 +1,14 @@
-"""The directory of a node below ROSSEC_HOME, and its files.
+"""The directory of a node below ROSSEC_HOME, and its files. A shell.
 
-A shell. Keys are written by `ca.keys.private_keys`, everything else by `rossec.files`; content is
-verified by the module of its format. The hints of errors name the next command.
-
-What a node says when its own identity is over: that it ended, or that the clock is in doubt.
-
-A shell: what was signed, and the times of the files, show how late it is at least. A host whose
-clock is years ahead has nothing of that time; neither has one that was off for as long, so that
-both are told.
-
-The keys of a node's pseudonyms, one file each: random, created on first use, never replaced.
+Keys are written by `ca.keys.private_keys`, everything else by `rossec.files`; content is verified by
+the module of its format. The hints of errors name the next command. When the own identity is over, a
+node says that it ended, or that the clock is in doubt: what was signed, and the times of the files,
+show how late it is at least. A host whose clock is years ahead has nothing of that time; neither has
+one that was off for as long, so that both are told.
 """
 
 import secrets
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Final, Self
@@ -40,6 +35,18 @@ from rossec.channel.edhoc.credentials import Credentials
 from rossec.errors import ConfigurationError
 
 _FILES: Final = ("node.pem", "ca.pem", "revocations.cose", "grants")
+FILTERS: Final = "filters"  # of a node
+FILTER_KEYS: Final = (files.Owned(r"[a-z][a-z0-9_-]{0,31}\.key"),)
+_SIZE_LIMIT: Final = 256 * 1024
+REVOCATIONS: Final = "revocations.cose"  # the newest list that the node has seen
+OWNED: Final = (
+    files.Owned(r"node\.key"),
+    files.Owned(r"node\.csr"),
+    files.Owned(r"(?:node|ca)\.pem", public=True),
+    files.Owned(r"grants/[0-9a-f]{1,128}\.grant", kept=False),  # its holder fetches them again
+    files.Owned(r"revocations\.(?:cose|entries)", stays=True),
+    files.Owned(r"delegation\.cose", stays=True),
+)
 
 
 def ended(name: str, chain: Iterable[bytes], anchor: TrustAnchor, now: int, seen: int) -> CertificateExpired:
@@ -73,10 +80,6 @@ def has_key(name: str, directory: Path) -> str:
     return f"its request is {directory / 'node.csr'}; {anew}"
 
 
-FILTERS: Final = "filters"  # of a node
-FILTER_KEYS: Final = (files.Owned(r"[a-z][a-z0-9_-]{0,31}\.key"),)
-
-
 def filter_key(directory: Path, name: str) -> bytes:
     """The key `name`, 32 random bytes; created on first use."""
     path = directory / f"{check_key_name(name)}.key"
@@ -98,18 +101,6 @@ def filter_key(directory: Path, name: str) -> bytes:
             f"move {path} away: a new one is made, and pseudonyms change",
         )
     return key
-
-
-_SIZE_LIMIT: Final = 256 * 1024
-REVOCATIONS: Final = "revocations.cose"  # the newest list that the node has seen
-OWNED: Final = (
-    files.Owned(r"node\.key"),
-    files.Owned(r"node\.csr"),
-    files.Owned(r"(?:node|ca)\.pem", public=True),
-    files.Owned(r"grants/[0-9a-f]{1,128}\.grant", kept=False),  # its holder fetches them again
-    files.Owned(r"revocations\.(?:cose|entries)", stays=True),
-    files.Owned(r"delegation\.cose", stays=True),
-)
 
 
 class NodeHome:
@@ -134,8 +125,10 @@ class NodeHome:
         own = cls.of(home, name)
         if own.path.exists():
             return own
-        candidates = (cls.of(home, base) for base in _shortened(name))
-        return next((found for found in candidates if found.is_wildcard()), own)
+        for end in range(len(name) - 2, name.rindex("/") + 1, -1):
+            if name[end] == "_" and (found := cls.of(home, name[:end])).is_wildcard():
+                return found
+        return own
 
     @classmethod
     def for_bundle(cls, home: Path, bundle: bytes, now: int) -> tuple[Self, TrustAnchor]:
@@ -337,12 +330,6 @@ class NodeHome:
 
     def _missing(self, path: Path, hint: str) -> ConfigurationError:
         return ConfigurationError(f"{self.name} has no {path.name} in {path.parent}", hint)
-
-
-def _shortened(name: str) -> Iterator[str]:
-    for end in range(len(name) - 2, name.rindex("/") + 1, -1):
-        if name[end] == "_":
-            yield name[:end]
 
 
 def _split(bundle: bytes) -> tuple[tuple[bytes, ...], bytes]:

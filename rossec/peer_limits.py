@@ -1,25 +1,4 @@
-"""Texts of peers, made safe for a log: a line break in one would forge log lines.
-
-How long a peer may take to complete a message: it may be slow, but must make progress. Pure.
-
-An incomplete message is kept in memory: a peer that may send much could have it held for ever. So
-it has to grow by `MIN_BYTES` in each `WINDOW` seconds, and to be complete after `MAX_SECONDS`. Only
-time in which this side reads counts: between two checks never more than `STEP`, however long the
-reader was busy, and even if the clock is set.
-
-A bounded table whose room is shared by those who fill it. Pure.
-
-Where it is full, whoever has most makes room, with the oldest that is theirs; of those with the
-lowest rank first, and never of a higher rank than the newcomer's. So a table that ends its oldest
-entry cannot be used to end another's, and what a stranger begins ends nothing that an owner began.
-
-A rate limit of log lines: programs retry, and the same refusal would fill the log.
-
-The same line is logged once a minute, and a limited number of different ones, since a peer may
-cause hundreds; errors are always logged. Each subject, the first argument of a line, has its own
-limit: one peer cannot suppress the lines about others. A repeated line has the count of those
-left out.
-"""
+"""Limits on what peers may cause: text in logs, messages that never end, tables, lines of a log. Pure."""
 
 import logging
 import unicodedata
@@ -33,29 +12,41 @@ _CUT: Final = "..."
 _HARMFUL: Final = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
 
 
-def printable(text: object, limit: int = TEXT_LIMIT) -> str:
-    """One bounded line: control, direction and line characters are escaped, the rest is cut off."""
-    whole = str(text)
-    shown = "".join(char if _harmless(char) else _escaped(char) for char in whole[:limit])
-    return shown if len(whole) <= limit else shown + _CUT
-
-
-def _harmless(char: str) -> bool:
-    return unicodedata.category(char) not in _HARMFUL
-
-
-def _escaped(char: str) -> str:
-    return f"\\u{ord(char):04x}" if ord(char) <= 0xFFFF else f"\\U{ord(char):08x}"
-
-
 STEP: Final = 5  # seconds until the next check
 WINDOW: Final = 60
 MIN_BYTES: Final = 256 * 1024  # 35 kbit/s
 MAX_SECONDS: Final = 600
+_PERIOD: Final = 60.0
+_MAX_LINES: Final = 512
+_PER_SUBJECT: Final = 64
+_MAX_FIRST_LINES: Final = 1024  # beyond that limit, the first line of each subject is logged
+CAUSE: Final = "rossec_cause"  # of a record: the text and the subject to count by
+
+
+def printable(text: object, limit: int = TEXT_LIMIT) -> str:
+    """One bounded line: control, direction and line characters are escaped, the rest is cut off.
+
+    A line break in a text of a peer would forge log lines.
+    """
+    whole = str(text)
+    shown = "".join(map(_shown, whole[:limit]))
+    return shown if len(whole) <= limit else shown + _CUT
+
+
+def _shown(char: str) -> str:
+    if unicodedata.category(char) not in _HARMFUL:
+        return char
+    return f"\\u{ord(char):04x}" if ord(char) <= 0xFFFF else f"\\U{ord(char):08x}"
 
 
 class Progress:
-    """The progress of one message after the other."""
+    """The progress of one message after the other: it may be slow, but must make progress.
+
+    An incomplete message is kept in memory: a peer that may send much could have it held for ever.
+    So it has to grow by `MIN_BYTES` in each `WINDOW` seconds, and to be complete after
+    `MAX_SECONDS`. Only time in which this side reads counts: between two checks never more than
+    `STEP`, however long the reader was busy, and even if the clock is set.
+    """
 
     __slots__ = ("_age", "_at", "_mark_age", "_mark_length")
 
@@ -97,7 +88,13 @@ class _Entry(NamedTuple, Generic[V]):
 
 
 class SharedTable(Generic[K, V]):
-    """At most `limit` values by their keys, each of an owner."""
+    """At most `limit` values by their keys, each of an owner.
+
+    Where it is full, whoever has most makes room, with the oldest that is theirs; of those with the
+    lowest rank first, and never of a higher rank than the newcomer's. So a table that ends its
+    oldest entry cannot be used to end another's, and what a stranger begins ends nothing that an
+    owner began.
+    """
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
@@ -151,15 +148,14 @@ class SharedTable(Generic[K, V]):
         )
 
 
-_PERIOD: Final = 60.0
-_MAX_LINES: Final = 512
-_PER_SUBJECT: Final = 64
-_MAX_FIRST_LINES: Final = 1024  # beyond that limit, the first line of each subject is logged
-CAUSE: Final = "rossec_cause"  # of a record: the text and the subject to count by
-
-
 class LogRateLimit(logging.Filter):
-    """Lets a text through once a minute, and so many texts for one subject and for all."""
+    """A rate limit of log lines: programs retry, and the same refusal would fill the log.
+
+    The same line is logged once a minute, and a limited number of different ones, since a peer may
+    cause hundreds; errors are always logged. Each subject, the first argument of a line, has its own
+    limit: one peer cannot suppress the lines about others. A repeated line has the count of those
+    left out.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -168,9 +164,13 @@ class LogRateLimit(logging.Filter):
         self._left_out: OrderedDict[str, int] = OrderedDict()  # of lines that were logged before
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether to log it; the time is the record's own."""
         line, about = getattr(record, CAUSE, None) or (record.getMessage(), subject(record))
-        self._forget_before(record.created - _PERIOD)
+        while self._logged:
+            oldest, (said, cause) = next(iter(self._logged.items()))
+            if said > record.created - _PERIOD:
+                break
+            del self._logged[oldest]
+            self._subjects -= Counter([cause])  # drops zero counts
         if line in self._logged:
             self._left_out[line] = self._left_out.pop(line, 0) + 1
             if len(self._left_out) > _MAX_FIRST_LINES:
@@ -187,15 +187,6 @@ class LogRateLimit(logging.Filter):
             record.args = None
         return True
 
-    def _forget_before(self, time: float) -> None:
-        while self._logged:
-            line, (said, about) = next(iter(self._logged.items()))
-            if said > time:
-                break
-            del self._logged[line]
-            self._subjects -= Counter([about])  # drops zero counts
-
 
 def subject(record: logging.LogRecord) -> str:
-    """The subject of a line: by convention its first argument."""
     return str(record.args[0]) if isinstance(record.args, tuple) and record.args else ""

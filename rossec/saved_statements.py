@@ -1,20 +1,9 @@
-"""The revocation list a node had when it stopped: an older one is refused afterwards.
-
-What a node, or a master, had of foreign domains when it stopped; older lists are refused.
+"""What is saved of statements: revocations, foreign domains, and the things of a border router.
 
 `domains.cose` is the list of foreign domains, `foreign/DOMAIN.cose` the revocation list of one of
 them. Processes of one identity share the directory: an older list never replaces a newer one.
-
-What a border router has of its things: the authority's statements, and the secrets of some.
-
-`things/NAME.cose` is the statement about the thing NAME, `things/NAME.key` its OSCORE master secret
-(16 octets, 0600), where it has one, and `things/NAME.psk` what may be said about that. A secret is
-made here, where it is used, and goes nowhere but to the thing. A statement is stored if it is the
-authority's, about a thing of this border router, and not older than the one that is here; whether
-it is revoked or expired is for the reader.
 """
 
-import hashlib
 import secrets
 from hashlib import sha256
 from pathlib import Path
@@ -43,6 +32,19 @@ from rossec import files
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 
+OWNED: Final = (
+    files.Owned(r"domains\.cose", stays=True),
+    files.Owned(r"foreign/[a-z0-9_-][a-z0-9._-]{0,199}\.cose", stays=True),
+)
+LONGEST: Final = 200  # characters of a domain, or a name, that is the name of a file
+DIRECTORY: Final = "things"
+ROUTER_KEY: Final = ".router.key"  # of no thing: a name has no dot at its beginning
+MAX_THINGS: Final = 4096
+KID_SIZE: Final = 2
+_ATTEMPTS: Final = 64
+
+_Known = tuple[tuple[int, int, int], ThingStatement]
+
 
 def saved_revocations(home: NodeHome, anchor: TrustAnchor, now: int) -> Revocations:
     """The newest list that the node in `home` has seen, not yet confirmed."""
@@ -53,20 +55,8 @@ def saved_revocations(home: NodeHome, anchor: TrustAnchor, now: int) -> Revocati
     return revocations
 
 
-OWNED: Final = (
-    files.Owned(r"domains\.cose", stays=True),
-    files.Owned(r"foreign/[a-z0-9_-][a-z0-9._-]{0,199}\.cose", stays=True),
-)
-LONGEST: Final = 200  # characters of a domain that is the name of a file
-
-
 class DomainFiles:
-    """The files of one directory.
-
-    Args:
-        home: of a node, or of a master.
-        anchor: its authority.
-    """
+    """What the node, or master, in `home` had of foreign domains when it stopped; older is refused."""
 
     def __init__(self, home: NodeHome, anchor: TrustAnchor) -> None:
         self._path = home.path
@@ -143,27 +133,19 @@ def _read(path: Path, limit: int) -> bytes | None:
     return files.read_own(path, limit, missing) if path.exists() else None
 
 
-DIRECTORY: Final = "things"
-ROUTER_KEY: Final = ".router.key"  # of no thing: a name has no dot at its beginning
-MAX_THINGS: Final = 4096
-KID_SIZE: Final = 2
-_ATTEMPTS: Final = 64
-_LONGEST: Final = 200  # characters of a name that is the name of a file
-
-
-_Known = tuple[tuple[int, int, int], ThingStatement]
-
-
 class Loaded(NamedTuple):
     statements: dict[str, ThingStatement]
     refused: dict[Path, HintedError]
 
 
 class ThingFiles:
-    """The files of one border router.
+    """What a border router has of its things: the authority's statements, and the secrets of some.
 
-    Args:
-        home: its directory, with its key and its authority.
+    `things/NAME.cose` is the statement about the thing NAME, `things/NAME.key` its OSCORE master
+    secret (16 octets, 0600), where it has one, and `things/NAME.psk` what may be said about that. A
+    secret is made here, where it is used, and goes nowhere but to the thing. A statement is stored
+    if it is the authority's, about a thing of this border router, and not older than the one that
+    is here; whether it is revoked or expired is for the reader.
     """
 
     def __init__(self, home: NodeHome) -> None:
@@ -178,7 +160,15 @@ class ThingFiles:
         with files.locked_directory(self.path):
             path = self._file(statement.name, "cose")
             if path.exists():
-                self._check_not_older(path, statement)
+                try:
+                    held = self._read(path)
+                except HintedError:  # damaged, or of a key or an authority that this router had before
+                    held = None
+                if held is not None and statement.not_before < held.not_before:
+                    raise ThingRefused(
+                        f"the statement about {statement.name} is older than the one that is here",
+                        "install the newest one; see: rossec ca things",
+                    )
             elif sum(1 for _ in self.path.glob("*.cose")) >= MAX_THINGS:
                 raise ConfigurationError(
                     f"this border router has {MAX_THINGS} things, and takes no more",
@@ -210,8 +200,7 @@ class ThingFiles:
             return self._read(path)
         state = (status.st_mtime_ns, status.st_ino, status.st_size)
         before = known.get(path)
-        same = before is not None and before[0] == state
-        statement = before[1] if same and before is not None else self._read(path)
+        statement = before[1] if before is not None and before[0] == state else self._read(path)
         self._known[path] = (state, statement)
         return statement
 
@@ -296,23 +285,12 @@ class ThingFiles:
             )
         return statement
 
-    def _check_not_older(self, path: Path, statement: ThingStatement) -> None:
-        try:
-            held = self._read(path)
-        except HintedError:
-            return  # damaged, or of a key or an authority that this router had before
-        if statement.not_before < held.not_before:
-            raise ThingRefused(
-                f"the statement about {statement.name} is older than the one that is here",
-                "install the newest one; see: rossec ca things",
-            )
-
     def _read(self, path: Path) -> ThingStatement:
         missing = ConfigurationError(f"there is no file {path}")
         return self._verified(files.read_own(path, MAX_STATEMENT, missing))
 
     def _file(self, name: str, suffix: str) -> Path:
         text = name.lstrip("/").replace("/", ".")
-        if len(text) > _LONGEST:
-            text = hashlib.sha256(name.encode()).hexdigest()
+        if len(text) > LONGEST:
+            text = sha256(name.encode()).hexdigest()
         return self.path / f"{text}.{suffix}"

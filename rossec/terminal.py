@@ -1,20 +1,10 @@
 """The output of the command line: lower case, no full stop, an error and then its hint.
 
-Results go to stdout, everything else to stderr. Exit codes: 0 done, 1 refused, 2 wrong usage,
-3 done here but not delivered (the master or the node was out of reach), 4 done, but grants made by
-hand allow what the policy denies, 5 waiting for the authority or for a person (run it again), 130
-interrupted. Of several names, 1 says that one or more were refused; the others are done.
-
-With `--json` a command that acts prints its facts (`record`) as one document, and what it says to
-people goes to stderr, where a question can still be understood (docs/spec/results.md).
-
-Every command prints through these functions, and they escape whatever they are given: names of
-peers and files, reasons in a policy and arguments reach a terminal as text, wherever they are from.
-
-Colour for a person at a terminal: only beside words that say the same, never alone.
-
-There is none where the stream is no terminal, where TERM is `dumb` or not set, and where NO_COLOR
-is set and not empty (https://no-color.org).
+Results go to stdout, everything else to stderr. With `--json` a command that acts prints its facts
+(`record`) as one document, and what it says to people goes to stderr, where a question can still be
+understood (docs/spec/results.md). Every command prints through these functions, and they escape
+whatever they are given: names of peers and files, reasons in a policy and arguments reach a terminal
+as text, wherever they are from. Colour stands only beside words that say the same, never alone.
 """
 
 import io
@@ -28,6 +18,15 @@ from contextvars import ContextVar
 from typing import Any, Final, TextIO
 
 from rossec.peer_limits import printable as text_on_one_line
+
+# Exit codes; of several names, 1 says that one or more were refused, and the others are done.
+REFUSED = 1
+USAGE = 2
+UNDELIVERED = 3  # done here, but the master or the node was out of reach
+CONTRADICTED = 4  # done, but grants made by hand allow what the policy denies
+WAITING = 5  # for the authority or for a person: run it again
+INCOMPLETE = 6
+INTERRUPTED = 130
 
 RED: Final = "31"
 GREEN: Final = "32"
@@ -57,6 +56,7 @@ PAINTED: Final = re.compile(
 
 
 def is_wanted(stream: TextIO, environ: Mapping[str, str] | None = None) -> bool:
+    # No colour with NO_COLOR (https://no-color.org), for a dumb terminal, and where there is none.
     found = os.environ if environ is None else environ
     return (
         not found.get("NO_COLOR")
@@ -73,14 +73,6 @@ def paint(text: str, colour: str, stream: TextIO) -> str:
 def painted_state(word: str, stream: TextIO) -> str:
     return paint(word, STATES.get(word.strip(), ""), stream)
 
-
-REFUSED = 1
-USAGE = 2
-UNDELIVERED = 3
-CONTRADICTED = 4
-WAITING = 5
-INCOMPLETE = 6
-INTERRUPTED = 130
 
 _SURROGATE: Final = re.compile("[\ud800-\udfff]")
 

@@ -1,22 +1,9 @@
-"""The announcement of a master on the local link: one signed datagram.
+"""Masters announced on the local links: signed datagrams, and the candidates they make. Pure.
 
-Pure. The datagram carries the certificate chain that verifies it, so that a new node needs only its
-trust anchor to verify it. It gives the address of the master, nothing more: the peer there still
-has to authenticate in the handshake. A closed map, as every signed statement here.
-
-How many signatures of unknown senders are verified in a second. Pure.
-
-Verifying costs a tenth of a millisecond here and a millisecond on a small robot, so it comes last,
-after all cheap checks, and is limited by three token buckets: an address has
-its own; all addresses together have one for new chains, and one for chains that verified before; an
-address from which an announcement *verified* uses its own bucket alone.
-
-The masters announced on the local links, the best one first.
-
-Pure: datagrams, sources and times in. Cheap checks come first: size, form, age, duplicates; only
-then is a signature verified, within `rossec.discovery.announcement`. A chain that verified is cached for
-a while. An announcement counts once for each link: a replay from another address is a duplicate.
-A forger can only cause probes that fail.
+An announcement carries the certificate chain that verifies it, so that a new node needs only its
+trust anchor. It gives the address of the master, nothing more: the peer there still has to
+authenticate in the handshake. Cheap checks come first: size, form, age, duplicates; only then is a
+signature verified, within a budget. A forger can only cause probes that fail.
 """
 
 from collections import Counter, OrderedDict, deque
@@ -41,38 +28,34 @@ INSTANCE_SIZE: Final = 8
 _MAX_HOST: Final = 255
 _MAX_CHAIN: Final = 2
 _VERSION_LIMIT: Final = 1 << 31  # as XML-RPC's integers
-_IAT, _MAX_AGE, _HOST, _PORT, _INSTANCE, _SEQ, _VERSION, _CHAIN = (
-    6,
-    -70005,
-    -70011,
-    -70012,
-    -70013,
-    -70014,
-    -70015,
-    33,
-)
+_IAT, _CHAIN = 6, 33
+_MAX_AGE, _HOST, _PORT, _INSTANCE, _SEQ, _VERSION = -70005, -70011, -70012, -70013, -70014, -70015
+SHARE: Final = 50.0  # verified in a second, and at once, for one address
+TOTAL: Final = 200.0  # the same for all addresses without a verified announcement
+MAX_SOURCES: Final = 1024
+MAX_VERIFIED: Final = 64
+MAX_CANDIDATES: Final = 16
+_SEEN: Final = 1024
+_WINDOW: Final = 16  # announcements over which loss is measured
+_SLOWEST: Final = 2.0  # seconds between announcements, until two have arrived
+_LOSS_STEP: Final = 0.25  # a smaller difference is chance
+_CHAIN_LIFE: Final = 60.0  # seconds for which a chain is not verified again
+_MAX_REASONS: Final = 32
+_OTHER: Final = "other reasons"
 
 
 @dataclass(frozen=True)
 class Announcement:
-    """Where a master listens.
+    """Where a master listens."""
 
-    Attributes:
-        host: its name or address, as for ROS clients.
-        port: its TCP port.
-        instance: 8 random bytes, new at every start.
-        seq: counts the announcements of one instance.
-        issued, max_age: seconds; it is valid until `issued + max_age`.
-        version: of its graph, a hint to ask it now; None: it does not say, as masters before
-            rossec knew several of them, whose nodes refuse an announcement that has one.
-    """
-
-    host: str
-    port: int
-    instance: bytes
-    seq: int
-    issued: int
+    host: str  # its name or address, as for ROS clients
+    port: int  # its TCP port
+    instance: bytes  # 8 random bytes, new at every start
+    seq: int  # counts the announcements of one instance
+    issued: int  # issued, max_age: seconds; it is valid until `issued + max_age`
     max_age: int = MAX_AGE
+    # of its graph, a hint to ask it now; None: it does not say, as masters before rossec knew several of
+    # them, whose nodes refuse an announcement that has one
     version: int | None = None
 
 
@@ -181,13 +164,14 @@ def _check(announcement: Announcement) -> None:
         raise AnnouncementRefused("the announcement's host is not a name or address")
 
 
-SHARE: Final = 50.0  # a second, and at once, for one address
-TOTAL: Final = 200.0  # the same for all addresses without a verified announcement
-MAX_SOURCES: Final = 1024
-MAX_VERIFIED: Final = 64
-
-
 class Budget:
+    """How many signatures of unknown senders are verified in a second.
+
+    Verifying costs a tenth of a millisecond here and a millisecond on a small robot. An address has
+    a token bucket of its own; all addresses together have one for new chains, and one for chains
+    that verified before; an address from which an announcement *verified* uses its own alone.
+    """
+
     def __init__(self, share: float = SHARE, total: float = TOTAL) -> None:
         self._share = share
         self._shares: OrderedDict[Hashable, TokenBucket] = OrderedDict()
@@ -221,16 +205,6 @@ class Budget:
 def _bound(table: OrderedDict[Hashable, TokenBucket], most: int) -> None:
     while len(table) > most:
         table.popitem(last=False)
-
-
-MAX_CANDIDATES: Final = 16
-_SEEN: Final = 1024
-_WINDOW: Final = 16  # announcements over which loss is measured
-_SLOWEST: Final = 2.0  # seconds between announcements, until two have arrived
-_LOSS_STEP: Final = 0.25  # a smaller difference is chance
-_CHAIN_LIFE: Final = 60.0  # seconds for which a chain is not verified again
-_MAX_REASONS: Final = 32
-_OTHER: Final = "other reasons"
 
 
 @dataclass(frozen=True)
@@ -285,7 +259,10 @@ class Candidate:
 
 
 class Candidates:
-    """All announcements received by one node."""
+    """All announcements received by one node.
+
+    One counts once for each link: a replay from another address is a duplicate.
+    """
 
     def __init__(self, anchor: TrustAnchor, revoked: frozenset[bytes] = frozenset()) -> None:
         self._anchor = anchor
@@ -300,13 +277,11 @@ class Candidates:
     def heard(self, data: bytes, source: DatagramSource, now: int, clock: float) -> Candidate | None:
         """Process a datagram; returns the master it is from, None for a duplicate.
 
-        Args:
-            now: seconds since the epoch.
-            clock: seconds of a monotonic clock.
+        `now` is since the epoch, `clock` of a monotonic clock.
         """
         try:
             claim = read_claim(data, now)
-            if self._is_repeated(claim.announcement, source):
+            if (claim.announcement.instance, claim.announcement.seq, source.link) in self._seen:
                 return None
             identity = self._identity(claim, source, now, clock)
             announcement = claim.verify(identity)
@@ -369,6 +344,3 @@ class Candidates:
 
     def _forget(self, now: int) -> None:
         self._candidates = {key: one for key, one in self._candidates.items() if now <= one.ends}
-
-    def _is_repeated(self, announcement: Announcement, source: DatagramSource) -> bool:
-        return (announcement.instance, announcement.seq, source.link) in self._seen

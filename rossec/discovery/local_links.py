@@ -1,20 +1,9 @@
-"""One datagram group on every link of this host (IPv6, link-local scope).
+"""Announcing a master on every link of this host, and finding one there (IPv6, link-local). A shell.
 
-A shell. Hop limit 255 is sent and required: a router would have lowered it, so what arrives was
-sent on the link itself (RFC 5082).
-
-The master's side: announce its address on every link, periodically.
-
-The announcement carries the version of the master's graph. Nodes of rossec before there were
-several masters refuse a field they do not know; for them `/master` sends the same once more without
-the version, with the same number: others take it for a duplicate before they check a signature.
-
-The node's side: listen, probe announced masters, and choose the one with the best link.
-
-A shell around `candidates`. A probe opens a TCP connection and closes it: it measures the round
-trip and nothing else. A sidecar keeps the choice (a program cannot be moved to another master).
-
-`ROS_MASTER_URI=discover:`: the master is found when the program starts, and does not change.
+The master announces its address periodically. A node listens, probes announced masters, and chooses
+the one with the best link: a probe opens a TCP connection and closes it, which measures the round
+trip and nothing else. With `ROS_MASTER_URI=discover:` the master is found when the program starts,
+and does not change: a program cannot be moved to another master.
 """
 
 import asyncio
@@ -55,9 +44,19 @@ from rossec.saved_statements import saved_revocations
 
 GROUP: Final = "ff12::726f:7373:6563"  # transient, link-local scope (RFC 4291 section 2.7)
 PORT: Final = 11311
-_HOPS: Final = 255
+_HOPS: Final = 255  # sent and required: a router would have lowered it (RFC 5082)
 _MAX_DATAGRAM: Final = 2048
 _ANCILLARY: Final = socket.CMSG_SPACE(struct.calcsize("i")) + socket.CMSG_SPACE(20)
+PERIOD: Final = 0.5  # enough in four seconds to measure the loss
+PATIENCE: Final = 10.0  # seconds; a master announces itself twice in each
+SETTLE: Final = 4.0  # seconds after the first: time to receive others and to measure their loss
+_PROBE: Final = 2.0
+_LOOK: Final = 0.1
+_AT_ONCE: Final = 32  # datagrams
+_REJOIN: Final = 1.0
+VARIABLE: Final = "ROS_MASTER_URI"
+DISCOVER: Final = "discover:"
+_log = logging.getLogger("rossec.master")
 
 
 class MulticastSocket:
@@ -65,7 +64,14 @@ class MulticastSocket:
         self._port = port
         self._socket = socket.socket(socket.AF_INET6, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
         try:
-            self._set_up(listen=listen)
+            self._socket.setblocking(False)
+            level = socket.IPPROTO_IPV6
+            self._socket.setsockopt(level, socket.IPV6_V6ONLY, 1)
+            self._socket.setsockopt(level, socket.IPV6_MULTICAST_HOPS, _HOPS)
+            self._socket.setsockopt(level, socket.IPV6_RECVHOPLIMIT, 1)
+            if listen:
+                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                self._socket.bind(("::", self._port))  # a group of this scope cannot be bound for all links
         except BaseException:
             self._socket.close()
             raise
@@ -104,16 +110,6 @@ class MulticastSocket:
     def close(self) -> None:
         self._socket.close()
 
-    def _set_up(self, *, listen: bool) -> None:
-        self._socket.setblocking(False)
-        level = socket.IPPROTO_IPV6
-        self._socket.setsockopt(level, socket.IPV6_V6ONLY, 1)
-        self._socket.setsockopt(level, socket.IPV6_MULTICAST_HOPS, _HOPS)
-        self._socket.setsockopt(level, socket.IPV6_RECVHOPLIMIT, 1)
-        if listen:
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            self._socket.bind(("::", self._port))  # a group of this scope cannot be bound for all links
-
 
 def _is_local(address: str, ancillary: list[tuple[int, int, bytes]]) -> bool:
     hops = [
@@ -125,10 +121,6 @@ def _is_local(address: str, ancillary: list[tuple[int, int, bytes]]) -> bool:
     return hops == [_HOPS] and (source.is_link_local or source.is_loopback)
 
 
-PERIOD: Final = 0.5  # enough in four seconds to measure the loss
-_log = logging.getLogger("rossec.master")
-
-
 async def announce(
     credentials: Credentials,
     uri: str,
@@ -137,12 +129,7 @@ async def announce(
     version: Callable[[], int] = lambda: 0,
     period: float = PERIOD,
 ) -> None:
-    """Announce the master at `uri` until cancelled.
-
-    Args:
-        name: its certified name.
-        version: of its graph now; counts up.
-    """
+    """Announce the master at `uri` until cancelled; `version`: of its graph now, counts up."""
     host, port = parse_uri(uri, "the master's URI")
     if is_loopback(host):
         raise ConfigurationError(
@@ -155,10 +142,11 @@ async def announce(
     try:
         for seq in count():
             announcement = Announcement(host, port, instance, seq, clock.now())
-            links = [
-                group.send(sign(credentials.signer, credentials.chain, form))
-                for form in _forms(announcement, name, version())
-            ]
+            versioned = replace(announcement, version=version() % (1 << 31))
+            # Nodes of rossec before there were several masters refuse the version; for them `/master`
+            # sends the same once more without it, with the same number: a duplicate to others.
+            forms = (versioned, announcement) if name == MASTER else (versioned,)
+            links = [group.send(sign(credentials.signer, credentials.chain, form)) for form in forms]
             sent = any(links)
             if sent is not was_sent:
                 _log.warning("announcing on %s", "the links again" if sent else "no link: all down")
@@ -166,20 +154,6 @@ async def announce(
             await asyncio.sleep(period)
     finally:
         group.close()
-
-
-def _forms(announcement: Announcement, name: str, version: int) -> Iterator[Announcement]:
-    yield replace(announcement, version=version % (1 << 31))
-    if name == MASTER:
-        yield announcement
-
-
-PATIENCE: Final = 10.0  # seconds; a master announces itself twice in each
-SETTLE: Final = 4.0  # seconds after the first: time to receive others and to measure their loss
-_PROBE: Final = 2.0
-_LOOK: Final = 0.1
-_AT_ONCE: Final = 32  # datagrams
-_REJOIN: Final = 1.0
 
 
 async def find(
@@ -265,19 +239,13 @@ def _not_found(candidates: Candidates) -> MasterNotFound:
     )
 
 
-VARIABLE: Final = "ROS_MASTER_URI"
-DISCOVER: Final = "discover:"
-
-
 async def discover_master(
     environ: Mapping[str, str], identity: str | NodeHome | None, settle: float = SETTLE
 ) -> dict[str, str]:
     """`environ`, with the URI of the best link to its master where discovery was asked for.
 
-    Args:
-        identity: the node that will use it, or its directory, whose authority certifies the master;
-            None: any node of this home, if all of them trust the same authority.
-        settle: seconds to measure the links, once a master is found.
+    `identity`: the node that will use it, or its directory, whose authority certifies the master;
+    None: any node of this home, if all of them trust the same authority.
     """
     if environ.get(VARIABLE) != DISCOVER:
         return dict(environ)
@@ -309,7 +277,14 @@ def uri_of(candidate: Candidate) -> str:
 
 def trusted(home: Path, identity: str | NodeHome | None) -> tuple[TrustAnchor, frozenset[bytes]]:
     """The trust anchor of the nodes of this home, and what they know to be revoked."""
-    nodes = _named(home, identity)
+    match identity:
+        case None:
+            found = sorted((home / "nodes").glob("*/ca.pem"))
+            nodes = [NodeHome(path.parent, "/" + path.parent.name.replace(".", "/")) for path in found]
+        case str():
+            nodes = [NodeHome.find(home, check_name(identity))]
+        case _:
+            nodes = [identity]
     anchors = {anchor.thumbprint: anchor for anchor in map(_anchor, nodes)}
     if not anchors:
         raise ConfigurationError(
@@ -322,22 +297,8 @@ def trusted(home: Path, identity: str | NodeHome | None) -> tuple[TrustAnchor, f
             "name the one to find a master for, with --as NAME",
         )
     (anchor,) = anchors.values()
-    return anchor, frozenset().union(*(_revoked(node, anchor) for node in nodes))
-
-
-def _named(home: Path, identity: str | NodeHome | None) -> list[NodeHome]:
-    match identity:
-        case None:
-            return _nodes(home)
-        case str():
-            return [NodeHome.find(home, check_name(identity))]
-        case _:
-            return [identity]
-
-
-def _nodes(home: Path) -> list[NodeHome]:
-    found = sorted((home / "nodes").glob("*/ca.pem"))
-    return [NodeHome(path.parent, "/" + path.parent.name.replace(".", "/")) for path in found]
+    saved = (saved_revocations(node, anchor, clock.now()).entries for node in nodes)
+    return anchor, frozenset().union(*saved)
 
 
 def _anchor(node: NodeHome) -> TrustAnchor:
@@ -347,7 +308,3 @@ def _anchor(node: NodeHome) -> TrustAnchor:
         raise ConfigurationError(
             f"{node.path / 'ca.pem'}: {error}", "enroll that node anew, or move its directory away"
         ) from error
-
-
-def _revoked(node: NodeHome, anchor: TrustAnchor) -> frozenset[bytes]:
-    return saved_revocations(node, anchor, clock.now()).entries

@@ -1,31 +1,14 @@
-"""The numbers of methods in the compact form (docs/spec/compact.md), of master and nodes.
+"""Calls and answers as bytes: XML-RPC over HTTP, then units of the compact form, if both can. Sans-IO.
 
-They are part of the format: never change one, and never add one. A method that came later is
-called by its name, since a peer of today would refuse an unknown number. Those below 24 take one
-byte.
-
-Calls and answers as units of the compact form (docs/spec/compact.md), as bytes. Pure.
-
-A unit is one deterministic CBOR array and fills what the channel delivers at once. The number of a
-call, modulo 24, is in the call and in its answer. The shape of an answer says what it is: ROS's
-code, status and value; any other value; a fault; or a body of XML-RPC as a program gave it.
-
-The calling side of one connection, sans-IO: XML-RPC over HTTP, then units, if the peer can.
-
-The first request offers the compact form and is an ordinary call: a peer that does not know it
-answers as ever, and is asked in XML-RPC for the rest of the connection. A peer that does answers
-`101` and then with units (`rossec.ros.calls`). One call at a time; an answer of another number,
-or one that nobody waits for, ends the connection.
-
-The answering side of one connection, sans-IO: XML-RPC over HTTP, then units, if that is offered.
-
-A caller that can offers the compact form in its first request (`rossec.ros.calls`); its answer is
-the first unit, so that no round trip is lost. From then on nothing but units is taken, one call at
-a time: a call before the answer to the last one is refused. What is not in the table of the two
-phases ends the connection.
+A unit is one deterministic CBOR array and fills what the channel delivers at once
+(docs/spec/compact.md). The number of a call, modulo 24, is in the call and in its answer. The shape
+of an answer says what it is: ROS's code, status and value; any other value; a fault; or a body of
+XML-RPC as a program gave it. The first request offers the compact form and is an ordinary call: a
+peer that does not know it answers as ever; one that does answers `101` and then with units, so that
+no round trip is lost. One call at a time: all else ends the connection.
 """
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Sequence
 from typing import Final
 
 from ca.encoding import head
@@ -45,9 +28,11 @@ from rossec.ros.compact_values import (
     encoded_text,
     put,
 )
-from rossec.ros.http import HttpClient, HttpServer, Oversized
+from rossec.ros.http import SWITCH, HttpClient, HttpServer, Oversized
 from rossec.ros.xmlrpc import BODY_LIMIT, METHOD_LIMIT, NOT_ENCODABLE, Call, Encoded, Fault, too_long
 
+# They are part of the format: never change one, and never add one. A method that came later is called
+# by its name, since a peer of today would refuse an unknown number. Those below 24 take one byte.
 METHODS: Final = (
     "getParam",
     "setParam",
@@ -124,11 +109,15 @@ _MALFORMED: Final = "a unit that ends too early, or has a text that is not UTF-8
 UNPARSED: Final = "getBusStats"
 """The one method whose answer is passed on as a program gave it: roscpp's is malformed XML."""
 _BEGINNINGS: Final = tuple(_MARK + turn for turn in _TURNS)
-_TRIPLE, _FAULT, _VALUE = 4, 3, 2  # items of an answer; a raw body has three, too
+_TRIPLE, _FAULT, _VALUE = 4, 3, 2  # items of an answer
+_RAW: Final = 0  # it has as many as a fault
+_OWN: Final = b"rossec."
+_XML_OWN: Final = b"<methodName>" + _OWN
+_HEAD: Final = 256  # bytes of an XML body in which its method is named
+_METHOD_AT: Final = 4  # where it is in nearly every unit
 
 
 def dump_compact_call(turn: int, method: str, params: Sequence[object]) -> bytes:
-    """The unit of a call."""
     size = _PARTS + len(params)
     begin = _ARRAYS[size] if size < 24 else head(ARRAY, size)
     out = Pieces((begin, _MARK, _TURNS[turn]))
@@ -177,14 +166,11 @@ def _begin(reader: Reader, turn: int) -> tuple[int, str]:
 
 
 def load_compact_answer(data: bytes, turn: int, method: str, *, limit: int = BODY_LIMIT) -> object:
-    """What the unit `data` answers to the call of this number: a value, a `Fault`, or `Encoded`.
-
-    A fault is returned, not raised; its text is made printable.
-    """
+    # A fault is returned, not raised; its text is made printable.
     reader = _reader(data, limit)
     try:
-        count, depth, value_of = _shape(reader, turn)
-        value = value_of(reader.items(count, depth), method)
+        shape, count, depth = _answer_shape(reader, turn)
+        value = _answer(shape, reader.items(count, depth), method)
     except MALFORMED as error:
         raise CompactRefused(_MALFORMED) from error
     _check_end(reader)
@@ -196,25 +182,46 @@ def compact_answer_steps(
 ) -> Generator[None, None, object]:
     reader = _reader(data, limit)
     try:
-        count, depth, value_of = _shape(reader, turn)
-        value = value_of((yield from reader.steps(count, depth)), method)
+        shape, count, depth = _answer_shape(reader, turn)
+        value = _answer(shape, (yield from reader.steps(count, depth)), method)
     except MALFORMED as error:
         raise CompactRefused(_MALFORMED) from error
     _check_end(reader)
     return value
 
 
-def _shape(reader: Reader, turn: int) -> "_Shape":
+def _answer_shape(reader: Reader, turn: int) -> tuple[int, int, int]:
+    # What it is, how many items it has, and how deep they are nested.
     size = reader.head(ARRAY)
     _check_turn(reader, turn)
-    shape = _SHAPES.get(size)
-    if shape is None:
+    if size == _FAULT and reader.skip(NULL):
+        return _RAW, 1, DEPTH_LIMIT
+    if size not in (_TRIPLE, _FAULT, _VALUE):
         raise CompactRefused("a unit that is not an answer")
-    return _RAW if size == _FAULT and reader.skip(NULL) else shape
+    return size, size - 1, DEPTH_LIMIT - (size == _TRIPLE)
+
+
+def _answer(shape: int, found: list[object], method: str) -> object:
+    if shape == _TRIPLE:
+        if not _is_triple(found):
+            raise CompactRefused("an answer whose code or status has the wrong type")
+        return found
+    if shape == _FAULT:
+        code, reason = found
+        if type(code) is not int or not isinstance(reason, str):
+            raise CompactRefused("a fault whose code or text has the wrong type")
+        return Fault(code, printable(reason))
+    (value,) = found
+    if shape == _RAW:
+        if not isinstance(value, bytes) or method != UNPARSED:
+            raise CompactRefused(f"a body of XML-RPC in the answer to {printable(method)}")
+        return Encoded(value)
+    if isinstance(value, list) and _is_triple(value):
+        raise CompactRefused("an answer whose code and status are inside its value")
+    return value
 
 
 def dump_compact_answer(turn: int, value: object, *, limit: int = BODY_LIMIT) -> bytes:
-    """The unit that answers the call of this number with a value, a `Fault` or what is `Encoded`."""
     out = Pieces((b"", _TURNS[turn]))
     try:
         out[0] = _put_answer(value, out)
@@ -246,44 +253,6 @@ def _is_triple(value: Sequence[object]) -> bool:
     return len(value) == 3 and type(value[0]) is int and type(value[1]) is str
 
 
-def _triple_in(found: list[object], _method: str) -> object:
-    if not _is_triple(found):
-        raise CompactRefused("an answer whose code or status has the wrong type")
-    return found
-
-
-def _raw_in(found: list[object], method: str) -> object:
-    (body,) = found
-    if not isinstance(body, bytes) or method != UNPARSED:
-        raise CompactRefused(f"a body of XML-RPC in the answer to {printable(method)}")
-    return Encoded(body)
-
-
-def _fault_in(found: list[object], _method: str) -> object:
-    code, reason = found
-    if type(code) is not int or not isinstance(reason, str):
-        raise CompactRefused("a fault whose code or text has the wrong type")
-    return Fault(code, printable(reason))
-
-
-def _value_in(found: list[object], _method: str) -> object:
-    (value,) = found
-    if isinstance(value, list) and _is_triple(value):
-        raise CompactRefused("an answer whose code and status are inside its value")
-    return value
-
-
-_Shape = tuple[int, int, Callable[[list[object], str], object]]
-"""How many items an answer has, how deep they are nested, and what is made of them."""
-
-_RAW: Final[_Shape] = (1, DEPTH_LIMIT, _raw_in)
-_SHAPES: Final[dict[int, _Shape]] = {
-    _TRIPLE: (3, DEPTH_LIMIT - 1, _triple_in),
-    _FAULT: (2, DEPTH_LIMIT, _fault_in),
-    _VALUE: (1, DEPTH_LIMIT, _value_in),
-}
-
-
 def _reader(data: bytes, limit: int) -> Reader:
     if len(data) > limit:
         raise CompactRefused(f"a unit of {len(data)} bytes where at most {limit} are allowed")
@@ -310,12 +279,9 @@ def _method(reader: Reader) -> str:
 
 
 class CallClient:
-    """`request`, `take` until it is not None, again.
+    """`request`, `take` until it is not None, again; `limit`: bytes of an answer.
 
-    Args:
-        host: of the peer, for HTTP.
-        limit: bytes of an answer.
-        compact: offer the compact form; only where units arrive as they were sent.
+    `compact`: offer the compact form; only where units arrive as they were sent.
     """
 
     def __init__(self, host: str, *, limit: int = BODY_LIMIT, compact: bool = True) -> None:
@@ -324,8 +290,7 @@ class CallClient:
         self._offers = compact
         self._method: str | None = None  # of the call that is not answered yet
         self._turn = 0
-        self.is_compact = False
-        """Whether units are exchanged."""
+        self.is_compact = False  # units are exchanged
 
     @property
     def closing(self) -> bool:
@@ -351,10 +316,7 @@ class CallClient:
         self._http.take_back()
 
     def take(self, data: bytes) -> object:
-        """The answer, when it is whole: a value, a `Fault`, or a body of XML-RPC that is `Encoded`.
-
-        None: it is not. See `value_in` and `body_of`.
-        """
+        """The answer, when it is whole: a value, a `Fault`, or a body of XML-RPC that is `Encoded`."""
         unit = self._received(data)
         if not isinstance(unit, bytes):
             return unit
@@ -393,7 +355,6 @@ class CallClient:
 
 
 def value_in(answer: object, limit: int = BODY_LIMIT) -> object:
-    """The value that was answered."""
     if isinstance(answer, Encoded):
         return xmlrpc.load_response(answer.body, limit=limit)
     if isinstance(answer, Fault):
@@ -411,19 +372,10 @@ def body_of(answer: object) -> bytes:
     return xmlrpc.dump_response(answer)
 
 
-_FIRST: Final = 0
-_OWN: Final = b"rossec."
-_XML_OWN: Final = b"<methodName>" + _OWN
-_HEAD: Final = 256  # bytes of an XML body in which its method is named
-_METHOD_AT: Final = 4  # where it is in nearly every unit
-
-
 class CallServer:
-    """`take`, `load`, `respond`, again.
+    """`take`, `load`, `respond`, again; `limit`: bytes of a call, and of an answer.
 
-    Args:
-        limit: bytes of a call, and of an answer.
-        compact: take the offer; only where units arrive as they were sent.
+    `compact`: take the offer; only where units arrive as they were sent.
     """
 
     __slots__ = ("_http", "_limit", "_takes_offers", "_turn", "answering", "is_compact")
@@ -432,11 +384,9 @@ class CallServer:
         self._http = HttpServer(limit=limit)
         self._limit = limit
         self._takes_offers = compact
-        self._turn = _FIRST
-        self.answering = False
-        """Whether a unit has to be answered before another one may come."""
-        self.is_compact = False
-        """Whether units are exchanged."""
+        self._turn = 0
+        self.answering = False  # a unit has to be answered before another one may come
+        self.is_compact = False  # units are exchanged
 
     @property
     def pending(self) -> bool:
@@ -459,12 +409,7 @@ class CallServer:
         return unit
 
     def load(self, request: bytes | Oversized, bound: int | None = None) -> Call:
-        """The call in a request.
-
-        Args:
-            request: what `take` returned.
-            bound: bytes that this caller may have parsed now, fewer than `limit`.
-        """
+        """The call that `take` returned; `bound`: bytes that this caller may have parsed now."""
         request = self._bounded(request, bound)
         if self.is_compact:
             return load_compact_call(request, self._turn, limit=self._limit)
@@ -507,7 +452,7 @@ class CallServer:
             if self.is_compact:
                 return unit
             self.is_compact = True
-            return http.switch() + unit
+            return SWITCH + unit
         body = xmlrpc.dump_response(value)
         if len(body) > self._limit:
             raise xmlrpc.too_long(len(body), self._limit)

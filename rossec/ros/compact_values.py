@@ -1,17 +1,11 @@
-"""Values of calls as deterministic CBOR (docs/spec/compact.md). Pure.
+"""Values of calls as deterministic CBOR, written and read strictly (docs/spec/compact.md). Pure.
 
 A value has exactly one encoding: shortest heads, doubles in eight bytes, members of a struct sorted
-by their encoded names. What XML-RPC cannot carry is refused here too: a parameter that one node
-sets in this form, another reads as XML. Instances, `Binary` and the like are what the standard
-library makes of them.
-
-The strict reader of the compact form's values (docs/spec/compact.md). Pure.
-
-One pass: a head that is not the shortest, a tag, an indefinite length, a member out of its order,
-a text that is not UTF-8 is refused where it stands, so what is read has one encoding and was sent
-in it. Only types of XML-RPC are built. It is read by hand, not by `cbor2`, which reads more than is
-allowed here: its values would have to be walked, encoded again and compared
-(docs/decisions/0045-compact-calls.md has the figures).
+by their encoded names; what is read otherwise is refused where it stands, in one pass. What XML-RPC
+cannot carry is refused here too: a parameter that one node sets in this form, another reads as XML.
+Instances, `Binary` and the like are what the standard library makes of them. It is read by hand, not
+by `cbor2`, which reads more than is allowed here: its values would have to be walked, encoded again
+and compared (docs/decisions/0045-compact-calls.md has the figures).
 """
 
 import math
@@ -21,6 +15,7 @@ import xmlrpc
 import xmlrpc.client
 from collections.abc import Callable, Generator, Iterable
 from datetime import datetime
+from operator import itemgetter
 from typing import Any, Final
 from xml.parsers import expat
 
@@ -33,6 +28,8 @@ ITEM_BYTES: Final = 16  # of a unit's limit for each value: no more of them fit 
 UINT, NEGATIVE, BYTES, TEXT, ARRAY, MAP = 0, 0x20, 0x40, 0x60, 0x80, 0xA0
 FALSE, TRUE, NULL, DOUBLE = b"\xf4", b"\xf5", b"\xf6", b"\xfb"
 INTS: Final = range(-(2**31), 2**31)
+STEP: Final = 1024  # values that are read at a time: about 1 ms
+MALFORMED: Final = (IndexError, UnicodeDecodeError)
 TIME_HEAD: Final = b"\xa1\x00\x71"  # {0: text of 17 bytes}: no struct has a number as a name
 UNCARRIED: Final = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
 """Characters that XML 1.0 has no form for."""
@@ -40,6 +37,12 @@ _CONTROL: Final = "a control character; send such text as bytes"
 NAN: Final = b"\xfb\x7f\xf8" + bytes(6)
 _TEXT_HEADS: Final = tuple(head(TEXT, size) for size in range(256))
 _UINTS: Final = tuple(head(UINT, number) for number in range(256))
+_WIDTHS: Final = {24: (1, 24), 25: (2, 1 << 8), 26: (4, 1 << 16)}  # bytes, and least value
+_INT_MAX: Final = 2**31 - 1
+_TIME_SIZE: Final = 17
+_TIME: Final = re.compile(rb"(\d{4})(\d\d)(\d\d)T(\d\d):(\d\d):(\d\d)")
+_TYPE: Final = 0xE0
+_TRUTH: Final = {FALSE: False, TRUE: True}
 
 
 class Pieces(list[bytes]):
@@ -58,11 +61,8 @@ def put(value: object, out: Pieces, depth: int = DEPTH_LIMIT) -> None:
     kind = type(value)
     if kind is str:
         out.append(encoded_text(value))  # type: ignore[arg-type]
-        return
-    writer = _WRITERS.get(kind)
-    if writer is None:
-        writer = _put_foreign
-    writer(value, out, depth)
+    else:
+        _WRITERS.get(kind, _put_foreign)(value, out, depth)
 
 
 def encoded(value: object, depth: int = DEPTH_LIMIT) -> bytes:
@@ -88,27 +88,11 @@ def encoded_number(value: int) -> bytes:
 
 
 def encode_ahead(value: EncodedList) -> EncodedList:
-    """Encode a list that will be sent often, in both forms, now rather than with an answer."""
+    # Encode a list that will be sent often, in both forms, now rather than with an answer.
     out = Pieces()
     _put_encoded(value, out, DEPTH_LIMIT)
     _ = value.text
     return value
-
-
-def _put_int(value: Any, out: Pieces, _depth: int) -> None:
-    out.append(encoded_number(value))
-
-
-def _put_bool(value: Any, out: Pieces, _depth: int) -> None:
-    out.append(TRUE if value else FALSE)
-
-
-def _put_float(value: Any, out: Pieces, _depth: int) -> None:
-    out.append(NAN if math.isnan(value) else struct.pack(">Bd", 0xFB, value))
-
-
-def _put_bytes(value: Any, out: Pieces, _depth: int) -> None:
-    out.append(head(BYTES, len(value)) + value)
 
 
 def _put_time(value: Any, out: Pieces, _depth: int) -> None:
@@ -146,8 +130,12 @@ def _put_encoded(value: Any, out: Pieces, depth: int) -> None:
 def _put_struct(value: Any, out: Pieces, depth: int) -> None:
     depth = _deeper(depth)
     out.append(head(MAP, len(value)))
-    members = [(encoded_text(_name(name)), below) for name, below in value.items()]
-    members.sort(key=_first)
+    members = []
+    for name, below in value.items():
+        if not isinstance(name, str):
+            raise TypeError("dictionary key must be string")
+        members.append((encoded_text(name), below))
+    members.sort(key=itemgetter(0))
     for name, below in members:
         out.append(name)
         put(below, out, depth)
@@ -164,42 +152,25 @@ def _put_foreign(value: object, out: Pieces, depth: int) -> None:
     put(plain, out, depth)
 
 
-def _first(member: tuple[bytes, object]) -> bytes:
-    return member[0]
-
-
-def _name(name: object) -> str:
-    if not isinstance(name, str):
-        raise TypeError("dictionary key must be string")
-    return name
-
-
 def _deeper(depth: int) -> int:
     if depth == 0:
         raise ValueError(f"values nested deeper than {DEPTH_LIMIT}")
     return depth - 1
 
 
+# Called with the value, the pieces it is put into, and how deep it may nest.
 _WRITERS: Final[dict[type, Callable[[Any, Pieces, int], None]]] = {
-    int: _put_int,
-    bool: _put_bool,
-    float: _put_float,
-    bytes: _put_bytes,
-    bytearray: _put_bytes,
+    int: lambda value, out, _: out.append(encoded_number(value)),
+    bool: lambda value, out, _: out.append(TRUE if value else FALSE),
+    float: lambda value, out, _: out.append(NAN if math.isnan(value) else struct.pack(">Bd", 0xFB, value)),
+    bytes: lambda value, out, _: out.append(head(BYTES, len(value)) + value),
+    bytearray: lambda value, out, _: out.append(head(BYTES, len(value)) + value),
     datetime: _put_time,
     list: _put_array,
     tuple: _put_array,
     dict: _put_struct,
     EncodedList: _put_encoded,
 }
-
-_WIDTHS: Final = {24: (1, 24), 25: (2, 1 << 8), 26: (4, 1 << 16)}  # bytes, and least value
-_INT_MAX: Final = 2**31 - 1
-_TIME_SIZE: Final = 17
-_TIME: Final = re.compile(rb"(\d{4})(\d\d)(\d\d)T(\d\d):(\d\d):(\d\d)")
-MALFORMED: Final = (IndexError, UnicodeDecodeError)
-_TYPE: Final = 0xE0
-STEP: Final = 1024  # values that are read at a time: about 1 ms
 
 
 class _Open:
@@ -296,11 +267,11 @@ class Reader:
         data, at = self._data, self.at
         major = data[at] & _TYPE
         if major == ARRAY:
-            inner = _Open(self._count(self.head(ARRAY)), _compactread_deeper(top.depth))
+            inner = _Open(self._count(self.head(ARRAY)), _inside(top.depth))
             top.put(inner.values)
             return inner
         if major == MAP and not data.startswith(TIME_HEAD, at):
-            inner = _Open(self.head(MAP), _compactread_deeper(top.depth), named=True)
+            inner = _Open(self.head(MAP), _inside(top.depth), named=True)
             top.put(inner.found)
             return inner
         top.put(_READERS[major >> 5](self, top.depth))
@@ -339,23 +310,11 @@ class Reader:
             raise CompactRefused("a unit that ends too early")
         return self._data[begin:end]
 
-    def _uint(self, _depth: int) -> int:
-        return _int32(self.head(0))
-
-    def _negative(self, _depth: int) -> int:
-        return ~_int32(self.head(NEGATIVE))
-
-    def _bytes(self, _depth: int) -> bytes:
-        return self._take(self.head(BYTES))
-
     def _text(self, _depth: int) -> str:
         text = str(self._take(self.head(TEXT)), "utf-8")
         if not text.isprintable():
             _check_text(text)
         return text
-
-    def _array(self, depth: int) -> list[object]:
-        return self.items(self.head(ARRAY), _compactread_deeper(depth))
 
     def _map(self, depth: int) -> object:
         if self._data.startswith(TIME_HEAD, self.at):
@@ -369,7 +328,7 @@ class Reader:
                 return datetime(year, month, day, hour, minute, second)  # noqa: DTZ001 - XML-RPC's have none
             except ValueError as error:
                 raise CompactRefused("a unit with a malformed time") from error
-        depth = _compactread_deeper(depth)
+        depth = _inside(depth)
         found: dict[str, object] = {}
         previous = b""
         for _ in range(self.head(MAP)):
@@ -393,26 +352,23 @@ class Reader:
         first = self._data[self.at : self.at + 1]
         self.at += 1
         if first == DOUBLE:
-            return self._double()
+            written = self._take(8)
+            value: float = struct.unpack(">d", written)[0]
+            if value != value and DOUBLE + written != NAN:  # noqa: PLR0124 - NaN alone differs
+                raise CompactRefused("a unit with a NaN that says more than that")
+            return value
         if first not in _TRUTH:
             raise CompactRefused("a unit with a value that XML-RPC does not have")
         return _TRUTH[first]
 
-    def _double(self) -> float:
-        written = self._take(8)
-        value: float = struct.unpack(">d", written)[0]
-        if value != value and DOUBLE + written != NAN:  # noqa: PLR0124 - NaN alone differs
-            raise CompactRefused("a unit with a NaN that says more than that")
-        return value
 
-
-_TRUTH: Final = {b"\xf4": False, b"\xf5": True}
+# Its own table, by the type in the three highest bits; called with the depth that is left.
 _READERS: Final[tuple[Callable[[Reader, int], object], ...]] = (
-    Reader._uint,  # noqa: SLF001 - its own table, by the type in the three highest bits
-    Reader._negative,  # noqa: SLF001
-    Reader._bytes,  # noqa: SLF001
+    lambda reader, _: _int32(reader.head(UINT)),
+    lambda reader, _: ~_int32(reader.head(NEGATIVE)),
+    lambda reader, _: reader._take(reader.head(BYTES)),  # noqa: SLF001
     Reader._text,  # noqa: SLF001
-    Reader._array,  # noqa: SLF001
+    lambda reader, depth: reader.items(reader.head(ARRAY), _inside(depth)),
     Reader._map,  # noqa: SLF001
     Reader._refuse,  # noqa: SLF001
     Reader._simple,  # noqa: SLF001
@@ -430,7 +386,7 @@ def _check_text(text: str) -> None:
         raise CompactRefused("a unit with a character that XML-RPC cannot carry")
 
 
-def _compactread_deeper(depth: int) -> int:
+def _inside(depth: int) -> int:
     if depth == 0:
         raise CompactRefused(f"a unit with values nested deeper than {DEPTH_LIMIT}")
     return depth - 1

@@ -3,14 +3,9 @@
 POST, one `Content-length`, keep-alive. Never chunked: roscpp's XmlRpc++ cannot read it, and two
 encodings of a length are ambiguous. Stricter than a general server may be (RFC 9112): no bare LF,
 no folded line, no repeated length, so that no two readers of one stream can disagree about where a
-request ends. Header and body limits are checked before a body byte is kept. Input is never
-echoed back. A request with `Origin` comes from a web page in a browser of this host, without its
-user's knowledge: refused. A general library costs 130 us a call here, more than the call itself;
-the tests compare this module with one.
-
-Where a message of HTTP ends: bytes in, heads and bodies out, one message at a time. Sans-IO.
-
-A length is checked before a byte of the body is kept. What the two sides make of a head: `http`.
+request ends. Header and body limits are checked before a body byte is kept. Input is never echoed
+back. A general library costs 130 us a call here, more than the call itself; the tests compare this
+module with one.
 """
 
 import re
@@ -25,6 +20,25 @@ HEADERS_LIMIT: Final = 8 * 1024
 DROP_LIMIT: Final = 64 * 1024 * 1024
 """Bytes of a body that are read although it is too long, only to answer so."""
 END: Final = b"\r\n\r\n"
+_REASONS: Final = {
+    400: b"Bad Request",
+    403: b"Forbidden",
+    405: b"Method Not Allowed",
+    411: b"Length Required",
+    413: b"Content Too Large",
+    431: b"Request Header Fields Too Large",
+}
+COMPACT: Final = b"rossec-cbor/1"
+"""What a connection may be switched to (RFC 9110 section 7.8): docs/spec/compact.md."""
+_OFFER: Final = b"\r\nConnection: Upgrade\r\nUpgrade: " + COMPACT
+SWITCH: Final = b"HTTP/1.1 101 Switching Protocols" + _OFFER + b"\r\n\r\n"
+_MAX_CACHED: Final = 512  # bytes of a head whose parsed form is cached
+_TOKEN: Final = rb"[!#$%&'*+.^_`|~0-9A-Za-z-]+"
+_REQUEST: Final = re.compile(rb"(%s) ([\x21-\x7e]+) HTTP/1\.([01])" % _TOKEN)
+_RESPONSE: Final = re.compile(rb"HTTP/1\.([01]) ([1-5][0-9]{2})(?: [\t\x20-\x7e\x80-\xff]*)?")
+_FIELD: Final = re.compile(rb"(%s):[ \t]*([\t\x20-\x7e\x80-\xff]*?)[ \t]*" % _TOKEN)
+_LENGTH: Final = re.compile(rb"[0-9]{1,18}")
+_ONCE: Final = (b"content-length", b"host", b"transfer-encoding")
 
 
 @dataclass(frozen=True)
@@ -39,7 +53,7 @@ class Oversized:
 
 
 class Reader:
-    """Bytes in, whole messages out, one at a time."""
+    # Bytes in, whole messages out, one at a time.
 
     def __init__(self, limit: int) -> None:
         self.limit = limit
@@ -123,27 +137,6 @@ class Reader:
             self._rest, self._rest_size = [], 0
 
 
-_REASONS: Final = {
-    400: b"Bad Request",
-    403: b"Forbidden",
-    405: b"Method Not Allowed",
-    411: b"Length Required",
-    413: b"Content Too Large",
-    431: b"Request Header Fields Too Large",
-}
-COMPACT: Final = b"rossec-cbor/1"
-"""What a connection may be switched to (RFC 9110 section 7.8): docs/spec/compact.md."""
-_OFFER: Final = b"\r\nConnection: Upgrade\r\nUpgrade: " + COMPACT
-_SWITCH: Final = b"HTTP/1.1 101 Switching Protocols" + _OFFER + b"\r\n\r\n"
-_MAX_CACHED: Final = 512  # bytes of a head whose parsed form is cached
-_TOKEN: Final = rb"[!#$%&'*+.^_`|~0-9A-Za-z-]+"
-_REQUEST: Final = re.compile(rb"(%s) ([\x21-\x7e]+) HTTP/1\.([01])" % _TOKEN)
-_RESPONSE: Final = re.compile(rb"HTTP/1\.([01]) ([1-5][0-9]{2})(?: [\t\x20-\x7e\x80-\xff]*)?")
-_FIELD: Final = re.compile(rb"(%s):[ \t]*([\t\x20-\x7e\x80-\xff]*?)[ \t]*" % _TOKEN)
-_LENGTH: Final = re.compile(rb"[0-9]{1,18}")
-_ONCE: Final = (b"content-length", b"host", b"transfer-encoding")
-
-
 class _Head(NamedTuple):
     minor: bytes
     fields: dict[bytes, bytes]
@@ -168,10 +161,8 @@ class HttpServer:
         self._reader = Reader(limit)
         self._answering = False
         self._last = False  # the current request asks to close the connection
-        self.is_offered = False
-        """The current request offers the compact form: it may be answered with `switch`."""
-        self.closing = False
-        """No more requests are accepted on this connection (HTTP/1.0, close, an error)."""
+        self.is_offered = False  # the current request may be answered with `SWITCH`
+        self.closing = False  # no more requests are accepted (HTTP/1.0, close, an error)
 
     @property
     def pending(self) -> bool:
@@ -199,10 +190,15 @@ class HttpServer:
         if self._answering or self.closing:
             return None
         if not self._reader.in_body:
-            head = self._reader.head()
-            if head is None:
+            data = self._reader.head()
+            if data is None:
                 return None
-            self._begin(head)
+            head = _request_head(data) if len(data) > _MAX_CACHED else _cached_request_head(data)
+            if head.length > self._reader.limit:
+                self._reader.drop(data, head.length)
+            else:
+                self._reader.expect(data, head.length)
+            self._last, self.is_offered = head.closes, head.offers
         body = self._reader.body()
         self._answering = body is not None
         return body
@@ -218,18 +214,6 @@ class HttpServer:
         self.closing = True
         reason = _REASONS[status]
         return _message(b"HTTP/1.1 %d %s" % (status, reason), reason + b"\n", close=True)
-
-    def _begin(self, data: bytes) -> None:
-        head = _request_head(data) if len(data) > _MAX_CACHED else _cached_request_head(data)
-        if head.length > self._reader.limit:
-            self._reader.drop(data, head.length)
-        else:
-            self._reader.expect(data, head.length)
-        self._last = head.closes
-        self.is_offered = head.offers
-
-    def switch(self) -> bytes:
-        return _SWITCH
 
 
 class _RequestHead(NamedTuple):
@@ -248,7 +232,7 @@ def _request_head(data: bytes) -> _RequestHead:
     head = _Head(request[3], _fields(rest))
     if head.minor == b"1" and b"host" not in head.fields:
         raise HttpRefused("malformed HTTP")
-    if b"origin" in head.fields:
+    if b"origin" in head.fields:  # from a browser of this host, without its user's knowledge
         raise HttpRefused("an HTTP request from a web page", status=403)
     offers = head.switches and not head.closes
     return _RequestHead(_length(head.fields), head.closes, offers)

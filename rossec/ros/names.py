@@ -1,14 +1,9 @@
-"""ROS names as programs write them: relative, private and global, resolved against a node's name.
+"""ROS names as programs write them, and a program's settings from command line and environment. Pure.
 
-The syntax of a complete name is `ca.names`'s; here is only the resolution, equal to
-`rosgraph.names` so that stock callers get the names they expect. Command line and environment are
-read in `rossec.ros.names`.
-
-The settings of a ROS program from its command line and environment, as one pure function.
-
-`name:=other` remaps, `_param:=value` sets a private parameter, `__name:=`, `__ns:=`, `__master:=`,
-`__ip:=` and `__hostname:=` are ROS's own. Common mistakes are refused here with their
-remedy, before they surface as "connection refused".
+Names are relative, private or global, resolved against a node's name. The syntax of a complete name
+is `ca.names`'s; here is only the resolution, equal to `rosgraph.names` so that stock callers get the
+names they expect. Common mistakes in settings are refused here with their remedy, before they
+surface as "connection refused".
 """
 
 import ipaddress
@@ -27,6 +22,11 @@ PRIVATE: Final = "~"
 ANY_TYPE: Final = "*"
 MASTER: Final = names.MASTER  # the name a domain's first master is certified for
 AUTHORITY: Final = "/ca"  # the name the authority's own node is certified for
+DEFAULT_MASTER_URI: Final = "http://localhost:11311"
+DEFAULT_PORT: Final = 11311
+DOOR_PATH: Final = "/via"  # of a slave API's URI that a relay serves
+_ASSIGN: Final = ":="
+_SPECIAL: Final = frozenset({"__name", "__ns", "__master", "__ip", "__hostname", "__log"})
 PRESENT_GRANTS: Final = "rossec.presentGrants"  # to the master, and to the slave API of a node
 REVOCATION_UPDATE: Final = "rossec.revocationUpdate"  # from the master to a node
 DOMAINS: Final = "rossec.domains"  # to the master
@@ -91,63 +91,67 @@ def search_paths(space: str, key: str) -> Iterator[tuple[str, str]]:
         yield join(prefix, first), join(prefix, key)
 
 
-def resolve_checked(name: str, node: str, remappings: Mapping[str, str] | None = None) -> str:
-    return check_name(resolve(name, node, remappings))
-
-
-DEFAULT_MASTER_URI: Final = "http://localhost:11311"
-DEFAULT_PORT: Final = 11311
-DOOR_PATH: Final = "/via"  # of a slave API's URI that a relay serves
-_ASSIGN: Final = ":="
-_SPECIAL: Final = frozenset({"__name", "__ns", "__master", "__ip", "__hostname", "__log"})
-
-
 @dataclass(frozen=True)
 class Settings:
-    """One program's settings.
+    """One program's settings."""
 
-    Attributes:
-        name: absolute name of the node.
-        master_uri, master_host, master_port: where the master is.
-        address: what the node registers (ROS_HOSTNAME, else ROS_IP), or None: find one.
-        ipv6: prefer IPv6 (ROS_IPV6=on).
-        remappings: resolved name -> resolved name.
-        parameters: private parameters by their resolved name, values as written.
-        arguments: what is left for the program itself.
-    """
-
-    name: str
-    master_uri: str
+    name: str  # absolute name of the node
+    master_uri: str  # master_uri, master_host, master_port: where the master is
     master_host: str
     master_port: int
-    address: str | None
-    ipv6: bool
-    remappings: Mapping[str, str] = field(default_factory=dict)
+    address: str | None  # what the node registers (ROS_HOSTNAME, else ROS_IP), or None: find one
+    ipv6: bool  # prefer IPv6 (ROS_IPV6=on)
+    remappings: Mapping[str, str] = field(default_factory=dict)  # resolved name -> resolved name
+    # private parameters by their resolved name, values as written
     parameters: Mapping[str, str] = field(default_factory=dict)
-    arguments: tuple[str, ...] = ()
+    arguments: tuple[str, ...] = ()  # what is left for the program itself
 
     def resolve(self, name: str) -> str:
         """The absolute, remapped form of a name the program uses."""
-        return resolve_checked(name, self.name, self.remappings)
+        return check_name(resolve(name, self.name, self.remappings))
 
 
 def read(argv: Sequence[str], environ: Mapping[str, str], *, default_name: str) -> Settings:
-    assignments, arguments = _split(argv)
+    # 1. Assignments (`__name:=` and the like are ROS's own), and what is left for the program.
+    assignments: list[tuple[str, str]] = []
+    arguments: list[str] = []
+    for argument in argv:
+        key, found, value = argument.partition(_ASSIGN)
+        if not found:
+            arguments.append(argument)
+            continue
+        key, value = key.strip(), value.strip()
+        if not key or not value:
+            raise ConfigurationError(
+                f"the argument {argument!r} lacks a side of ':='", "write it without spaces: from:=to"
+            )
+        if key.startswith("__") and key not in _SPECIAL:
+            known = ", ".join(sorted(_SPECIAL))
+            raise ConfigurationError(
+                f"the argument {argument!r} is not one of ROS's own", f"ROS knows {known}"
+            )
+        assignments.append((key, value))
+    # 2. The node, its master and its address.
     special = {key: value for key, value in assignments if key.startswith("__")}
     name = _node_name(special, environ, default_name)
     uri = special.get("__master", environ.get("ROS_MASTER_URI", DEFAULT_MASTER_URI))
     host, port = parse_uri(uri, "ROS_MASTER_URI")
-    return Settings(
-        name=name,
-        master_uri=uri,
-        master_host=host,
-        master_port=port,
-        address=_address(special, environ),
-        ipv6=_ipv6(environ),
-        remappings=_remappings(assignments, name),
-        parameters=_parameters(assignments, name),
-        arguments=arguments,
-    )
+    address = _address(special, environ)
+    ipv6 = environ.get("ROS_IPV6", "off")
+    if ipv6 not in ("on", "off", ""):
+        raise ConfigurationError(f"ROS_IPV6 is {ipv6!r}", "ROS knows only on and off")
+    # 3. Private parameters, `_param:=value`; all else remaps.
+    remappings = {
+        _checked(resolve(key, name), "a remapped name"): _checked(resolve(value, name), "a remapped name")
+        for key, value in assignments
+        if not key.startswith("_")
+    }
+    parameters = {
+        _checked(resolve(PRIVATE + key[1:], name), "a parameter"): value
+        for key, value in assignments
+        if key.startswith("_") and not key.startswith("__")
+    }
+    return Settings(name, uri, host, port, address, ipv6 == "on", remappings, parameters, tuple(arguments))
 
 
 def own_address(environ: Mapping[str, str]) -> str | None:
@@ -208,30 +212,6 @@ def is_loopback(host: str) -> bool:
         return host.lower() == "localhost"
 
 
-def _split(argv: Sequence[str]) -> tuple[list[tuple[str, str]], tuple[str, ...]]:
-    assignments: list[tuple[str, str]] = []
-    rest: list[str] = []
-    for argument in argv:
-        key, found, value = argument.partition(_ASSIGN)
-        if not found:
-            rest.append(argument)
-        else:
-            assignments.append(_assignment(argument, key.strip(), value.strip()))
-    return assignments, tuple(rest)
-
-
-def _assignment(argument: str, key: str, value: str) -> tuple[str, str]:
-    if not key or not value:
-        raise ConfigurationError(
-            f"the argument {argument!r} lacks a side of ':='", "write it without spaces: from:=to"
-        )
-    if key.startswith("__") and key not in _SPECIAL:
-        raise ConfigurationError(
-            f"the argument {argument!r} is not one of ROS's own", "ROS knows " + ", ".join(sorted(_SPECIAL))
-        )
-    return key, value
-
-
 def _node_name(special: Mapping[str, str], environ: Mapping[str, str], default: str) -> str:
     inherited, _, base = default.rpartition(SEPARATOR)
     base = special.get("__name", base)
@@ -276,29 +256,6 @@ def _is_ip(value: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _ipv6(environ: Mapping[str, str]) -> bool:
-    value = environ.get("ROS_IPV6", "off")
-    if value not in ("on", "off", ""):
-        raise ConfigurationError(f"ROS_IPV6 is {value!r}", "ROS knows only on and off")
-    return value == "on"
-
-
-def _remappings(assignments: Sequence[tuple[str, str]], node: str) -> dict[str, str]:
-    return {
-        _checked(resolve(key, node), "a remapped name"): _checked(resolve(value, node), "a remapped name")
-        for key, value in assignments
-        if not key.startswith("_")
-    }
-
-
-def _parameters(assignments: Sequence[tuple[str, str]], node: str) -> dict[str, str]:
-    return {
-        _checked(resolve(PRIVATE + key[1:], node), "a parameter"): value
-        for key, value in assignments
-        if key.startswith("_") and not key.startswith("__")
-    }
 
 
 def _checked(name: str, what: str) -> str:

@@ -1,20 +1,11 @@
-"""TCPROS connection headers and message frames, as bytes.
+"""TCPROS connection headers, message frames and service calls, as bytes. Pure.
 
-Both are length-prefixed, little endian, 32 bits: a header is a frame whose content is a sequence
-of length-prefixed `key=value` fields. Every length is compared with its limit when its fourth byte
-arrives, before anything is allocated for it (stock roscpp allows a gigabyte, rospy any header).
-A reader that refused a frame refuses all that follow: the frame boundaries are lost.
-
-Messages from a byte stream; an incomplete one must make progress. Pure.
-
-Units need not end where messages do: a sidecar forwards what its program writes. So the rule for a
-unit (`progress`) applies to a message as well.
-
-Service calls on the wire, after the connection headers: requests and responses as bytes.
-
-A request is a frame. A response is the byte 1 and a frame, or the byte 0 and a frame that holds the
-reason as text. Client and server alternate: more than one frame at a time is a protocol
-error, so readers use `FrameReader.feed_one`.
+All are length-prefixed, little endian, 32 bits: a header is a frame whose content is a sequence of
+length-prefixed `key=value` fields, a service's request is a frame, its response the byte 1 and a
+frame, or the byte 0 and a frame that holds the reason as text. Every length is compared with its
+limit when its fourth byte arrives, before anything is allocated for it (stock roscpp allows a
+gigabyte, rospy any header). A reader that refused a frame refuses all that follow: the frame
+boundaries are lost.
 """
 
 import struct
@@ -25,19 +16,30 @@ from rossec.errors import FrameRefused, HeaderRefused, ServiceFailed
 from rossec.peer_limits import STEP, Progress, printable
 
 HEADER_LIMIT: Final = 64 * 1024
-FIELD_LIMIT: Final = (
-    48 * 1024
-)  # below the header limit, to leave room for other fields: definitions reach 20 kB
+FIELD_LIMIT: Final = 48 * 1024  # below that limit, to leave room for other fields: definitions reach 20 kB
 MESSAGE_LIMIT: Final = 64 * 1024 * 1024
-_ERROR_TEXT_LIMIT: Final = 1024
+REQUEST_LIMIT: Final = 16 * 1024 * 1024
+PATIENCE: Final = float(STEP)
+"""How long to wait for more of a message before `Framing.check_progress`, in seconds."""
+_ERROR_TEXT_LIMIT: Final = 1024  # of a header
+_ERROR_LIMIT: Final = 4096  # of a service
 _LENGTH: Final = struct.Struct("<I")
+_OK: Final = b"\1"
+_FAILED: Final = b"\0"
+
+Buffer = bytes | bytearray | memoryview
 
 
 def encode(fields: Mapping[str, str | bytes], *, limit: int = HEADER_LIMIT) -> bytes:
-    body = b"".join(_encode_field(key, value) for key, value in fields.items())
+    body = b""
+    for key, value in fields.items():
+        if not key or "=" in key or not key.isascii():
+            raise HeaderRefused(f"{key!r} cannot be the key of a header field")
+        raw = value.encode() if isinstance(value, str) else value
+        body += frame(key.encode() + b"=" + raw)
     if len(body) > limit:
         raise HeaderRefused(f"a connection header of {len(body)} bytes, at most {limit} allowed")
-    return _LENGTH.pack(len(body)) + body
+    return frame(body)
 
 
 def decode(body: bytes, *, limit: int = HEADER_LIMIT, field_limit: int = FIELD_LIMIT) -> dict[str, bytes]:
@@ -46,8 +48,23 @@ def decode(body: bytes, *, limit: int = HEADER_LIMIT, field_limit: int = FIELD_L
     fields: dict[str, bytes] = {}
     position = 0
     while position < len(body):
-        field, position = _take_field(body, position, field_limit)
-        key, value = _split_field(field)
+        # 1. The length of a field.
+        start = position + _LENGTH.size
+        if start > len(body):
+            raise HeaderRefused("a header that ends inside a length")
+        length: int = _LENGTH.unpack_from(body, position)[0]
+        if length > field_limit:
+            raise HeaderRefused(f"a header field of {length} bytes, at most {field_limit} allowed")
+        position = start + length
+        if position > len(body):
+            raise HeaderRefused("a header field that reaches beyond its header")
+        # 2. Its key and value.
+        raw, separator, value = body[start:position].partition(b"=")
+        if not separator:
+            raise HeaderRefused("a header field without '='")
+        if not raw or not raw.isascii():
+            raise HeaderRefused("a header field whose key is empty or not ASCII")
+        key = raw.decode()
         if key in fields:
             raise HeaderRefused(f"the header field {key!r} appears twice")
         fields[key] = value
@@ -75,19 +92,14 @@ def frame(message: bytes) -> bytes:
 
 
 class FrameReader:
-    """Splits a byte stream into frames.
-
-    Args:
-        limit: largest frame content, in bytes.
-        first: another limit for the first frame, the connection header.
-        lead: bytes before the length of every frame but a header (a service reply's `ok` byte);
-            they stay in front of the frame's content.
-    """
+    """Splits a byte stream into frames."""
 
     def __init__(self, limit: int = MESSAGE_LIMIT, *, first: int | None = None, lead: int = 0) -> None:
         self._buffer = bytearray()
-        self._limit = limit
-        self._first = first
+        self._limit = limit  # largest frame content, in bytes
+        self._first = first  # another limit for the first frame, the connection header
+        # bytes before the length of every frame but a header (a service reply's `ok` byte); they stay in
+        # front of the frame's content
         self._lead = lead
         self._refusal: str | None = None
 
@@ -159,43 +171,11 @@ class FrameReader:
         return FrameRefused(reason)
 
 
-def _encode_field(key: str, value: str | bytes) -> bytes:
-    if not key or "=" in key or not key.isascii():
-        raise HeaderRefused(f"{key!r} cannot be the key of a header field")
-    raw = value.encode() if isinstance(value, str) else value
-    field = key.encode() + b"=" + raw
-    return _LENGTH.pack(len(field)) + field
-
-
-def _take_field(body: bytes, position: int, limit: int) -> tuple[bytes, int]:
-    start = position + _LENGTH.size
-    if start > len(body):
-        raise HeaderRefused("a header that ends inside a length")
-    length: int = _LENGTH.unpack_from(body, position)[0]
-    if length > limit:
-        raise HeaderRefused(f"a header field of {length} bytes, at most {limit} allowed")
-    if start + length > len(body):
-        raise HeaderRefused("a header field that reaches beyond its header")
-    return body[start : start + length], start + length
-
-
-def _split_field(field: bytes) -> tuple[str, bytes]:
-    key, separator, value = field.partition(b"=")
-    if not separator:
-        raise HeaderRefused("a header field without '='")
-    if not key or not key.isascii():
-        raise HeaderRefused("a header field whose key is empty or not ASCII")
-    return key.decode(), value
-
-
-PATIENCE: Final = float(STEP)
-"""How long to wait for more of a message before `Framing.check_progress`, in seconds."""
-
-
 class Framing:
-    """Splits a byte stream into messages, and refuses one that takes too long.
+    """Splits a byte stream into messages, and refuses one that takes too long (`Progress`).
 
-    `now` is in seconds, of any clock.
+    Units need not end where messages do: a sidecar forwards what its program writes. So the rule
+    for a unit applies to a message as well. `now` is in seconds, of any clock.
     """
 
     def __init__(self, reader: FrameReader) -> None:
@@ -207,7 +187,6 @@ class Framing:
         return self._reader.pending > 0
 
     def feed(self, data: bytes | memoryview, now: int) -> list[bytes]:
-        """All messages that `data` completes."""
         messages = self._reader.feed(data)
         if messages:
             self._progress.done()
@@ -223,17 +202,12 @@ class Framing:
         return message
 
     def check_progress(self, now: int) -> None:
-        """Check that an incomplete message grows."""
         if self._reader.pending > 0:
             self._progress.check(now, self._reader.pending)
 
 
-REQUEST_LIMIT: Final = 16 * 1024 * 1024
-_ERROR_LIMIT: Final = 4096
-_OK: Final = b"\1"
-_FAILED: Final = b"\0"
-
-Buffer = bytes | bytearray | memoryview
+# Client and server alternate: more than one frame at a time is a protocol error, so readers of services
+# use `FrameReader.feed_one`.
 
 
 def request_reader() -> FrameReader:

@@ -1,20 +1,10 @@
-"""XML-RPC calls and responses as bytes, and ROS's `[code, status, value]` convention.
+"""XML-RPC calls and responses as bytes, and ROS's `[code, status, value]` convention. Pure.
 
 The standard library marshals. What it lacks is here: a size limit before the parse, no document
 type and no entity (the billion-laughs bomb needs both), a bound on nesting (values are walked
-recursively later), UTF-8 only, and one class of error for all failures.
-Values are what XML-RPC has: bool, int, float, str, bytes, datetime, list, dict with str keys.
-
-XML-RPC calls and responses, encoded as by the standard library, but faster. Pure.
-
-The text is exactly the library's: the tests compare the two. Rare types (doubles, times, structs,
-base64) are left to the library itself.
-
-The fast path for an XML-RPC body: the plain form of nearly every call. Pure.
-
-Plain means ASCII, no attributes, entities, comments or sections, and only the elements below, each
-in its place. For anything else, errors included, `scan` returns None, and the XML parser decides.
-So this module can only be faster than the parser, never more lenient: the tests compare the two.
+recursively later), UTF-8 only, and one class of error for all failures. Values are what XML-RPC has:
+bool, int, float, str, bytes, datetime, list, dict with str keys. The usual ones are written and read
+without the library, which is slower; the tests compare the two.
 """
 
 import binascii
@@ -28,72 +18,24 @@ from xml.parsers import expat
 from rossec.errors import AnswerMalformed, AnswerRefused, XmlRpcRefused
 from rossec.peer_limits import printable
 
+Fault = xmlrpc.client.Fault  # What a server answers when there is no value: `Fault(faultCode, faultString)`
+
+FAULT_CODE: Final = 1  # the only one stock ROS uses
+BODY_LIMIT: Final = 4 * 1024 * 1024  # as XML, some 30,000 parameters
+STEP: Final = 16 * 1024  # bytes of XML that are parsed at a time: 1 to 4 ms
+_MARKUP_LIMIT: Final = 64 * 1024  # of one tag or comment, which expat reads again with each step
+DEPTH_LIMIT: Final = 40  # nested arrays and structs; stock parameter trees stay below ten
+_TAGS_PER_LEVEL: Final = 3  # value, array, data; or value, struct, member
+_TAGS_AROUND: Final = 6
+METHOD_LIMIT: Final = 256
+NOT_ENCODABLE: Final = (TypeError, OverflowError, ValueError, RecursionError)
+ResultT = TypeVar("ResultT")
 _PROLOG: Final = "<?xml version='1.0'?>\n"
 _BEGIN: Final = f"{_PROLOG}<methodResponse>\n<params>\n<param>\n"
 _END: Final = "</param>\n</params>\n</methodResponse>\n"
 _ONE: Final = len("<params>\n<param>\n"), -len("</param>\n</params>\n")
 _INTS: Final = range(-(2**31), 2**31)
-
-
-class EncodedList(list[object]):
-    """A list that keeps its encodings; it must not change any more.
-
-    Attributes:
-        compact: the other form's encoding, if it was made, of `pieces` values
-            (`rossec.ros.compact_values`).
-    """
-
-    __slots__ = ("_text", "compact", "pieces")
-
-    def __init__(self, items: list[object]) -> None:
-        super().__init__(items)
-        self._text: str | None = None
-        self.compact: bytes | None = None
-        self.pieces = 0
-
-    @property
-    def text(self) -> str:
-        """The value element."""
-        if self._text is None:
-            self._text = _array(self)
-        return self._text
-
-
-def call_text(method: str, params: Iterable[object]) -> str:
-    written = "".join([f"<param>\n{_value(param)}</param>\n" for param in params])
-    head = f"{_PROLOG}<methodCall>\n<methodName>{method}</methodName>\n"
-    return f"{head}<params>\n{written}</params>\n</methodCall>\n"
-
-
-def response_text(value: object) -> str:
-    return f"{_BEGIN}{_value(value)}{_END}"
-
-
-def _value(value: object) -> str:
-    kind = type(value)
-    if kind is str:
-        return string_text(value)  # type: ignore[arg-type]
-    if kind is int and value in _INTS:
-        return f"<value><int>{value}</int></value>\n"
-    if kind is EncodedList:
-        return value.text  # type: ignore[attr-defined,no-any-return]
-    if kind is list or kind is tuple:
-        return _array(value)  # type: ignore[arg-type]
-    begin, end = _ONE
-    return xmlrpc.client.dumps((value,))[begin:end]  # type: ignore[arg-type]
-
-
-def _array(items: "list[object] | tuple[object, ...]") -> str:
-    return f"<value><array><data>\n{''.join(map(_value, items))}</data></array></value>\n"
-
-
-def string_text(text: str) -> str:
-    if "&" in text or "<" in text or ">" in text:
-        text = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
-    return f"<value><string>{text}</string></value>\n"
-
-
-_XMLSCAN_PROLOG: Final = re.compile(
+_SCANNED_PROLOG: Final = re.compile(
     r"(?:<\?xml version=(['\"])1\.0\1(?: encoding=(['\"])(?i:utf-8)\2)?\s?\?>\s*)?", re.ASCII
 )
 # The text excludes what has a meaning in XML ('<', '&', ']]>') and what XML forbids.
@@ -113,181 +55,6 @@ _TRUTH: Final = {"0": False, "1": True}
 Tokens = Iterator[tuple[str, str]]
 
 
-class Body(NamedTuple):
-    params: tuple[object, ...]
-    method: str | None
-    root: str | None
-
-
-class _NotPlainError(Exception):
-    pass
-
-
-def scan(data: bytes, depth: int) -> Body | None:
-    """The content of the body `data`; None: not plain, or nested deeper than `depth`."""
-    try:
-        text = data.decode("ascii")
-        flat = _FLAT.fullmatch(text)
-        if flat is not None:
-            values = tuple([_SCALARS[kind](part) for kind, part in _FLAT_VALUE.findall(flat[3])])
-            return Body(values, flat[2], "methodCall")
-        prolog = _XMLSCAN_PROLOG.match(text)
-        begin = 0 if prolog is None else prolog.end()
-        pairs = _TOKEN.findall(text, begin)
-        if begin + sum(len(tag) + len(rest) + 2 for tag, rest in pairs) != len(text):
-            return None  # some text is not part of a token
-        tokens = iter(pairs)
-        body = _body(tokens, depth)
-        return body if next(tokens, None) is None else None
-    except (_NotPlainError, StopIteration, ValueError):
-        return None
-
-
-def _body(tokens: Tokens, depth: int) -> Body:
-    root = _tag(tokens)
-    method = None
-    if root == "methodCall":
-        tag, text = next(tokens)
-        if tag != "methodName":
-            raise _NotPlainError
-        method = _string(text)
-        _expect(tokens, "/methodName")
-    elif root != "methodResponse":
-        raise _NotPlainError
-    _expect(tokens, "params")
-    params: list[object] = []
-    while (tag := _tag(tokens)) == "param":
-        params.append(_xmlscan_value(tokens, depth))
-        _expect(tokens, "/param")
-    if tag != "/params":
-        raise _NotPlainError
-    _expect(tokens, f"/{root}")
-    return Body(tuple(params), method, root)
-
-
-def _xmlscan_value(tokens: Tokens, depth: int) -> object:
-    tag, text = next(tokens)
-    if tag != "value":
-        raise _NotPlainError
-    return _typed(tokens, text, depth)
-
-
-def _typed(tokens: Tokens, outer: str, depth: int) -> object:
-    tag, text = next(tokens)
-    if tag == "/value":  # no type: a string
-        _check_blank(text)
-        return _string(outer)
-    _check_blank(outer)
-    scalar = _SCALARS.get(tag)
-    if scalar is not None:
-        value = scalar(text)
-        _expect(tokens, f"/{tag}")
-    else:
-        _check_blank(text)
-        value = _tree(tokens, tag, depth - 1)
-    _expect(tokens, "/value")
-    return value
-
-
-def _tree(tokens: Tokens, tag: str, depth: int) -> object:
-    if depth < 0:
-        raise _NotPlainError
-    if tag == "array":
-        return _xmlscan_array(tokens, depth)
-    if tag == "struct":
-        return _struct(tokens, depth)
-    raise _NotPlainError
-
-
-def _xmlscan_array(tokens: Tokens, depth: int) -> list[object]:
-    _expect(tokens, "data")
-    values: list[object] = []
-    while True:
-        tag, text = next(tokens)
-        if tag == "/data":
-            _check_blank(text)
-            _expect(tokens, "/array")
-            return values
-        if tag != "value":
-            raise _NotPlainError
-        values.append(_typed(tokens, text, depth))
-
-
-def _struct(tokens: Tokens, depth: int) -> dict[str, object]:
-    values: dict[str, object] = {}
-    while (tag := _tag(tokens)) == "member":
-        name, text = next(tokens)
-        if name != "name":
-            raise _NotPlainError
-        key = _string(text)
-        _expect(tokens, "/name")
-        values[key] = _xmlscan_value(tokens, depth)
-        _expect(tokens, "/member")
-    if tag != "/struct":
-        raise _NotPlainError
-    return values
-
-
-def _string(text: str) -> str:
-    if "\r" in text:  # XML reads a line feed
-        raise _NotPlainError
-    return text
-
-
-def _int(text: str) -> int:
-    if _INT.fullmatch(text) is None:
-        raise _NotPlainError
-    return int(text)
-
-
-def _boolean(text: str) -> bool:
-    if text not in _TRUTH:
-        raise _NotPlainError
-    return _TRUTH[text]
-
-
-_SCALARS: Final[dict[str, Callable[[str], object]]] = {
-    "": _string,
-    "string": _string,
-    "int": _int,
-    "i4": _int,
-    "boolean": _boolean,
-    "double": float,
-    "base64": binascii.a2b_base64,
-}
-
-
-def _tag(tokens: Tokens) -> str:
-    tag, text = next(tokens)
-    _check_blank(text)
-    return tag
-
-
-def _expect(tokens: Tokens, wanted: str) -> None:
-    tag, text = next(tokens)
-    if tag != wanted or (text and not text.isspace()):
-        raise _NotPlainError
-
-
-def _check_blank(text: str) -> None:
-    if text and not text.isspace():
-        raise _NotPlainError
-
-
-Fault = xmlrpc.client.Fault
-"""What a server answers when there is no value: `Fault(faultCode, faultString)`."""
-
-FAULT_CODE: Final = 1  # the only one stock ROS uses
-BODY_LIMIT: Final = 4 * 1024 * 1024  # as XML, some 30,000 parameters
-STEP: Final = 16 * 1024  # bytes of XML that are parsed at a time: 1 to 4 ms
-_MARKUP_LIMIT: Final = 64 * 1024  # of one tag or comment, which expat reads again with each step
-DEPTH_LIMIT: Final = 40  # nested arrays and structs; stock parameter trees stay below ten
-_TAGS_PER_LEVEL: Final = 3  # value, array, data; or value, struct, member
-_TAGS_AROUND: Final = 6
-METHOD_LIMIT: Final = 256
-NOT_ENCODABLE: Final = (TypeError, OverflowError, ValueError, RecursionError)
-
-
 class Call(NamedTuple):
     """A method name and its positional parameters."""
 
@@ -299,6 +66,36 @@ class Encoded(NamedTuple):
     """A response that is encoded already, or used as such: `dump_response` returns it as it is."""
 
     body: bytes
+
+
+class EncodedList(list[object]):
+    """A list that keeps its encodings; it must not change any more."""
+
+    __slots__ = ("_text", "compact", "pieces")
+
+    def __init__(self, items: list[object]) -> None:
+        super().__init__(items)
+        self._text: str | None = None
+        # the other form's encoding, if it was made, of `pieces` values (`rossec.ros.compact_values`)
+        self.compact: bytes | None = None
+        self.pieces = 0
+
+    @property
+    def text(self) -> str:
+        """The value element."""
+        if self._text is None:
+            self._text = _array(self)
+        return self._text
+
+
+class Body(NamedTuple):
+    params: tuple[object, ...]
+    method: str | None
+    root: str | None
+
+
+class _NotPlainError(Exception):
+    pass
 
 
 def dump_call(method: str, params: Sequence[object]) -> bytes:
@@ -358,9 +155,6 @@ def _value_in(body: Body) -> object:
     return params[0]
 
 
-ResultT = TypeVar("ResultT")
-
-
 def run_out(steps: Generator[None, None, ResultT]) -> ResultT:
     try:
         while True:
@@ -405,6 +199,190 @@ def _check_size(data: bytes, limit: int) -> None:
 def _body_steps(data: bytes) -> Generator[None, None, Body]:
     plain = scan(data, DEPTH_LIMIT) if len(data) <= STEP else None
     return plain or (yield from _parse(data))
+
+
+# Written exactly as the library does it; rare types (doubles, times, structs, base64) are left to it.
+
+
+def call_text(method: str, params: Iterable[object]) -> str:
+    written = "".join([f"<param>\n{_value(param)}</param>\n" for param in params])
+    head = f"{_PROLOG}<methodCall>\n<methodName>{method}</methodName>\n"
+    return f"{head}<params>\n{written}</params>\n</methodCall>\n"
+
+
+def response_text(value: object) -> str:
+    return f"{_BEGIN}{_value(value)}{_END}"
+
+
+def _value(value: object) -> str:
+    kind = type(value)
+    if kind is str:
+        return string_text(value)  # type: ignore[arg-type]
+    if kind is int and value in _INTS:
+        return f"<value><int>{value}</int></value>\n"
+    if kind is EncodedList:
+        return value.text  # type: ignore[attr-defined,no-any-return]
+    if kind is list or kind is tuple:
+        return _array(value)  # type: ignore[arg-type]
+    begin, end = _ONE
+    return xmlrpc.client.dumps((value,))[begin:end]  # type: ignore[arg-type]
+
+
+def _array(items: "list[object] | tuple[object, ...]") -> str:
+    return f"<value><array><data>\n{''.join(map(_value, items))}</data></array></value>\n"
+
+
+def string_text(text: str) -> str:
+    if "&" in text or "<" in text or ">" in text:
+        text = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    return f"<value><string>{text}</string></value>\n"
+
+
+# The fast path for a body: the plain form of nearly every call. Plain means ASCII, no attributes,
+# entities, comments or sections, and only the elements below, each in its place. For anything else,
+# errors included, `scan` returns None, and the XML parser decides: this can only be faster than the
+# parser, never more lenient.
+def scan(data: bytes, depth: int) -> Body | None:
+    """The content of the body `data`; None: not plain, or nested deeper than `depth`."""
+    try:
+        text = data.decode("ascii")
+        flat = _FLAT.fullmatch(text)
+        if flat is not None:
+            values = tuple([_SCALARS[kind](part) for kind, part in _FLAT_VALUE.findall(flat[3])])
+            return Body(values, flat[2], "methodCall")
+        prolog = _SCANNED_PROLOG.match(text)
+        begin = 0 if prolog is None else prolog.end()
+        pairs = _TOKEN.findall(text, begin)
+        if begin + sum(len(tag) + len(rest) + 2 for tag, rest in pairs) != len(text):
+            return None  # some text is not part of a token
+        tokens = iter(pairs)
+        body = _body(tokens, depth)
+        return body if next(tokens, None) is None else None
+    except (_NotPlainError, StopIteration, ValueError):
+        return None
+
+
+def _body(tokens: Tokens, depth: int) -> Body:
+    root = _tag(tokens)
+    method = None
+    if root == "methodCall":
+        tag, text = next(tokens)
+        if tag != "methodName":
+            raise _NotPlainError
+        method = _string(text)
+        _expect(tokens, "/methodName")
+    elif root != "methodResponse":
+        raise _NotPlainError
+    _expect(tokens, "params")
+    params: list[object] = []
+    while (tag := _tag(tokens)) == "param":
+        params.append(_scanned_value(tokens, depth))
+        _expect(tokens, "/param")
+    if tag != "/params":
+        raise _NotPlainError
+    _expect(tokens, f"/{root}")
+    return Body(tuple(params), method, root)
+
+
+def _scanned_value(tokens: Tokens, depth: int) -> object:
+    tag, text = next(tokens)
+    if tag != "value":
+        raise _NotPlainError
+    return _typed(tokens, text, depth)
+
+
+def _typed(tokens: Tokens, outer: str, depth: int) -> object:
+    tag, text = next(tokens)
+    if tag == "/value":  # no type: a string
+        _check_blank(text)
+        return _string(outer)
+    _check_blank(outer)
+    scalar = _SCALARS.get(tag)
+    if scalar is not None:
+        value = scalar(text)
+        _expect(tokens, f"/{tag}")
+    elif depth > 0 and tag in ("array", "struct"):
+        _check_blank(text)
+        value = _scanned_array(tokens, depth - 1) if tag == "array" else _struct(tokens, depth - 1)
+    else:
+        raise _NotPlainError
+    _expect(tokens, "/value")
+    return value
+
+
+def _scanned_array(tokens: Tokens, depth: int) -> list[object]:
+    _expect(tokens, "data")
+    values: list[object] = []
+    while True:
+        tag, text = next(tokens)
+        if tag == "/data":
+            _check_blank(text)
+            _expect(tokens, "/array")
+            return values
+        if tag != "value":
+            raise _NotPlainError
+        values.append(_typed(tokens, text, depth))
+
+
+def _struct(tokens: Tokens, depth: int) -> dict[str, object]:
+    values: dict[str, object] = {}
+    while (tag := _tag(tokens)) == "member":
+        name, text = next(tokens)
+        if name != "name":
+            raise _NotPlainError
+        key = _string(text)
+        _expect(tokens, "/name")
+        values[key] = _scanned_value(tokens, depth)
+        _expect(tokens, "/member")
+    if tag != "/struct":
+        raise _NotPlainError
+    return values
+
+
+def _string(text: str) -> str:
+    if "\r" in text:  # XML reads a line feed
+        raise _NotPlainError
+    return text
+
+
+def _int(text: str) -> int:
+    if _INT.fullmatch(text) is None:
+        raise _NotPlainError
+    return int(text)
+
+
+def _boolean(text: str) -> bool:
+    if text not in _TRUTH:
+        raise _NotPlainError
+    return _TRUTH[text]
+
+
+_SCALARS: Final[dict[str, Callable[[str], object]]] = {
+    "": _string,
+    "string": _string,
+    "int": _int,
+    "i4": _int,
+    "boolean": _boolean,
+    "double": float,
+    "base64": binascii.a2b_base64,
+}
+
+
+def _tag(tokens: Tokens) -> str:
+    tag, text = next(tokens)
+    _check_blank(text)
+    return tag
+
+
+def _expect(tokens: Tokens, wanted: str) -> None:
+    tag, text = next(tokens)
+    if tag != wanted or (text and not text.isspace()):
+        raise _NotPlainError
+
+
+def _check_blank(text: str) -> None:
+    if text and not text.isspace():
+        raise _NotPlainError
 
 
 def _parse(data: bytes) -> Generator[None, None, Body]:

@@ -44,7 +44,7 @@ async def test_f1_a_check_that_crashes_admits_no_caller(
                 with contextlib.suppress(RossecError, xmlrpc.Fault):
                     assert (await eve(method, *params))[0] == -1
         assert not list(site.master.state.registry.nodes())
-        assert not site.master._effects.stopping.is_set()
+        assert not site.master.effects.stopping.is_set()
     async with caller(site, EVE) as eve:
         assert (await eve("hasParam", "/p"))[2] is False
 

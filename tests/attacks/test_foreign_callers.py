@@ -122,7 +122,7 @@ async def test_an_older_list_of_its_domain_revives_nobody(world: VisitWorld) -> 
     old = world.hospital.word()
     world.take(world.robot)
     with pytest.raises(Exception, match="older"):
-        world.server._effects.take_foreign(HOSPITAL, *old)
+        world.server.effects.take_foreign(HOSPITAL, *old)
     await refused(world, world.robot)
 
 
@@ -133,7 +133,7 @@ async def test_stale_revocations_end_a_visit_after_a_minute(world: VisitWorld) -
     world.trust.caller(identity, now + 3600)
     world.trust.caller(identity, now + 3700)  # stale since 100 s, noticed now
     world.server.state.clock = lambda: now + 3700 + GRACE
-    world.server._effects.close_revoked()
+    world.server.effects.close_revoked()
     await ends(client.ask("getPid", world.robot.name))
 
 
@@ -266,9 +266,9 @@ async def test_a_master_of_a_stale_domain_is_let_in_without_a_right(world: Visit
     assert await visitor.ask("getSystemState") == [[], [], []]
     with pytest.raises(RossecError):
         await visitor.ask("registerPublisher", "/t", T, visitor.uri)
-    world.server._effects.take_foreign("clinic.example", *other.word())
+    world.server.effects.take_foreign("clinic.example", *other.word())
     await visitor.ask("registerPublisher", "/t", T, visitor.uri)
     with pytest.raises(Revoked):  # it says so itself; its word does not count, the list does
-        world.server._effects.take_foreign("clinic.example", *other.word(other.master))
+        world.server.effects.take_foreign("clinic.example", *other.word(other.master))
     await ends(visitor.ask("getPid"))
     await refused(world, other.master)

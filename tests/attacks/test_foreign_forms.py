@@ -45,7 +45,7 @@ class Stay:
         seq = open_list(data, self.hospital.anchor.public_key).seq
         stamp = Timestamp(seq, digest(data), self.hospital.now(), MAX_AGE)
         assert self.home.master is not None
-        self.home.master._effects.take_foreign(
+        self.home.master.effects.take_foreign(
             DOMAIN, data, sign_timestamp(signer.signer, stamp), signer.chain
         )
 

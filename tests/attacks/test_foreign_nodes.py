@@ -55,7 +55,7 @@ class Visitor:
         seq = open_list(data, by.anchor.public_key).seq
         stamp = Timestamp(seq, digest(data), by.now() - age, MAX_AGE)
         assert self.home.master is not None
-        self.home.master._effects.take_foreign(
+        self.home.master.effects.take_foreign(
             DOMAIN, data, sign_timestamp(signer.signer, stamp), signer.chain
         )
         await until(lambda: self.held == data)

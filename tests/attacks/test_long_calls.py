@@ -110,11 +110,11 @@ async def test_short_calls_with_long_answers_delay_nobody(site: Site) -> None:
         eves = await stack.enter_async_context(clients(site, site.master.uri, COUNT - 2))
         for each in eves:
             await each.call("getPid", EVE)
-        before = site.master._effects.calls
+        before = site.master.effects.calls
         calls = [asyncio.ensure_future(each.fetch("getParam", EVE, f"{EVE}/long")) for each in eves]
         await asyncio.sleep(0)
         assert (await other("getPid"))[0] == 1
-        assert site.master._effects.calls <= before + COUNT // 3
+        assert site.master.effects.calls <= before + COUNT // 3
         answers = [xmlrpc.load_response(each) for each in await asyncio.gather(*calls)]
         assert all(xmlrpc.value_of(each) == MANY for each in answers)
 

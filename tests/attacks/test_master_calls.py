@@ -140,7 +140,7 @@ async def test_m5_the_master_cannot_be_shut_down(site: Site, witness: Witness) -
         refusal(await eve.lie("shutdown", "/master", "now"))
         refusal(await eve.lie("shutdown", "/robot", "now"))
         assert (await eve("getPid"))[0] == 1
-    assert not site.master._effects.stopping.is_set()
+    assert not site.master.effects.stopping.is_set()
 
 
 SAFETY = "/ns/safety/max_speed"
@@ -207,7 +207,7 @@ async def test_m7_ros_time_does_not_extend_a_right(tmp_path: Path) -> None:
             assert "param-set" in await eve.refused("setParam", "/eve/p", 2)
             await eve.refused("getParam", "/eve/p")
             await eve.refused("registerPublisher", "/clock", "rosgraph_msgs/Clock", eve.uri)
-            site.master._effects.list_changed.set()
+            site.master.effects.list_changed.set()
             registry = site.master.state.registry
             await until(lambda: not list(registry.nodes()))
             assert (await eve("getParam", "/use_sim_time"))[2] is True
@@ -250,7 +250,7 @@ async def test_m8_calls_of_the_master_are_limited(site: Site, witness: Witness) 
             for number in range(300):
                 where = f"http://127.{2 + number // 200}.1.{number % 200}:{port}/"
                 assert (await eve("registerSubscriber", "/t", T, where))[0] == 1
-            clients = site.master._effects.updates.nodes
+            clients = site.master.effects.updates.nodes
             assert 0 < len(clients) <= site.limits.nodes_per_identity + MAX_CLOSING
             await asyncio.sleep(0)
             with contextlib.suppress(BlockingIOError):

@@ -107,7 +107,7 @@ async def test_m9_dead_and_slow_nodes_delay_no_other(site: Site) -> None:
             await talker("unregisterPublisher", "/t", talker.uri)
             await until(lambda: ("publisherUpdate", "/t", []) in live.told)
         assert site.master is not None
-        for client, _ in site.master._effects.updates._clients.values():
+        for client, _ in site.master.effects.updates._clients.values():
             assert len(client._pending) <= 2, "not coalesced"
 
 

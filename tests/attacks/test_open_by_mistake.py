@@ -87,7 +87,7 @@ async def test_f11_a_node_without_grants_has_no_rights(site: Site, witness: Witn
             nothing = value in NOTHING or value is False
             assert method in told or code == -1 or nothing, (method, value)
     assert site.master.state.registry.version == before
-    assert not site.master._effects.stopping.is_set()
+    assert not site.master.effects.stopping.is_set()
 
 
 @pytest.fixture

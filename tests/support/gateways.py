@@ -57,7 +57,7 @@ class Sites:
         seq = open_list(data, self.hospital.anchor.public_key).seq
         stamp = Timestamp(seq, digest(data), self.hospital.now(), MAX_AGE)
         assert self.home.master is not None
-        self.home.master._effects.take_foreign(
+        self.home.master.effects.take_foreign(
             self.hospital.anchor.domain, data, sign_timestamp(signer.signer, stamp), signer.chain
         )
 

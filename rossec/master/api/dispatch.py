@@ -1,21 +1,9 @@
 """The Master API as one pure dispatch: arguments in, answer and events out.
 
-The order of every call: arity, caller_id, identity, arguments (names resolved), right, handler.
 What stock rosmaster refuses is answered with its texts and defaults; what only rossec refuses with
-`[-1, "rossec: ...", <the method's default>]`, which rospy and roscpp log.
-
-`system.multicall`: each element is a call of its own, with its own rights. Pure.
-
-It is processed in turns, so that four thousand elements of one node do not delay other calls; the
-caller's rights are evaluated again at each turn. Limited are the number of elements, the number of
-expensive ones, and the size of all answers together. Nesting is refused.
-
-The calls that a revoked identity may still make: it receives the revocations only. Pure.
-
-Both ends of a connection may be revoked at once, as below a revoked intermediate; then no peer but
-these two can close it, and only the master can inform them. It sends the list without a timestamp:
-without that confirmation a node closes all its connections, even if it cannot find itself in a tree
-(`ca.revocation.lists`).
+`[-1, "rossec: ...", <the method's default>]`, which rospy and roscpp log. Each element of a
+`system.multicall` is a call of its own, with its own rights, evaluated again at each turn. A
+revoked identity is answered the revocations only.
 """
 
 import xmlrpc
@@ -73,20 +61,9 @@ Fault = xmlrpc.client.Fault
 
 
 class MasterApi:
-    """Every method of the master.
+    """Every method of the master; `instance` identifies this run, which began at `started`.
 
-    Args:
-        name: the master's own certified name.
-        uri, pid: what `getUri` and `getPid` answer.
-        instance: identifies this run of the master.
-        started: when this run began, seconds since the epoch.
-        parameters: those already set.
-        parameter_bytes: limit on the size of all parameters together.
-        deposits: the grants deposited so far; by default none is accepted.
-        denials: which rights nodes lacked.
-        connected: the identities that have a connection now.
-        imports: what other masters have registered; by default nothing.
-        aliases: what each subscriber of an alias is told; of the same registry and imports.
+    By default no deposit is accepted and nothing imported; `aliases` is of the same registry and imports.
     """
 
     def __init__(
@@ -108,8 +85,6 @@ class MasterApi:
         doors: Doors | None = None,
         aliases: AliasPublishers | None = None,
     ) -> None:
-        self._uri = uri
-        self._pid = pid
         imports = Imports(registry) if imports is None else imports
         if aliases is None:
             aliases = AliasPublishers(Graph(registry, imports), statements.caller_of)
@@ -135,7 +110,9 @@ class MasterApi:
             **RelayCalls(doors, registry, statements, name, uri).methods(),
             **DepositCalls(statements, deposits).methods(),
             **AuthorityCalls(statements, denials, connected).methods(),
-            **self._own_methods(),
+            "getUri": Method((), "", lambda _: Reply(uri)),
+            "getPid": Method((), -1, lambda _: Reply(pid)),
+            "shutdown": Method((arg.anything,), 0, _shutdown),
         }
 
     def begin(
@@ -147,7 +124,21 @@ class MasterApi:
             raise Fault(1, f"<class 'Exception'>:method \"{method}\" is not supported")
         self._presence.now = now
         try:
-            request = self._request(method, entry, params, caller, now, is_local=is_local)
+            # 1. Arity and caller_id.
+            if not params:
+                raise ArgumentRefused("missing required caller_id parameter")
+            if len(params) != 1 + len(entry.checks):
+                raise ArgumentRefused("Error: bad call arity")
+            caller_id = params[0]
+            if not isinstance(caller_id, str):
+                raise ArgumentRefused("caller_id must be a string")
+            # 2. The node that the identity acts as.
+            acting_caller = self._access_control.acting_caller(method, caller, caller_id)
+            # 3. The other arguments; names are resolved.
+            checked = [check(params[at], caller_id) for at, check in enumerate(entry.checks, 1)]
+            request = CallRequest(acting_caller, (caller_id, *checked), now, is_local)
+            # 4. The right, which depends on them.
+            self._access_control.check(method, acting_caller, request.arguments, is_local=is_local)
             reply = entry.handler(request)
         except ArgumentRefused as refused:
             return CallOutcome([-1, str(refused), entry.default])
@@ -157,43 +148,14 @@ class MasterApi:
             return _answered(reply, method, request, caller)
         return _in_steps(reply, method, entry, request, caller)
 
-    def _request(
-        self,
-        method: str,
-        entry: Method,
-        params: Sequence[object],
-        caller: Caller,
-        now: int,
-        *,
-        is_local: bool,
-    ) -> CallRequest:
-        if not params:
-            raise ArgumentRefused("missing required caller_id parameter")
-        if len(params) != 1 + len(entry.checks):
-            raise ArgumentRefused("Error: bad call arity")
-        caller_id = params[0]
-        if not isinstance(caller_id, str):
-            raise ArgumentRefused("caller_id must be a string")
-        acting_caller = self._access_control.acting_caller(method, caller, caller_id)
-        checked = [check(params[at], caller_id) for at, check in enumerate(entry.checks, 1)]
-        request = CallRequest(acting_caller, (caller_id, *checked), now, is_local)
-        self._access_control.check(method, acting_caller, request.arguments, is_local=is_local)
-        return request
-
     def keep_views(self, thumbprints: frozenset[bytes]) -> None:
         self.watch_calls.views.keep_only(thumbprints)
         self.site_calls.views.keep_only(thumbprints)
 
-    def _own_methods(self) -> Methods:
-        return {
-            "getUri": Method((), "", lambda _: Reply(self._uri)),
-            "getPid": Method((), -1, lambda _: Reply(self._pid)),
-            "shutdown": Method((arg.anything,), 0, self._shutdown),
-        }
 
-    def _shutdown(self, request: CallRequest) -> Reply:
-        reason = f"{request.caller.name}: {request.arguments[1]}"
-        return Reply(0, "shutdown", events=(StopMaster(reason),))
+def _shutdown(request: CallRequest) -> Reply:
+    reason = f"{request.caller.name}: {request.arguments[1]}"
+    return Reply(0, "shutdown", events=(StopMaster(reason),))
 
 
 def _in_steps(steps: Steps, method: str, entry: Method, request: CallRequest, caller: Caller) -> Work:
@@ -236,7 +198,10 @@ BeginCall = Callable[[str, Sequence[object]], CallOutcome | Work]
 
 
 class Multicall:
-    """One multicall: call `step` until `done`, then `answer` is its answer."""
+    """One multicall: call `step` until `done`, then `answer` is its answer.
+
+    In turns, so that four thousand elements of one node do not delay other calls.
+    """
 
     def __init__(self, params: Sequence[object]) -> None:
         calls = params[0] if len(params) == 1 else None
@@ -246,7 +211,7 @@ class Multicall:
             raise Fault(1, f"rossec: more than {MULTICALL_QUERIES} state queries in a multicall")
         self._calls: list[object] = calls
         self._answers: list[object] = []
-        self._first_index: dict[str, int] = {}  # by method, of those allowed once
+        self._first: dict[str, int] = {}  # by method, of those allowed once
         self._bytes_left = MULTICALL_ANSWER
         self._work: Work | None = None  # the element in progress
 
@@ -296,29 +261,22 @@ class Multicall:
         return outcome
 
     def _begin_next(self, begin: BeginCall) -> CallOutcome | Work:
-        element = self._calls[len(self._answers)]
-        self._check_once(element)
-        method = element.get("methodName") if isinstance(element, dict) else None
-        params = element.get("params") if isinstance(element, dict) else None
+        at = len(self._answers)
+        found = self._calls[at]
+        element = found if isinstance(found, dict) else {}
+        method, params = element.get("methodName"), element.get("params")
+        if isinstance(method, str) and method in MULTICALL_ONCE and self._first.setdefault(method, at) != at:
+            raise Fault(1, f"rossec: more than one {method} in a multicall")
         if not isinstance(method, str) or not isinstance(params, list):
             raise Fault(1, "rossec: a multicall element needs methodName and params")
         if method == MULTICALL:
             raise Fault(1, "rossec: a multicall inside a multicall")
         return begin(method, params)
 
-    def _check_once(self, element: object) -> None:
-        method, at = _method_of(element), len(self._answers)
-        if method in MULTICALL_ONCE and self._first_index.setdefault(method, at) != at:
-            raise Fault(1, f"rossec: more than one {method} in a multicall")
-
-
-def _method_of(element: object) -> str:
-    method = element.get("methodName") if isinstance(element, dict) else None
-    return method if isinstance(method, str) else ""
-
 
 def _is_query(element: object) -> bool:
-    rule = RULES.get(_method_of(element))
+    method = element.get("methodName") if isinstance(element, dict) else None
+    rule = RULES.get(method) if isinstance(method, str) else None
     return rule is not None and rule.scope is Scope.FILTERED
 
 
@@ -331,8 +289,6 @@ _UNCONFIRMED: Final = b""
 
 
 class RevokedConnections:
-    """Counts the connections of each revoked key."""
-
     def __init__(self) -> None:
         self._counts: Counter[bytes] = Counter()
 
@@ -353,8 +309,10 @@ class RevokedConnections:
 class RevokedCalls:
     """Answers few calls of a revoked identity on one connection: an answer may be a whole list.
 
-    Args:
-        now: seconds since the epoch.
+    Both ends of a connection may be revoked at once, as below a revoked intermediate; then no peer
+    but these two can close it, and only the master can inform them. It sends the list without a
+    timestamp: without that confirmation a node closes all its connections, even if it cannot find
+    itself in a tree (`ca.revocation.lists`).
     """
 
     def __init__(self, statements: TrustState, now: Callable[[], int]) -> None:
@@ -363,20 +321,15 @@ class RevokedCalls:
         self._calls_left = MAX_CALLS
 
     def answer(self, method: str, params: tuple[object, ...], _: object) -> list[object]:
-        """As `answer_revoked`, for `MAX_CALLS` calls."""
         self._calls_left -= 1
         if self._calls_left < 0:
             raise HangUp("the identity is revoked, and has been sent the list")
-        return answer_revoked(self._statements, self._now(), method, params)
-
-
-def answer_revoked(statements: TrustState, now: int, method: str, params: tuple[object, ...]) -> list[object]:
-    match params:
-        case (str(), *_) if method in _LIST_METHODS:
-            # Always whole: an empty list would mean that there is none.
-            return [1, "revocations", [statements.current(now)[0], _UNCONFIRMED]]
-        case (str(), list() as entries) if method == "rossec.revocationProofs":
-            known = [entry for entry in entries[:PROOF_LIMIT] if isinstance(entry, bytes)]
-            return [1, "proofs", statements.proofs(known)]
-        case _:
-            raise HangUp("the identity is revoked")
+        match params:
+            case (str(), *_) if method in _LIST_METHODS:
+                # Always whole: an empty list would mean that there is none.
+                return [1, "revocations", [self._statements.current(self._now())[0], _UNCONFIRMED]]
+            case (str(), list() as entries) if method == "rossec.revocationProofs":
+                known = [entry for entry in entries[:PROOF_LIMIT] if isinstance(entry, bytes)]
+                return [1, "proofs", self._statements.proofs(known)]
+            case _:
+                raise HangUp("the identity is revoked")

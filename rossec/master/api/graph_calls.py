@@ -1,27 +1,19 @@
-"""The calls about the graph: registering, looking up, listing. Pure; texts are stock's.
+"""The calls about the graph: registering, looking up, listing, watching. Pure; texts are stock's.
 
 State queries are filtered by access control: a caller sees its own entries and the names that its
-grants cover.
-
-What each caller that follows the graph was sent, so that it is sent only the changes. Pure.
-
-A state is a set of facts, so a change is two sets, and all changes between two calls of one caller
-are sent as one. Nothing is queued: a slow caller is updated less often, one without a stored view
-is sent everything. An answer is bounded; `more` says that the rest follows at once.
-
-Watching the graph: the whole state in the first answer, then only the changes. Pure.
-
-The state is what a watcher may see of the own registrations and of what is imported. What was sent
-to whom is `graph_views`'s.
+grants cover. A watcher is sent the whole state in the first answer, then only the changes since
+what it was sent; a state is a set of facts, so all changes between two calls are sent as one.
+Nothing is queued: a slow caller is updated less often, one without a stored view is sent everything.
 """
 
 from collections import OrderedDict
 from collections.abc import Generator, Iterable, Iterator
+from functools import partial
 from itertools import count
 from typing import Final, NamedTuple, TypeAlias
 
 from rossec.master.api import arguments as arg
-from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps
+from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps, collected
 from rossec.master.rights import publisher_views
 from rossec.master.rights.access_rules import AccessControl, require_capacity, require_place
 from rossec.master.rights.caller import Caller
@@ -36,11 +28,7 @@ _MAX_CACHED_ENTRIES: Final = 8192
 
 
 class GraphCalls:
-    """Handlers over one graph; only the own registrations can be changed.
-
-    Args:
-        aliases: what each subscriber of an alias is told.
-    """
+    """Handlers over one graph; only the own registrations can be changed."""
 
     def __init__(self, graph: Graph, access_control: AccessControl, aliases: AliasPublishers) -> None:
         self._aliases = aliases
@@ -56,11 +44,12 @@ class GraphCalls:
         topic, type_name = arg.topic("topic"), arg.type_name("topic_type")
         service, api = arg.topic("service"), arg.uri("caller_api", "http")
         service_api = arg.uri("service_api", "rosrpc")
+        unregister_publisher = partial(self._unregister, Kind.PUBLISHER)
         return {
             "registerPublisher": Method((topic, type_name, api), [], self._register_publisher),
             "registerSubscriber": Method((topic, type_name, api), [], self._register_subscriber),
             "registerService": Method((service, service_api, api), 0, self._register_service),
-            "unregisterPublisher": Method((topic, api), 0, self._unregister_publisher),
+            "unregisterPublisher": Method((topic, api), 0, unregister_publisher),
             "unregisterSubscriber": Method((topic, api), 0, self._unregister_subscriber),
             "unregisterService": Method((service, service_api), 0, self._unregister_service),
             "lookupNode": Method((arg.node("node"),), "", self._lookup_node),
@@ -91,9 +80,6 @@ class GraphCalls:
         require_capacity(self._registry, Kind.SERVICE, service, request.node(3))
         events = self._registry.register_service(service, service_uri, request.node(3))
         return Reply(1, f"Registered [{name}] as provider of [{service}]", events=tuple(events))
-
-    def _unregister_publisher(self, request: CallRequest) -> Reply:
-        return self._unregister(Kind.PUBLISHER, request)
 
     def _unregister_subscriber(self, request: CallRequest) -> Reply:
         reply = self._unregister(Kind.SUBSCRIBER, request)
@@ -140,40 +126,31 @@ class GraphCalls:
 
     def _system_state(self, request: CallRequest) -> Steps:
         self._ask_everything(request)
-        return self._system_state_reply(request.caller)
+        return self._state(request.caller)
 
-    def _system_state_reply(self, caller: Caller) -> Steps:
-        return Reply((yield from self._state(caller)), "current system state")
-
-    def _state(self, caller: Caller) -> Generator[None, None, EncodedList]:
+    def _state(self, caller: Caller) -> Steps:
         version = self._graph.version
         if self._version != version:
             self._version = version
             self._states.clear()
-        cached = self._states.get(id(caller))
-        if cached is not None and cached[0] is caller:
-            return cached[1]
-        state = EncodedList(
-            [
-                (yield from self._visible_entries(Kind.PUBLISHER, caller)),
-                (yield from self._visible_entries(Kind.SUBSCRIBER, caller)),
-                (yield from self._visible_entries(Kind.SERVICE, caller)),
-            ]
-        )
-        if self._graph.version == self._version == version and not caller.has_slots:
-            if len(self._states) >= _MAX_CACHED_STATES:
-                self._states.clear()
-            self._states[id(caller)] = caller, state
-        return state
+        held, state = self._states.get(id(caller), (None, None))
+        if state is None or held is not caller:
+            state = EncodedList([])
+            for kind in (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE):
+                state.append((yield from self._visible_entries(kind, caller)))
+            if self._graph.version == self._version == version and not caller.has_slots:
+                if len(self._states) >= _MAX_CACHED_STATES:
+                    self._states.clear()
+                self._states[id(caller)] = caller, state
+        return Reply(state, "current system state")
 
     def _visible_entries(self, kind: Kind, caller: Caller) -> Generator[None, None, list[object]]:
-        found, at_once = list[object](), caller.names_per_yield
-        for number, (key, nodes) in enumerate(shown_entries(self._graph, caller, kind), 1):
-            if names := self._access_control.visible_nodes(caller, key, nodes):
-                found.append(self._entry(key, names))
-            if not number % at_once:
-                yield
-        return found
+        visible = self._access_control.visible_nodes
+        found = (
+            self._entry(key, names) if (names := visible(caller, key, nodes)) else None
+            for key, nodes in shown_entries(self._graph, caller, kind)
+        )
+        return list[object]((yield from collected(found, caller.names_per_yield)))
 
     def _entry(self, key: str, names: tuple[str, ...]) -> EncodedList:
         entry = self._entries.get((key, names))
@@ -204,18 +181,11 @@ class GraphCalls:
         return self._types_reply(caller, within, "current topics")
 
     def _types_reply(self, caller: Caller, topics: Iterable[tuple[str, str] | None], status: str) -> Steps:
-        return Reply((yield from self._visible_types(caller, topics)), status)
-
-    def _visible_types(
-        self, caller: Caller, topics: Iterable[tuple[str, str] | None]
-    ) -> Generator[None, None, list[list[str]]]:
-        shown, at_once = list[list[str]](), caller.names_per_yield
-        for number, topic in enumerate(topics, 1):
-            if topic is not None and is_topic_visible(self._graph, caller, topic[0]):
-                shown.append([*topic])
-            if not number % at_once:
-                yield
-        return shown
+        shown = (
+            [*topic] if topic is not None and is_topic_visible(self._graph, caller, topic[0]) else None
+            for topic in topics
+        )
+        return Reply((yield from collected(shown, caller.names_per_yield)), status)
 
 
 BATCH: Final = 1024  # facts in one answer
@@ -223,8 +193,8 @@ MAX_VIEWS: Final = 4  # stored for one identity
 _START: Final = 0  # the cursor of a caller without state
 
 Fact: TypeAlias = tuple[str, str, str]
-"""Kind, name and value: `("publisher", "/scan", "/laser")`, `("type", "/scan", "pkg/Type")`,
-`("provider", "/reset", "rosrpc://...")`, `("node", "/laser", "http://...")`."""
+# Kind, name and value: ("publisher", "/scan", "/laser"), ("type", "/scan", "pkg/Type"),
+# ("provider", "/reset", "rosrpc://..."), ("node", "/laser", "http://...").
 
 View: TypeAlias = frozenset[Fact]
 
@@ -235,11 +205,7 @@ class _Sent(NamedTuple):
 
 
 class GraphViews:
-    """The views of all callers of one method.
-
-    Args:
-        instance: identifies this run of the master: cursors start again after a restart.
-    """
+    """The views of all callers of one method; `instance` identifies this run: cursors start again."""
 
     def __init__(self, instance: str) -> None:
         self._instance = instance
@@ -288,15 +254,12 @@ class GraphViews:
 
 
 def is_unchanged(answer: object, cursor: object) -> bool:
-    """Whether an answer to a call with this cursor contains no change."""
     match answer:
         case [1, _, {"whole": False, "cursor": int() as now}]:
             return now == cursor
         case _:
             return False
 
-
-__all__ = ("BATCH", "MAX_VIEWS", "WATCH", "Fact", "WatchCalls", "facts", "is_unchanged")
 
 WATCH: Final = "rossec.watchGraph"
 
@@ -328,11 +291,7 @@ def facts(graph: Graph, access_control: AccessControl, caller: Caller) -> Iterat
 
 
 class WatchCalls:
-    """The call by which a node watches the graph.
-
-    Args:
-        instance: identifies this run of the master.
-    """
+    """The call by which a node watches the graph: its own registrations and what is imported."""
 
     def __init__(self, graph: Graph, access_control: AccessControl, instance: str) -> None:
         self._graph = graph
@@ -349,13 +308,8 @@ class WatchCalls:
         return self._watch_reply(request)
 
     def _watch_reply(self, request: CallRequest) -> Steps:
-        seen, at_once = set[Fact](), request.caller.names_per_yield
         found = facts(self._graph, self._access_control, request.caller)
-        for checked, fact in enumerate(found, 1):
-            if fact is not None:
-                seen.add(fact)
-            if not checked % at_once:
-                yield
+        seen = yield from collected(found, request.caller.names_per_yield)
         known = request.arguments[1], request.arguments[2]
         key, version = request.caller.thumbprint, self._graph.version
         version = 0 if request.caller.has_slots else version  # it grows with each registration

@@ -1,14 +1,13 @@
-"""The types of a master method: its arguments, default and handler, and what handlers return.
+"""The types of a master method: its arguments, default and handler, and what handlers return. Pure.
 
-Long calls are processed in turns of limited time, so that they do not delay others. Pure.
-
-A count would not limit the time, since one call may cost ten thousand times as much as another. A
-generator yields where it can be suspended; `expired`, which reads the caller's clock, says when.
+Long calls are processed in turns of limited time, so that they do not delay others. A count would
+not limit the time, since one call may cost ten thousand times as much as another. A generator
+yields where it can be suspended; `expired`, which reads the caller's clock, says when.
 """
 
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, NamedTuple, TypeAlias, TypeVar
 
 from grants.model import Right
 from rossec.master.api.arguments import Check
@@ -29,8 +28,6 @@ class ParameterChanged:
 
 @dataclass(frozen=True)
 class StopMaster:
-    """An administrator has called `shutdown`."""
-
     reason: str
 
 
@@ -84,21 +81,15 @@ class Denied:
 
 @dataclass(frozen=True)
 class CallDenied:
-    """A call was refused by rossec, alone or within a multicall: for the audit.
+    """A call was refused by rossec, alone or within a multicall: for the audit."""
 
-    Attributes:
-        node: the caller, for people.
-        taken_by: the node that registered the address, if that was the reason.
-        missing: the right that is missing, and the name it is missing on, if that was the reason.
-        certified: the name that the caller's connection proved; `wildcard`: it has a tail.
-    """
-
-    node: str
+    node: str  # the caller, for people
     method: str
     status: str
-    taken_by: NodeRef | None = None
+    taken_by: NodeRef | None = None  # the node that registered the address, if that was the reason
+    # the right that is missing, and the name it is missing on, if that was the reason
     missing: tuple[Right, str] | None = None
-    certified: str = ""
+    certified: str = ""  # the name that the caller's connection proved; `wildcard`: it has a tail
     wildcard: bool = False
 
 
@@ -155,6 +146,10 @@ class CallRequest(NamedTuple):
             raise TypeError(f"argument {index} is not bytes")
         return value
 
+    def binaries(self, index: int) -> list[bytes]:
+        value = self.arguments[index]
+        return [item for item in value if isinstance(item, bytes)] if isinstance(value, list) else []
+
     def node(self, index: int) -> NodeRef:
         return NodeRef(self.caller.name, self.text(index), self.caller.thumbprint)
 
@@ -176,19 +171,28 @@ Methods = Mapping[str, Method]
 
 TURN: Final = 0.005  # seconds that one call may occupy the loop
 
-TurnExpired = Callable[[], bool]
-"""Whether the turn has expired."""
+TurnExpired = Callable[[], bool]  # Whether the turn has expired
+
+T = TypeVar("T")
+
+
+def collected(items: Iterable[T | None], at_once: int) -> Generator[None, None, list[T]]:
+    """The items that are not None; yields after so many of all, as each costs time."""
+    found: list[T] = []
+    for number, item in enumerate(items, 1):
+        if item is not None:
+            found.append(item)
+        if not number % at_once:
+            yield
+    return found
 
 
 class CallOutcome(NamedTuple):
-    """The answer and the events to deliver."""
-
     answer: object
     events: tuple[MasterEvent, ...] = ()
 
 
-Work: TypeAlias = Generator[None, None, CallOutcome]
-"""A call that may take many turns."""
+Work: TypeAlias = Generator[None, None, CallOutcome]  # A call that may take many turns
 
 
 class Turns:

@@ -1,12 +1,9 @@
 """The Parameter Server's calls. Pure; texts are stock's.
 
 A right must cover what a call reaches: for a tree every parameter in it, before and after. So
-`setParam("/", ...)` or `getParam("/ns")` does not circumvent a missing right on one of them.
-
-Rights on trees of parameters, checked without listing them where possible. Pure.
-
-Where a right covers everything below a namespace, or nothing there, its names are not checked one
-by one. A check of a whole tree ends at the first name without the right, and covers at most
+`setParam("/", ...)` or `getParam("/ns")` does not circumvent a missing right on one of them. Where a
+right covers everything below a namespace, or nothing there, its names are not checked one by one. A
+check of a whole tree ends at the first name without the right, and covers at most
 `MAX_NAMES_CHECKED` names, fewer for a caller with many patterns: a larger tree is refused. A
 filtered query may take many turns, between which the tree may change.
 """
@@ -17,7 +14,6 @@ from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from typing import Any, Final, NamedTuple, TypeAlias
 
-from ca.errors import NameRefused
 from ca.names import is_alias, shown
 from grants.model import Right
 from rossec.master.api import arguments as arg
@@ -31,9 +27,7 @@ from rossec.master.api.methods import (
     Steps,
 )
 from rossec.master.rights.access_rules import require_address, require_capacity
-from rossec.master.rights.caller import Caller, Refused
-from rossec.master.state import parameters
-from rossec.master.state import parameters as parameter_state
+from rossec.master.rights.caller import Caller, Refused, refusals_answered
 from rossec.master.state.journals import ParameterChange
 from rossec.master.state.parameters import (
     SIZE_LIMIT,
@@ -41,8 +35,15 @@ from rossec.master.state.parameters import (
     Mirrors,
     ParameterMissing,
     Parameters,
+    ParameterUpdate,
     TooLarge,
+    check_names,
+    encoded_size,
+    exceeds,
     refuse_mirror,
+    search_candidates,
+    subscription_key,
+    updates,
 )
 from rossec.master.state.registry import Kind, NodeRef, Registry
 from rossec.ros import names
@@ -51,8 +52,7 @@ from rossec.ros.xmlrpc import BODY_LIMIT
 MAX_NAMES_CHECKED: Final = 8192  # names checked for one call, namespaces included
 MAX_PATTERN_MATCHES: Final = 2 * MAX_NAMES_CHECKED  # of patterns with wildcards against names
 
-ParameterItem: TypeAlias = tuple[str, object]
-"""A key and its value; a dict is a namespace."""
+ParameterItem: TypeAlias = tuple[str, object]  # A key and its value; a dict is a namespace
 
 
 class TreeDecision(NamedTuple):
@@ -74,7 +74,7 @@ def require_tree(caller: Caller, right: Right, key: str, *items: ParameterItem) 
 
 
 def has_right_on_all(caller: Caller, right: Right, items: Sequence[ParameterItem]) -> bool:
-    """Whether `caller` has `right` on every parameter in `items`, and `items` are not too large."""
+    # Whether there is `right` on every parameter in `items`, and `items` are not too large.
     if len(items) == 1 and not isinstance(items[0][1], dict):  # the usual case
         return caller.may(right, items[0][0])
     limit = min(MAX_NAMES_CHECKED, MAX_PATTERN_MATCHES // max(1, caller.patterns(right)))
@@ -121,13 +121,7 @@ Fault = xmlrpc.client.Fault
 
 
 class ParameterCalls:
-    """Handlers over one parameter tree.
-
-    Args:
-        caller_of: a subscriber with its rights when an update is sent; None: its key is revoked.
-        limit: bytes of all parameters together.
-        mirrors: parameters of other masters.
-    """
+    """Handlers over one parameter tree."""
 
     def __init__(
         self,
@@ -139,13 +133,13 @@ class ParameterCalls:
     ) -> None:
         self._parameters = parameters
         self._mirrors = Mirrors() if mirrors is None else mirrors
-        self._limit = limit
+        self._limit = limit  # bytes of all parameters together
         self._registry = registry
+        # a subscriber with its rights when an update is sent; None: its key is revoked
         self._caller_of = caller_of
         self._bytes_added: Counter[bytes] = Counter()  # by key, net of what it deleted
 
     def methods(self) -> Methods:
-        """The entries of the method table."""
         key, api = arg.key("key"), arg.uri("caller_api", "http")
         return {
             "getParam": Method((key,), 0, self._get),
@@ -183,21 +177,20 @@ class ParameterCalls:
 
     def _set(self, request: CallRequest) -> Reply:
         key, value = request.text(1), request.arguments[2]
-        _refuse_mirror(key, value)
+        with refusals_answered():
+            refuse_mirror(key, value)
         try:
-            parameter_state.check_names(key, value)
-            require_tree(request.caller, Right.PARAM_SET, key, *self._affected_items(key, value))
+            check_names(key, value)
+            before = self._parameters.items_affected(key)  # the last of them is `key` itself
+            has_tree = isinstance(value, dict) or isinstance(before[-1][1], dict)
+            affected = [*before, (key, value)] if has_tree else before
+            require_tree(request.caller, Right.PARAM_SET, key, *affected)
             self._set_within_quota(request.caller, key, value)
         except (TypeError, ValueError) as error:
             return Reply(0, f"Error: invalid arguments: {error}", -1)
         persist = PersistParameter(ParameterChange(key, value))
         events = self._updates(key, value, request.now, setter=request.caller.name)
         return Reply(0, f"parameter {key} set", events=(persist, *events))
-
-    def _affected_items(self, key: str, value: object) -> list[ParameterItem]:
-        before = self._parameters.items_affected(key)  # the last of them is `key` itself
-        has_tree = isinstance(value, dict) or isinstance(before[-1][1], dict)
-        return [*before, (key, value)] if has_tree else before
 
     def _set_within_quota(self, caller: Caller, key: str, value: object) -> None:
         # What was set before the master was started counts for no key.
@@ -222,7 +215,8 @@ class ParameterCalls:
 
     def _delete(self, request: CallRequest) -> Reply:
         key = request.text(1)
-        _refuse_mirror(key)
+        with refusals_answered():
+            refuse_mirror(key)
         require_tree(request.caller, Right.PARAM_SET, key, self._parameters.item(key))
         before = self._parameters.size
         try:
@@ -237,7 +231,7 @@ class ParameterCalls:
     def _search(self, request: CallRequest) -> Steps:
         key = request.text(1)
         try:
-            candidates = parameter_state.search_candidates(request.caller.name, key)
+            candidates = search_candidates(request.caller.name, key)
         except ValueError as error:
             return Reply(0, f"Internal failure: {error}", 0)
         for candidate, found in candidates:
@@ -262,7 +256,7 @@ class ParameterCalls:
         for count, name in enumerate(self._readable_names(request.caller), 1):
             if name is not None:
                 shown.append(name)
-                bytes_left -= parameters.encoded_size(name)
+                bytes_left -= encoded_size(name)
             if bytes_left < 0:
                 raise Fault(1, _TOO_LONG)
             if not count % at_once:
@@ -282,7 +276,7 @@ class ParameterCalls:
         item = self._item(key)
         require_tree(request.caller, Right.PARAM_GET, key, item)
         require_address(self._registry, request.caller, node.uri, is_local=request.is_local)
-        subscription = parameter_state.subscription_key(key)
+        subscription = subscription_key(key)
         require_capacity(self._registry, Kind.PARAMETER, subscription, node)
         value = {} if item[1] is None else _sendable(item[1])
         events = self._registry.register_parameter(subscription, node)
@@ -290,42 +284,31 @@ class ParameterCalls:
 
     def _unsubscribe(self, request: CallRequest) -> Reply:
         node, key = request.node(1), request.text(2)
-        self._registry.unregister(Kind.PARAMETER, parameter_state.subscription_key(key), node)
+        self._registry.unregister(Kind.PARAMETER, subscription_key(key), node)
         return Reply(1, f"Unsubscribe to parameter [{key}]")
 
     def _updates(self, key: str, value: object, now: int, setter: str | None) -> tuple[ParameterChanged, ...]:
         subscriptions = self._registry.keys(Kind.PARAMETER)
         allowed: dict[tuple[bytes, str], bool] = {}  # by key: it may have many nodes
 
-        def may_receive(node: NodeRef, update: parameter_state.ParameterUpdate) -> bool:
+        def may_receive(node: NodeRef, update: ParameterUpdate) -> bool:
             about = node.thumbprint, update.key
             if about not in allowed:
-                allowed[about] = self._may_receive(node, update.key, update.value, now)
+                caller = self._caller_of(node, now)
+                item = update.key.removesuffix("/") or update.key, update.value
+                allowed[about] = caller is not None and has_right_on_all(caller, Right.PARAM_GET, [item])
             return allowed[about]
 
         return tuple(
             ParameterChanged(node, update.key, update.value)
-            for update in parameter_state.updates(subscriptions, key, value)
+            for update in updates(subscriptions, key, value)
             for node in self._registry.registered_nodes(Kind.PARAMETER, update.subscription)
             if (update.to_setter or node.name != setter) and may_receive(node, update)
         )
 
-    def _may_receive(self, node: NodeRef, key: str, value: object, now: int) -> bool:
-        caller = self._caller_of(node, now)
-        if caller is None:
-            return False
-        return has_right_on_all(caller, Right.PARAM_GET, [(key.removesuffix("/") or key, value)])
-
-
-def _refuse_mirror(key: str, value: object = None) -> None:
-    try:
-        refuse_mirror(key, value)
-    except NameRefused as error:
-        raise Refused(f"{error} ({error.hint})") from error
-
 
 def _sendable(value: object) -> object:
     # The value, unless it is far too long: encoding it would already take long.
-    if isinstance(value, dict) and parameters.exceeds(value, MAX_ENCODED):
+    if isinstance(value, dict) and exceeds(value, MAX_ENCODED):
         raise Fault(1, _TOO_LONG)
     return value

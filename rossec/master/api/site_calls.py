@@ -1,15 +1,11 @@
-"""The call by which another master follows this one: `rossec.followSite`. Pure.
+"""The calls of other masters and of the own relays. Pure (docs/spec/multimaster.md).
 
-It is answered with what is registered at this master itself, never with what is imported: a fact
-travels one hop, so no loop can arise. A master of the own domain is shown every fact, as it is
-trusted for addresses; anybody else what it has `graph` on, a foreigner only what is exported to its
-domain. Only what the follower wants is sent (docs/spec/multimaster.md).
-
-The calls of the own relays: doors to open here, and where a target of another site is. Pure.
-
-A relay connects for another site to what `rossec.relayTarget` answers and to nothing else: what is
-registered at this master itself and shown to that site's domain. A name that is unknown and one
-that is not shown are refused alike, as the other relay may ask for any.
+`rossec.followSite` is answered with what is registered at this master itself, never with what is
+imported: a fact travels one hop, so no loop can arise. A master of the own domain is shown every
+fact, as it is trusted for addresses; anybody else what it has `graph` on, a foreigner only what is
+exported to its domain. A relay connects for another site to what `rossec.relayTarget` answers and
+to nothing else: what is registered here and shown to that site's domain. A name that is unknown and
+one that is not shown are refused alike, as the other relay may ask for any.
 """
 
 import hashlib
@@ -20,9 +16,8 @@ from ca.names import is_alias, is_in_gateway
 from grants.decision import Reach
 from grants.model import ALL_RIGHTS, Permission, Right
 from rossec.master.api import arguments as arg
-from rossec.master.api.arguments import number, text
 from rossec.master.api.graph_calls import Fact, GraphViews
-from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps
+from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps, collected
 from rossec.master.rights.caller import Caller, Refused
 from rossec.master.rights.statements import TrustState
 from rossec.master.state.forwarded_ports import MASTER, NODE, Doors, Report
@@ -43,12 +38,7 @@ _KINDS: Final = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)
 
 
 class SiteCalls:
-    """The handler over the own registrations.
-
-    Args:
-        instance: identifies this run of the master.
-        digests: of the lists that this master holds.
-    """
+    """The handler over the own registrations; `instance` identifies this run of the master."""
 
     def __init__(self, registry: Registry, instance: str, digests: Digests) -> None:
         self._registry = registry
@@ -60,17 +50,11 @@ class SiteCalls:
         return {FOLLOW: Method(checks, {}, self._follow)}
 
     def _follow(self, request: CallRequest) -> Steps:
-        wanted = _wanted(request.arguments[3])
-        return self._reply(request, wanted)
+        return self._reply(request, _wanted(request.arguments[3]))
 
     def _reply(self, request: CallRequest, wanted: Reach | None) -> Steps:
-        seen, at_once = set[Fact](), request.caller.names_per_yield
         found = own_facts(self._registry, request.caller, wanted)
-        for checked, fact in enumerate(found, 1):
-            if fact is not None:
-                seen.add(fact)
-            if not checked % at_once:
-                yield
+        seen = yield from collected(found, request.caller.names_per_yield)
         known = request.arguments[1], request.arguments[2]
         key, version = request.caller.thumbprint, self._registry.version
         revocations, domains = self._digests()
@@ -130,7 +114,6 @@ def _wanted(value: object) -> Reach | None:
     return reach
 
 
-_SHOWN: Final = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)
 _UNREACHABLE: Final = (
     "a relay on another host than the master needs doors that others reach: rossec relay --doors ADDRESS"
 )
@@ -145,12 +128,7 @@ _ON_THIS_HOST: Final = (
 
 
 class RelayCalls:
-    """Handlers for relays of the own domain; `access_rules` refuses all others.
-
-    Args:
-        name, uri: of this master.
-        statements: what foreign domains are shown.
-    """
+    """Handlers for relays of the own domain (`access_rules` refuses all others); `uri`: of this master."""
 
     def __init__(self, doors: Doors, registry: Registry, statements: TrustState, name: str, uri: str) -> None:
         self._doors = doors
@@ -159,12 +137,15 @@ class RelayCalls:
         self._own = name, uri
 
     def methods(self) -> Methods:
-        polled = (text("instance"), number("seen"), arg.doors("doors"), arg.ways("ways"))
-        target = (text("domain"), arg.kind("kind"), arg.name("name"))
+        polled = (arg.text("instance"), arg.number("seen"), arg.doors("doors"), arg.ways("ways"))
+        target = (arg.text("domain"), arg.kind("kind"), arg.name("name"))
         return {RELAY_DOORS: Method(polled, {}, self._poll), RELAY_TARGET: Method(target, [], self._target)}
 
     def _poll(self, request: CallRequest) -> Reply:
-        report = _report(request)
+        _, instance, seen, doors, ways = request.arguments
+        if not (isinstance(seen, int) and isinstance(doors, dict) and isinstance(ways, dict)):
+            raise TypeError("a relay's call whose arguments were not checked")
+        report = Report(str(instance), seen, doors, ways)
         for door in report.doors.values():
             if is_loopback_host(door.host) and not request.is_local:
                 raise Refused(_UNREACHABLE)
@@ -183,39 +164,34 @@ class RelayCalls:
 
     def _target(self, request: CallRequest) -> Reply:
         domain, kind, name = map(request.text, (1, 2, 3))
-        place = self._place(kind, name, self._exported(domain, request.now))
+        exported: Reach | None = None
+        if domain:
+            domains = self._statements.domains
+            listed = domains.anchors.listed(domain)
+            if listed is None or request.now >= listed.entry.until:
+                raise Refused(f"no domain is called {domain[:32]!a} here")
+            exported = domains.exported(listed.entry.domain)
+        place = self._place(kind, name, exported)
         if place is None or place[1] is None:
             raise Refused(f"no {kind} {name} is shown there")
         if is_loopback_host(place[0]) and not request.is_local:
             raise Refused(_ON_THIS_HOST)
         return Reply([*place], "target")
 
-    def _exported(self, label: str, now: int) -> Reach | None:
-        if not label:
-            return None
-        domains = self._statements.domains
-        listed = domains.anchors.listed(label)
-        if listed is None or now >= listed.entry.until:
-            raise Refused(f"no domain is called {label[:32]!a} here")
-        return domains.exported(listed.entry.domain)
-
     def _place(self, kind: str, name: str, exported: Reach | None) -> Endpoint | None:
         own_name, own_uri = self._own
         if kind == MASTER:
             return endpoint(own_uri) if name == own_name else None
         if kind == NODE:
-            return self._node(name, exported)
-        uri, providers = self._registry.service_uri(name), self._registry.registered_nodes
-        is_own = any(not is_alias(node.name) for node in providers(Kind.SERVICE, name))
+            node = self._registry.node(name)
+            if node is None or is_alias(name):
+                return None
+            keys = (key for kind in _KINDS for key in self._registry.keys_of(name, kind))
+            shown = _shows(exported, name) or any(_shows(exported, key) for key in keys)
+            return endpoint(node.uri) if shown else None
+        uri, providers = self._registry.service_uri(name), self._registry.registered_nodes(Kind.SERVICE, name)
+        is_own = any(not is_alias(node.name) for node in providers)
         return endpoint(uri) if uri and is_own and _shows(exported, name) else None
-
-    def _node(self, name: str, exported: Reach | None) -> Endpoint | None:
-        node = self._registry.node(name)
-        if node is None or is_alias(name):
-            return None
-        keys = (key for kind in _SHOWN for key in self._registry.keys_of(name, kind))
-        shown = _shows(exported, name) or any(_shows(exported, key) for key in keys)
-        return endpoint(node.uri) if shown else None
 
 
 def is_idle(answer: object) -> bool:
@@ -229,10 +205,3 @@ def is_idle(answer: object) -> bool:
 
 def _shows(exported: Reach | None, name: str) -> bool:
     return exported is None or exported.covers_any(ALL_RIGHTS, name)
-
-
-def _report(request: CallRequest) -> Report:
-    _, instance, seen, doors, ways = request.arguments
-    if not (isinstance(seen, int) and isinstance(doors, dict) and isinstance(ways, dict)):
-        raise TypeError("a relay's call whose arguments were not checked")
-    return Report(str(instance), seen, doors, ways)

@@ -1,32 +1,11 @@
-"""The calls about the authority's statements: grants, delegations, revocations. Pure.
+"""The calls about the authority's statements: grants, delegations, revocations, domains, renewals. Pure.
 
-Lists and delegations carry the authority's signature, so any authenticated node may deliver one.
-Answers to RFC 9770 queries contain what pertains to a node, and all entries for an administrator.
-
-The calls about foreign domains: the list of them, and what their authorities revoked. Pure.
-
-What is delivered here is signed by the own authority, what is answered by the one it is of: a node
-verifies all of it. Foreigners ask their own master.
-
-The calls that deliver grants: the authority deposits them, each node fetches its own. Pure.
-
-Nothing here is trusted for rights: a node verifies what it fetches. A deposit is verified in turns,
-as each costs a signature, and then takes effect in one step, after it was made durable.
-
-The calls that renew identities: nodes ask, the authority's service answers. Pure.
-
-A node that has no answer yet is told so with the code 0 of ROS, a failure that is no fault of the
-call: it asks again soon. The service is the authority's own node; nobody else sees requests or
-leaves answers (`rossec.master.rights.access_rules`).
-
-What the authority's own node asks for a person: how far a list has come, who was denied. Pure.
-
-Only `/ca` may call these (`rossec.master.rights.access_rules`). Times are given as seconds ago: the
-clocks of two hosts may differ, and XML-RPC's integers end in 2038.
+Lists and delegations carry the authority's signature, so any authenticated node may deliver one; a
+node verifies whatever it is answered. What only the authority's own node may call, and what only
+members of the domain, says `rossec.master.rights.access_rules`.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from typing import Final
 
 from ca.errors import HintedError
@@ -46,7 +25,7 @@ from rossec.master.api.methods import (
     RevocationsChanged,
     Steps,
 )
-from rossec.master.rights.caller import Peer, RecentDenials, Refused
+from rossec.master.rights.caller import Peer, RecentDenials, Refused, refusals_answered
 from rossec.master.rights.held_grants import DeliveryState, Deposits
 from rossec.master.rights.renewals import OFFER_LIMIT, Settlement
 from rossec.master.rights.revocation_lists import RevocationQueries
@@ -69,14 +48,7 @@ PROOF_LIMIT: Final = 64
 
 
 class StatementCalls:
-    """Handlers over one `TrustState`.
-
-    Args:
-        registry: to find the names that a caller is registered for.
-        master: the master's own certified name; ADMIN is a right on this name.
-        started: when this run of the master began, seconds since the epoch.
-        deposits: to record which of them their holders have.
-    """
+    """Handlers over one `TrustState`; `master`, on whose name ADMIN is a right, began at `started`."""
 
     def __init__(
         self, statements: TrustState, registry: Registry, master: str, started: int, deposits: Deposits
@@ -106,7 +78,7 @@ class StatementCalls:
         }
 
     def _present(self, request: CallRequest) -> Steps:
-        tokens, reasons = binaries(request.arguments[1]), list[str]()
+        tokens, reasons = request.binaries(1), list[str]()
         for token in tokens:
             reasons += self._statements.present(request.caller, [token], request.now).refused
             yield
@@ -120,7 +92,7 @@ class StatementCalls:
         return Reply(presented.held, status, events=(event,))
 
     def _renew(self, request: CallRequest) -> Reply:
-        renewed = self._statements.renew(request.caller, binaries(request.arguments[1]), request.now)
+        renewed = self._statements.renew(request.caller, request.binaries(1), request.now)
         refused = "; ".join(renewed.refused)
         status = f"grants renewed, but refused: {refused}" if refused else "grants renewed"
         event = GrantsPresented(request.caller.identity, renewed.refused)
@@ -158,9 +130,10 @@ class StatementCalls:
         return Reply(self._statements.tree_entries, "entries")
 
     def _proofs(self, request: CallRequest) -> Reply:
-        return Reply(self._statements.proofs(binaries(request.arguments[1])), "proofs")
+        return Reply(self._statements.proofs(request.binaries(1)), "proofs")
 
     def _query(self, request: CallRequest) -> Steps:
+        # RFC 9770: what pertains to the caller, and all entries for an administrator.
         caller = request.caller
         if caller.may(Right.ADMIN, self._master):
             entries = self._statements.revoked()
@@ -179,18 +152,6 @@ def _update_reply(newer: bool, request: CallRequest) -> Reply:
         return Reply(0, "not newer than the list in force")
     changed = RevocationsChanged(request.caller.identity)
     return Reply(1, "revocations updated", events=(changed,))
-
-
-@contextmanager
-def refusals_answered() -> Iterator[None]:
-    try:
-        yield
-    except HintedError as error:
-        raise Refused(f"{error} ({error.hint})" if error.hint else str(error)) from error
-
-
-def binaries(value: object) -> Sequence[bytes]:
-    return [item for item in value if isinstance(item, bytes)] if isinstance(value, list) else []
 
 
 MAX_DOMAIN: Final = 255  # characters
@@ -231,7 +192,7 @@ class DomainCalls:
 
     def _proofs(self, request: CallRequest) -> Reply:
         domain = self._listed(request)
-        entries = binaries(request.arguments[2])
+        entries = request.binaries(2)
         return Reply(self._statements.domains.proofs(domain, entries), "proofs")
 
     def _listed(self, request: CallRequest) -> str:
@@ -250,6 +211,7 @@ _BATCH: Final = 8  # verifications, a millisecond, between two yields
 
 
 class DepositCalls:
+    # Nothing here is trusted for rights: a node verifies what it fetches.
     def __init__(self, statements: TrustState, deposits: Deposits) -> None:
         self._statements = statements
         self._deposits = deposits
@@ -264,21 +226,26 @@ class DepositCalls:
         }
 
     def _deposit(self, request: CallRequest) -> Steps:
+        # 1. Verify in turns, as each costs a signature.
         verified: list[tuple[bytes, Grant | HintedError]] = []
-        for number, data in enumerate(binaries(request.arguments[1]), 1):
-            verified.append((data, self._verified(data, request.now)))
+        for number, data in enumerate(request.binaries(1), 1):
+            try:
+                verified.append((data, self._deposits.verify(data, request.now)))
+            except HintedError as error:
+                verified.append((data, error))
             if not number % _BATCH:
                 yield
+        # 2. Take effect in one step, after all was made durable.
         self._deposits.drop_ended(request.now, self._statements.revoked())
         with refusals_answered():
             reasons = self._deposits.add(verified)
-        return _deposited(request, verified, reasons)
-
-    def _verified(self, data: bytes, now: int) -> Grant | HintedError:
-        try:
-            return self._deposits.verify(data, now)
-        except HintedError as error:
-            return error
+        # 3. Notify the holders.
+        accepted = zip(verified, reasons, strict=True)
+        holders = [g.holder for (_, g), reason in accepted if isinstance(g, Grant) and not reason]
+        event = GrantsDeposited(request.caller.identity, frozenset(holders), len(holders))
+        refused = len(reasons) - len(holders)
+        status = f"{len(holders)} grants deposited" + (f", {refused} refused" if refused else "")
+        return Reply(reasons, status, events=(event,) if holders else ())
 
     def _fetch(self, request: CallRequest) -> Reply:
         known = frozenset(_split(request.binary(1), ID_SIZE, KNOWN_LIMIT))
@@ -288,7 +255,7 @@ class DepositCalls:
         return Reply({"grants": found.grants, "more": found.more}, "grants")
 
     def _states(self, request: CallRequest) -> Reply:
-        entries = binaries(request.arguments[1])
+        entries = request.binaries(1)
         if any(len(entry) != ID_SIZE + _HOLDER_SIZE for entry in entries):
             raise Refused("a grant is named by its id and the thumbprint of its holder's key")
         self._deposits.drop_ended(request.now, self._statements.revoked())
@@ -302,26 +269,11 @@ class DepositCalls:
 
 
 def is_empty(answer: object) -> bool:
-    """Whether an answer to a node has no grant."""
     match answer:
         case [1, _, {"grants": []}]:
             return True
         case _:
             return False
-
-
-def _deposited(
-    request: CallRequest, verified: Sequence[tuple[bytes, Grant | HintedError]], reasons: list[str]
-) -> Reply:
-    holders = [
-        grant.holder
-        for (_, grant), reason in zip(verified, reasons, strict=True)
-        if isinstance(grant, Grant) and not reason
-    ]
-    event = GrantsDeposited(request.caller.identity, frozenset(holders), len(holders))
-    refused = len(reasons) - len(holders)
-    status = f"{len(holders)} grants deposited" + (f", {refused} refused" if refused else "")
-    return Reply(reasons, status, events=(event,) if holders else ())
 
 
 def _split(value: bytes, size: int, most: int) -> list[bytes]:
@@ -335,6 +287,8 @@ _PENDING: Final = 0
 
 
 class RenewalCalls:
+    # A node that has no answer yet is told so with the code 0 of ROS, a failure that is no fault of
+    # the call: it asks again soon. The service that answers is the authority's own node.
     def __init__(self, statements: TrustState) -> None:
         self._statements = statements
 
@@ -367,8 +321,7 @@ class RenewalCalls:
         return Reply(settled, "settled", events=(done,) if settled else ())
 
 
-def is_idle(answer: object) -> bool:
-    """Whether an answer to the authority's service has nothing for it to decide."""
+def has_no_renewal(answer: object) -> bool:
     match answer:
         case [1, _, {"renewals": []}]:
             return True
@@ -379,17 +332,15 @@ def is_idle(answer: object) -> bool:
 def _settlements(value: object, _caller: str) -> list[Settlement]:
     if not isinstance(value, list) or len(value) > OFFER_LIMIT:
         raise ArgumentRefused(f"ERROR: parameter [answers] must be a list of at most {OFFER_LIMIT}")
-    return [_settlement(each) for each in value]
-
-
-def _settlement(value: object) -> Settlement:
-    match value:
-        case [bytes() as digest, bytes() as bundle, str() as reason] if len(digest) == _DIGEST and bool(
-            bundle
-        ) is not bool(reason):
-            return Settlement(digest, bundle, reason)
-        case _:
-            raise ArgumentRefused("ERROR: parameter [answers] has an entry of another form")
+    found: list[Settlement] = []
+    for each in value:
+        match each:
+            case [bytes(digest), bytes(bundle), str(reason)] if len(digest) == _DIGEST:
+                if bool(bundle) is not bool(reason):
+                    found.append(Settlement(digest, bundle, reason))
+                    continue
+        raise ArgumentRefused("ERROR: parameter [answers] has an entry of another form")
+    return found
 
 
 STANDING: Final = "rossec.revocationStanding"
@@ -398,10 +349,10 @@ MAX_LACKING: Final = 64  # names in one answer
 
 
 class AuthorityCalls:
-    """Handlers over what the master knows.
+    """What the authority's own node asks for a person: how far a list has come, who was denied.
 
-    Args:
-        connected: the certified identities that have a connection now.
+    Times are given as seconds ago: the clocks of two hosts may differ, and XML-RPC's integers end
+    in 2038.
     """
 
     def __init__(

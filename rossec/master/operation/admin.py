@@ -1,18 +1,8 @@
-"""The administrator's local port of a master or a relay: a Unix socket.
+"""The administrator's local port of a master or a relay, and limits of the process. A shell.
 
-A shell. The socket is in its own directory (0600), and the kernel reports the user of the peer:
+The port is a Unix socket in its own directory (0600), and the kernel reports the user of the peer:
 only the user who runs it, and root, are admitted. A master's is off unless enabled. A connection is
 one request and one answer, each a line of JSON. No command changes a right.
-
-The limit on open files: each node takes two, and a shell's soft limit is often 1024.
-
-Rate limit for log lines that nodes cause: token buckets. Pure except for the given clock.
-
-A node that is denied a thousand times a second must neither fill the disk nor hide the lines of
-others: there is a bucket for each node and one for all. Several nodes together could empty the
-common one, so each also has a small bucket in reserve. Lines of administrators are never limited;
-so the lines that nodes cause have their own logger, a child of the audit's. The number of lines
-that were left out is recorded in the next line of that node.
 """
 
 import asyncio
@@ -35,7 +25,7 @@ from rossec.host.audit import LEFT_OUT
 from rossec.host.local_sockets import listen_at, raw_socket, require_user
 from rossec.peer_limits import subject
 
-DESCRIPTORS: Final = 65536
+DESCRIPTORS: Final = 65536  # each node takes two, and a shell's soft limit is often 1024
 
 
 def raise_descriptor_limit() -> None:
@@ -58,6 +48,13 @@ class NodeBudget:
 
 
 class DenialRateLimit(logging.Filter):
+    """A node that is denied a thousand times a second neither fills the disk nor hides other lines.
+
+    There is a bucket for each node and one for all. Several nodes together could empty the common
+    one, so each also has a small bucket in reserve. Lines of administrators are never limited: those
+    that nodes cause have their own logger, a child of the audit's.
+    """
+
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
         self._clock = clock
@@ -89,7 +86,6 @@ class DenialRateLimit(logging.Filter):
 
 @contextmanager
 def denials_limited() -> Iterator[None]:
-    """Limit the rate of the lines that nodes cause."""
     limit, log = DenialRateLimit(), logging.getLogger(DENIALS)
     log.addFilter(limit)
     try:
@@ -116,17 +112,15 @@ class AdminPort:
         self._server: asyncio.Server | None = None
 
     async def start(self) -> None:
-        """Listen; a stale socket of a killed master is replaced."""
         if self._path.exists():
             with socket.socket(socket.AF_UNIX) as probe:
                 if probe.connect_ex(str(self._path)) == 0:
                     raise ConfigurationError(f"another program listens at {self._path}")
-            self._path.unlink()
+            self._path.unlink()  # of a master that was killed
         sock = listen_at(self._path)
         self._server = await asyncio.start_unix_server(self._handle, sock=sock, limit=_MAX_LINE)
 
     async def close(self) -> None:
-        """Stop listening."""
         if self._server is not None:
             self._server.close()
             self._path.unlink(missing_ok=True)

@@ -1,9 +1,7 @@
 """The master's configuration file: YAML, a closed schema; every error names its line.
 
 No setting can widen a right. A missing key has its default, and an unknown key is an error: a
-misspelt limit must not be ignored.
-
-Limits on what one peer may use, each checked before memory is allocated for the peer.
+misspelt limit must not be ignored. A limit is checked before memory is allocated for the peer.
 """
 
 import dataclasses
@@ -26,34 +24,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MasterLimits:
-    """The limits; the defaults are for a site of a thousand nodes.
+    """The limits; the defaults are for a site of a thousand nodes."""
 
-    Args:
-        body: bytes of one call, and of one answer.
-        parameters: bytes of all parameters together.
-        connections_per_identity: open at a time; a node has two, and one for each watched graph.
-        connections_per_domain: open at a time, of all nodes of one foreign domain.
-        connections_without_right: of those of one identity or foreign domain, as long as no grant
-            gives its nodes any right here.
-        body_without_right: bytes of one call of such a node, but for calls with signed statements.
-        nodes_per_identity: registered at a time; only a wildcard identity can have several.
-        handshake_seconds: from the first byte of a connection to an authenticated peer.
-        request_seconds: from the first byte of a call to its last.
-        idle_seconds: between two calls on one connection; nodes call every ten seconds.
-        unfinished_per_address, unfinished: handshakes at a time.
-    """
-
-    body: int = BODY_LIMIT
-    parameters: int = SIZE_LIMIT
-    connections_per_identity: int = 32
-    connections_per_domain: int = 256
+    body: int = BODY_LIMIT  # bytes of one call, and of one answer
+    parameters: int = SIZE_LIMIT  # bytes of all parameters together
+    connections_per_identity: int = 32  # open at a time; a node has two, and one for each watched graph
+    connections_per_domain: int = 256  # open at a time, of all nodes of one foreign domain
+    # of those of one identity or foreign domain, as long as no grant gives its nodes any right here
     connections_without_right: int = 16
+    # bytes of one call of such a node, but for calls with signed statements
     body_without_right: int = UNSHOWN_BODY
-    nodes_per_identity: int = NODES_LIMIT
-    handshake_seconds: int = 5
-    request_seconds: int = 10
-    idle_seconds: int = 120
-    unfinished_per_address: int = 128
+    nodes_per_identity: int = NODES_LIMIT  # registered at a time; only a wildcard identity can have several
+    handshake_seconds: int = 5  # from the first byte of a connection to an authenticated peer
+    request_seconds: int = 10  # from the first byte of a call to its last
+    idle_seconds: int = 120  # between two calls on one connection; nodes call every ten seconds
+    unfinished_per_address: int = 128  # unfinished_per_address, unfinished: handshakes at a time
     unfinished: int = 512
 
 
@@ -77,27 +62,16 @@ _EXPECTED: Final = {
 
 @dataclass(frozen=True)
 class Config:
-    """The settings of `rossec master`.
+    """The settings of `rossec master`."""
 
-    Args:
-        port: to listen on; None: that of ROS_MASTER_URI.
-        log: `text` or `json`.
-        audit: write the audit file.
-        admin: open the local port of an administrator.
-        announce: announce the master on the local links.
-        metrics: port for Prometheus, on loopback; None: none.
-        complaints: file of the denial log; None: none.
-        limits: see `rossec.master.operation.config`.
-        federation: a part of the file for `rossec.federation.settings`; None: there is none.
-    """
-
-    port: int | None = None
-    log: str = "text"
-    audit: bool = True
-    admin: bool = False
-    announce: bool = False
-    metrics: int | None = None
-    complaints: Path | None = None
+    port: int | None = None  # to listen on; None: that of ROS_MASTER_URI
+    log: str = "text"  # `text` or `json`
+    audit: bool = True  # write the audit file
+    admin: bool = False  # open the local port of an administrator
+    announce: bool = False  # announce the master on the local links
+    metrics: int | None = None  # port for Prometheus, on loopback; None: none
+    complaints: Path | None = None  # file of the denial log; None: none
+    # limits, federation: parts of the file; the second is for `rossec.federation.settings`
     limits: MasterLimits = field(default_factory=MasterLimits)
     federation: "Part | None" = None
 

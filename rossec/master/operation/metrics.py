@@ -130,7 +130,6 @@ class MetricsExporter:
         self.port: int = self._server.server_port
 
     def close(self) -> None:
-        """Stop serving."""
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()

@@ -1,22 +1,15 @@
-"""A caller of the master and its rights at one time. Pure, default deny.
+"""A caller of the master and its rights at one time, and the rights lately denied. Pure, default deny.
 
 A right on an alias (`/remote/LABEL/...`) is the right on the origin's name, from grants of the
 origin's domain: a grant of the own one, whatever its pattern, gives no more there than `graph` and
 `admin`, which concern the own master. Nothing below `/remote` is published, provided or set here. A
 foreign caller has its alias as name, calls itself by its name at home, and sees no aliases: what
 was imported is shown to no other domain.
-
-The rights that nodes lacked within the last day, for a person to look at. Pure, in memory.
-
-Each right on a name counts once for a node, with the newest time and name: one run of an anonymous
-node is as the next. Nodes choose the names, so the
-number is bounded, for each certified name and in all; where the whole is full, the node with most
-entries loses its oldest: no node pushes out what another was denied, unless many do it together.
 """
 
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple, Protocol
 
@@ -48,6 +41,14 @@ class Refused(Exception):
         self.missing = missing
 
 
+@contextmanager
+def refusals_answered() -> Iterator[None]:
+    try:
+        yield
+    except HintedError as error:
+        raise Refused(f"{error} ({error.hint})" if error.hint else str(error)) from error
+
+
 class AddressTaken(Refused):
     """The address is registered by `owner`, which may be gone: only a probe can tell."""
 
@@ -57,15 +58,16 @@ class AddressTaken(Refused):
 
 
 class Peer(Protocol):
-    """A certified name and its key: a `ca.certificates.Identity` or a `NodeRef`."""
+    """A certified name, of a foreigner its alias, and the thumbprint of its key.
+
+    A `ca.certificates.Identity` or a `NodeRef`.
+    """
 
     @property
-    def name(self) -> str:
-        """The certified name; of a foreigner its alias."""
+    def name(self) -> str: ...
 
     @property
-    def thumbprint(self) -> bytes:
-        """The certified key's thumbprint."""
+    def thumbprint(self) -> bytes: ...
 
 
 _SAID: Final = 2  # near misses beside the command that gives the right
@@ -81,39 +83,27 @@ class OriginRights(NamedTuple):
     authorize: Authorize
 
 
-def no_domain(_: str) -> str | None:
+def no_domain(_label: str) -> str | None:
     return None
 
 
 @dataclass(frozen=True)
 class Caller:
-    """A caller and its rights at one time, from the grants it presented.
+    """A caller and its rights at one time, from the grants it presented."""
 
-    Attributes:
-        name: the certified name, of a foreigner its alias; within a call the name of the node, see
-            `acting_as`.
-        thumbprint: of the certified key, to which grants are bound.
-        reach: what its valid grants of the own domain cover.
-        authorize: called for a right on a name that `reach` does not cover.
-        wildcard: the certified name has a wildcard tail.
-        certified: the certified name where `name` is another one.
-        is_authority: it is the authority's own node, see `access_rules.is_authority`.
-        is_own_master: it is a listed master of the own domain.
-        elsewhere: what its grants of foreign domains give, by trust domain.
-        domain_of: resolves the labels of aliases.
-        exported: what a foreigner's domain is shown and given at all; None: what grants allow.
-    """
-
+    # the certified name, of a foreigner its alias; within a call the name of the node, see `acting_as`
     name: str
-    thumbprint: bytes
-    reach: Reach
-    authorize: Authorize
-    wildcard: bool = False
-    certified: str = ""
-    is_authority: bool = False
-    is_own_master: bool = False
+    thumbprint: bytes  # of the certified key, to which grants are bound
+    reach: Reach  # what its valid grants of the own domain cover
+    authorize: Authorize  # called for a right on a name that `reach` does not cover
+    wildcard: bool = False  # the certified name has a wildcard tail
+    certified: str = ""  # the certified name where `name` is another one
+    is_authority: bool = False  # it is the authority's own node, see `access_rules.is_authority`
+    is_own_master: bool = False  # it is a listed master of the own domain
+    # what its grants of foreign domains give, by trust domain
     elsewhere: Mapping[str, OriginRights] = field(default_factory=dict, hash=False)
-    domain_of: DomainOf = no_domain
+    domain_of: DomainOf = no_domain  # resolves the labels of aliases
+    # what a foreigner's domain is shown and given at all; None: what grants allow
     exported: Reach | None = None
 
     @property
@@ -141,7 +131,6 @@ class Caller:
         return any(not each.reach.is_empty for each in self.elsewhere.values())
 
     def acting_as(self, name: str) -> "Caller":
-        """The caller as the node `name`, which has its own entries in the registry."""
         if name == self.name and not name.startswith(REMOTE):  # the usual case
             return self
         own = origin_of(self.name)  # a foreigner calls itself by its name at home
@@ -159,7 +148,8 @@ class Caller:
         if name.startswith(REMOTE) and is_alias(name):
             return self._may_elsewhere(right, name)
         if self.reach.covers(right, name):
-            return self.exported is None or self._is_exported(right, name)
+            exported = self.exported
+            return exported is None or right in _NOT_EXPORTED or exported.covers(right, name)
         return right is Right.GRAPH and (self.is_authority or self.is_own_master)
 
     def explain(self, right: Right, name: str) -> None:
@@ -207,23 +197,23 @@ class Caller:
         return GrantMissing(missing, _ways(right, alias))
 
     def may_all_below(self, right: Right, namespace: str) -> bool:
-        """Whether grants cover `right`, one of parameters, on every name below `namespace`."""
-        if not is_alias(namespace):
-            exported = self.exported is None or self.exported.covers_below(right, namespace)
-            return exported and self.reach.covers_below(right, namespace)
-        found = self._tree_origin(right, namespace)
-        return found is not None and found[0].covers_below(right, found[1])
+        return self._below(Reach.covers_below, right, namespace)
 
     def may_some_below(self, right: Right, namespace: str) -> bool:
-        """Whether a grant covers `right`, one of parameters, at `namespace` or anywhere below."""
+        return self._below(Reach.touches, right, namespace)
+
+    def _below(self, covers: Callable[[Reach, Right, str], bool], right: Right, namespace: str) -> bool:
+        # Whether grants cover a right of parameters on what is below a namespace.
         if not is_alias(namespace):
-            exported = self.exported is None or self.exported.touches(right, namespace)
-            return exported and self.reach.touches(right, namespace)
-        found = self._tree_origin(right, namespace)
-        return found is not None and found[0].touches(right, found[1])
+            exported = self.exported is None or covers(self.exported, right, namespace)
+            return exported and covers(self.reach, right, namespace)
+        if self.is_foreign or right is not Right.PARAM_GET or namespace == REMOTE:
+            return False
+        label, slash, rest = namespace.removeprefix(f"{REMOTE}/").partition("/")
+        rights = self._rights_at(label)
+        return rights is not None and covers(rights.reach, right, f"{slash}{rest}" or "/")
 
     def patterns(self, right: Right) -> int:
-        """How many patterns must be matched one by one against each name."""
         others = self.elsewhere.values()
         return self.reach.patterns(right) + sum(each.reach.patterns(right) for each in others)
 
@@ -232,7 +222,6 @@ class Caller:
         return max(1, NAMES_PER_YIELD // (1 + sum(map(self.patterns, Right)) // 8))
 
     def may_see(self, name: str) -> bool:
-        """Whether a topic, service or node name may appear in an answer to this caller."""
         if self.is_authority or self.is_own_master:
             return True
         if name.startswith(REMOTE) and is_alias(name):
@@ -253,10 +242,6 @@ class Caller:
         if not self.has_slots or is_alias(name):
             return 0
         return self.reach.slot(VISIBILITY_RIGHTS, name)
-
-    def _is_exported(self, right: Right, name: str) -> bool:
-        exported = self.exported
-        return exported is None or right in _NOT_EXPORTED or exported.covers(right, name)
 
     def _may_elsewhere(self, right: Right, alias: str) -> bool:
         if self.is_foreign:
@@ -285,13 +270,6 @@ class Caller:
             return None
         rights = self._rights_at(found[0])
         return None if rights is None else (rights, found[1])
-
-    def _tree_origin(self, right: Right, namespace: str) -> tuple[Reach, str] | None:
-        label, slash, rest = namespace.removeprefix(f"{REMOTE}/").partition("/")
-        if self.is_foreign or right is not Right.PARAM_GET or namespace == REMOTE:
-            return None
-        rights = self._rights_at(label)
-        return None if rights is None else (rights.reach, f"{slash}{rest}" or "/")
 
     def _rights_at(self, label: str) -> OriginRights | None:
         domain = self.domain_of(label)
@@ -323,7 +301,13 @@ class RecentDenial(NamedTuple):
 
 
 class RecentDenials:
-    """The newest denials of all nodes."""
+    """The newest denials of all nodes, for a person to look at; in memory.
+
+    Each right on a name counts once for a node, with the newest time and name: one run of an
+    anonymous node is as the next. Nodes choose the names, so the number is bounded, for each
+    certified name and in all; where the whole is full, the node with most entries loses its oldest:
+    no node pushes out what another was denied, unless many do it together.
+    """
 
     def __init__(self) -> None:
         self._nodes: dict[str, OrderedDict[tuple[Right, str], tuple[int, str]]] = {}
@@ -345,7 +329,6 @@ class RecentDenials:
             self._forget_oldest(max(self._nodes, key=lambda each: len(self._nodes[each])))
 
     def newest_first(self, now: int) -> list[RecentDenial]:
-        """The denials of the last day."""
         self._drop_old(now)
         found = [
             RecentDenial(at, node, right, name)

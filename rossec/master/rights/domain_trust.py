@@ -24,7 +24,6 @@ from grants.decision import Reach, RevocationCheck
 from grants.model import Permission, Right
 from grants.token import Verifier
 from rossec.master.rights.caller import OWN_DOMAIN
-from rossec.master.rights.renewals import discard
 
 GRACE: Final = 60  # seconds that a connection stands while revocations are stale
 MAX_PROOFS: Final = 16 * 1024  # of one foreign tree, and entries that wait for one
@@ -32,19 +31,10 @@ _ENTRY_SIZES: Final = (GRANT_ID_SIZE, THUMBPRINT_SIZE)  # no tree has others; th
 
 _NOTHING: Final = Reach(())
 
-PersistForeign = Callable[[str, bytes], None]
-"""Makes the revocation list of a foreign domain durable."""
-
+PersistForeign = Callable[[str, bytes], None]  # Makes the revocation list of a foreign domain durable
 
 LoadForeign = Callable[[str], bytes | None]
 """The newest revocation list that was saved of a foreign domain; None: there is none."""
-
-
-def nothing_saved(_domain: str) -> bytes | None:
-    return None
-
-
-def discard_foreign(_domain: str, _data: bytes) -> None: ...
 
 
 class ForeignWord(NamedTuple):
@@ -57,33 +47,24 @@ class ForeignWord(NamedTuple):
 
 
 class DomainTrust:
-    """The list of domains, and the revocations of those that are listed.
-
-    Args:
-        standing: of this master; shared with nobody else.
-        persist: makes a list of domains durable; called before it takes effect.
-        persist_foreign: the same for a foreign revocation list.
-        load_foreign: finds a saved one when its domain is listed (again): no older one counts.
-
-    Attributes:
-        generation: grows with every change of what is trusted or revoked elsewhere.
-        own_sites: the labels of other masters of the own domain.
-    """
+    """The list of domains, and the revocations of those that are listed."""
 
     def __init__(
         self,
         standing: Standing,
-        persist: Callable[[bytes], None] = discard,
-        persist_foreign: PersistForeign = discard_foreign,
-        load_foreign: LoadForeign = nothing_saved,
+        persist: Callable[[bytes], None] = lambda _data: None,
+        persist_foreign: PersistForeign = lambda _domain, _data: None,
+        load_foreign: LoadForeign = lambda _domain: None,
     ) -> None:
         self.standing: Final = standing
         self.anchors: Final = standing.anchors
+        # persist, persist_foreign: make a list durable; called before it takes effect
         self._persist = persist
         self._persist_foreign = persist_foreign
+        # finds a saved one when its domain is listed (again): no older one counts
         self._load_foreign = load_foreign
-        self.generation = 0
-        self.own_sites: Callable[[], Iterable[str]] = tuple
+        self.generation = 0  # grows with every change of what is trusted or revoked elsewhere
+        self.own_sites: Callable[[], Iterable[str]] = tuple  # the labels of other masters of the own domain
         self._own_masters: frozenset[bytes] = frozenset()
         self._words: dict[str, ForeignWord] = {}
         self._proofs: dict[str, dict[bytes, bytes]] = {}
@@ -94,10 +75,7 @@ class DomainTrust:
         self._list_replaced(frozenset())
 
     def update(self, data: bytes) -> frozenset[str] | None:
-        """Take a list of domains; returns those that are gone or have another root.
-
-        None: it is the list held.
-        """
+        # Those that are gone or have another root; None: it is the list held.
         before, roots = self.anchors.data, self._roots()
         ended = self.anchors.update(data, self._persist)
         if self.anchors.data == before:
@@ -109,10 +87,8 @@ class DomainTrust:
     def take(
         self, domain: str, revocations: bytes, timestamp: bytes, chain: Sequence[bytes], now: int
     ) -> None:
-        """Take a foreign domain's revocations; arguments and errors as `Standing.take_foreign`.
-
-        A valid list is in force even if the timestamp is refused: `generation` has grown then.
-        """
+        # Arguments and errors as `Standing.take_foreign`.
+        # A valid list is in force even if the timestamp is refused: `generation` has grown then.
         before = self._data(domain)
         persist = partial(self._persist_foreign, domain)
         try:
@@ -148,13 +124,11 @@ class DomainTrust:
         return [known.get(entry, b"") for entry in entries]
 
     def wanted_proofs(self, domain: str) -> list[bytes]:
-        """The entries of a foreign tree whose proofs are to be fetched."""
         held = self.standing.foreign(domain)
         unproved = () if held is None else held.unproved
         return list(dict.fromkeys((*unproved, *self._wanted.get(domain, ()))))
 
     def add_proof(self, domain: str, entry: bytes, proof: bytes) -> None:
-        """Take a proof that was fetched."""
         held = self.standing.foreign(domain)
         if held is None or not is_tree(held.data):
             raise RevocationRefused("a proof, but there is no such tree")
@@ -180,12 +154,10 @@ class DomainTrust:
         self.check_fresh(peer, now)
 
     def check_fresh(self, peer: Identity, now: int) -> None:
-        """Return if no key of a foreigner is revoked, as its domain's master said lately."""
         for key in peer.keys:
             self.standing.check(peer.domain, key, now)
 
     def check_connected(self, peer: Identity, now: int) -> None:
-        """Return if a connection of a foreigner may stand."""
         self.standing.check_trust(peer, now)
         stale: RevocationsStale | None = None
         for key in peer.keys:
@@ -199,7 +171,6 @@ class DomainTrust:
             raise stale
 
     def check_known(self, domain: str, entry: bytes, now: int) -> None:
-        """Raise if `entry` is known to be revoked by `domain`, or `domain` is not listed."""
         with suppress(RevocationsStale):
             self.standing.check(domain, entry, now)
 
@@ -214,14 +185,12 @@ class DomainTrust:
         return "" if listed is None else listed.entry.label
 
     def domain_of(self, label: str) -> str | None:
-        """The trust domain of a label (`rossec.master.rights.caller.DomainOf`)."""
         listed = self.anchors.listed(label)
         if listed is not None:
             return listed.entry.domain
         return OWN_DOMAIN if label in self.own_sites() else None
 
     def is_own_master(self, peer: Identity) -> bool:
-        """Whether a peer is a listed master of the own domain."""
         return (
             not peer.is_foreign
             and not peer.wildcard
@@ -250,7 +219,6 @@ class DomainTrust:
         return self.standing.delegates(self.anchors.own.domain)
 
     def keep_only(self, thumbprints: frozenset[bytes]) -> None:
-        """Discard what is known of all other keys."""
         self._stale_since = {key: since for key, since in self._stale_since.items() if key in thumbprints}
 
     def next_end(self, now: int) -> int | None:

@@ -1,16 +1,11 @@
-"""Whether a grant is the caller's own: by its key, its domain and its name. Pure.
+"""Grants at the master: those that nodes presented, and those that the authority deposited. Pure.
 
-The grants that one key has presented to the master, and the rights they give. Pure.
-
-The caller of `put` has verified them, each with the key of its domain, and grants of one domain
-give nothing on names of another. Their number and size are bounded, for all domains together; the
-rights are evaluated again when the second, the revocations or the grants change.
-
-Grants that the authority deposited at the master, for the nodes that hold their keys. Pure.
-
-Each is verified, bounded per holder and in total, and durable before it is in the table. A node is
-given those of its own key only, and verifies them itself: the master is not trusted for rights. A
-grant leaves the table when it has ended, or when the list in force revokes it or its holder's key.
+The caller of `PresentedGrants.put` has verified them, each with the key of its domain, and grants
+of one domain give nothing on names of another; the rights are evaluated again when the second, the
+revocations or the grants change. A deposit is verified, bounded per holder and in total, and durable
+before it is in the table. A node is given those of its own key only, and verifies them itself: the
+master is not trusted for rights. A grant leaves the table when it has ended, or when the list in
+force revokes it or its holder's key.
 """
 
 import hashlib
@@ -33,6 +28,7 @@ from rossec.master.state.journals import DepositChange, GrantDeposited, GrantHel
 
 
 def check_holder(caller: Caller, grant: Grant, label: str) -> None:
+    # It is the caller's own: by its key, its domain and its name.
     if grant.holder != caller.thumbprint:
         raise GrantNotHeld("the grant is bound to another key", f"it was issued to {grant.subject}")
     name = caller.certified or caller.name
@@ -58,17 +54,12 @@ NOT_EVALUATED: Final = EvaluationContext(-1, b"", 0)
 
 
 class Judge(NamedTuple):
-    """How the grants of a peer are judged.
+    """How the grants of a peer are judged."""
 
-    Attributes:
-        domain: the own trust domain.
-        check: called with the domain of a grant, an entry of it and the time; raises if revoked.
-        domain_of, exported: as of `Caller`.
-    """
-
-    domain: str
+    domain: str  # the own trust domain
+    # called with the domain of a grant, an entry of it and the time; raises if revoked
     check: Callable[[str, bytes, int], None]
-    domain_of: DomainOf = no_domain
+    domain_of: DomainOf = no_domain  # domain_of, exported: as of `Caller`
     exported: Reach | None = None
 
 
@@ -122,8 +113,7 @@ class PresentedGrants:
         return caller
 
     def _evaluate(self, context: EvaluationContext, judge: Judge) -> None:
-        grants = self.grants.values()
-        valid = [grant for grant in grants if _is_valid(grant, context.now, judge)]
+        valid = [grant for grant in self.grants.values() if _is_valid(grant, context.now, judge)]
         ids = tuple(grant.id for grant in valid)
         if ids != self._valid_ids:
             by_domain: dict[str, list[Grant]] = {}
@@ -141,18 +131,17 @@ class PresentedGrants:
         return authorize(held, right, name, holder=holder, now=now, check=check)
 
     def drop_domains(self, domains: Collection[str]) -> None:
-        for key in [key for key, grant in self.grants.items() if grant.domain in domains]:
-            del self.grants[key], self.sizes[key]
-            self.version += 1
+        self._drop(lambda grant: grant.domain in domains)
 
     def drop_tails(self) -> None:
-        for key in [key for key, grant in self.grants.items() if grant.has_tail_patterns]:
-            del self.grants[key], self.sizes[key]
-            self.version += 1
+        self._drop(lambda grant: grant.has_tail_patterns)
         self.has_tails = False
 
     def drop_expired(self, now: int) -> None:
-        for key in [key for key, grant in self.grants.items() if grant.expires <= now]:
+        self._drop(lambda grant: grant.expires <= now)
+
+    def _drop(self, is_dropped: Callable[[Grant], bool]) -> None:
+        for key in [key for key, grant in self.grants.items() if is_dropped(grant)]:
             del self.grants[key], self.sizes[key]
             self.version += 1
 
@@ -162,7 +151,6 @@ class PresentedGrants:
             self.failing_since = now
 
     def has_failed_too_often(self, now: int) -> bool:
-        # Whether the grants of this key are not verified for now.
         if not 0 <= now - self.failing_since < FAILURE_WINDOW:
             self.failures = 0
         return self.failures >= MAX_FAILURES
@@ -178,7 +166,6 @@ class PresentedGrants:
         self.version += 1
 
     def is_full_for(self, size: int) -> bool:
-        # Whether a grant of `size` bytes would exceed a limit.
         return len(self.grants) >= MAX_HELD or sum(self.sizes.values()) + size > MAX_HELD_BYTES
 
 
@@ -200,13 +187,11 @@ ANSWER_BYTES: Final = 128 * 1024  # of grants in one answer, unless one alone is
 VerifyDeposit = Callable[[bytes, int], Grant]
 """The content of a grant that may be deposited at this time; raises a `HintedError` otherwise."""
 
-Persist = Callable[[Sequence[DepositChange]], None]
+Persist = Callable[[Sequence[DepositChange]], object]
 """Makes changes durable. Raises a `HintedError`: then they must not take effect."""
 
 
 class DeliveryState(Enum):
-    """How far the delivery of one grant is."""
-
     UNKNOWN = ""
     WAITING = "waiting"
     FETCHED = "fetched"
@@ -223,8 +208,6 @@ class Deposit:
 
 
 class Missing(NamedTuple):
-    """Grants that a node does not hold yet; `more`: not all of them."""
-
     grants: list[bytes]
     more: bool
 
@@ -247,24 +230,14 @@ def _refuse(data: bytes, now: int) -> Grant:
     raise GrantError(f"this master takes no deposits, also not of {len(data)} bytes at {now}")
 
 
-def _forget(changes: Sequence[DepositChange]) -> None: ...
-
-
 class Deposits:
-    """The table of deposits, by holder and by id.
+    """The table of deposits, by holder and by id; `persist` is called before one takes effect."""
 
-    Args:
-        verify: decides what may be deposited; by default nothing.
-        persist: called before a deposit takes effect.
-
-    Attributes:
-        unsaved: the grants presented since this was emptied: to be recorded at leisure, as a node
-            presents them again.
-    """
-
-    def __init__(self, verify: VerifyDeposit = _refuse, persist: Persist = _forget) -> None:
+    def __init__(self, verify: VerifyDeposit = _refuse, persist: Persist = lambda _changes: None) -> None:
         self.verify = verify
         self._persist = persist
+        # the grants presented since this was emptied: to be recorded at leisure, as a node presents them
+        # again
         self.unsaved: list[GrantHeld] = []
         self._by_id: dict[bytes, Deposit] = {}
         self._by_holder: dict[bytes, dict[bytes, Deposit]] = {}
@@ -275,11 +248,11 @@ class Deposits:
         return len(self._by_id)
 
     def restore(self, changes: Iterable[DepositChange]) -> None:
-        """Take what a journal of this master says; it was verified before it was written."""
+        # Of a journal of this master: it was verified before it was written.
         for change in changes:
             match change:
                 case GrantDeposited(data):
-                    with suppress(GrantError):  # written by another version of rossec
+                    with suppress(GrantError):
                         self._insert(_deposit(data, document.peek(data)))
                 case GrantHeld(grant_id) if grant_id in self._by_id:
                     self._by_id[grant_id].state = DeliveryState.HELD
@@ -287,13 +260,13 @@ class Deposits:
                     pass
 
     def changes(self) -> list[DepositChange]:
-        """The shortest journal of this table."""
+        # The shortest journal of this table.
         deposits = self._by_id.values()
         held = (GrantHeld(each.grant_id) for each in deposits if each.state is DeliveryState.HELD)
         return [*(GrantDeposited(each.data) for each in deposits), *held]
 
     def add(self, verified: Sequence[tuple[bytes, Grant | HintedError]]) -> list[str]:
-        """Add the grants that `verify` accepted; returns why each was refused, empty where not."""
+        # Why each was refused, empty where not.
         accepted: dict[bytes, Deposit] = {}
         reasons: list[str] = []
         for data, grant in verified:
@@ -314,7 +287,7 @@ class Deposits:
     def missing(
         self, holder: bytes, known: Collection[bytes], now: int, revoked: frozenset[bytes]
     ) -> Missing:
-        """The grants of one key whose ids are not `known` to it, the earliest deposit first."""
+        # The grants of one key whose ids are not `known` to it, the earliest deposit first.
         if holder in revoked:
             return Missing([], more=False)
         wanted = [
@@ -334,7 +307,7 @@ class Deposits:
         return Missing(sent, len(sent) < len(wanted))
 
     def presented(self, holder: bytes, tokens: Iterable[bytes]) -> None:
-        """The node with the key `holder` has presented these tokens, renewed ones too."""
+        # Renewed tokens too.
         own = self._by_holder.get(holder)
         if own is None:
             return
@@ -351,7 +324,6 @@ class Deposits:
         return DeliveryState.UNKNOWN if deposit is None else deposit.state
 
     def drop_ended(self, now: int, revoked: frozenset[bytes]) -> None:
-        """Remove what has ended at `now` or is `revoked`, itself or with its holder's key."""
         ended = set(self._by_id.keys() & revoked)
         for holder in self._by_holder.keys() & revoked:
             ended |= self._by_holder[holder].keys()

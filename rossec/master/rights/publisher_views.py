@@ -1,21 +1,11 @@
-"""What each subscriber of an alias, or in slots, is told of publishers: its own list. Pure.
+"""What each caller is told of publishers: of aliases, in slots, with what gateways serve. Pure.
 
 Who may be served, and for whom a gateway is registered, is told the gateway alone; who has but the
 right at the origin is told the origin's publishers; anybody else nothing. So a list changes when a
 gateway comes, goes or falls silent, when sites report changes, and with the subscriber's rights.
-What each was told is kept, so that only they are sent an update whose own list is another one. Who
-may know who publishes only to a slot is told at the beginnings of slots (`slotted_views`).
-
-What a caller is shown of publishers whose topics it may know only to a slot. Pure.
-
-Its only right on such a topic is to subscribe it in slots (`Caller.slot`): it is shown who
-published at the beginning of the slot, under the address and type of then. What is imported is told
-as it comes, and subscribers and services are: nothing of them is in slots.
-
-The topics in answers about the graph, with what gateways serve. Pure.
-
-To who may see a served name its alias is published by the gateways. Everything else is the graph's,
-and a master without gateways answers from the graph alone.
+Whose only right on a topic is to subscribe it in slots (`Caller.slot`) is shown who published at
+the beginning of the slot, under the address and type of then. What is imported is told as it comes,
+and subscribers and services are: nothing of them is in slots.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -39,11 +29,7 @@ class _Told(NamedTuple):
 
 
 class AliasPublishers:
-    """The lists of these subscribers; of other topics everybody has the same.
-
-    Args:
-        caller_of: of `TrustState`.
-    """
+    """The lists of these subscribers, as each was told; of other topics everybody has the same."""
 
     def __init__(self, graph: Graph, caller_of: CallerOf) -> None:
         self.graph: Final = graph
@@ -52,7 +38,7 @@ class AliasPublishers:
         self._caller_of = caller_of
         self._told: dict[str, _Told] = {}
         self._slots = set[int]()  # of those who are told in slots
-        self.on_slot: Callable[[], None] = _ignore  # called when `next_slot` may be sooner
+        self.on_slot: Callable[[], object] = lambda: None  # called when `next_slot` may be sooner
 
     def __len__(self) -> int:
         return sum(len(told.uris) for told in self._told.values())
@@ -81,7 +67,13 @@ class AliasPublishers:
 
     def updates(self, event: PublishersChanged, now: int) -> Sequence[PublishersChanged]:
         """The events to deliver for one of the registry, which knows no rights."""
-        self._note(event.topic, now)
+
+        def is_cut(node: NodeRef) -> bool:
+            caller = self._caller_of(node, now)
+            return caller is None or not caller.may(Right.PUBLISH, event.topic)
+
+        self.graph.presence.now = now
+        self.graph.presence.note(event.topic, is_cut)
         if is_alias(event.topic):
             return self.changes(event.topic, now)
         served = self.changes(event.topic, now) if is_in_gateway(event.topic) else []
@@ -122,14 +114,6 @@ class AliasPublishers:
         own = [each.node.uri for each in self.graph.presence.at(topic, slot)]
         return [*own, *self._registry.imported_publishers(topic)]
 
-    def _note(self, topic: str, now: int) -> None:
-        def is_cut(node: NodeRef) -> bool:
-            caller = self._caller_of(node, now)
-            return caller is None or not caller.may(Right.PUBLISH, topic)
-
-        self.graph.presence.now = now
-        self.graph.presence.note(topic, is_cut)
-
     def _is_apart(self, node: NodeRef, topic: str, now: int) -> bool:
         caller = self._caller_of(node, now)
         told = self._told.get(node.name)
@@ -162,10 +146,6 @@ class AliasPublishers:
         if told is None or told.node != node:
             told = self._told[node.name] = _Told(node, {})
         told.uris[alias] = uris
-
-
-def _ignore() -> None:
-    pass
 
 
 Entry = tuple[str, tuple[str, ...]]
@@ -244,7 +224,7 @@ def _told(graph: Graph, topic: str, slot: int, found: tuple[str, ...]) -> tuple[
     return (*own, *(name for name in found if is_alias(name)))
 
 
-def shown_entries(graph: Graph, caller: Caller, kind: Kind) -> Iterator[tuple[str, tuple[str, ...]]]:
+def shown_entries(graph: Graph, caller: Caller, kind: Kind) -> Iterator[Entry]:
     """All names of one kind, each with its nodes; gateways only where the caller may see them."""
     found = graph.entries(kind)
     if kind is Kind.PUBLISHER and caller.has_slots:
@@ -267,17 +247,15 @@ def is_topic_visible(graph: Graph, caller: Caller, topic: str) -> bool:
     return is_served and may_see_served(caller, topic)
 
 
-def _answering(
-    found: Iterator[tuple[str, tuple[str, ...]]], silent: frozenset[str]
-) -> Iterator[tuple[str, tuple[str, ...]]]:
+def _answering(found: Iterator[Entry], silent: frozenset[str]) -> Iterator[Entry]:
     # Served names without gateways that do not answer: another one takes over what they served.
     for key, nodes in found:
         yield key, tuple(n for n in nodes if n not in silent) if is_in_gateway(key) else nodes
 
 
 def _with_gateways(
-    caller: Caller, found: Iterator[tuple[str, tuple[str, ...]]], served: dict[str, tuple[str, ...]]
-) -> Iterator[tuple[str, tuple[str, ...]]]:
+    caller: Caller, found: Iterator[Entry], served: dict[str, tuple[str, ...]]
+) -> Iterator[Entry]:
     # Consumes `served`; names that are not visible are yielded too, as each costs time.
     for key, nodes in found:
         gateways = served.pop(key, ())

@@ -1,15 +1,11 @@
-"""Renewing grants for the authority, within what it delegated. Pure.
+"""Renewals for the authority: of grants, within what it delegated, and of identities. Pure.
 
-The authority's delegation names the master's key, the trust domain, and the longest validity of a
-ticket. A ticket is signed for a grant that its holder presents, expired or not, as long as its cap
-is not reached and nothing is revoked. The renewed grant is first verified as every node will.
-
-Identities that nodes ask to have renewed: kept until the authority's service has answered. Pure.
-
-The master of a domain signs no identities, unless its host holds an intermediate. It verifies what
-a node asks for and keeps it, one request for each key; the authority's service fetches requests,
-decides by its record, and leaves the answers here, where nodes find them when they ask again.
-Nothing is written to the disk: a node goes on asking, and gets one certificate however often.
+The delegation names the master's key, the trust domain, and the longest validity of a ticket. A
+ticket is signed for a grant that its holder presents, expired or not, as long as its cap is not
+reached and nothing is revoked. The master of a domain signs no identities, unless its host holds an
+intermediate: it verifies a request and keeps it, one for each key; the authority's service fetches
+requests, decides by its record, and leaves the answers here, where nodes find them when they ask
+again. Nothing is written to the disk: a node goes on asking, and gets one certificate however often.
 """
 
 import hashlib
@@ -41,20 +37,11 @@ from grants.token import pack, unpack
 _HINT: Final = "at the authority: rossec master delegate"
 
 
-def discard(_: bytes) -> None: ...
-
-
 class Delegate:
-    """Signs tickets while the authority has delegated that.
-
-    Args:
-        anchor: the authority.
-        signer: the master's own key.
-        persist: makes a delegation durable; called before it takes effect.
-    """
+    """Signs tickets while the authority has delegated that; `persist` is called before it takes effect."""
 
     def __init__(
-        self, anchor: TrustAnchor, signer: Signer, persist: Callable[[bytes], None] = discard
+        self, anchor: TrustAnchor, signer: Signer, persist: Callable[[bytes], object] = lambda _data: None
     ) -> None:
         self._anchor = anchor
         self._signer = signer
@@ -64,7 +51,6 @@ class Delegate:
         self._held: OpenDelegation | None = None
 
     def take(self, data: bytes) -> bool:
-        """Accept a delegation; returns whether it is newer than the one held."""
         new = open_delegation(data, self._anchor.public_key)
         if new.holder != self._own or new.domain != self._anchor.domain:
             raise RenewalForOther(
@@ -83,32 +69,29 @@ class Delegate:
     def renew(
         self, token: bytes, holder: bytes, now: int, *, seq: int, check: RevocationCheck
     ) -> tuple[Grant, bytes]:
-        """The renewed grant in `token` and its new token."""
+        # The renewed grant is verified as every node will.
         if self._held is None:
             raise RenewalNotInTime("the authority has not delegated renewal to this master", _HINT)
         data = unpack(token).grant
         grant = verify(data, self._anchor.public_key, domain=self._anchor.domain)
         if grant.holder != holder:
             raise GrantNotHeld("the grant is bound to another key", f"it was issued to {grant.subject}")
-        ticket = sign_ticket(self._signer, self._ticket(grant, self._held, now, seq))
-        key = self._signer.public_key
-        renewed = renewal.renew(grant, ticket, self._held, key, now=now, seq=seq, check=check)
-        return renewed, pack(data, ticket, self._data)
-
-    def _ticket(self, grant: Grant, held: OpenDelegation, now: int, seq: int) -> Ticket:
         if now >= grant.cap:
             raise RenewalTooWide(
                 f"grant {grant.short_id} has reached its cap, {format_time(grant.cap)}",
                 "ask the authority for a new grant",
             )
-        if now >= held.expires:
-            raise RenewalNotInTime(f"the delegation expired at {format_time(held.expires)}", _HINT)
-        ends = min(now - SKEW + held.max_ttl, grant.cap, held.expires)
+        if now >= self._held.expires:
+            raise RenewalNotInTime(f"the delegation expired at {format_time(self._held.expires)}", _HINT)
+        ends = min(now - SKEW + self._held.max_ttl, grant.cap, self._held.expires)
         if ends <= grant.expires:
             raise RenewalTooWide(
                 f"grant {grant.short_id} expires later than any ticket would: ask again later"
             )
-        return Ticket(grant.id, now - SKEW, ends, seq)
+        ticket = sign_ticket(self._signer, Ticket(grant.id, now - SKEW, ends, seq))
+        key = self._signer.public_key
+        renewed = renewal.renew(grant, ticket, self._held, key, now=now, seq=seq, check=check)
+        return renewed, pack(data, ticket, self._data)
 
 
 Renewer = Callable[[bytes, int, RevocationCheck], bytes]
@@ -118,7 +101,7 @@ MAX_KEPT: Final = 4096  # keys
 OFFER_LIMIT: Final = 16  # requests in one answer to the authority's service
 MAX_REASON: Final = 1024
 OFFERED_AGAIN: Final = 30  # seconds after which a request without an answer is offered once more
-ANSWER_KEPT: Final = 1800  # seconds: nodes of older versions ask every 600
+ANSWER_KEPT: Final = 1800  # seconds
 SPACING: Final = 60  # seconds at most between an answer and the next request of the same key
 VERIFY_SPACING: Final = 2  # seconds for which a waiting request is not verified again
 AUTHORITY_SEEN: Final = 60  # seconds for which the authority's service counts as there
@@ -145,10 +128,7 @@ class Offer(NamedTuple):
 
 
 class Settlement(NamedTuple):
-    """What the authority's service decided of the request with this SHA-256.
-
-    Either a bundle, or the reason why there is none.
-    """
+    """What was decided of the request with this SHA-256: a bundle, or the reason why there is none."""
 
     digest: bytes
     bundle: bytes
@@ -177,25 +157,18 @@ class _Entry:
 
 
 class IdentityRenewals:
-    """The table, by the key that asks.
-
-    Args:
-        anchor: the authority.
-        renewer: renews at once, with an intermediate; None: the authority's service does.
-
-    Attributes:
-        on_asked: called when there is a request that the service has not seen.
-        on_answered: called with the key whose request is answered.
-    """
+    """The table, by the key that asks."""
 
     def __init__(self, anchor: TrustAnchor, renewer: Renewer | None = None) -> None:
         self._anchor = anchor
-        self._renewer = renewer
+        self._renewer = renewer  # renews at once, with an intermediate; None: the authority's service does
         self._entries: dict[bytes, _Entry] = {}
         self._seen_at: int | None = None
         self._is_locked = False
-        self.on_asked: Callable[[], None] = _ignore
-        self.on_answered: Callable[[bytes], None] = _ignore_key
+        # called when there is a request that the service has not seen
+        self.on_asked: Callable[[], object] = lambda: None
+        # called with the key whose request is answered
+        self.on_answered: Callable[[bytes], object] = lambda _key: None
 
     def waiting(self, now: int) -> int:
         return sum(not each.is_answered and _is_kept(each, now) for each in self._entries.values())
@@ -205,7 +178,8 @@ class IdentityRenewals:
             return RenewalAnswer(self._renewer(request, now, check), "identity renewed")
         if len(request) > MAX_RENEWAL:
             raise RenewalRefused("a renewal that is too long")
-        entry = self._current(holder, now)
+        entry = self._entries.get(holder)
+        entry = entry if entry is not None and _is_kept(entry, now) else None
         is_waiting = entry is not None and not entry.is_answered
         if entry is not None and is_waiting and 0 <= now - entry.verified_at < VERIFY_SPACING:
             return self._later(now)
@@ -252,10 +226,6 @@ class IdentityRenewals:
             settled += 1
             self.on_answered(holder)
         return settled
-
-    def _current(self, holder: bytes, now: int) -> _Entry | None:
-        entry = self._entries.get(holder)
-        return entry if entry is not None and _is_kept(entry, now) else None
 
     def _place(
         self, holder: bytes, entry: _Entry | None, renewal: Renewal, request: bytes, now: int
@@ -309,9 +279,3 @@ def _is_kept(entry: _Entry, now: int) -> bool:
 def _is_due(entry: _Entry, now: int) -> bool:
     # Whether the service is to see it: it did not yet, or did not answer.
     return entry.offered_at is None or not 0 <= now - entry.offered_at < OFFERED_AGAIN
-
-
-def _ignore() -> None: ...
-
-
-def _ignore_key(_holder: bytes) -> None: ...

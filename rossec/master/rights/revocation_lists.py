@@ -1,23 +1,10 @@
-"""Which revocation list each node holds, as it said itself or acknowledged. Pure.
-
-Used not to send a list again, and to tell the authority how far a list has come. A node that lies
-about it is sent no list and becomes stale by itself, so nothing rests on these words.
-
-The own revocation list at the master: in force, confirmed, and sent with timestamps. Pure.
+"""Revocation lists at the master: in force, held by nodes, and queried. Pure.
 
 The master is its own source of freshness: it confirms the list it holds, and signs the timestamps
-that prove to nodes that no newer list is being withheld.
-
-Which revoked entries pertain to a caller (RFC 9770): the others it need not know. Pure.
-
-Token revocation list (TRL) queries of RFC 9770: full query, diff query, with a cursor. Pure.
-
-Each requester has a numbered series of updates of *its* part of the TRL; the answer is that part,
-or the updates after a cursor. An update is recorded when the requester queries and its part has
-changed since, so nothing is stored for peers that never query. The first number is taken from the
-start time of the master, so a cursor from an earlier run is recognized as too old.
-
-The answer is information, not proof: nodes rely on the list signed by the authority.
+that prove to nodes that no newer list is being withheld. What nodes say they hold is used not to
+send a list again, and to tell the authority how far a list has come: a node that lies about it is
+sent no list and becomes stale by itself. An answer to a query of RFC 9770 is information, not proof:
+nodes rely on the list signed by the authority.
 """
 
 import hashlib
@@ -43,7 +30,6 @@ from ca.revocation.trust_status import Revocations
 from grants.model import Grant
 from rossec.errors import QueryRefused
 from rossec.master.rights.caller import Peer
-from rossec.master.rights.renewals import discard
 
 MAX_HELD_LISTS: Final = 16 * 1024  # nodes whose list is recorded
 SILENT_AFTER: Final = 35  # seconds; a node says every 10 s what it holds
@@ -89,15 +75,7 @@ _REMEMBERED: Final = 64  # refused entries, by their digest
 
 
 class ListInForce:
-    """One authority's list or tree, and who holds it.
-
-    Args:
-        anchor: the authority.
-        signer: the master's own identity key; signs timestamps.
-        revocations: loaded with what was persisted, if anything.
-        persist: makes a list durable; called before the list takes effect.
-        persist_entries: makes the entries of a tree durable, before the tree itself.
-    """
+    """One authority's list or tree, and who holds it; `persist` is called before a list takes effect."""
 
     def __init__(
         self,
@@ -105,7 +83,7 @@ class ListInForce:
         signer: Signer,
         revocations: Revocations,
         persist: Callable[[bytes], None],
-        persist_entries: Callable[[bytes], None] = discard,
+        persist_entries: Callable[[bytes], object] = lambda _data: None,
     ) -> None:
         self._anchor = anchor
         self._signer = signer
@@ -164,6 +142,7 @@ class ListInForce:
         return finished(self.take_tree(data, entries, now))
 
     def take_tree(self, data: bytes, entries: bytes, now: int) -> Generator[None, None, bool]:
+        # As `update_tree`, in steps.
         # What costs least is compared first: the octets, the signature, the number, the size.
         if self._listing is not None and data == self._revocations.data:
             return False
@@ -179,9 +158,6 @@ class ListInForce:
             raise
         if self._listing is not None and data == self._revocations.data:
             return False  # another caller was faster
-        return self._put_in_force(data, entries, listing, now)
-
-    def _put_in_force(self, data: bytes, entries: bytes, listing: TreeEntries, now: int) -> bool:
         before = self._revocations.data
 
         def persist(data: bytes) -> None:
@@ -209,15 +185,20 @@ class ListInForce:
 def pertaining(
     entries: frozenset[bytes], grants: Iterable[Grant], own: tuple[bytes, bytes | None], names: Iterable[str]
 ) -> Generator[None, None, frozenset[bytes]]:
-    """The `entries` that pertain to a caller that is registered for `names`.
+    """The `entries` that pertain to a caller that is registered for `names` (RFC 9770).
 
     Its own grants; grants of any holder for these names, and the keys of these holders; the
     delegation of renewal. Yields where other calls may be answered.
     """
     found, keys = set(own), frozenset(names)
-    revoked = [item for item in grants if not entries.isdisjoint(entries_of(item))]
-    for grant in revoked:
-        if grant.holder == own[0] or (yield from _names_any(grant, keys)):
+    for grant in [item for item in grants if not entries.isdisjoint(entries_of(item))]:
+        is_found = grant.holder == own[0]
+        for permission in () if is_found else grant.permissions:
+            is_found = any(permission.matches(name, permission.rights) for name in keys)
+            if is_found:
+                break
+            yield
+        if is_found:
             found |= entries_of(grant)
     return entries & found
 
@@ -225,14 +206,6 @@ def pertaining(
 def entries_of(grant: Grant) -> frozenset[bytes]:
     links = (entry for link in grant.links for entry in (link.id, link.holder))
     return frozenset((grant.holder, *links))
-
-
-def _names_any(grant: Grant, names: frozenset[str]) -> Generator[None, None, bool]:
-    for permission in grant.permissions:
-        if any(permission.matches(name, permission.rights) for name in names):
-            return True
-        yield
-    return False
 
 
 MAX_N: Final = 64  # updates stored for one requester
@@ -284,17 +257,25 @@ class Series:
         else:
             wanted = [update for update in self._updates if update.number > query.cursor]
             wanted = wanted[: query.diff or MAX_N]
-        batch = _batch(wanted)
+        batch: list[TrlUpdate] = []
+        hashes = 0
+        for update in wanted[:MAX_DIFF_BATCH]:
+            hashes += len(update.removed) + len(update.added)
+            if batch and hashes > MAX_HASHES:
+                break
+            batch.append(update)
         cursor = batch[-1].number if batch else last
         diffs: list[Value] = [[[*item.removed], [*item.added]] for item in reversed(batch)]
         return {_DIFF_SET: diffs, _CURSOR: cursor, _MORE: len(batch) < len(wanted)}
 
 
 class RevocationQueries:
-    """The series of all requesters; the least recently used one is discarded.
+    """TRL queries of RFC 9770: full query, diff query, with a cursor.
 
-    Args:
-        start: when the master was started, seconds since the epoch.
+    Each requester has a numbered series of updates of *its* part of the TRL; the answer is that
+    part, or the updates after a cursor. An update is recorded when the requester queries and its
+    part has changed since, so nothing is stored for peers that never query. The first number is
+    taken from the start time of the master, so a cursor of an earlier run is recognized as too old.
     """
 
     def __init__(self, start: int) -> None:
@@ -326,14 +307,3 @@ def read_query(query: bytes) -> Query:
     if "cursor" in value and "diff" not in value:
         raise QueryRefused("a cursor without diff (1)")
     return Query(**value)  # type: ignore[arg-type]
-
-
-def _batch(updates: list[TrlUpdate]) -> list[TrlUpdate]:
-    batch: list[TrlUpdate] = []
-    hashes = 0
-    for update in updates[:MAX_DIFF_BATCH]:
-        hashes += len(update.removed) + len(update.added)
-        if batch and hashes > MAX_HASHES:
-            break
-        batch.append(update)
-    return batch

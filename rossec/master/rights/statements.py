@@ -2,13 +2,9 @@
 
 Without a list, or with an expired one, identities may still connect (one of them may deliver a
 list), but no grant is valid. Grants are stored per key, verified once, bounded in number and size.
-Those of a foreign domain are verified with its key, and count for names of that domain alone.
-
-Removing registrations that no valid grant covers any more. Pure.
-
-A grant may be revoked, expire, or belong to a revoked key; each registration is checked against the
-rights its node has *now*, so none of these cases needs state of its own. A parameter subscription
-is removed when nothing at or below its key is readable; each update is authorized again anyway.
+Those of a foreign domain are verified with its key, and count for names of that domain alone. A
+grant may be revoked, expire, or belong to a revoked key; `enforce` checks each registration against
+the rights its node has *now*, so none of these cases needs state of its own.
 """
 
 import hashlib
@@ -40,7 +36,7 @@ from rossec.master.rights.held_grants import (
     Renewed,
     check_holder,
 )
-from rossec.master.rights.renewals import Delegate, IdentityRenewals, RenewalAnswer, Renewer, discard
+from rossec.master.rights.renewals import Delegate, IdentityRenewals, RenewalAnswer, Renewer
 from rossec.master.rights.revocation_lists import ListInForce, entries_of, pertaining
 from rossec.master.state.registry import Event, Kind, NodeRef, Registry
 
@@ -48,15 +44,7 @@ from rossec.master.state.registry import Event, Kind, NodeRef, Registry
 class TrustState(ListInForce):
     """Revocations and presented grants: who is still trusted, and for what.
 
-    Args:
-        anchor: the authority, and the domain that grants must be for.
-        signer: the master's own identity key; signs timestamps.
-        revocations: loaded with what was persisted, if anything.
-        persist: makes a list durable; called before the list takes effect.
-        delegate: renews grants; by default without a delegation.
-        renewer: renews identities at once; None: the authority's service does.
-        persist_entries: makes the entries of a tree durable, before the tree itself.
-        domains: foreign domains and their revocations; by default none is listed.
+    `renewer` renews identities at once; None: the authority's service does.
     """
 
     def __init__(
@@ -66,7 +54,7 @@ class TrustState(ListInForce):
         revocations: Revocations,
         persist: Callable[[bytes], None],
         delegate: Delegate | None = None,
-        persist_entries: Callable[[bytes], None] = discard,
+        persist_entries: Callable[[bytes], object] = lambda _data: None,
         renewer: Renewer | None = None,
         domains: DomainTrust | None = None,
     ) -> None:
@@ -83,7 +71,6 @@ class TrustState(ListInForce):
         self._context = NOT_EVALUATED
 
     def caller(self, peer: Identity, now: int) -> Caller:
-        """The caller with its rights now."""
         if not peer.certified:  # else a twin with the same key would take the place of an own node
             self._identity_keys[peer.thumbprint] = peer.keys
         if self._is_revoked(peer.keys):
@@ -117,7 +104,7 @@ class TrustState(ListInForce):
             self.domains.check_known(domain, entry, now)
 
     def caller_of(self, peer: Peer, now: int) -> Caller | None:
-        """A name and key seen before, with its rights now; None: the key is revoked."""
+        # A name and key seen before; None: the key is revoked.
         if not is_alias(peer.name):
             keys = self._identity_keys.get(peer.thumbprint, (peer.thumbprint,))
             return None if self._is_revoked(keys) else self._caller(peer, now, self._judge)
@@ -128,27 +115,28 @@ class TrustState(ListInForce):
             return None
 
     def update_domains(self, data: bytes) -> bool:
-        """Take a list of domains; returns whether it differs from the one held.
-
-        Grants of domains that are gone, or have another root, are discarded.
-        """
+        # Whether it differs from the one held; grants of domains that are gone are discarded.
         ended = self.domains.update(data)
         for held in self._held.values() if ended else ():
             held.drop_domains(ended or ())
         return ended is not None
 
     def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Presented:
-        """Verify and store grants; a refused one does not affect the others.
-
-        A grant bound to another key is refused.
-        """
+        # A refused grant does not affect the others; one bound to another key is refused.
         self._confirm(now)
         held = self._held_by(caller)
         held.drop_expired(now)
         refused: list[str] = []
         for token in tokens:
             try:
-                self._add(held, caller, token, now)
+                if hashlib.sha256(token).digest() in held.grants:
+                    continue
+                self._check_failures(held, now)
+                if held.is_full_for(len(token)):
+                    raise GrantError(f"the master holds at most {MAX_HELD} grants of one node")
+                grant = self._verifier_of(token, caller).open(token, now)
+                check_holder(caller, grant, self.domains.label_of(grant.domain))
+                held.put(token, grant)
             except HintedError as error:
                 held.count_failure(now)
                 refused.append(str(error))
@@ -163,7 +151,7 @@ class TrustState(ListInForce):
         return pertaining(self._revocations.entries, self._known_grants(), own, names)
 
     def renew(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Renewed:
-        """Renewed tokens, in the same order, empty where one is refused."""
+        # In the same order, empty where one is refused.
         self._confirm(now)
         held = self._held_by(caller)
         held.drop_expired(now)
@@ -179,7 +167,6 @@ class TrustState(ListInForce):
         return Renewed(tuple(renewed), tuple(refused))
 
     def renew_identity(self, caller: Caller, request: bytes, now: int) -> RenewalAnswer:
-        """The renewed identity, or what is waited for; see `IdentityRenewals.ask`."""
         self._confirm(now)
         held = self._held_by(caller)
         self._check_failures(held, now)
@@ -196,11 +183,9 @@ class TrustState(ListInForce):
         self._revocations.check(entry, now)
 
     def update_delegation(self, data: bytes) -> bool:
-        """Accept a delegation to renew grants; returns whether it is newer."""
         return self._delegate.take(data)
 
     def list_digests(self) -> tuple[bytes, bytes]:
-        """The digests of the revocation list and of the list of domains; empty: none."""
         held = self._revocations
         own = b"" if held.current is None else digest(held.data)
         return own, self.domains.digest()
@@ -215,7 +200,7 @@ class TrustState(ListInForce):
         return super()._list_replaced(before)
 
     def keep_only(self, thumbprints: frozenset[bytes], now: int) -> None:
-        """Discard the grants of all other keys, and the expired grants of these."""
+        # Discard all that is known of other keys, and the expired grants of these.
         self._held = {key: held for key, held in self._held.items() if key in thumbprints}
         self.held_lists.keep_only(thumbprints)
         self._identity_keys = {key: keys for key, keys in self._identity_keys.items() if key in thumbprints}
@@ -249,17 +234,6 @@ class TrustState(ListInForce):
         for held in (*self._held.values(), *self._held_by_foreigners.values()):
             yield from held.grants.values()
 
-    def _add(self, held: PresentedGrants, caller: Caller, token: bytes, now: int) -> None:
-        key = hashlib.sha256(token).digest()
-        if key in held.grants:
-            return
-        self._check_failures(held, now)
-        if held.is_full_for(len(token)):
-            raise GrantError(f"the master holds at most {MAX_HELD} grants of one node")
-        grant = self._verifier_of(token, caller).open(token, now)
-        check_holder(caller, grant, self.domains.label_of(grant.domain))
-        held.put(token, grant)
-
     def _renew(self, held: PresentedGrants, caller: Caller, token: bytes, now: int) -> bytes:
         self._check_failures(held, now)
         _refuse_foreigner(caller)
@@ -283,21 +257,14 @@ class TrustState(ListInForce):
             if domains.anchors.listed_domain(domain) is not None:
                 return domains.verifier(domain)
         delegates = (self._signer.public_key, *domains.own_delegates())
-        check = self._revocations.check
-        return Verifier(anchor.public_key, anchor.domain, delegates, self.number, check)
+        return Verifier(anchor.public_key, anchor.domain, delegates, self.number, self._revocations.check)
 
     def _confirm(self, now: int) -> None:
-        context, revocations = self._context, self._revocations
-        elsewhere = self.domains.generation
-        if (
-            context.now != now
-            or context.revocations is not revocations.data
-            or context.elsewhere != elsewhere
-        ):
+        held, revocations, elsewhere = self._context, self._revocations, self.domains.generation
+        if held.now != now or held.revocations is not revocations.data or held.elsewhere != elsewhere:
             if revocations.current is not None:
                 revocations.confirm(self._timestamp(now), now)
-            fresh_until = revocations.fresh_until
-            self._context = EvaluationContext(now, revocations.data, fresh_until, elsewhere)
+            self._context = EvaluationContext(now, revocations.data, revocations.fresh_until, elsewhere)
 
 
 def _refuse_foreigner(caller: Caller) -> None:
@@ -318,7 +285,7 @@ class EnforcementStep(NamedTuple):
 
 
 def enforcement_steps(registry: Registry) -> list[EnforcementStep]:
-    """All registrations, in steps; calls may be answered between two."""
+    # Calls may be answered between two steps.
     return [
         EnforcementStep(node, kind, keys[begin : begin + BATCH])
         for node in registry.nodes()
@@ -340,7 +307,7 @@ def enforce(registry: Registry, trust: TrustState, step: EnforcementStep, now: i
 
 
 def _is_authorized(caller: Caller, kind: Kind, key: str) -> bool:
-    if kind is Kind.PARAMETER:
+    if kind is Kind.PARAMETER:  # something at or below its key; each update is authorized again anyway
         return caller.may_some_below(Right.PARAM_GET, key.removesuffix("/") or "/")
     if kind is Kind.SUBSCRIBER:
         return may_subscribe(caller, key)

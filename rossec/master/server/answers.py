@@ -3,18 +3,6 @@
 Nearly every call is answered within the callback that received it. A filtered query and a multicall
 may take many turns (`rossec.master.api.methods`); between two of them the loop answers other calls,
 and the caller's rights are evaluated again: results from before a revocation are discarded.
-
-What a peer may use of the master before a grant gives it any right here. A shell.
-
-A certificate costs a foreign authority nothing, and a node without grants has few calls to make:
-its bodies are small, and so is the number of its connections, of a foreign domain for all nodes
-without a right together. A grant is shown when one that the key has presented is valid now.
-
-A query for what was not wanted before waits until the other masters have answered. A shell.
-
-Facts travel by need, so the first query for a name would be answered with no although a site has
-it. It waits for the sites that are connected, and not long: a site that is slow delays nobody more
-than once in a minute, the time for which the name is wanted then.
 """
 
 import asyncio
@@ -29,8 +17,7 @@ from rossec.master.api.dispatch import MULTICALL, MasterApi, Multicall
 from rossec.master.api.graph_calls import WATCH, is_unchanged
 from rossec.master.api.methods import CallDenied, CallOutcome, TurnExpired, Turns, Work, advance
 from rossec.master.api.site_calls import FOLLOW, UNCHANGED, is_idle
-from rossec.master.api.statement_calls import WATCH_GRANTS, is_empty
-from rossec.master.api.statement_calls import is_idle as has_no_renewal
+from rossec.master.api.statement_calls import WATCH_GRANTS, has_no_renewal, is_empty
 from rossec.master.operation.config import MasterLimits
 from rossec.master.rights.caller import Caller
 from rossec.master.server.effects import Effects, MasterState
@@ -45,6 +32,13 @@ from rossec.ros.xmlrpc import Fault
 
 
 class Admission:
+    """What a peer may use of the master before a grant gives it any right here.
+
+    A certificate costs a foreign authority nothing, and a node without grants has few calls to
+    make: its bodies are small, and so is the number of its connections, of a foreign domain for all
+    nodes without a right together.
+    """
+
     def __init__(self, state: MasterState, limits: MasterLimits) -> None:
         self._state = state
         self._limits = limits
@@ -66,18 +60,14 @@ class Admission:
         of_group = [other for other in peers if source_of(other).group == source.group]
         if peer.is_foreign and len(of_group) >= self._limits.connections_per_domain:
             return False
-        if not self._has_room_without_right(peer, of_group):
-            return False
+        most = self._limits.connections_without_right
+        if len(of_group) >= most and not self.has_rights(peer):
+            keys = {each.thumbprint: each for each in of_group}
+            shown = {key for key, each in keys.items() if self.has_rights(each)}
+            if sum(each.thumbprint not in shown for each in of_group) >= most:
+                return False
         of_key = sum(other.thumbprint == peer.thumbprint for other in of_group)
         return of_key < self._limits.connections_per_identity
-
-    def _has_room_without_right(self, peer: Identity, of_group: list[Identity]) -> bool:
-        most = self._limits.connections_without_right
-        if len(of_group) < most or self.has_rights(peer):
-            return True
-        shown = {each.thumbprint: each for each in of_group}
-        shown = {key: each for key, each in shown.items() if self.has_rights(each)}
-        return sum(each.thumbprint not in shown for each in of_group) < most
 
     def dispatch_unshown(
         self,
@@ -105,6 +95,13 @@ ASKING: Final = frozenset(
 
 
 class SiteAnswers:
+    """A query for what was not wanted before waits until the other masters have answered.
+
+    Facts travel by need, so the first query for a name would be answered with no although a site
+    has it. It waits for the sites that are connected, and not long: a site that is slow delays
+    nobody more than once in a minute, the time for which the name is wanted then.
+    """
+
     def __init__(self, imports: Imports) -> None:
         self._imports = imports
         self._settled: asyncio.Event | None = None  # while a query waits

@@ -3,20 +3,6 @@
 The cores return events; `deliver` maps each to its effect. Nothing is authorized here and nothing
 waits: `Updates` sends updates to nodes, `GraphChanges` notifies watchers. A new revocation list is
 enforced before the call that delivered it is answered, except for what would take too long.
-
-The denial log: one line for every right that a caller lacked, to learn a policy from.
-
-A shell. `rossec policy learn --from-log` reads it: callers of services and readers of parameters do
-not appear in the graph. Each line is written once, and their number is limited: an enrolled node
-chooses the names, and must not fill the disk with them. Each node has a quota that no other can
-use up, else one of them could keep the others out of the log.
-
-Refusals for the log and the audit: one line for each cause, in the words of `rossec explain`.
-
-A cause is a right that a node lacks on a name; names of one run of an anonymous node are the same
-cause as those of the next. It is logged once an hour, with the number of refusals left out. What
-every ROS program asks for by itself and works without is one cause for each node. Refusals for
-other reasons, such as an address of another node, are all logged. Pure.
 """
 
 import asyncio
@@ -73,12 +59,17 @@ OnDenial: TypeAlias = Callable[[int, str, Right, str], None]
 """Called with `now`, the node, the right it lacks, and the name."""
 
 
-def ignore_denial(now: int, node: str, right: Right, name: str) -> None:
-    """Log nothing."""
+def ignore_denial(now: int, node: str, right: Right, name: str) -> None: ...
 
 
 class DenialLog:
-    """Appends to the file `path`, which is created for its owner alone."""
+    """The denial log at `path`: one line for every right that a caller lacked, to learn a policy from.
+
+    `rossec policy learn --from-log` reads it: callers of services and readers of parameters do not
+    appear in the graph. Each line is written once, and their number is limited: an enrolled node
+    chooses the names, and must not fill the disk with them. Each node has a quota that no other can
+    use up, else one of them could keep the others out of the log.
+    """
 
     def __init__(self, path: Path) -> None:
         from grants.policy.learn import log_line  # noqa: PLC0415 - not loaded without this log
@@ -90,7 +81,6 @@ class DenialLog:
         self._lines_beyond = 0
 
     def __call__(self, now: int, node: str, right: Right, name: str) -> None:
-        """Write one line, unless it was written since the start or the limits are reached."""
         denial = node, right, own_form(node, name)  # one run of an anonymous node is as the next
         is_beyond = self._lines_of_node[node] >= LINES_PER_NODE
         if denial in self._seen or (is_beyond and self._lines_beyond >= MAX_LINES):
@@ -120,6 +110,14 @@ class _Logged:
 
 
 class DenialCauses:
+    """Refusals for the log and the audit: one line for each cause, in the words of `rossec explain`.
+
+    A cause is a right that a node lacks on a name; names of one run of an anonymous node are the
+    same cause as those of the next. It is logged once an hour, with the number of refusals left
+    out. What every ROS program asks for by itself and works without is one cause for each node.
+    Refusals for other reasons, such as an address of another node, are all logged.
+    """
+
     def __init__(self) -> None:
         self._logged: OrderedDict[_Cause, _Logged] = OrderedDict()
 
@@ -131,11 +129,14 @@ class DenialCauses:
         own = own_form(denied.certified, name, wildcard=denied.wildcard)
         reason = denied.status.partition(f" on {shown(name)}: ")[2]
         if is_dispensable(right, own) and reason.startswith(_NO_GRANT):
-            return self._once(now, (denied.node, None, ""), _basics(right, own))
-        ruled = rule_form(denied.certified, name, wildcard=denied.wildcard)
-        words = _words(denied.node, right, shown(ruled), reason)
+            basics = f"{BASICS}{right.label} {own} and so on: basics: true in a policy would change it"
+            return self._once(now, (denied.node, None, ""), basics)
+        ruled = shown(rule_form(denied.certified, name, wildcard=denied.wildcard))
+        words = reason
+        if reason.startswith(_NO_GRANT):
+            words = f"{needed_rule(denied.node, [(right, ruled)])} would change it"
         cause = (denied.node, right, own + reason[:80])
-        return self._once(now, cause, f"{right.label} {shown(ruled)} ({denied.method}): {words}")
+        return self._once(now, cause, f"{right.label} {ruled} ({denied.method}): {words}")
 
     def _once(self, now: int, cause: _Cause, text: str) -> str | None:
         before = self._logged.get(cause)
@@ -150,16 +151,6 @@ class DenialCauses:
         return f"{text} ({left_out} more like this since it was logged last)" if left_out else text
 
 
-def _words(node: str, right: Right, name: str, reason: str) -> str:
-    if reason.startswith(_NO_GRANT):
-        return f"{needed_rule(node, [(right, name)])} would change it"
-    return reason
-
-
-def _basics(right: Right, own: str) -> str:
-    return f"{BASICS}{right.label} {own} and so on: basics: true in a policy would change it"
-
-
 _audit = logging.getLogger("rossec.audit")
 _denials = logging.getLogger(DENIALS)
 
@@ -170,35 +161,25 @@ _Recorded = PersistParameter | Denied | GrantsPresented | CallDenied | TypeContr
 
 @dataclass
 class MasterState:
-    """The state of one master, used in its event loop only.
-
-    Args:
-        name: the master's certified name.
-        clock: seconds since the epoch.
-        parameter_file: the journal of parameters; None: they do not survive a restart.
-        deposit_file: the journal of deposited grants; None: none is accepted.
-        streams: accepted connections.
-        imports: what other masters have registered.
-        site_polls: followers that wait for changes of the registrations.
-        demand_changes, renewal_changes: what local nodes want of other masters, of the authority.
-        doors: of the own relays.
-        relay_polls: relays that wait for what is wanted.
-    """
+    """The state of one master, used in its event loop only."""
 
     name: str
     clock: Callable[[], float]
     registry: Registry
     trust: TrustState
-    parameter_file: ParameterFile | None
-    deposit_file: DepositFile | None = None
+    parameter_file: ParameterFile | None  # the journal of parameters; None: they do not survive a restart
+    deposit_file: DepositFile | None = None  # the journal of deposited grants; None: none is accepted
     graph_changes: GraphChanges = field(default_factory=GraphChanges)
     grant_changes: GrantChanges = field(default_factory=GrantChanges)
     streams: set[SecureStream[Identity]] = field(default_factory=set)
     recent_denials: RecentDenials = field(default_factory=RecentDenials)
+    # followers that wait for changes of the registrations
     site_polls: SitePolls = field(default_factory=SitePolls)
+    # demand_changes, renewal_changes: what local nodes want of other masters, of the authority
     demand_changes: GraphChanges = field(default_factory=GraphChanges)
     renewal_changes: GraphChanges = field(default_factory=GraphChanges)
     doors: Doors = field(default_factory=Doors)
+    # relays that wait for what is wanted
     relay_polls: SitePolls = field(default_factory=partial(SitePolls, 0.0))
     imports: Imports = field(init=False)
     aliases: AliasPublishers = field(init=False)
@@ -206,7 +187,7 @@ class MasterState:
     def __post_init__(self) -> None:
         self.imports = Imports(self.registry)
         self.aliases = AliasPublishers(Graph(self.registry, self.imports), self.trust.caller_of)
-        self.imports.intake.rules = self.trust.domains.imported
+        self.imports.filter.rules = self.trust.domains.imported
         self.doors.on_wanted = self.relay_polls.notify
         self.trust.identities.on_asked = self.renewal_changes.notify
 
@@ -225,19 +206,7 @@ class MasterState:
 
 
 class Effects:
-    """Delivers events; `calls` and `denials` are counters.
-
-    Args:
-        context: the master's own identity, to connect to nodes with.
-        on_denial: called for every right that a caller lacks.
-        max_clients: as of `Updates`.
-
-    Attributes:
-        stopping: set by `StopMaster`.
-        on_new_lists: called when a newer list is in force, whoever delivered it.
-        list_changed: set by `RevocationsChanged`: the next round of maintenance must not wait.
-        on_served: called with a served name whose publishers have changed.
-    """
+    """Delivers events; `calls` and `denials` are counters."""
 
     def __init__(
         self, state: MasterState, context: SecureContext[Identity], on_denial: OnDenial, max_clients: int
@@ -247,13 +216,12 @@ class Effects:
         self.dialer: Final = SlaveDialer(context, self.evict)
         self.updates: Final = Updates(self.dialer.dial, max_clients, on_taken=self._record_taken)
         self.stopping: Final = asyncio.Event()
-        self.list_changed: Final = asyncio.Event()
-        self.on_served: Callable[[str], None] = _ignore
-        self.on_new_lists: Final[list[Callable[[], None]]] = []
+        self.list_changed: Final = asyncio.Event()  # the next round of maintenance must not wait
+        self.on_served: Callable[[str], object] = lambda _topic: None  # its publishers have changed
+        self.on_new_lists: Final[list[Callable[[], None]]] = []  # one is in force, whoever delivered it
         self.calls = self.denials = 0
 
     def apply(self, outcome: CallOutcome) -> object:
-        """Deliver the events of a call; returns the answer."""
         self.calls += 1
         for event in outcome.events:
             self.deliver(event)
@@ -274,7 +242,6 @@ class Effects:
             self._state.notify()
 
     def deliver(self, event: MasterEvent) -> None:
-        """Perform the effect of `event`."""
         match event:
             case PublishersChanged():
                 if is_in_gateway(event.topic):
@@ -299,7 +266,6 @@ class Effects:
                 self.stopping.set()
 
     def send_publishers(self, updates: Iterable[PublishersChanged]) -> None:
-        """Send subscribers their lists of publishers."""
         for topic, nodes, uris in ((u.topic, u.subscribers, u.publisher_uris) for u in updates):
             for node in nodes:
                 self._notify(node, "publisherUpdate", topic, list(uris))
@@ -315,7 +281,9 @@ class Effects:
                 self._enforce_list()
                 for changed in self._state.imports.taken_anew():
                     self.deliver(changed)
-                self.send_domains()
+                now, data = self._state.now(), trust.domains.anchors.data
+                for node in self._own_nodes(now):
+                    self.updates.post(node, (DOMAINS_UPDATE, ""), self._state.name, data)
         for tell in self.on_new_lists:
             tell()
 
@@ -355,14 +323,12 @@ class Effects:
         self.list_changed.set()
 
     def enforcement(self) -> Iterator[None]:
-        """Remove what is no longer authorized, some registrations in each step."""
         for step in enforcement_steps(self._state.registry):
             for event in enforce(self._state.registry, self._state.trust, step, self._state.now()):
                 self.deliver(event)
             yield
 
     def close_revoked(self) -> None:
-        """Close the connections of revoked identities, and drop their updates."""
         now = self._state.now()
         for stream in tuple(self._state.streams):
             try:
@@ -383,7 +349,6 @@ class Effects:
                 self._state.trust.held_lists.record(node, taken, self._state.now())
 
     def drop_deposits(self) -> None:
-        """Remove the deposited grants that have ended or are revoked."""
         file = self._state.deposit_file
         if file is not None:
             file.deposits.drop_ended(self._state.now(), self._state.trust.revoked())
@@ -396,12 +361,6 @@ class Effects:
             if timestamp:
                 self.updates.post(node, key, self._state.name, revocations, timestamp)
 
-    def send_domains(self) -> None:
-        """Send every node of the own domain the list of domains."""
-        data = self._state.trust.domains.anchors.data
-        for node in self._own_nodes(self._state.now()):
-            self.updates.post(node, (DOMAINS_UPDATE, ""), self._state.name, data)
-
     def take_foreign(self, domain: str, revocations: bytes, timestamp: bytes, chain: Sequence[bytes]) -> None:
         """Take what a foreign domain's master says; a newer list is enforced and sent at once."""
         domains = self._state.trust.domains
@@ -410,21 +369,14 @@ class Effects:
             domains.take(domain, revocations, timestamp, chain, self._state.now())
         finally:
             if domains.generation != before:
-                self.foreign_revocations_changed(domain)
-
-    def foreign_revocations_changed(self, domain: str) -> None:
-        """Enforce what is newly revoked in a foreign domain, and send its list to every node."""
-        self._enforce_list()
-        word, key = self._state.trust.domains.word(domain), (FOREIGN_UPDATE, domain)
-        params = (domain, word.revocations, word.timestamp, list(word.chain))
-        for node in self._own_nodes(self._state.now()) if word.revocations else ():
-            self.updates.post(node, key, self._state.name, *params)
+                # What is newly revoked there is enforced, and its list sent to every node.
+                self._enforce_list()
+                word, key = domains.word(domain), (FOREIGN_UPDATE, domain)
+                params = (domain, word.revocations, word.timestamp, list(word.chain))
+                for node in self._own_nodes(self._state.now()) if word.revocations else ():
+                    self.updates.post(node, key, self._state.name, *params)
 
     def _own_nodes(self, now: int) -> list[NodeRef]:
         trust, nodes = self._state.trust, self._state.registry.nodes()
         own = [node for node in nodes if not is_alias(node.name)]
         return [node for node in own if trust.caller_of(node, now) is not None]
-
-
-def _ignore(_topic: str) -> None:
-    pass

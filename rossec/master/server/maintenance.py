@@ -1,28 +1,8 @@
 """Maintenance: rights are enforced and lists confirmed, in rounds. A shell.
 
 A round runs at every interval, and at once when a revocation list is delivered, for what was left
-to enforce. An exception in one round does not end the rounds.
-
-The lists of an authority on the master's host: read from its directory.
-
-A list that could not be delivered, as the master was not running or not reachable, would otherwise
-wait for a person, while the master keeps confirming the old one. The directory is read in each
-maintenance round; an invalid list is logged, and the list in force stays.
-
-The master's own identity while it runs: renewed where possible, reloaded when replaced. A shell.
-
-A master runs for months, its certificate is valid for one. So each maintenance round reloads a
-certificate that was installed (`rossec node install`) and has it renewed like that of any node, by
-the authority's service or by an intermediate here; while that does not succeed, it logs a warning.
-The key stays the same: nodes identify their master by it.
-
-Gateways that have died: noticed, so that subscribers do not wait for them. A shell.
-
-A gateway replaces the origin's publishers, so nobody else would notice. Each one that serves a
-topic is asked for its process id every 2 s, on one connection that stays: one small call, and the
-end of a process ends the connection at once. Without an answer for 5 s it is silent, and serves
-nothing until it answers again; where nobody listens at its address any more it is unregistered. A
-master where nothing is served asks nobody.
+to enforce. An exception in one round does not end the rounds. Each round also reads the lists of an
+authority on this host, and keeps the master's own identity current. Gateways are asked meanwhile.
 """
 
 import asyncio
@@ -48,8 +28,8 @@ from rossec.master.rights.renewals import RenewalAnswer
 from rossec.master.rights.statements import TrustState
 from rossec.master.server.effects import Effects, MasterState
 from rossec.master.server.saved_state import ParameterFile
+from rossec.master.server.updates import SlaveClient
 from rossec.master.state.registry import Kind, NodeRef
-from rossec.net.rpc.calls import RpcClient
 from rossec.peer_limits import printable
 from rossec.ros.xmlrpc import Fault
 
@@ -72,27 +52,36 @@ def no_domains() -> bytes:
 
 
 class LocalAuthority:
-    """Reads the lists of a local authority.
+    """Reads the lists of an authority on the master's host, from its directory.
 
-    Args:
-        find: reads the directory of the authority. Raises `HintedError` or `OSError`.
-        trust: accepts the lists.
-        find_domains: likewise.
+    A list that could not be delivered, as the master was not running or not reachable, would
+    otherwise wait for a person, while the master keeps confirming the old one. An invalid list is
+    logged, and the list in force stays.
     """
 
     def __init__(
         self, find: FindRevocations, trust: TrustState, find_domains: FindDomains = no_domains
     ) -> None:
-        self._find = find
+        self._find = find  # find, find_domains: read the directory. They raise `HintedError` or `OSError`
         self._trust = trust
         self._find_domains = find_domains
         self._last_warnings: dict[str, str] = {}  # by what was looked for
 
     def has_newer_list(self, now: int) -> bool:
-        return self._take("list", lambda: self._newest(now))
+        def accept() -> bool:
+            found = self._find()
+            if found is not None and is_tree(found[0]):
+                return self._trust.update_tree(*found, now)
+            return found is not None and self._trust.update(found[0], now)
+
+        return self._take("list", accept)
 
     def has_newer_domains(self) -> bool:
-        return self._take("list of domains", self._newest_domains)
+        def accept() -> bool:
+            data = self._find_domains()
+            return data != b"" and self._trust.update_domains(data)
+
+        return self._take("list of domains", accept)
 
     def _take(self, what: str, accept: Callable[[], bool]) -> bool:
         try:
@@ -106,19 +95,6 @@ class LocalAuthority:
         self._last_warnings.pop(what, None)
         return newer
 
-    def _newest(self, now: int) -> bool:
-        found = self._find()
-        return found is not None and self._accept(*found, now)
-
-    def _newest_domains(self) -> bool:
-        data = self._find_domains()
-        return data != b"" and self._trust.update_domains(data)
-
-    def _accept(self, data: bytes, entries: bytes, now: int) -> bool:
-        if is_tree(data):
-            return self._trust.update_tree(data, entries, now)
-        return self._trust.update(data, now)
-
 
 _HOUR: Final = 3600
 _RETRY: Final = 600
@@ -130,7 +106,13 @@ Renew = Callable[[bytes, int], RenewalAnswer]
 
 
 class OwnIdentity:
-    """The credentials of the master; `check` keeps them current."""
+    """The credentials of the master; `check` keeps them current.
+
+    A master runs for months, its certificate is valid for one. So it reloads a certificate that was
+    installed (`rossec node install`) and has its own renewed like that of any node, by the
+    authority's service or by an intermediate here; while that does not succeed, it logs a warning.
+    The key stays the same: nodes identify their master by it.
+    """
 
     def __init__(self, home: NodeHome, now: int) -> None:
         self._home = home
@@ -215,6 +197,14 @@ _audit = logging.getLogger("rossec.audit")
 
 
 class Gateways:
+    """Gateways that have died: noticed, so that subscribers do not wait for them.
+
+    A gateway replaces the origin's publishers, so nobody else would notice. Each one that serves a
+    topic is asked for its process id, on one connection that stays: the end of a process ends it at
+    once. One without an answer is silent, and serves nothing until it answers again; where nobody
+    listens at its address any more it is unregistered. A master where nothing is served asks nobody.
+    """
+
     def __init__(self, state: MasterState, effects: Effects) -> None:
         self._state = state
         self._effects = effects
@@ -237,11 +227,11 @@ class Gateways:
                 self._tasks.spawn(self._ask(node), f"asking {node.name}")
 
     async def _ask(self, node: NodeRef) -> None:
-        client, loop = _Client(self._effects, self._state.name, node), asyncio.get_running_loop()
+        client, loop = SlaveClient(node, self._effects.dialer.dial, ANSWER_WITHIN), asyncio.get_running_loop()
         heard, failures = loop.time(), 0
         try:
             while self._topics(node):
-                error = await client.ask()
+                error = await self._error_of(client, node)
                 if error is None:
                     heard, failures = loop.time(), 0
                     self._note(node, silent=False)
@@ -260,6 +250,18 @@ class Gateways:
             self._asked.discard(node)
             await client.close()
 
+    async def _error_of(self, client: SlaveClient, node: NodeRef) -> Exception | None:
+        # Why a gateway does not answer; None: it does, whatever it says.
+        try:
+            await client.ask("getPid", self._state.name)
+        except (Fault, AnswerRefused):
+            return None
+        except (RossecError, OSError, TimeoutError) as error:
+            _gateways_log.info("%s does not answer: %s", node.name, printable(error))
+            await client.close()
+            return error
+        return None
+
     def _note(self, node: NodeRef, *, silent: bool) -> None:
         if not self._state.registry.set_silent(node, silent=silent):
             return
@@ -273,35 +275,6 @@ class Gateways:
         registry = self._state.registry
         keys = registry.keys_of(node.name, Kind.PUBLISHER) if registry.is_current(node) else ()
         return [key for key in keys if is_in_gateway(key)]
-
-
-class _Client:
-    def __init__(self, effects: Effects, master: str, node: NodeRef) -> None:
-        self._effects = effects
-        self._master = master
-        self._node = node
-        self._client: RpcClient | None = None
-
-    async def ask(self) -> Exception | None:
-        try:
-            async with asyncio.timeout(ANSWER_WITHIN):
-                if self._client is None or self._client.closed:
-                    self._client = await self._effects.dialer.dial(self._node)
-                await self._client.ask("getPid", self._master)
-        except (Fault, AnswerRefused):
-            return None  # whatever it answers
-        except (RossecError, OSError, TimeoutError) as error:
-            _gateways_log.info("%s does not answer: %s", self._node.name, printable(error))
-            await self.close()
-            return error
-        return None
-
-    async def close(self) -> None:
-        client, self._client = self._client, None
-        if client is not None:
-            with contextlib.suppress(RossecError, OSError, TimeoutError):
-                async with asyncio.timeout(ANSWER_WITHIN):
-                    await client.close()
 
 
 def _is_refused(error: BaseException | None) -> bool:
@@ -323,14 +296,6 @@ _maintenance_log = logging.getLogger("rossec.master.upkeep")
 
 
 class Maintenance:
-    """Runs rounds of maintenance on `state`, from `start` to `close`.
-
-    Args:
-        interval: seconds between two rounds.
-        check_own_identity: called with the time in each round.
-        local_authority: may have signed newer lists.
-    """
-
     def __init__(
         self,
         state: MasterState,

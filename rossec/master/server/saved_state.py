@@ -1,23 +1,7 @@
-"""Saving the newest lists, of revocations and of domains, even if the disk is full at first.
+"""What the master saves: the newest lists, its parameters, the grants deposited at it. A shell.
 
-A list is made durable before it takes effect; but a revocation must not wait for room on a disk
-that the revoked node may have filled. So a list that cannot be saved is in force all the same; that
-is logged, and every maintenance round tries to save it again. A master that is restarted before has
-the older list: nodes that hold the newer one refuse its timestamps, and authorize nothing.
-
-The file in which the master stores deposited grants: a journal, compacted when it has grown.
-
-A shell. A deposit is synced before it is acknowledged: the authority's operator is told that the
-master has it, and may switch off his machine. That a holder has presented a grant is written in the
-next maintenance round; if it is lost, the node presents it again.
-
-The file in which the master stores its parameters: a journal, compacted when it has grown.
-
-A shell. Every change is written before the call is answered, so a crash of the master loses none;
-it is synced at most ten seconds later, so a power failure may lose these. That, and compacting, is
-the work of a thread and of many passes of the loop: a disk may take seconds. Registrations are not
-stored: nodes register again with a restarted master, and a node that died meanwhile would stay
-registered.
+Parameters and deposits are journals, compacted when they have grown. Registrations are not stored:
+nodes register again with a restarted master, and a node that died meanwhile would stay registered.
 """
 
 import asyncio
@@ -26,7 +10,7 @@ import os
 import secrets
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 from ca.errors import HintedError
 from ca.keys import ownership
@@ -39,13 +23,24 @@ from rossec.master.state.journals import DepositChange, ParameterChange
 from rossec.master.state.parameters import Parameters
 
 _log = logging.getLogger("rossec.master.keeping")
+_journal_log = logging.getLogger("rossec.master.memory")
 
+REWRITE_FACTOR: Final = 4  # a journal is compacted when it is this many times as long as needed
+REWRITE_MIN: Final = 1024 * 1024  # and at least this long
+_APPEND: Final = os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC | os.O_NOFOLLOW
 
 Write = Callable[[bytes], None]
+T = TypeVar("T")
 
 
 class ListFile:
-    """Saves lists and the entries of trees in `home`, later if not possible now."""
+    """Saves lists and the entries of trees in `home`, later if not possible now.
+
+    A list is made durable before it takes effect; but a revocation must not wait for room on a disk
+    that the revoked node may have filled. So a list that cannot be saved is in force all the same.
+    A master that is restarted before has the older list: nodes that hold the newer one refuse its
+    timestamps, and authorize nothing.
+    """
 
     def __init__(self, home: NodeHome) -> None:
         self._home = home
@@ -81,13 +76,14 @@ class ListFile:
             _log.warning("the newest lists are saved now")
 
 
-REWRITE_FACTOR: Final = 4  # compacted when it is this many times as long as needed
-REWRITE_MIN: Final = 1024 * 1024  # and at least this long
-
-_deposit_file_log = logging.getLogger("rossec.master.memory")
-
-
 class DepositFile:
+    """The journal of deposited grants.
+
+    A deposit is synced before it is acknowledged: the authority's operator is told that the master
+    has it, and may switch off his machine. That a holder has presented a grant is written in the
+    next maintenance round; if it is lost, the node presents it again.
+    """
+
     def __init__(self, path: Path, verify: VerifyDeposit) -> None:
         self.deposits = Deposits(verify, self._append)
         self._path = path
@@ -95,12 +91,7 @@ class DepositFile:
         self._size = self._snapshot_size = 0
 
     def open(self) -> None:
-        data = self._read()
-        changes, valid = journals.decode_deposits(data)
-        if valid < len(data):
-            _deposit_file_log.warning("%s: the last %d bytes are damaged", self._path.name, len(data) - valid)
-            files.replace(self._path.with_suffix(".damaged"), data)
-        self.deposits.restore(changes)
+        self.deposits.restore(_read_journal(self._path, journals.decode_deposits))
         self._rewrite()
 
     def sync(self) -> None:
@@ -114,12 +105,11 @@ class DepositFile:
             else:
                 self._append(unsaved)
         except (NotWritten, OSError) as error:
-            _deposit_file_log.warning("%s is not up to date: %s", self._path.name, error)
+            _journal_log.warning("%s is not up to date: %s", self._path.name, error)
             return
         unsaved.clear()
 
     def close(self) -> None:
-        # Write what is not written yet, and close.
         self.sync()
         if self._file is not None:
             os.close(self._file)
@@ -144,12 +134,6 @@ class DepositFile:
     def _is_long(self) -> bool:
         return self._size > max(REWRITE_MIN, REWRITE_FACTOR * self._snapshot_size)
 
-    def _read(self) -> bytes:
-        if not self._path.exists():
-            return b""
-        with os.fdopen(ownership.open_trusted(self._path), "rb") as file:
-            return file.read()
-
     def _rewrite(self) -> None:
         records = map(journals.encode_deposit, self.deposits.changes())
         data = journals.DEPOSITS_MAGIC + b"".join(records)
@@ -157,8 +141,7 @@ class DepositFile:
         if self._file is not None:  # of the old file: what is appended there would be lost
             os.close(self._file)
             self._file = None
-        flags = os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC | os.O_NOFOLLOW
-        self._file = os.open(self._path, flags)
+        self._file = os.open(self._path, _APPEND)
         self._size = self._snapshot_size = len(data)
 
 
@@ -166,13 +149,17 @@ GROWN: Final = 64 * 1024 * 1024  # bytes written, after which the next round doe
 MAX_UNSYNCED: Final = 256 * 1024 * 1024  # bytes written between two rounds
 
 _CHUNK: Final = 1024 * 1024  # bytes that are written at a time
-_APPEND: Final = os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC | os.O_NOFOLLOW
 _IN_FORCE: Final = "they are in force, and saved as soon as there is room"
-
-_parameter_file_log = logging.getLogger("rossec.master.memory")
 
 
 class ParameterFile:
+    """The journal of parameters.
+
+    Every change is written before the call is answered, so a crash of the master loses none; it is
+    synced at most ten seconds later, so a power failure may lose these. That, and compacting, is
+    the work of a thread and of many passes of the loop: a disk may take seconds.
+    """
+
     def __init__(self, path: Path) -> None:
         self.parameters = Parameters()
         self._path = path
@@ -185,15 +172,7 @@ class ParameterFile:
         """Whether so much was written that `save` is due now."""
 
     def open(self) -> None:
-        data = self._read()
-        changes, valid = journals.decode_parameters(data)
-        if valid < len(data):
-            _parameter_file_log.warning(
-                "%s: the last %d bytes are damaged", self._path.name, len(data) - valid
-            )
-            if data:
-                files.replace(self._path.with_suffix(".damaged"), data)
-        journals.replay(self.parameters, changes)
+        journals.replay(self.parameters, _read_journal(self._path, journals.decode_parameters))
         self._rewrite()
 
     def write(self, change: ParameterChange) -> None:
@@ -210,16 +189,14 @@ class ParameterFile:
             reason = str(error)
         self._dirty = True
         if written != len(record):
-            _parameter_file_log.error("parameters cannot be saved: %s; %s", reason, _IN_FORCE)
+            _journal_log.error("parameters cannot be saved: %s; %s", reason, _IN_FORCE)
             os.ftruncate(self._file, self._size)  # half a record would end the journal
             self._complete = False
             return
         self._size += len(record)
         if self._has_grown():
             self.grown.set()
-        if (
-            self._size > self._snapshot_size + MAX_UNSYNCED
-        ):  # a caller that sets without end must not fill the disk
+        if self._size > self._snapshot_size + MAX_UNSYNCED:  # a caller that sets without end
             self.sync()
 
     def sync(self) -> None:
@@ -256,7 +233,7 @@ class ParameterFile:
 
     def _not_saved(self, error: Exception) -> None:
         self._dirty = True
-        _parameter_file_log.error("parameters cannot be saved: %s; %s", error, _IN_FORCE)
+        _journal_log.error("parameters cannot be saved: %s; %s", error, _IN_FORCE)
 
     def _has_grown(self) -> bool:
         return self._size > self._snapshot_size + GROWN
@@ -281,7 +258,9 @@ class ParameterFile:
                 size += await self._move(waiting, made)
             await _in_thread(lambda: os.fdatasync(made))
             size += _write_all(made, bytes(waiting))  # as each change is written
-            old = self._opened()
+            old = self._file
+            if old is None:
+                raise NotWritten(f"{self._path.name} was closed meanwhile", "start the master again")
             temporary.replace(self._path)
         except BaseException:
             os.close(made)
@@ -294,11 +273,6 @@ class ParameterFile:
         self._complete = True
         os.close(old)
         await _in_thread(lambda: files.sync_directory(self._path.parent))
-
-    def _opened(self) -> int:
-        if self._file is None:
-            raise NotWritten(f"{self._path.name} was closed meanwhile", "start the master again")
-        return self._file
 
     @staticmethod
     async def _move(waiting: bytearray, descriptor: int) -> int:
@@ -313,12 +287,6 @@ class ParameterFile:
             os.close(self._file)
             self._file = None
 
-    def _read(self) -> bytes:
-        if not self._path.exists():
-            return b""
-        with os.fdopen(ownership.open_trusted(self._path), "rb") as file:
-            return file.read()
-
     def _rewrite(self) -> None:
         data = journals.snapshot(self.parameters)
         files.replace(self._path, data)
@@ -328,6 +296,18 @@ class ParameterFile:
         self._complete = True
         if old is not None:
             os.close(old)
+
+
+def _read_journal(path: Path, decode: Callable[[bytes], tuple[list[T], int]]) -> list[T]:
+    data = b""
+    if path.exists():
+        with os.fdopen(ownership.open_trusted(path), "rb") as file:
+            data = file.read()
+    changes, valid = decode(data)
+    if valid < len(data):
+        _journal_log.warning("%s: the last %d bytes are damaged", path.name, len(data) - valid)
+        files.replace(path.with_suffix(".damaged"), data)
+    return changes
 
 
 async def _in_thread(work: Callable[[], object]) -> None:

@@ -3,9 +3,7 @@
 Decisions are elsewhere: access control authorizes calls, `TrustState` tells which grants are valid,
 the registry returns events. All state is used in one event loop, and a call is answered without
 waiting for any peer, so no locks are needed. The effects of events are in `effects`, periodic work
-in `maintenance`, connections to nodes in `dialer`.
-
-Creating a master from the directory of its node.
+in `maintenance`, connections to nodes in `updates`.
 """
 
 import asyncio
@@ -39,7 +37,7 @@ from rossec.master.api.parameter_calls import ParameterCalls
 from rossec.master.operation.admin import DENIALS
 from rossec.master.operation.config import MasterLimits
 from rossec.master.rights.domain_trust import DomainTrust
-from rossec.master.rights.held_grants import Deposits, verifier
+from rossec.master.rights.held_grants import verifier
 from rossec.master.rights.renewals import Delegate, Renewer
 from rossec.master.rights.statements import TrustState
 from rossec.master.server.answers import Admission, CallAnswers
@@ -77,23 +75,8 @@ _denials = logging.getLogger(DENIALS)
 class MasterServer:
     """The master; not a context manager: `start`, then `stopped` or `close`.
 
-    Args:
-        credentials, verify: the master's own identity, and verification of the peers'.
-        trust: grants and revocations.
-        name: the master's certified name.
-        host: address to listen on (None: all). port: 0 for any free one.
-        advertise: host name in `uri`, which nodes are sent.
-        clock: seconds since the epoch.
-        parameter_file: the journal of parameters; None: they do not survive a restart.
-        deposit_file: the journal of deposited grants; None: none is accepted.
-        limits: limits on what one peer may use.
-        suites: the post-quantum policy (`rossec.channel.opening`).
-        check_own_identity: called with the time in each round of maintenance.
-        turns: limits how long one call may delay others.
-        find_revocations, find_domains: read what an authority on this host has signed.
-
-    Attributes:
-        state: what the master knows, for its event loop.
+    It listens at `host` (None: all), and nodes are sent `advertise` as its host; `check_own_identity`
+    is called with the time in each round of maintenance.
     """
 
     def __init__(
@@ -126,7 +109,7 @@ class MasterServer:
             unit=limits.body + HEADERS_LIMIT, handshake_seconds=limits.handshake_seconds
         )
         unshown = replace(channel_limits, preauth_limit=min(channel_limits.unit, UNSHOWN_UNIT))
-        self._context = SecureContext(
+        self.context: Final = SecureContext(
             credentials,
             verify,
             suites=suites,
@@ -146,15 +129,10 @@ class MasterServer:
             grant_changes=GrantChanges(min(WAIT, limits.idle_seconds / 2)),
         )
         trust.domains.own_sites = state.imports.own_sites
-        self._effects = Effects(state, self._context, on_denial, limits.nodes_per_identity + MAX_CLOSING)
-        self._maintenance = Maintenance(
-            state,
-            self._effects,
-            timestamp_every,
-            check_own_identity,
-            LocalAuthority(find_revocations, trust, find_domains),
-        )
-        self._gateways = Gateways(state, self._effects)
+        self.effects: Final = Effects(state, self.context, on_denial, limits.nodes_per_identity + MAX_CLOSING)
+        nearby = LocalAuthority(find_revocations, trust, find_domains)
+        self._maintenance = Maintenance(state, self.effects, timestamp_every, check_own_identity, nearby)
+        self._gateways = Gateways(state, self.effects)
         self._admission = Admission(state, limits)
         self._revoked_connections = RevokedConnections()
         self._parameters: ParameterCalls  # set by `start`
@@ -170,22 +148,16 @@ class MasterServer:
         host = f"[{self._advertise}]" if ":" in self._advertise else self._advertise
         return f"http://{host}:{self.port}/"
 
-    @property
-    def context(self) -> SecureContext[Identity]:
-        return self._context
-
-    @property
-    def effects(self) -> Effects:
-        """Delivers events that do not come from a call."""
-        return self._effects
-
     async def start(self) -> None:
-        """Listen."""
-        state, parameters = self.state, None
-        self._server = serve(self._handle, *self._address, self._context, WireProtocol.HTTP)
+        state, parameters, deposits = self.state, None, None
+        self._server = serve(self._handle, *self._address, self.context, WireProtocol.HTTP)
         if state.parameter_file is not None:
             state.parameter_file.open()
             parameters = state.parameter_file.parameters
+        if state.deposit_file is not None:
+            state.deposit_file.open()
+            self.effects.drop_deposits()
+            deposits = state.deposit_file.deposits
         api = MasterApi(
             state.registry,
             state.trust,
@@ -196,7 +168,7 @@ class MasterServer:
             started=state.now(),
             parameters=parameters,
             parameter_bytes=self._limits.parameters,
-            deposits=self._load_deposits(),
+            deposits=deposits,
             denials=state.recent_denials,
             connected=lambda: [stream.peer for stream in state.streams],
             imports=state.imports,
@@ -204,20 +176,11 @@ class MasterServer:
             doors=state.doors,
         )
         self._parameters = api.parameters
-        self._answers = CallAnswers(api, state, self._effects, self._turns)
+        self._answers = CallAnswers(api, state, self.effects, self._turns)
         self._maintenance.start(api.keep_views)
         self._gateways.start()
 
-    def _load_deposits(self) -> Deposits | None:
-        file = self.state.deposit_file
-        if file is None:
-            return None
-        file.open()
-        self._effects.drop_deposits()
-        return file.deposits
-
     def mirror(self, site: Site, tree: dict[str, object]) -> None:
-        """Take over the mirrored parameters of a site, and update their subscribers."""
         self._send_mirrored(self.state.imports.mirrors.replace(site, tree))
 
     def drop_mirror(self, label: str) -> None:
@@ -225,18 +188,17 @@ class MasterServer:
 
     def _send_mirrored(self, changes: Iterable[MirrorChange]) -> None:
         for event in self._parameters.mirror(changes, self.state.now()):
-            self._effects.deliver(event)
+            self.effects.deliver(event)
 
     def status(self) -> dict[str, str | int]:
-        """Figures for administrators and metrics."""
         registry = self.state.registry
         entries = [entry for kind in Kind for entry in registry.entries(kind)]
-        own = svid.parse(self._context.credentials.certificate)
+        own = svid.parse(self.context.credentials.certificate)
         return {
             "uri": self.uri,
             "pid": os.getpid(),
-            "calls": self._effects.calls,
-            "denials": self._effects.denials,
+            "calls": self.effects.calls,
+            "denials": self.effects.denials,
             "nodes": len(tuple(registry.nodes())),
             "registrations": sum(len(names) for _, names in entries),
             "connections": 0 if self._server is None else self._server.connections,
@@ -249,16 +211,15 @@ class MasterServer:
         }
 
     def stop(self, reason: str) -> None:
-        self._effects.deliver(StopMaster(reason))
+        self.effects.deliver(StopMaster(reason))
 
     async def stopped(self) -> None:
-        await self._effects.stopping.wait()
+        await self.effects.stopping.wait()
 
     async def close(self) -> None:
-        """Stop listening, close all connections, stop sending updates."""
         await self._maintenance.close()
         await self._gateways.close()
-        await self._effects.updates.close()
+        await self.effects.updates.close()
         if self._server is not None:
             await self._server.close()
         for file in (self.state.parameter_file, self.state.deposit_file):
@@ -333,24 +294,21 @@ def master_of(
 ) -> MasterServer:
     """The master whose identity is in `home`, not yet started.
 
-    Args:
-        host: address to advertise (ROS_HOSTNAME or ROS_IP), and to listen on alone when it is
-            loopback, as in ROS; None: this machine's name, and any address.
-        newest: a revocation list that may be newer than the one saved, from an authority on this
-            host; otherwise the master waits until one is published.
-        renewer: renews identities with an intermediate of this host; None: the authority's service
-            does, through the table of requests.
-        entries: where `newest` is a tree, its entries.
-        on_denial: called for every right that a caller lacks.
-        limits: limits on what one peer may use.
-        suites: the post-quantum policy (`rossec.channel.opening`).
-        find_revocations, find_domains: read what an authority on this host has signed.
+    `host` (ROS_HOSTNAME or ROS_IP) is advertised, and listened on alone when it is loopback, as in
+    ROS; None: this machine's name, and any address. `newest` is a revocation list (of a tree, with its
+    `entries`) that may be newer than the one saved, from an authority on this host. `renewer` renews
+    identities with an intermediate of this host; None: the authority's service does.
     """
     anchor, own_identity, saved_list = home.anchor(), OwnIdentity(home, now), ListFile(home)
     signer = own_identity.credentials.current.signer
     trust = _trust(home, saved_list, signer, newest, entries, renewer, now)
     own_key = home.identity(now).thumbprint
     own_identity.renew = lambda request, at: trust.identities.ask(own_key, request, at, trust.check)
+
+    def maintain(now: int) -> None:
+        own_identity.check(now)
+        saved_list.retry()
+
     server = MasterServer(
         own_identity.credentials,
         trust.domains.anchors.verify,
@@ -364,17 +322,17 @@ def master_of(
         deposit_file=DepositFile(home.path / "deposits.journal", verifier(anchor, trust.check)),
         limits=limits,
         suites=suites,
-        check_own_identity=partial(_maintain, own_identity, saved_list),
+        check_own_identity=maintain,
         find_revocations=find_revocations,
         find_domains=find_domains,
     )
-    trust.identities.on_answered = partial(_take_own, server, own_key)
+
+    def answered(key: bytes) -> None:
+        if key == own_key:
+            server.effects.list_changed.set()
+
+    trust.identities.on_answered = answered
     return server
-
-
-def _take_own(server: MasterServer, own_key: bytes, answered: bytes) -> None:
-    if answered == own_key:
-        server.effects.list_changed.set()
 
 
 def _trust(
@@ -407,7 +365,13 @@ def _trust(
         renewer,
         _domains(home, anchor, revocations, saved_list, now),
     )
-    _load_entries(trust, revocations, (entries, home.load_entries()), now)
+    if is_tree(revocations.data):
+        for found in (entries, home.load_entries()):
+            if found is not None:
+                with contextlib.suppress(RevocationRefused):
+                    trust.update_tree(revocations.data, found, now)
+                    return trust
+        _log.warning("the entries of the revocation tree are missing: rossec ca publish")
     return trust
 
 
@@ -431,21 +395,3 @@ def _domains(
 
     save = partial(saved_list.save_by, "domains", saved.save_domains)
     return DomainTrust(standing, save, save_foreign, load_foreign)
-
-
-def _maintain(own_identity: OwnIdentity, saved_list: ListFile, now: int) -> None:
-    own_identity.check(now)
-    saved_list.retry()
-
-
-def _load_entries(
-    trust: TrustState, revocations: Revocations, found: tuple[bytes | None, ...], now: int
-) -> None:
-    if not is_tree(revocations.data):
-        return
-    for entries in found:
-        if entries is not None:
-            with contextlib.suppress(RevocationRefused):
-                trust.update_tree(revocations.data, entries, now)
-                return
-    _log.warning("the entries of the revocation tree are missing: rossec ca publish")

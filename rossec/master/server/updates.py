@@ -1,32 +1,12 @@
-"""Sending updates to nodes: one client per slave API, none of which can delay another.
+"""Sending updates to nodes, and waiting for what they poll. A shell.
 
 Stock rosmaster shares three threads between all nodes, so three dead nodes delay all updates
 (ros_comm#1555). Here each node has its own task, its own connection and its own deadline. Pending
 updates are coalesced: only the newest publisher list of a topic, the newest value of a parameter,
 the newest revocation list. So a slow node costs a bounded amount of memory.
 
-Connecting to a slave API: the peer must be the node that registered it. A shell.
-
-The only module from which the master connects to nodes. Nothing is sent to any other peer, and a
-node that registered the address of another is reported. What is called is up to the caller.
-
-Waiting for deposited grants: long polling for `rossec.watchGrants`. A shell.
-
-A node waits on a connection of its own, so the master needs no address of it: a new robot, which
-may register nothing yet, is notified like every other. Nothing is queued here; a call that waited
-is answered again from the table.
-
-Waiting for changes of the graph: long polling for `rossec.watchGraph`. A shell.
-
-A watcher waits on its own connection, so the master neither connects to it nor queues or retries
-anything. Changes in the `BATCH_DELAY` seconds after the first are sent in the same answer: the
-launch of a hundred nodes does not take a hundred answers.
-
-Waiting for changes of what is registered here: long polling for `rossec.followSite`. A shell.
-
-Only own registrations wake a follower, not imports: else each change in a mesh would be answered by
-every master to every other. A new call of a follower ends its one before, which waits with what was
-wanted then.
+Who polls waits on its own connection: the master needs no address of it, and queues nothing; a call
+that waited is answered again from the tables.
 """
 
 import asyncio
@@ -55,11 +35,10 @@ def is_node(peer: Identity, node: NodeRef) -> bool:
 
 
 class SlaveDialer:
-    """Connects as the master; `probed` are the nodes that are being probed.
+    """The only place from which the master connects to nodes; `probed` are being probed now.
 
-    Args:
-        context: the master's own identity.
-        on_mismatch: called with the node and the other peer that answered at its address.
+    Nothing is sent to a peer that is not the node that registered the address: it is reported to
+    `on_mismatch`, with the node.
     """
 
     def __init__(
@@ -70,7 +49,6 @@ class SlaveDialer:
         self.probed: Final[set[NodeRef]] = set()
 
     async def dial(self, node: NodeRef) -> RpcClient:
-        # Connect to a slave API; the peer must be the node that registered it.
         host, port = parse_uri(node.uri, "the slave API")
         stream = await connect(host, port, self._context, WireProtocol.HTTP)
         if not is_node(stream.peer, node):
@@ -101,14 +79,33 @@ _log = logging.getLogger("rossec.master.updates")
 Dial = Callable[[NodeRef], Awaitable[RpcClient]]
 """Connects to a slave API, or raises `RossecError`, also when another peer answers there."""
 
-OnTaken = Callable[[NodeRef, str, tuple[object, ...]], None]
+OnTaken = Callable[[NodeRef, str, tuple[object, ...]], object]
 """Called with the method and parameters of an update that a node has accepted."""
 
-Key = tuple[str, str]
-"""Method and subject: of two pending updates with one key only the newer is sent."""
+Key = tuple[str, str]  # Method and subject: of two pending updates with one key only the newer is sent
 
 
-def ignore_taken(node: NodeRef, method: str, params: tuple[object, ...]) -> None: ...
+class SlaveClient:
+    """One connection to a slave API, made when a call needs it."""
+
+    def __init__(self, node: NodeRef, dial: Dial, deadline: float) -> None:
+        self._node = node
+        self._dial = dial
+        self._deadline = deadline
+        self._client: RpcClient | None = None
+
+    async def ask(self, method: str, *params: object) -> None:
+        async with asyncio.timeout(self._deadline):
+            if self._client is None or self._client.closed:
+                self._client = await self._dial(self._node)
+            await self._client.ask(method, *params)
+
+    async def close(self) -> None:
+        client, self._client = self._client, None
+        if client is not None:
+            with contextlib.suppress(RossecError, OSError, TimeoutError):
+                async with asyncio.timeout(self._deadline):
+                    await client.close()
 
 
 class NodeClient:
@@ -117,19 +114,17 @@ class NodeClient:
         node: NodeRef,
         dial: Dial,
         *,
-        on_taken: OnTaken = ignore_taken,
+        on_taken: OnTaken = lambda _node, _method, _params: None,
         deadline: float = CALL_DEADLINE,
         retry_after: tuple[float, ...] = _RETRY_AFTER,
     ) -> None:
         self.node = node
-        self._dial = dial
+        self._client = SlaveClient(node, dial, deadline)
         self._on_taken = on_taken
-        self._deadline = deadline
         self._retry_after = retry_after
         self._pending: dict[Key, tuple[object, ...]] = {}
         self._encoded_sizes: dict[Key, int] = {}
         self._posted = asyncio.Event()
-        self._client: RpcClient | None = None
         self._failures = 0
 
     @property
@@ -138,12 +133,11 @@ class NodeClient:
 
     def post(self, key: Key, *params: object) -> None:
         self._pending[key], self._encoded_sizes[key] = params, encoded_size(params)
-        while len(self._pending) > PENDING_LIMIT or self._is_oversized():
+        while len(self._pending) > 1 and (
+            len(self._pending) > PENDING_LIMIT or sum(self._encoded_sizes.values()) > PENDING_BYTES
+        ):
             self._discard(next(iter(self._pending)))
         self._posted.set()
-
-    def _is_oversized(self) -> bool:
-        return len(self._pending) > 1 and sum(self._encoded_sizes.values()) > PENDING_BYTES
 
     def _discard(self, key: Key) -> None:
         del self._pending[key], self._encoded_sizes[key]
@@ -168,57 +162,42 @@ class NodeClient:
                         await asyncio.sleep(self._retry_after[self._failures])
                         self._failures += 1
         finally:
-            await self._disconnect()
+            await self._client.close()
 
     async def _deliver(self, method: str, params: tuple[object, ...]) -> bool:
         try:
-            async with asyncio.timeout(self._deadline):
-                if self._client is None or self._client.closed:
-                    self._client = await self._dial(self.node)
-                await self._client.ask(method, *params)
+            await self._client.ask(method, *params)
             self._on_taken(self.node, method, params)
         except (Fault, AnswerRefused) as error:
             _log.info("%s answers %s: %s", self.node.name, method, printable(error))
         except (RossecError, OSError, TimeoutError) as error:
             _log.info("cannot reach %s for %s: %s", self.node.name, method, printable(error))
-            await self._disconnect()
+            await self._client.close()
             return False
         return True
 
-    async def _disconnect(self) -> None:
-        client, self._client = self._client, None
-        if client is not None:
-            with contextlib.suppress(RossecError, OSError, TimeoutError):
-                async with asyncio.timeout(self._deadline):
-                    await client.close()
-
 
 class Updates:
-    """All node clients. `post` never waits.
-
-    Args:
-        max_clients: clients for one key at a time. A node can register any number of addresses, one
-            after another; the master must neither run out of connections nor be used for a scan.
-        on_taken: called for each update that a node has accepted.
-    """
+    """All node clients. `post` never waits."""
 
     def __init__(
         self,
         dial: Dial,
         max_clients: int = 64 + MAX_CLOSING,
         *,
-        on_taken: OnTaken = ignore_taken,
+        on_taken: OnTaken = lambda _node, _method, _params: None,
         deadline: float = CALL_DEADLINE,
     ) -> None:
         self._on_taken = on_taken
         self._dial = dial
+        # clients for one key at a time. A node can register any number of addresses, one after another; the
+        # master must neither run out of connections nor be used for a scan
         self._max_clients = max_clients
         self._deadline = deadline
         self._clients: dict[NodeRef, tuple[NodeClient, TaskSet]] = {}
         self._closing = TaskSet()
 
     def post(self, node: NodeRef, key: Key, *params: object) -> None:
-        # Send an update to `node`, unless its key has too many clients.
         if node not in self._clients:
             if sum(other.thumbprint == node.thumbprint for other in self._clients) >= self._max_clients:
                 _log.info("%s changes its address too often: no %s is sent", node.name, key[0])
@@ -256,10 +235,9 @@ MAX_WAITING: Final = 64  # calls of one key: the nodes of a wildcard identity
 
 
 class GrantChanges:
-    """The waiting calls, by the key of the caller.
+    """The calls that wait for deposited grants, by the key of the caller.
 
-    Args:
-        longest: seconds until a call is answered without a grant.
+    A new robot, which may register nothing yet, is notified like every other.
     """
 
     def __init__(self, longest: float = WAIT) -> None:
@@ -286,14 +264,9 @@ class GrantChanges:
                 async with asyncio.timeout(self._longest):
                     await waiting
         finally:
-            self._discard(holder, waiting)
-
-    def _discard(self, holder: bytes, waiting: asyncio.Future[None]) -> None:
-        calls = self._waiting.get(holder)
-        if calls is not None:
             with contextlib.suppress(ValueError):
                 calls.remove(waiting)
-            if not calls:
+            if not calls and self._waiting.get(holder) is calls:
                 del self._waiting[holder]
 
 
@@ -307,6 +280,12 @@ BATCH_DELAY: Final = 0.05
 
 
 class GraphChanges:
+    """The calls that wait for a change of the graph.
+
+    Changes in the `BATCH_DELAY` seconds after the first are sent in the same answer: the launch of a
+    hundred nodes does not take a hundred answers.
+    """
+
     def __init__(self) -> None:
         self._version = -1
         self._changed: asyncio.Event | None = None  # while a call waits
@@ -334,14 +313,14 @@ class GraphChanges:
 
 
 class SitePolls:
-    """The waiting calls, one for each key.
+    """The followers and relays that wait, one call for each key: a new one ends the one before.
 
-    Args:
-        delay: seconds from a change to the answer, which has what changes meanwhile too.
+    Only own registrations wake a follower, not imports: else each change in a mesh would be answered
+    by every master to every other.
     """
 
     def __init__(self, delay: float = BATCH_DELAY) -> None:
-        self._delay = delay
+        self._delay = delay  # seconds from a change to the answer, which has what changes meanwhile too
         self._waiting: dict[bytes, asyncio.Event] = {}
         self._version = -1
         self._changes = 0

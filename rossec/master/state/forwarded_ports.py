@@ -45,21 +45,13 @@ class Door(NamedTuple):
 
 
 class Way(NamedTuple):
-    """How a relay reaches a peer: what it says of its links, for people.
+    """How a relay reaches a peer: what it says of its links, for people."""
 
-    Args:
-        state: of its link; a relay dials when a door is used first.
-        rtt_ms: round trip, milliseconds; 0: not known yet.
-        retransmissions: since the link is there.
-        router: which one is in use.
-        streams: connections that the link carries.
-    """
-
-    state: str
-    rtt_ms: float
-    retransmissions: int
-    router: str
-    streams: int
+    state: str  # of its link; a relay dials when a door is used first
+    rtt_ms: float  # round trip, milliseconds; 0: not known yet
+    retransmissions: int  # since the link is there
+    router: str  # which one is in use
+    streams: int  # connections that the link carries
 
 
 class Report(NamedTuple):
@@ -102,19 +94,11 @@ class _Relay:
 
 
 class Doors:
-    """What is wanted of all relays, and what they have opened.
-
-    Args:
-        limit: targets that are wanted at a time.
-
-    Attributes:
-        on_wanted: called when relays are to be told of something.
-        masters: those that relays shall poll too.
-    """
+    """What is wanted of all relays, and what they have opened."""
 
     def __init__(self, limit: int = MAX_DOORS) -> None:
-        self.on_wanted: Callable[[], None] = _ignore
-        self.masters: Masters = dict
+        self.on_wanted: Callable[[], object] = lambda: None  # called when relays are to be told of something
+        self.masters: Masters = dict  # those that relays shall poll too
         self._limit = limit
         self._version = 0
         self._wants: dict[str, set[Target]] = {}
@@ -140,12 +124,14 @@ class Doors:
             held.discard(target)
             self._release(target)
         missing, others = 0, sum(target.kind != MASTER for target in held)
-        for target in sorted(wanted - held, key=_masters_first):
+        for target in sorted(wanted - held, key=lambda each: (each.kind != MASTER, each)):
             has_left = others < self._limit - len(self._wanted)
             if target in self._wanted or target.kind == MASTER or has_left:
                 others += target.kind != MASTER
                 held.add(target)
-                self._begin(target)
+                if target not in self._wanted:
+                    self._gone.pop(target, None)
+                    self._wanted[target] = self._next_version()
             else:
                 missing += 1
         if self._version != before:
@@ -153,7 +139,6 @@ class Doors:
         return missing
 
     def forget(self, label: str) -> None:
-        """The site with this label is followed no longer."""
         self.want(label, ())
         self._wants.pop(label, None)
         self._listeners.pop(label, None)
@@ -177,7 +162,6 @@ class Doors:
         return self._superseded.get(relay) == instance
 
     def hear(self, relay: str, report: Report, now: int) -> WantedChange:
-        """Take over what a relay reports, and answer it."""
         held = self._relays.get(relay)
         if held is None or held.instance != report.instance:
             if held is not None:
@@ -195,7 +179,6 @@ class Doors:
         return self._change_since(relay, report.seen)
 
     def expire(self, now: int) -> tuple[str, ...]:
-        """Forget relays that are silent for too long; returns their names."""
         silent = [name for name, held in self._relays.items() if now - held.heard > SILENCE]
         for name in silent:
             self._superseded.pop(name, None)
@@ -219,11 +202,6 @@ class Doors:
         old = tuple(target for _, target in told if target in self._gone)
         return WantedChange(version, new, old)
 
-    def _begin(self, target: Target) -> None:
-        if target not in self._wanted:
-            self._gone.pop(target, None)
-            self._wanted[target] = self._next_version()
-
     def _release(self, target: Target) -> None:
         if any(target in wants for wants in self._wants.values()):
             return
@@ -239,7 +217,9 @@ class Doors:
         for peer, name in before.items():
             if name not in self._relays or peer not in self._relays[name].ways:
                 del self._serving[peer]
-                self._drop_doors(peer)
+                for relay in self._relays.values():
+                    for target in [each for each in relay.doors if each.peer == peer]:
+                        relay.drop(target)
         for name in sorted(self._relays):
             for peer in self._relays[name].ways:
                 if peer not in self._serving:
@@ -255,11 +235,6 @@ class Doors:
         for peer in [peer for peer, served_by in self._serving.items() if served_by == name]:
             del self._serving[peer]
 
-    def _drop_doors(self, peer: str) -> None:
-        for relay in self._relays.values():
-            for target in [each for each in relay.doors if each.peer == peer]:
-                relay.drop(target)
-
     def _next_version(self) -> int:
         self._version += 1
         return self._version
@@ -267,11 +242,3 @@ class Doors:
     def _notify(self) -> None:
         for changed in tuple(self._listeners.values()):
             changed()
-
-
-def _masters_first(target: Target) -> tuple[bool, Target]:
-    return target.kind != MASTER, target
-
-
-def _ignore() -> None:
-    pass

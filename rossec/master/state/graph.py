@@ -2,20 +2,6 @@
 
 Imported nodes are aliases, so no name of a node occurs twice; a topic occurs once, with the nodes
 of all masters. What is yielded one by one is as of when it is yielded.
-
-Who published what, from when to when, for those who may know it only to a slot. Pure.
-
-They are told who published at the beginning of the slot of the master's clock that is now, so what
-they are told changes at the beginnings of slots alone (docs/spec/master.md). That is a function of
-spans of time, so nothing is kept for a receiver. Only the own registrations are noted; a span is in
-whole seconds, as slots are. What ended is kept for the longest slot, and bounded.
-
-What gateways serve now, of the own registrations and of other masters of the domain. Pure.
-
-A gateway is an ordinary publisher of served names (`ca.names`). One that does not answer
-the master serves nothing while that lasts: its registrations stay, `Registry.is_silent` says so.
-Those of other masters serve where none does here, and then one of them: from two a subscriber would
-get each message twice.
 """
 
 from collections import OrderedDict
@@ -42,15 +28,14 @@ class Published(NamedTuple):
     until: int | None = None
 
 
-def _nothing_cut(_node: NodeRef) -> bool:
-    return False
-
-
 class PublisherLog:
-    """The publishers of `registry`.
+    """Who published what, from when to when, for those who may know it only to a slot.
 
-    Attributes:
-        now: seconds since the epoch; set by whoever uses the log, before.
+    They are told who published at the beginning of the slot of the master's clock that is now, so
+    what they are told changes at the beginnings of slots alone (docs/spec/master.md). That is a
+    function of spans of time, so nothing is kept for a receiver. Only the own registrations are
+    noted; a span is in whole seconds, as slots are. What ended is kept for the longest slot, and
+    bounded. `now` is set by whoever uses the log, before.
     """
 
     def __init__(self, registry: Registry) -> None:
@@ -62,7 +47,7 @@ class PublisherLog:
     def __len__(self) -> int:
         return sum(map(len, (*self._current.values(), *self._ended.values())))
 
-    def note(self, topic: str, is_cut: Callable[[NodeRef], bool] = _nothing_cut) -> None:
+    def note(self, topic: str, is_cut: Callable[[NodeRef], bool] = lambda _node: False) -> None:
         # What a revocation or the end of a right has ended is in no later answer.
         nodes = self._registry.registered_nodes(Kind.PUBLISHER, topic)
         known = self._current.get(topic, {})
@@ -106,10 +91,19 @@ class PublisherLog:
 
 
 class ServedTopics:
+    """What gateways serve now, of the own registrations and of other masters of the domain.
+
+    A gateway is an ordinary publisher of served names (`ca.names`). One that does not answer the
+    master serves nothing while that lasts: its registrations stay, `Registry.is_silent` says so.
+    Those of other masters serve where none does here, and then one of them: from two a subscriber
+    would get each message twice.
+    """
+
     def __init__(self, registry: Registry, imports: Imports) -> None:
         self._registry = registry
         self._imports = imports
-        self._found = _Found((-1, -1), {})
+        self._version = (-1, -1)
+        self._gateways: Mapping[str, tuple[str, ...]] = {}
 
     def uris(self, alias: str) -> list[str]:
         served = _served(alias)
@@ -121,9 +115,9 @@ class ServedTopics:
 
     def gateways(self) -> Mapping[str, tuple[str, ...]]:
         version = self._registry.version, self._imports.version
-        if self._found.version != version:
-            self._found = _Found(version, self._find())
-        return self._found.gateways
+        if self._version != version:
+            self._version, self._gateways = version, self._find()
+        return self._gateways
 
     def topic_type(self, alias: str) -> str:
         served = _served(alias)
@@ -140,17 +134,12 @@ class ServedTopics:
         return {alias: names for alias, names in served if self._is_taken(alias)}
 
     def _is_taken(self, alias: str) -> bool:
-        return self._imports.intake.gives(Right.SUBSCRIBE, alias)
+        return self._imports.filter.gives(Right.SUBSCRIBE, alias)
 
     def _names(self, served: str) -> tuple[str, ...]:
         nodes = self._registry.registered_nodes(Kind.PUBLISHER, served)
         own = tuple(node.name for node in nodes if not self._registry.is_silent(node))
         return own or self._imports.nodes_of(Kind.PUBLISHER, served)[:1]
-
-
-class _Found(NamedTuple):
-    version: tuple[int, int]
-    gateways: Mapping[str, tuple[str, ...]]
 
 
 def _served(alias: str) -> str | None:
@@ -161,15 +150,11 @@ def _served(alias: str) -> str | None:
 
 
 class GraphNode(NamedTuple):
-    """A node, here or imported."""
-
     name: str
     uri: str
 
 
 class Graph:
-    """Queries over both."""
-
     def __init__(self, registry: Registry, imports: Imports) -> None:
         self.registry: Final = registry
         self.imports: Final = imports
@@ -182,7 +167,6 @@ class Graph:
         return self.registry.version + self.imports.version
 
     def entries(self, kind: Kind) -> Iterator[tuple[str, tuple[str, ...]]]:
-        """All names of one kind, each with its nodes."""
         own = frozenset(self.registry.keys(kind))
         imported = tuple(self.imports.keys(kind))
         for key, nodes in self.registry.entries(kind):
@@ -192,7 +176,6 @@ class Graph:
                 yield key, nodes
 
     def nodes(self) -> Iterator[GraphNode]:
-        """All nodes."""
         for node in tuple(self.registry.nodes()):
             yield GraphNode(node.name, node.uri)
         for name, uri in self.imports.nodes():

@@ -1,25 +1,13 @@
-"""The facts of one site, checked and indexed. Pure.
+"""The facts of other masters: checked, indexed by site, and how their names are written here. Pure.
 
-A site is another administration, or a master that may be taken over: what it says is checked as a
-node's registration is. A malformed fact refuses the site. A well-formed one that cannot be used
-here, for example with an address on this host, is stored without effect: it may be withdrawn later.
-
-The sites whose facts this master imports, and how their names are written here. Pure.
-
-A site is another master. Names of a foreign domain lie below its label; of another master of the
-own domain only the names of nodes do: topics and services of one domain are one namespace. The
-mapping itself is `ca.names`'s.
-
-The publishers of lost sites, for the local subscribers that are connected to them. Pure.
-
-A dead master ends nothing between nodes: they judge each other without it. Its names go, but a list
-of publishers without them would make subscribers disconnect. So a list keeps the addresses until
-the site has answered again, or is followed no longer.
-
-What happens to the facts of other masters, for subscribers, the audit and people. Pure.
+A site is another master: another administration, or one that may be taken over. What it says is
+checked as a node's registration is. A malformed fact refuses the site. A well-formed one that cannot
+be used here, for example with an address on this host, is stored without effect: it may be withdrawn
+later. Names of a foreign domain lie below its label; of another master of the own domain only the
+names of nodes do: topics and services of one domain are one namespace (`ca.names`).
 """
 
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
@@ -37,6 +25,7 @@ from rossec.master.state.registry import (
     endpoint,
     is_connectable,
     is_reachable_from_here,
+    is_type_name,
 )
 
 NODE: Final = "node"
@@ -45,17 +34,11 @@ PROVIDER: Final = "provider"
 
 
 class Site(NamedTuple):
-    """Another master.
+    """Another master."""
 
-    Args:
-        label: what it is called here; unique.
-        domain: the label of its foreign domain; empty: of the own domain.
-        on_this_host: it is followed over loopback, so its loopback addresses are this host's.
-    """
-
-    label: str
-    domain: str = ""
-    on_this_host: bool = False
+    label: str  # what it is called here; unique
+    domain: str = ""  # the label of its foreign domain; empty: of the own domain
+    on_this_host: bool = False  # it is followed over loopback, so its loopback addresses are this host's
 
     def check(self) -> "Site":
         """The site, if its labels are valid; raises NameRefused."""
@@ -87,7 +70,6 @@ class Site(NamedTuple):
 
 FACTS_LIMIT: Final = 65_536  # of one site
 STEP: Final = 256  # facts that are taken over between two yields
-_TYPE_LIMIT: Final = 255
 _KINDS: Final = {kind.value: kind for kind in (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)}
 _SCHEMES: Final = {NODE: "http", PROVIDER: "rosrpc"}
 
@@ -107,34 +89,29 @@ class Registered(NamedTuple):
 
 
 class SiteFacts:
-    """What one site has said.
-
-    Attributes:
-        facts: as received.
-        nodes: the addresses of its nodes, by their name at the origin, as far as usable here.
-        registered: for what its nodes are registered.
-        types, providers: of topics and services, by local name.
-        is_lost: there is no connection with the site; its facts stay for now.
-        settled: the demand that its last complete answer was for (`Demand.version`).
-    """
+    """What one site has said."""
 
     __slots__ = ("facts", "is_lost", "nodes", "providers", "registered", "settled", "site", "types")
 
     def __init__(self, site: Site) -> None:
         self.site: Final = site.check()
-        self.facts: set[Fact] = set()
+        self.facts: set[Fact] = set()  # as received
+        # the addresses of its nodes, by their name at the origin, as far as usable here
         self.nodes: dict[str, Address] = {}
-        self.registered: dict[str, set[Registered]] = {}
-        self.types: dict[str, str] = {}
+        self.registered: dict[str, set[Registered]] = {}  # for what its nodes are registered
+        self.types: dict[str, str] = {}  # types, providers: of topics and services, by local name
         self.providers: dict[str, Address] = {}
-        self.is_lost = False
-        self.settled = -1
+        self.is_lost = False  # there is no connection with the site; its facts stay for now
+        self.settled = -1  # the demand that its last complete answer was for (`Demand.version`)
 
     def registration(self, fact: Fact) -> Registered | None:
         # What a fact about a registration is about here; None: another fact, or not usable.
         kind = _KINDS.get(fact[0])
         key = None if kind is None else self.local_key(fact[1])
-        if kind is None or key is None or (is_in_gateway(key) and not _may_offer(kind, fact[2])):
+        if kind is None or key is None:
+            return None
+        # Below `/gateway` gateways alone publish and provide; its own master refuses others too.
+        if is_in_gateway(key) and kind is not Kind.SUBSCRIBER and not is_gateway(fact[2]):
             return None
         return Registered(kind, key)
 
@@ -200,12 +177,10 @@ class SiteFacts:
 
 
 def checked(facts: Iterable[Fact]) -> list[Fact]:
-    """The facts, if each is well-formed."""
     return [_check(fact) for fact in facts]
 
 
 def parts(facts: Iterable[Fact]) -> Iterator[list[Fact]]:
-    """The facts, `STEP` at once."""
     rest = iter(facts)
     while part := list(islice(rest, STEP)):
         yield part
@@ -223,23 +198,14 @@ def _check(fact: Fact) -> Fact:
     scheme = _SCHEMES.get(kind)
     if scheme is not None and not is_connectable(value, scheme):
         raise ImportRefused(f"{name} has an address that is not one")
-    if scheme is None and (kind != TYPE or not _is_type(value)):
+    if scheme is None and (kind != TYPE or not is_type_name(value)):
         raise ImportRefused(f"a fact of an unknown kind, or a type of {name} that is not one")
     return fact
-
-
-def _may_offer(kind: Kind, node: str) -> bool:
-    # Whether a node may be registered so below `/gateway`, which its own master refuses too.
-    return kind is Kind.SUBSCRIBER or is_gateway(node)
 
 
 def _check_name(name: str) -> None:
     if is_alias(check_name(name)):
         raise NameRefused(f"{name} is an alias at the origin itself", "a name travels one hop")
-
-
-def _is_type(value: str) -> bool:
-    return value.count("/") == 1 and len(value) <= _TYPE_LIMIT and value.isprintable()
 
 
 def _remove_address(addresses: dict[str, Address], key: str, uri: str) -> None:
@@ -248,7 +214,14 @@ def _remove_address(addresses: dict[str, Address], key: str, uri: str) -> None:
         del addresses[key]
 
 
-class KeptPublishers:
+class RetainedPublishers:
+    """The publishers of lost sites, for the local subscribers that are connected to them.
+
+    A dead master ends nothing between nodes: they judge each other without it. Its names go, but a
+    list of publishers without them would make subscribers disconnect. So a list keeps the addresses
+    until the site has answered again, or is followed no longer.
+    """
+
     def __init__(self) -> None:
         self._kept: dict[str, dict[str, Sequence[Address]]] = {}
 
@@ -313,12 +286,3 @@ class Contradictions:
                 reported.add(topic)
                 events.append(TypeContradicted(label, topic, here, there))
         return events
-
-
-def finished(steps: Generator[None, None, list[ImportEvent]]) -> list[ImportEvent]:
-    while True:
-        try:
-            next(steps)
-        except StopIteration as end:
-            events: list[ImportEvent] = end.value
-            return events

@@ -1,30 +1,30 @@
-"""The records of the master's journals. Pure.
+"""The master's journals, from which a restarted one restores parameters and deposited grants. Pure.
 
 A record is the length and the CRC-32 of its content (4 bytes each, big endian), then the content. A
 record that is truncated or damaged ends a journal: it was being written when the power failed. The
-CRC detects accidents, not attacks: the file is writable for its owner alone.
-
-The journal of parameter changes, from which a restarted master restores them. Pure.
-
-A record (`journal_records`) holds the call that makes the change, as XML-RPC: every value a client
-can set can be written, and reading applies the same limits.
-
-The journal of deposited grants, from which a restarted master restores them. Pure.
-
-The content of a record (`journal_records`) is one letter and what it is about: `G` and a grant as
-signed, which was deposited; `H` and the id of a grant, which its holder has presented. What has
-expired or is revoked needs no record: it is left out when the journal is read.
+CRC detects accidents, not attacks: the file is writable for its owner alone. What has expired or is
+revoked needs no record: it is left out when the journal is read.
 """
 
 import zlib
-from collections.abc import Iterator
-from typing import Final, NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Final, NamedTuple, TypeVar
 
 from rossec.errors import XmlRpcRefused
 from rossec.master.state.parameters import ParameterMissing, Parameters, exceeds
 from rossec.ros import names, xmlrpc
 
 _HEADER_SIZE: Final = 8
+PARAMETERS_MAGIC: Final = b"rossec parameters 1\n"
+_SET: Final = "setParam"
+_DELETE: Final = "deleteParam"
+_PIECE: Final = 256 * 1024  # encoded in some milliseconds
+DEPOSITS_MAGIC: Final = b"rossec deposits 1\n"
+ID_SIZE: Final = 16
+_GRANT: Final = b"G"
+_HELD: Final = b"H"
+
+T = TypeVar("T")
 
 
 def frame(content: bytes) -> bytes:
@@ -41,10 +41,16 @@ def contents(data: bytes, at: int) -> Iterator[tuple[bytes, int]]:
         yield content, at
 
 
-PARAMETERS_MAGIC: Final = b"rossec parameters 1\n"
-_SET: Final = "setParam"
-_DELETE: Final = "deleteParam"
-_PIECE: Final = 256 * 1024  # encoded in some milliseconds
+def _decode(data: bytes, magic: bytes, read: Callable[[bytes], T | None]) -> tuple[list[T], int]:
+    # The changes, and how many bytes of `data` hold them.
+    changes, valid = list[T](), len(magic) if data.startswith(magic) else 0
+    for content, end in contents(data, valid) if valid else ():
+        change = read(content)
+        if change is None:
+            break
+        changes.append(change)
+        valid = end
+    return changes, valid
 
 
 class ParameterChange(NamedTuple):
@@ -56,42 +62,27 @@ class ParameterChange(NamedTuple):
 
 
 def encode_parameter(change: ParameterChange) -> bytes:
+    # The call that makes the change, as XML-RPC: every value a client can set can be written, and
+    # reading applies the same limits.
     if change.deleted:
-        call = xmlrpc.dump_call(_DELETE, (change.key,))
-    else:
-        call = xmlrpc.dump_call(_SET, (change.key, change.value))
-    return frame(call)
+        return frame(xmlrpc.dump_call(_DELETE, (change.key,)))
+    return frame(xmlrpc.dump_call(_SET, (change.key, change.value)))
 
 
 def decode_parameters(data: bytes) -> tuple[list[ParameterChange], int]:
-    changes: list[ParameterChange] = []
-    valid = len(PARAMETERS_MAGIC) if data.startswith(PARAMETERS_MAGIC) else 0
-    if valid:
-        for change, end in _parameter_records(data, valid):
-            changes.append(change)
-            valid = end
-    return changes, valid
-
-
-def _parameter_records(data: bytes, at: int) -> Iterator[tuple[ParameterChange, int]]:
-    for call, end in contents(data, at):
+    def read(content: bytes) -> ParameterChange | None:
         try:
-            change = _change(xmlrpc.load_call(call, limit=len(call)))
+            call = xmlrpc.load_call(content, limit=len(content))
         except XmlRpcRefused:
-            return
-        if change is None:
-            return
-        yield change, end
-
-
-def _change(call: xmlrpc.Call) -> ParameterChange | None:
-    match call:
-        case (method, (str() as key, value)) if method == _SET:
-            return ParameterChange(key, value)
-        case (method, (str() as key,)) if method == _DELETE:
-            return ParameterChange(key, deleted=True)
-        case _:
             return None
+        match call:
+            case (method, (str() as key, value)) if method == _SET:
+                return ParameterChange(key, value)
+            case (method, (str() as key,)) if method == _DELETE:
+                return ParameterChange(key, deleted=True)
+        return None
+
+    return _decode(data, PARAMETERS_MAGIC, read)
 
 
 def replay(parameters: Parameters, changes: list[ParameterChange]) -> None:
@@ -135,21 +126,11 @@ def _pieces(parameters: Parameters, key: str) -> Iterator[bytes]:
         yield from _pieces(parameters, names.join(key, name))
 
 
-DEPOSITS_MAGIC: Final = b"rossec deposits 1\n"
-ID_SIZE: Final = 16
-_GRANT: Final = b"G"
-_HELD: Final = b"H"
-
-
 class GrantDeposited(NamedTuple):
-    """The grant `data`, as signed, was deposited."""
-
     data: bytes
 
 
 class GrantHeld(NamedTuple):
-    """The holder of the deposited grant `grant_id` has presented it."""
-
     grant_id: bytes
 
 
@@ -165,21 +146,10 @@ def encode_deposit(change: DepositChange) -> bytes:
 
 
 def decode_deposits(data: bytes) -> tuple[list[DepositChange], int]:
-    changes: list[DepositChange] = []
-    valid = len(DEPOSITS_MAGIC) if data.startswith(DEPOSITS_MAGIC) else 0
-    if valid:
-        for change, end in _deposit_records(data, valid):
-            changes.append(change)
-            valid = end
-    return changes, valid
-
-
-def _deposit_records(data: bytes, at: int) -> Iterator[tuple[DepositChange, int]]:
-    for content, end in contents(data, at):
+    def read(content: bytes) -> DepositChange | None:
         letter, rest = content[:1], content[1:]
         if letter == _GRANT and rest:
-            yield GrantDeposited(rest), end
-        elif letter == _HELD and len(rest) == ID_SIZE:
-            yield GrantHeld(rest), end
-        else:
-            return
+            return GrantDeposited(rest)
+        return GrantHeld(rest) if letter == _HELD and len(rest) == ID_SIZE else None
+
+    return _decode(data, DEPOSITS_MAGIC, read)

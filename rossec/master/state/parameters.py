@@ -3,18 +3,9 @@
 Values are XML-RPC values, a dict is a namespace. Keys arrive resolved. Rights are not decided here
 (`rossec.master.api.parameter_calls`); `item` and `items_affected` say which parameters a call
 reaches. Stricter than stock: a name inside a tree is one segment (stock stores `{"a/b": 1}` under a
-key that no call can read), and the depth is bounded by what can be encoded.
-
-The values of parameters: which are valid, and about how many bytes they take. Pure.
-
-Every accepted value must be encodable: in answers, in the journal and in updates to subscribers.
-XML-RPC has extensions (nil, long and big numbers) that a call can carry but no answer can: one such
-value would make every tree that contains it unreadable. Sizes approximate those of the answer.
-
-Parameters of other masters, read-only below `/remote/<label>`. Pure.
-
-Each has one writer, its origin, so there is no conflict and nothing circulates. `/` remains the own
-tree alone: a node that reads or sets it reaches no mirror.
+key that no call can read), and the depth is bounded by what can be encoded. Every accepted value
+must be encodable: XML-RPC has extensions (nil, long and big numbers) that a call can carry but no
+answer can, and one such value would make every tree that contains it unreadable.
 """
 
 from collections.abc import Collection, Iterator
@@ -31,6 +22,9 @@ from rossec.ros import names
 from rossec.ros.xmlrpc import EncodedList
 
 DEPTH_LIMIT: Final = 32
+_NAME_SHOWN: Final = 80  # characters of a name in an error
+SIZE_LIMIT: Final = 64 * 1024 * 1024  # bytes of all parameters together
+MIRROR_LIMIT: Final = 1024 * 1024  # bytes of the parameters of one site
 _INTS: Final = range(-(2**31), 2**31)
 _SCALAR, _TEXT, _ARRAY, _STRUCT, _MEMBER = 28, 36, 52, 46, 34  # bytes of markup of each
 _SCALARS: Final = (bool, float, datetime)
@@ -43,20 +37,18 @@ def check_value(value: object, depth: int = DEPTH_LIMIT) -> None:
         raise ValueError(f"parameters nested deeper than {DEPTH_LIMIT}")
     if isinstance(value, dict):
         for name, below in value.items():
-            if not _is_segment(name):
+            is_segment = isinstance(name, str) and name and not name.startswith(names.PRIVATE)
+            if not is_segment or names.SEPARATOR in name:
                 raise ValueError(f"{name!r} cannot be the name of a parameter in a tree")
             check_value(below, depth - 1)
     elif isinstance(value, list):
         for item in value:
             check_value(item, depth - 1)
-    elif not isinstance(value, str | bytes):
-        _check_scalar(value)
-
-
-def _is_segment(name: object) -> bool:
-    if not isinstance(name, str) or not name or name.startswith(names.PRIVATE):
-        return False
-    return names.SEPARATOR not in name
+    elif type(value) is int:
+        if value not in _INTS:
+            _refuse(f"the number {value}" if abs(value) < 1 << 70 else "a number this long")
+    elif type(value) not in _SCALARS and not isinstance(value, str | bytes):
+        _refuse("nil" if value is None else f"a {type(value).__name__}")
 
 
 def encoded_size(value: object) -> int:
@@ -79,7 +71,6 @@ def exceeds(value: object, limit: int) -> bool:
 
 
 def member_size(name: str, value: object) -> int:
-    """About how many bytes one member of a struct takes."""
     return _MEMBER + len(name) + encoded_size(value)
 
 
@@ -107,20 +98,8 @@ def _flat_size(values: Collection[Any]) -> int | None:
     return _TEXT * len(values) + sum(map(len, values)) if kinds == {str} else None
 
 
-def _check_scalar(value: object) -> None:
-    if type(value) is int:
-        if value not in _INTS:
-            _refuse(f"the number {value}" if abs(value) < 1 << 70 else "a number this long")
-    elif type(value) not in _SCALARS:
-        _refuse("nil" if value is None else f"a {type(value).__name__}")
-
-
 def _refuse(what: str) -> NoReturn:
     raise ValueError(f"XML-RPC cannot carry {what} in an answer")
-
-
-_NAME_SHOWN: Final = 80  # characters of a name in an error
-SIZE_LIMIT: Final = 64 * 1024 * 1024  # bytes of all parameters together
 
 
 class ParameterMissing(KeyError):
@@ -143,14 +122,11 @@ class ParameterUpdate(NamedTuple):
 
 
 class Parameters:
-    """The tree of all parameters."""
-
     def __init__(self) -> None:
         self._top: Tree = {"": {}}  # the root has no name
         self.size = encoded_size(self._top)
 
     def get(self, key: str) -> object:
-        """The value, or the tree, at `key`; a live reference."""
         value: object = self._top[""]
         for segment in _segments(key):
             if not isinstance(value, dict) or segment not in value:
@@ -158,16 +134,7 @@ class Parameters:
             value = value[segment]
         return value
 
-    def has(self, key: str) -> bool:
-        """Whether `key` is set."""
-        try:
-            self.get(key)
-        except ParameterMissing:
-            return False
-        return True
-
     def set(self, key: str, value: object, limit: int | None = None) -> None:
-        """Set a value, or replace a whole tree; values on the path become namespaces."""
         segments = _segments(key)
         check_value(value, DEPTH_LIMIT - len(segments))
         if not segments and not isinstance(value, dict):
@@ -193,7 +160,6 @@ class Parameters:
         return node, path[-1], value
 
     def delete(self, key: str) -> None:
-        """Unset a value or a tree."""
         head, _, last = names.canonical(key).rpartition(names.SEPARATOR)
         parent = self.get(head)
         if not isinstance(parent, dict) or last not in parent:
@@ -256,8 +222,8 @@ def updates(subscriptions: Collection[str], key: str, value: object) -> list[Par
     value = deepcopy(value)  # the event is delivered later, when the tree may have changed
     result = [
         ParameterUpdate(namespace, changed, value, to_setter=False)
-        for namespace in _namespaces(changed)
-        if namespace in subscriptions
+        for end, letter in enumerate(changed, 1)
+        if letter == names.SEPARATOR and (namespace := changed[:end]) in subscriptions
     ]
     if isinstance(value, dict):
         inside = dict(_descendants(changed, value))
@@ -282,11 +248,6 @@ def _is_name(key: str) -> bool:
     return True
 
 
-def _namespaces(changed: str) -> list[str]:
-    ends = [at for at, letter in enumerate(changed, 1) if letter == names.SEPARATOR]
-    return [changed[:end] for end in ends]
-
-
 def _segments(key: str) -> list[str]:
     return [segment for segment in key.split(names.SEPARATOR) if segment]
 
@@ -297,9 +258,6 @@ def _descendants(key: str, value: Tree) -> Iterator[tuple[str, object]]:
         yield inner, below
         if isinstance(below, dict):
             yield from _descendants(inner, below)
-
-
-MIRROR_LIMIT: Final = 1024 * 1024  # bytes of the parameters of one site
 
 
 class MirrorChange(NamedTuple):
@@ -315,10 +273,10 @@ class _Mirror(NamedTuple):
 
 
 class Mirrors:
-    """The parameters of all sites.
+    """The parameters of all sites, read-only below `/remote/<label>`; `limit`: bytes of one site.
 
-    Args:
-        limit: bytes of the parameters of one site.
+    Each has one writer, its origin, so there is no conflict and nothing circulates. `/` remains the
+    own tree alone: a node that reads or sets it reaches no mirror.
     """
 
     def __init__(self, limit: int = MIRROR_LIMIT) -> None:
@@ -326,11 +284,7 @@ class Mirrors:
         self._mirrors: dict[str, _Mirror] = {}
 
     def replace(self, site: Site, tree: dict[str, object]) -> list[MirrorChange]:
-        """Take over all that is mirrored of a site; returns what has changed.
-
-        Args:
-            tree: with the names of the origin, from its root.
-        """
+        """Take over all that is mirrored of a site, in its names from its root; returns what has changed."""
         new = Parameters()
         try:
             check_names(names.SEPARATOR, tree)
@@ -351,7 +305,6 @@ class Mirrors:
         return [*events, *_changes(_namespace(site), before, _root(new))]
 
     def drop(self, label: str) -> list[MirrorChange]:
-        """Forget what is mirrored of a site."""
         held = self._mirrors.pop(label, None)
         if held is None:
             return []

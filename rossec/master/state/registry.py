@@ -2,16 +2,10 @@
 
 Answers as stock `rosmaster` (registrations.py) gives them, in its order. Rights are checked before
 (`rossec.master.rights.access_rules`). A change of which nodes must be notified returns events; the
-shell delivers them. `version` grows with every change, so equal versions mean equal state.
-
-Beyond stock: when a node is replaced or removed, the subscribers of its topics are notified (stock
-leaves them with a dead publisher), and lookups by node are indexed.
-
-The hosts in the URIs that nodes register: validated and normalized. Pure.
-
-The master connects to these addresses, so it accepts neither unusual spellings of an IPv4 address
-nor broadcast and multicast addresses, nor loopback, which is the master's own host, from a node on
-another host (attack M8). That the node listens there is proved by its key when it is called.
+shell delivers them. Beyond stock: when a node is replaced or removed, the subscribers of its topics
+are notified (stock leaves them with a dead publisher), and lookups by node are indexed. The master
+connects to the addresses it is given, so these are validated and normalized (attack M8); that the
+node listens there is proved by its key when it is called.
 """
 
 import ipaddress
@@ -29,8 +23,7 @@ _NUMERIC_HOST: Final = re.compile(r"(?:.*\.)?(?:[0-9]+|0x[0-9a-f]*)\.?", re.IGNO
 _LOCALHOST: Final = re.compile(r"(?:.*\.)?(?:localhost|localhost\.localdomain|ip6-localhost)\.?")
 _BROADCAST: Final = "255.255.255.255"
 URI_LIMIT: Final = 512
-Endpoint = tuple[str, int | None]
-"""Host and port, normalized."""
+Endpoint = tuple[str, int | None]  # Host and port, normalized
 _Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 _CACHE_SIZE: Final = 256  # a node sends its own URIs in each call
 
@@ -66,7 +59,6 @@ def is_unicast_host(host: str) -> bool:
 
 
 def is_loopback_host(host: str) -> bool:
-    """Whether `host` is loopback: an address of it, or a name of localhost."""
     address = _address(host)
     return _LOCALHOST.fullmatch(host) is not None if address is None else address.is_loopback
 
@@ -92,9 +84,14 @@ def _address(host: str) -> _Address | None:
 
 
 ANY_TYPE: Final = "*"
+_TYPE_LIMIT: Final = 255
 REGISTRATIONS_LIMIT: Final = 1024  # registrations of one kind of one node
 NODES_LIMIT: Final = 64  # nodes of one key
 REPLACED: Final = "new node registered with same name"
+
+
+def is_type_name(value: str) -> bool:
+    return value.count("/") == 1 and len(value) <= _TYPE_LIMIT and value.isprintable()
 
 
 class Kind(Enum):
@@ -150,16 +147,13 @@ class _Node:
     ref: NodeRef
     keys: dict[Kind, dict[str, None]] = field(default_factory=lambda: {kind: {} for kind in Kind})
 
-    def is_empty(self) -> bool:
-        return not any(self.keys.values())
-
 
 class Registry:
     """All registrations. Methods that change it return the events to deliver."""
 
     def __init__(self, nodes_limit: int = NODES_LIMIT) -> None:
-        self.imported_publishers: Callable[[str], list[str]] = _nothing_imported
-        self.version = 0
+        self.imported_publishers: Callable[[str], list[str]] = lambda _topic: []
+        self.version = 0  # grows with every change, so equal versions mean equal state
         self._nodes: dict[str, _Node] = {}
         self._names: dict[Kind, dict[str, dict[str, None]]] = {kind: {} for kind in Kind}
         self._service_uris: dict[str, str] = {}
@@ -218,7 +212,6 @@ class Registry:
     def unregister_service(
         self, service: str, name: str, service_uri: str, thumbprint: bytes
     ) -> Unregistered:
-        """Remove a service; name, key and service URI must match."""
         node = self._nodes.get(name)
         if node is None or node.ref.thumbprint != thumbprint:
             return Unregistered(f"[{name}] is not a registered node", 0)
@@ -232,7 +225,6 @@ class Registry:
         return Unregistered(f"Unregistered [{name}] as provider of [{service}]", 1)
 
     def remove_node(self, name: str) -> list[Event]:
-        """Remove all registrations of a node; subscribers of its topics are notified."""
         node = self._nodes.get(name)
         if node is None:
             return []
@@ -345,18 +337,15 @@ class Registry:
             if old.ref.uri != ref.uri:  # else the new node itself listens there
                 events.append(ShutdownNode(old.ref, REPLACED))
             old = None
-        node = old or self._add_node(ref)
+        if old is None:
+            self._nodes_per_key[ref.thumbprint] += 1
+            self._owners[endpoint(ref.uri)] = ref.name
+        node = self._nodes[ref.name] = old or _Node(ref)
         if key not in node.keys[kind]:
             node.keys[kind][key] = None
             self._names[kind].setdefault(key, {})[ref.name] = None
             self.version += 1
         return events
-
-    def _add_node(self, ref: NodeRef) -> _Node:
-        node = self._nodes[ref.name] = _Node(ref)
-        self._nodes_per_key[ref.thumbprint] += 1
-        self._owners[endpoint(ref.uri)] = ref.name
-        return node
 
     def _discard(self, kind: Kind, key: str, name: str) -> None:
         self.version += 1
@@ -369,7 +358,7 @@ class Registry:
                 self._drop_service_uri(key)
             if not any(key in self._names[each] for each in (Kind.PUBLISHER, Kind.SUBSCRIBER)):
                 self._types.pop(key, None)  # else one node could fill the memory with types
-        if node.is_empty():
+        if not any(node.keys.values()):
             del self._nodes[name]
             self._silent.discard(node.ref)
             self._nodes_per_key[node.ref.thumbprint] -= 1
@@ -389,7 +378,3 @@ class Registry:
     def _set_type(self, topic: str, type_name: str) -> None:
         self.version += self._types.get(topic) != type_name
         self._types[topic] = type_name
-
-
-def _nothing_imported(_topic: str) -> list[str]:
-    return []

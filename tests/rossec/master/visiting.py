@@ -83,4 +83,4 @@ class VisitWorld(World):
 
     def take(self, *revoked: bytes | EnrolledNode, age: int = 0) -> None:
         """The hospital's next list and its master's word on it."""
-        self.server._effects.take_foreign(HOSPITAL, *self.hospital.word(*revoked, age=age))
+        self.server.effects.take_foreign(HOSPITAL, *self.hospital.word(*revoked, age=age))

@@ -36,7 +36,7 @@ async def test_a_node_that_registers_the_address_of_another_is_removed(
     await viewer.ask("registerPublisher", "/t", T, viewer.uri)  # of which the squatter is notified
     await until(lambda: viewer.received_calls("publisherUpdate")[-1:] == [("/t", [viewer.uri])])
     assert f"/squatter is removed: /victim answers at {victim.uri}" in caplog.text
-    assert world.server._effects.updates.nodes == (NodeRef("/viewer", viewer.uri, viewer.member.thumbprint),)
+    assert world.server.effects.updates.nodes == (NodeRef("/viewer", viewer.uri, viewer.member.thumbprint),)
     assert await victim.ask("registerPublisher", "/t", T, victim.uri) == [viewer.uri]
     assert victim.received == []
 
@@ -73,7 +73,7 @@ async def test_a_node_is_probed_once_at_a_time(world: World, monkeypatch: pytest
             assert not pending.done()
             with pytest.raises(AnswerRefused, match="registered by another node"):
                 await pending
-        assert world.server._effects.dialer.probed == set()
+        assert world.server.effects.dialer.probed == set()
         assert await bob.ask("lookupNode", "/slow") == uri
 
 

@@ -142,7 +142,7 @@ async def test_updates_of_a_revoked_node_are_dropped(world: World) -> None:
         uri = f"http://127.0.0.1:{silent.getsockname()[1]}/"
         await gone.ask("registerSubscriber", "/t", T, uri)
         await talker.ask("registerPublisher", "/t", T, talker.uri)
-        updates = world.server._effects.updates
+        updates = world.server.effects.updates
         assert [node.name for node in updates.nodes] == ["/gone"]
         await talker.ask("rossec.updateRevocations", world.site.revoke(gone.member))
         assert [node for node in updates.nodes if node.name == "/gone"] == []

@@ -7,7 +7,6 @@ import pytest
 from ca.errors import RevocationRefused
 from ca.revocation.trust_status import Revocations
 from rossec.errors import ConfigurationError
-from rossec.master.rights.renewals import discard
 from rossec.master.rights.statements import TrustState
 from rossec.master.server.maintenance import LocalAuthority, no_authority
 from tests.rossec.master.fakes import FakeStatements
@@ -85,7 +84,7 @@ def test_a_newer_list_of_domains_is_accepted(tmp_path: Path, caplog: pytest.LogC
     home, hospital = Site(tmp_path / "home", "home"), Site(tmp_path / "hospital", "hospital")
     there = [b""]
     revocations = Revocations(home.anchor.public_key)
-    statements = TrustState(home.anchor, home.authority.signer, revocations, discard)
+    statements = TrustState(home.anchor, home.authority.signer, revocations, lambda _data: None)
     local = LocalAuthority(no_authority, statements, lambda: there[0])
     assert not local.has_newer_domains()
     old = there[0] = trust.accept(home, hospital)

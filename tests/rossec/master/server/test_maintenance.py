@@ -30,10 +30,10 @@ async def test_a_revoked_node_receives_no_more_updates(world: World) -> None:
         connected, _ = await loop.sock_accept(silent)
         with connected:
             assert await loop.sock_recv(connected, 1) != b""  # the handshake, never answered
-            [client] = world.server._effects.updates.nodes
+            [client] = world.server.effects.updates.nodes
             assert client.name == "/dead"
             await other.ask("rossec.updateRevocations", world.site.revoke(dead.member))
-            await until(lambda: client not in world.server._effects.updates.nodes)
+            await until(lambda: client not in world.server.effects.updates.nodes)
 
 
 async def test_an_older_key_of_a_name_cannot_disturb_the_node(world: World) -> None:
@@ -108,9 +108,9 @@ async def test_an_exception_does_not_end_freshness(
         raise RuntimeError("a fault of ours")
 
     monkeypatch.setattr(world.trust, "revocations_for", crash)
-    world.server._effects.list_changed.set()
+    world.server.effects.list_changed.set()
     await until(lambda: "a fault of ours" in caplog.text)
-    world.server._effects.list_changed.set()
+    world.server.effects.list_changed.set()
     await until(lambda: node.received_calls("rossec.revocationUpdate") != [])
 
 

@@ -300,7 +300,7 @@ def test_sites_are_settled_when_they_have_answered_what_is_wanted(imports: Impor
 
 def test_of_a_foreign_domain_only_what_the_rules_take_in_counts(imports: Imports) -> None:
     rules = {"hospital": Reach((Permission("/pose", Right.SUBSCRIBE),))}
-    imports.intake.rules = rules.get
+    imports.filter.rules = rules.get
     imports.apply(HOSPITAL, [*POSE, *RESET, ("node", "/nurse", "http://10.0.0.4:1/")], [])
     assert imports.publisher_uris("/remote/hospital/pose") == [ROBOT[2]]
     assert imports.topic_type("/remote/hospital/pose") == T
@@ -315,7 +315,7 @@ def test_of_a_foreign_domain_only_what_the_rules_take_in_counts(imports: Imports
 
 def test_what_may_only_be_seen_has_no_address(imports: Imports) -> None:
     rules = {"hospital": Reach((Permission("/**", Right.GRAPH),))}
-    imports.intake.rules = rules.get
+    imports.filter.rules = rules.get
     imports.apply(HOSPITAL, [*POSE, *RESET], [])
     pose, reset = "/remote/hospital/pose", "/remote/hospital/reset"
     assert imports.nodes_of(Kind.PUBLISHER, pose) == ("/remote/hospital/robot",)
@@ -328,7 +328,7 @@ def test_other_rules_are_told_to_subscribers_and_hide_the_own_domain_never(
     registry: Registry, imports: Imports
 ) -> None:
     alias, rules = "/remote/hospital/pose", {"kitchen": Reach(()), "hospital": Reach(())}
-    imports.intake.rules = rules.get
+    imports.filter.rules = rules.get
     subscribe(registry, alias)
     imports.apply(HOSPITAL, POSE, [])
     imports.apply(KITCHEN, POSE, [])

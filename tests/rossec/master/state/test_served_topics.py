@@ -95,7 +95,7 @@ def test_a_silent_gateway_serves_nothing_until_it_answers(graph: Graph) -> None:
 def test_what_is_not_taken_from_a_domain_is_not_served(graph: Graph) -> None:
     graph.registry.register_publisher(SERVED, T, GATEWAY)
     assert graph.served.gateways()
-    graph.imports.intake.rules = lambda _: Reach([Permission("/map", Right.SUBSCRIBE)])
+    graph.imports.filter.rules = lambda _: Reach([Permission("/map", Right.SUBSCRIBE)])
     graph.imports.taken_anew()
     assert graph.served.gateways() == {}
     assert graph.served.uris(ALIAS) == []
