@@ -1,17 +1,11 @@
 """`SecureContext`: what one identity brings to its connections, as `ssl.SSLContext` does for TLS.
 
-`connect` and `serve` of `rossec.net.aio` and `SecureSocket` of `rossec.net.threads` take one. It
-waits for nothing and imports neither: programs with threads need no asyncio.
+`connect` and `serve` of `rossec.net.aio` and `SecureSocket` of `rossec.net.threads` take one. It waits for
+nothing and imports neither: programs with threads need no asyncio.
 
-The open connections of one identity, on which its certificate is presented when it is renewed.
-
-Thread-safe. They are held weakly: a connection that has ended needs no entry.
-
-A connection does not survive a fork.
-
-Parent and child would both hold its keys and counters, and seal two different records under one
-nonce: with AES-GCM that gives both plaintexts and the authentication key away (RFC 5116, 5.1.1). So
-the child forgets what it inherited; the parent's connections go on. `subprocess` and
+A connection does not survive a fork. Parent and child would both hold its keys and counters, and seal two
+different records under one nonce: with AES-GCM that gives both plaintexts and the authentication key away
+(RFC 5116, 5.1.1). So the child forgets what it inherited; the parent's connections go on. `subprocess` and
 multiprocessing's `spawn` run no Python between fork and `exec`: programs started so are safe.
 """
 
@@ -34,6 +28,7 @@ from rossec.channel.edhoc.credentials import (
     Renews,
     Verify,
 )
+from rossec.channel.edhoc.handshake import EdhocConfig
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import ChannelLimits
@@ -41,6 +36,7 @@ from rossec.net.limits import ACCEPTED, DIALLED, HalfOpen, HalfOpenCount
 
 
 class OpenStreams:
+    # Thread-safe. Held weakly: a connection that has ended needs no entry.
     def __init__(self) -> None:
         self._lock = Lock()
         self._streams: WeakSet[PresentsIdentity] = WeakSet()
@@ -101,37 +97,26 @@ class SecureContext(Generic[PeerT]):
 
         `to_itself`: the peer must be this identity in this process; else it must be another one.
         """
-        return self._kept(
-            Connection.initiator(
-                self.credentials,
-                self.verify,
-                random=secrets.token_bytes,
-                now=clock.now(),
-                opening=protocol,
-                suites=self.suites,
-                limits=self.dial_limits[protocol],
-                known=self.known,
-                request_x5t=request_x5t,
-                own_dials=self.own_dials if to_itself else None,
-                renews=self.renews,
-            )
-        )
+        dials = self.own_dials if to_itself else None
+        config = self._config(dials, request_x5t=request_x5t)
+        limits = self.dial_limits[protocol]
+        return self._kept(Connection.initiator(config, now=clock.now(), opening=protocol, limits=limits))
 
     def responder(self, protocol: WireProtocol) -> Connection[PeerT]:
         """The core of an accepted connection, which must open in `protocol`."""
-        return self._kept(
-            Connection.responder(
-                self.credentials,
-                self.verify,
-                random=secrets.token_bytes,
-                now=clock.now(),
-                accept=(protocol,),
-                suites=self.suites,
-                limits=self.accept_limits[protocol],
-                known=self.known,
-                own_dials=self.own_dials,
-                renews=self.renews,
-            )
+        config, limits = self._config(self.own_dials), self.accept_limits[protocol]
+        return self._kept(Connection.responder(config, now=clock.now(), accept=(protocol,), limits=limits))
+
+    def _config(self, own_dials: OwnDials | None, *, request_x5t: bool = False) -> EdhocConfig[PeerT]:
+        return EdhocConfig(
+            self.credentials,
+            self.verify,
+            secrets.token_bytes,
+            self.suites,
+            known=self.known,
+            request_x5t=request_x5t,
+            own_dials=own_dials,
+            renews=self.renews,
         )
 
     def _kept(self, connection: Connection[PeerT]) -> Connection[PeerT]:
@@ -141,8 +126,6 @@ class SecureContext(Generic[PeerT]):
 
 
 class Inherited(Protocol):
-    """What a forked process must not use."""
-
     def abandon(self) -> None: ...
 
 

@@ -30,9 +30,6 @@ from rossec.ros.xmlrpc import BODY_LIMIT
 
 PREAUTH_LIMIT: Final = 2 * HEADER_LIMIT  # with what was sent in the same burst
 BATCH_LIMIT: Final = 2 * 1024 * 1024  # 256 KiB of messages, one more, and 4 bytes for each
-UNSENT: Final = 16 * 1024
-"""Bytes that the kernel holds and has not sent yet, above which it takes no more for a receiver
-that wishes the newest message only: its own buffer would hold seconds of a slow line."""
 UNSHOWN_BODY: Final = 64 * 1024
 """Bytes of a call that are parsed of a caller that has shown no grant (but those that show one)."""
 UNSHOWN_UNIT: Final = 1024 * 1024 + HEADERS_LIMIT
