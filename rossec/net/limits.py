@@ -1,22 +1,14 @@
-"""How much a peer may have one connection hold, by what the connection is for.
+"""How much a peer may have one connection hold, by what it is for; how many may be half open (N8, M11).
 
-A unit is assembled before it is delivered. So a peer that is authenticated but not yet authorized
-may send no more than a connection header needs; a subscriber never more, and an authorized peer as
-much as its messages can need. How long it may take: `progress`.
-
-How many half-open connections this process has, in total and from one source (N8, M11).
-
-A socket counts from `accept` until its peer is authenticated, or until it is closed: one whose
-handshake failed lingers, so that its peer can read the refusal, and costs a descriptor as before.
-At the limit, the one that lingers longest is closed first; then, if the total is reached, one of
-the source that has most, if it has more than the source of the new one. A whole LAN is one source
-of IPv6: at its limit, one of the address that has most makes room in the same way.
+A unit is assembled before it is delivered. So a peer that is authenticated but not yet authorized may send no
+more than a connection header needs; a subscriber never more, and an authorized peer as much as its messages
+can need. How long it may take: `Progress`.
 """
 
 import functools
 import ipaddress
 from collections import Counter, deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from threading import Lock
 from typing import Any, Final
@@ -69,8 +61,6 @@ def unit_limit(size: int | None, most: int) -> int:
 
 @dataclass(frozen=True)
 class HalfOpen:
-    """The caps."""
-
     per_address: int = 128
     total: int = 512
 
@@ -84,8 +74,9 @@ class HalfOpenSlot:
         self._count = count
         self.source = source
         self.address = address
-        self.close: Callable[[], None] | None = None
-        """Closes its socket at once, to make room; None where that cannot be done."""
+        self.close: Callable[[], None] | None = (
+            None  # closes its socket at once, to make room, where that can be
+        )
 
     def linger(self) -> None:
         self._count.lingers(self)
@@ -98,7 +89,14 @@ class HalfOpenSlot:
 
 
 class HalfOpenCount:
-    """The count against the caps; threads may share it."""
+    """The half-open connections of this process, in total and from one source; threads may share it.
+
+    A socket counts from `accept` until its peer is authenticated, or until it is closed: one whose handshake
+    failed lingers, so that its peer can read the refusal, and costs a descriptor as before. At the limit, the
+    one that lingers longest is closed first; then, if the total is reached, one of the source that has most,
+    if it has more than the source of the new one. A whole LAN is one source of IPv6: at its limit, one of the
+    address that has most makes room in the same way.
+    """
 
     def __init__(self, caps: HalfOpen) -> None:
         self._caps = caps
@@ -107,8 +105,8 @@ class HalfOpenCount:
         self._sources: dict[str, dict[HalfOpenSlot, None]] = {}
         self._lingering: dict[HalfOpenSlot, None] = {}
         self._lock = Lock()
+        # Slots whose sockets were garbage collected: that may happen with the lock held.
         self.collected: deque[HalfOpenSlot] = deque()
-        """Slots whose sockets were garbage collected: that may happen with the lock held."""
 
     def __len__(self) -> int:
         with self._lock:
@@ -121,7 +119,8 @@ class HalfOpenCount:
         with self._lock:
             self._forget_collected()
             victim = None
-            if self._is_full(source):
+            held = len(self._sources.get(source, ()))
+            if self._total >= self._caps.total or held >= self._caps.per_address:
                 victim = self._victim(source, address)
                 if victim is None:
                     return None
@@ -142,14 +141,9 @@ class HalfOpenCount:
             self._remove(self.collected.popleft())
 
     def lingers(self, slot: HalfOpenSlot) -> None:
-        """As of `HalfOpenSlot.linger`."""
         with self._lock:
             if slot in self._sources.get(slot.source, ()):
                 self._lingering[slot] = None
-
-    def _is_full(self, source: str) -> bool:
-        held = len(self._sources.get(source, ()))
-        return self._total >= self._caps.total or held >= self._caps.per_address
 
     def _victim(self, source: str, address: str) -> HalfOpenSlot | None:
         own = self._sources.get(source, {})
@@ -157,8 +151,12 @@ class HalfOpenCount:
         for slot in self._lingering:
             if slot.close is not None and (slot.source == source or not own_full):
                 return slot
-        if own_full:
-            return _of_most(own, address)
+        if own_full:  # the oldest slot of the address that has most, if it has more than `address` would have
+            counts = Counter(slot.address for slot in own)
+            busiest = max(counts, key=counts.__getitem__)
+            if counts[busiest] <= counts[address] + 1:
+                return None
+            return next((slot for slot in own if slot.address == busiest and slot.close is not None), None)
         most = max(self._sources.values(), key=len, default={})
         if len(most) <= len(own) + 1:
             return None
@@ -173,15 +171,6 @@ class HalfOpenCount:
         del slots[slot]
         if not slots:
             del self._sources[slot.source]
-
-
-def _of_most(slots: Iterable[HalfOpenSlot], address: str) -> HalfOpenSlot | None:
-    # The oldest slot of the address that has most, if it has more than `address` would have.
-    counts = Counter(slot.address for slot in slots)
-    most = max(counts, key=counts.__getitem__)
-    if counts[most] <= counts[address] + 1:
-        return None
-    return next((slot for slot in slots if slot.address == most and slot.close is not None), None)
 
 
 @functools.lru_cache(maxsize=256)

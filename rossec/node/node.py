@@ -377,11 +377,7 @@ class Node:
         await self.services.wait_for(self.settings.resolve(name), within=timeout)
 
     async def wait_ended(self) -> None:
-        """Wait until the node ends by itself.
-
-        Raises:
-            NodeShutdown: the master ended it.
-        """
+        """Wait until the node ends by itself; raises NodeShutdown: the master ended it."""
         await asyncio.shield(self._ended)
 
     async def close(self) -> None:

@@ -343,11 +343,7 @@ class RawReceiver(Protocol):
     """What takes messages; each publisher is connected once, then gone once."""
 
     def connected(self, source: RawSource) -> None:
-        """A publisher is connected.
-
-        Raises:
-            HintedError: it is not wanted; it is tried again later.
-        """
+        """A publisher is connected; raises HintedError: it is not wanted; it is tried again later."""
 
     def received(self, source: RawSource, messages: Sequence[bytes]) -> None:
         """Serialized messages, without their length prefixes."""

@@ -1,35 +1,8 @@
-"""The connections of one identity: how many a peer may have, and what cuts them.
+"""The connections of one identity: those a node makes, how many a peer may have, and what cuts them.
 
-A connection is in the table before it is checked once more, and checked before data passes: a
-revocation that arrives while it is admitted finds it there, or is found by the check. Thread-safe;
-a connection is cut with no lock held. What a form of a node adds is the stream.
-
-Cuts connections that have expired, were revoked, or whose revocation data is stale.
-
-It waits for the clock only: a master that hangs must not keep an expired connection open.
-
-Connections to publishers of other origins, which end when the master lists those no longer.
-
-What a gateway serves replaces the origin's publishers, and the reverse. roscpp and the built-in
-node leave a publisher that is listed no longer; rospy never does, and would get every message
-twice, over one line more. So its connections are ended for it. Topics of the own domain are left as
-ROS has them. Thread-safe; a connection is ended with no lock held.
-
-The addresses a node registered as its own: only a connection to one of them may reach itself.
-
-An address that a peer sends is not enough: the answer to `requestTopic` could send a node back to
-itself. A redirect from another node to this one is therefore refused (`check_redirect`).
-
-Connections a node makes: to its master, and to the nodes that publish what it subscribes to.
-
-A peer is checked before anything is sent: its certificate by the channel, its revocation here.
-That a publisher lacks the right shows in its answer only; by then it has received the topic's name,
-which the master has sent it as well, and the subscriber's grant for that topic.
-
-Serving the slave API to one peer, on a loop: a node's own, or a program's behind a sidecar.
-
-The master's calls are parsed before those of others, as a revocation is one; its connection has no
-time limit. Another peer has little to say to a node, so it says it in small bodies, and in time.
+A connection is in the table before it is checked once more, and checked before data passes: a revocation that
+arrives while it is admitted finds it there, or is found by the check. The tables are thread-safe; a
+connection is cut with no lock held. What a form of a node adds is the stream.
 """
 
 import asyncio
@@ -62,11 +35,14 @@ PEER_CONNECTIONS: Final = 256  # of one identity, one for each topic or service:
 UNSHOWN_CONNECTIONS: Final = 32
 """Of those, the ones by which no grant was shown (yet): each is for a header, or a short call."""
 
+WATCH_PERIOD: Final = 1.0  # seconds between checks; an expiry is exact to the second
+FOLLOW_PERIOD: Final = 1.0  # seconds, at most, from the master's list to the end of a connection
+_REASON: Final = "the master lists this publisher no longer"
+
+Address = tuple[str, int]
+CheckPeer = Callable[[Identity, int], None]
+PublisherT = TypeVar("PublisherT")
 _log = logging.getLogger("rossec.node")
-
-
-def _source(peer: Identity) -> bytes | str:
-    return f"domain {peer.domain}" if peer.is_foreign else peer.thumbprint
 
 
 class _Accepted(NamedTuple):
@@ -80,7 +56,6 @@ class ConnectionTable(Generic[StreamT]):
     """The connections of one identity.
 
     Args:
-        standing: what ends them.
         lock: held while `standing` is read, if threads share it.
         most: how many connections one peer may have made (N8); None: `PEER_CONNECTIONS`.
         master: the name of the own master, which may have more.
@@ -109,9 +84,9 @@ class ConnectionTable(Generic[StreamT]):
     # -- what peers connect
 
     def bounded(self, handler: Handler[Identity]) -> Handler[Identity]:
-        """Call `handler` for the connections that `accept` admits.
+        """Call `handler` for the connections that `accept` admits; the master may have more.
 
-        The master may have more: one for each program, of which a sidecar's identity has many.
+        It has one for each program, of which a sidecar's identity has many.
         """
 
         async def serve_one(stream: SecureStream[Identity]) -> None:
@@ -133,7 +108,10 @@ class ConnectionTable(Generic[StreamT]):
 
         A foreign authority certifies any number of keys, so its domain counts as one peer.
         """
-        source, name = (peer, peer) if isinstance(peer, str) else (_source(peer), peer.name)
+        if isinstance(peer, str):
+            source, name = peer, peer
+        else:
+            source, name = f"domain {peer.domain}" if peer.is_foreign else peer.thumbprint, peer.name
         most = PEER_CONNECTIONS if self._most is None else self._most
         with self._lock:
             if limited:
@@ -226,10 +204,7 @@ class ConnectionTable(Generic[StreamT]):
     # -- what must end
 
     def cut_ended(self, now: int) -> None:
-        """Cut every connection that must end at `now`, and every one of a revoked identity.
-
-        Also those of a domain that is not trusted any more, authorized or not.
-        """
+        """Cut what must end at `now`, and all of a revoked identity, or of a domain no longer trusted."""
         connections = tuple(self)
         with self._lock:
             accepted = tuple(self._accepted.values())
@@ -276,14 +251,11 @@ class ConnectionTable(Generic[StreamT]):
             connection.stream.abort(reason)
 
 
-WATCH_PERIOD: Final = 1.0  # seconds between checks; an expiry is exact to the second
-
-
 class ConnectionWatchdog:
-    """Checks the connections of one identity.
+    """Cuts connections that have expired, were revoked, or whose revocation data is stale.
 
-    Args:
-        expire_confirmation: expires the confirmation of the revocation list at that time.
+    It waits for the clock only: a master that hangs must not keep an expired connection open.
+    `expire_confirmation` expires the confirmation of the revocation list at that time.
     """
 
     def __init__(self, connections: ConnectionTable[Any], expire_confirmation: Callable[[int], None]) -> None:
@@ -309,14 +281,13 @@ class ConnectionWatchdog:
         self._connections.cut_ended(now)
 
 
-FOLLOW_PERIOD: Final = 1.0  # seconds, at most, from the master's list to the end of a connection
-_REASON: Final = "the master lists this publisher no longer"
-
-PublisherT = TypeVar("PublisherT")
-
-
 class FollowedPublishers(Generic[PublisherT]):
-    """The connections of one identity to publishers of aliases.
+    """The connections of one identity to publishers of aliases, which end when the master lists those no
+    longer.
+
+    What a gateway serves replaces the origin's publishers, and the reverse. roscpp and the built-in node
+    leave a publisher that is listed no longer; rospy never does, and would get every message twice, over one
+    line more. So its connections are ended for it. Topics of the own domain are left as ROS has them.
 
     Args:
         is_listed: whether the master lists a publisher of a topic, or may list it again.
@@ -348,18 +319,14 @@ class FollowedPublishers(Generic[PublisherT]):
                 stream.abort(_REASON)
 
 
-Address = tuple[str, int]
-
-
 class OwnAddresses:
-    """The addresses of one node.
+    """The addresses a node registered as its own: only a connection to one of them may reach itself.
 
-    Attributes:
-        host: the host name it registers; empty while it does not listen.
+    An address that a peer sends is not enough: the answer to `requestTopic` could send a node back to itself.
     """
 
     def __init__(self) -> None:
-        self.host = ""
+        self.host = ""  # that it registers; empty while it does not listen
         self._ports: set[int] = set()
 
     def add_ports(self, host: str, *ports: int) -> None:
@@ -381,11 +348,13 @@ def _plain(host: str) -> str:
     return host.lower().removeprefix("[").removesuffix("]")
 
 
-CheckPeer = Callable[[Identity, int], None]
-
-
 class Dialer:
-    """Connects as one node; `certified`: its name without a tail, by default the same."""
+    """Connects as one node; `certified`: its name without an anonymous suffix, by default the same.
+
+    A peer is checked before anything is sent: its certificate by the channel, its revocation here. That a
+    publisher lacks the right shows in its answer only; by then it has received the topic's name, which the
+    master has sent it as well, and the subscriber's grant for that topic.
+    """
 
     def __init__(
         self,
@@ -407,10 +376,24 @@ class Dialer:
     async def topic(self, uri: str, topic: str) -> SecureStream[Identity]:
         """Connect to the TCPROS port that the node at `uri` names in its answer to `requestTopic`.
 
-        At a relay's door that is the door again: the node names an address of its own network.
+        At a relay's forwarded port that is the same port again: the node names an address of its own network.
         """
         api = names.parse_uri(uri, "a publisher's URI")
-        named = await self._request_topic(await self.rpc(*api), topic)
+        stream = await self.rpc(*api)
+        self._check_identity(stream)
+        try:
+            name = wire_name(stream.peer, topic, self._certified)
+            caller = caller_for(stream.peer, self._name, self._certified)
+            answer = await RpcClient(stream).ask("requestTopic", caller, name, [["TCPROS"]])
+        finally:
+            stream.close_soon()  # the peer could make this take longer than a caller has
+        match answer:
+            case ["TCPROS", str() as host, int() as port] if 0 < port < 1 << 16:
+                named = host, port
+            case _:
+                raise ConnectionHeaderRefused(
+                    f"{shown(stream.peer.name)} offers no connection for {shown(topic)}"
+                )
         address = api if names.is_door(uri) else named
         self._own_addresses.check_redirect(api, address)
         stream = await self._connect(*address, WireProtocol.TCPROS)
@@ -428,22 +411,6 @@ class Dialer:
         to_itself = self._own_addresses.is_own((host, port))
         return await connect(host, port, self._context, protocol, to_itself=to_itself)
 
-    async def _request_topic(self, stream: SecureStream[Identity], topic: str) -> tuple[str, int]:
-        self._check_identity(stream)
-        try:
-            named = wire_name(stream.peer, topic, self._certified)
-            caller = caller_for(stream.peer, self._name, self._certified)
-            answer = await RpcClient(stream).ask("requestTopic", caller, named, [["TCPROS"]])
-        finally:
-            stream.close_soon()  # the peer could make this take longer than a caller has
-        match answer:
-            case ["TCPROS", str() as host, int() as port] if 0 < port < 1 << 16:
-                return host, port
-            case _:
-                raise ConnectionHeaderRefused(
-                    f"{shown(stream.peer.name)} offers no connection for {shown(topic)}"
-                )
-
     def _check_identity(self, stream: SecureStream[Identity]) -> None:
         try:
             self._check_peer(stream.peer, clock.now())
@@ -453,7 +420,12 @@ class Dialer:
 
 
 async def serve_peer(stream: SecureStream[Identity], dispatch: Dispatch[Identity], access: Access) -> None:
-    """Answer the calls of a peer until it closes, or its time is over."""
+    """Answer the calls of a peer, to a node or to a program behind a sidecar, until it closes, or its time is
+    over.
+
+    The master's calls are parsed before those of others, as a revocation is one; its connection has no time
+    limit. Another peer has little to say to a node, so it says it in small bodies, and in time.
+    """
     if access.is_master(stream.peer):
         stream.raise_unit_limit()
         await serve_calls(stream, dispatch, urgent=True)

@@ -1,20 +1,11 @@
-"""The membership of one identity at the master, for every form of a node.
+"""The membership of one identity at the master, for every form of a node, and its session there.
 
-On each connection to the master it fetches and renews the node's grants, presents them, and has
-everything registered again. Meanwhile it takes grants that are delivered or arrive in the node's
-directory, renews grants and the identity, requests proofs, and takes revocation data. A list is on
-disk before it is used.
-
-What a form registers is behind `MembershipHooks`. Fail closed: if a task crashes, connections might
-not be cut any more, so the form closes all (`crashed`).
-
-A node's session with its master: one control connection, opened again whenever it is lost.
-
-On every connection the node checks that the peer is its master in its own trust domain, loads
-revocations, presents its grants and registers everything again, so that a master can restart
-without the node's program noticing. The heartbeat fetches revocations as well: pushed updates alone
-could be suppressed unnoticed (RFC 9770 section 11 requires the same). A master whose list was
-rolled back receives the newer one this node holds, as new nodes would accept the old one.
+On each connection the node checks that the peer is its master in its own trust domain, loads revocations,
+fetches, renews and presents its grants and registers everything again, so that a master can restart without
+the node's program noticing. Meanwhile it takes what is delivered, renews, requests proofs and takes
+revocation data: the heartbeat fetches it as well, since pushed updates alone could be suppressed unnoticed
+(RFC 9770 section 11 requires the same). Fail closed: if a task crashes, connections might not be cut any
+more, so the form closes all (`crashed`).
 """
 
 import asyncio
@@ -57,6 +48,7 @@ from rossec.ros.xmlrpc import Fault
 from rossec.saved_statements import DomainFiles, saved_revocations
 
 HEARTBEAT: Final = 10.0
+PERIOD: Final = 1.0  # seconds between checks for new grants and renewals
 _SAID_AGAIN: Final = 60.0  # seconds after which a cause that lasts is logged again
 
 _log = logging.getLogger("rossec.node")
@@ -124,18 +116,17 @@ class MasterSession:
             raise as_master(error) from error
         if stream.peer.name != self._master:
             stream.abort("not the master")
-            found = shown(stream.peer.name)
             raise ConfigurationError(
-                f"the node at the master's address is {found}, not {self._master}",
+                f"the node at the master's address is {shown(stream.peer.name)}, not {self._master}",
                 f"check ROS_MASTER_URI, and {OWN_MASTER} if there are several masters",
             )
-        await self._disconnect()
+        await self.close()
         self._client, self._stream = RpcClient(stream), stream
         try:
             await self._heartbeat()
             await self._restore(self)
         except BaseException:  # no caller may use a session that failed to open
-            await self._disconnect()
+            await self.close()
             raise
         self._is_restored = True
         return stream
@@ -161,7 +152,7 @@ class MasterSession:
                 if text != said or now - said_at >= _SAID_AGAIN:
                     _log.warning("%s: no answer from the master: %s", self._name, text)
                     said, said_at = text, now
-                await self._disconnect()
+                await self.close()
                 await asyncio.sleep(retry.pause(now))
 
     async def refresh(self) -> None:
@@ -170,9 +161,6 @@ class MasterSession:
             await self._follow(self.call)
 
     async def close(self) -> None:
-        await self._disconnect()
-
-    async def _disconnect(self) -> None:
         client, self._client = self._client, None
         self._is_restored = False
         if client is not None:
@@ -187,7 +175,8 @@ class MasterSession:
             await self._fetch_revocations()
 
     async def _send_held_list(self) -> bool:
-        # Of a tree a node does not have the entries, which the master needs.
+        # A master whose list was rolled back: new nodes would accept the old one. Of a tree a node does not
+        # have the entries, which the master needs.
         newest = self._held()
         if not newest or is_tree(newest):
             return False
@@ -218,32 +207,22 @@ class MasterSession:
                 raise CAError(*NO_LIST)
 
     def _apply(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
+        def corrects_clock() -> bool:
+            # Only the answer to the node's own call may do so: it is at most as old as the call.
+            return clock.correct(open_timestamp(timestamp, master.public_key).issued)
+
         try:
             self._refresh(revocations, timestamp, master)
         except ClocksDisagree:  # only then: a revoked master sets no clock
-            if not _corrects_clock(timestamp, master):
+            if not corrects_clock():
                 raise
             self._refresh(revocations, timestamp, master)
         else:
-            _corrects_clock(timestamp, master)
-
-
-def _corrects_clock(timestamp: bytes, master: Identity) -> bool:
-    # Only the answer to the node's own call may do so: it is at most as old as the call.
-    return clock.correct(open_timestamp(timestamp, master.public_key).issued)
-
-
-PERIOD: Final = 1.0  # seconds between checks for new grants and renewals
+            corrects_clock()
 
 
 class LoadedIdentity:
-    """An enrolled node as its directory has it when it starts.
-
-    Args:
-        home: the directory.
-        name: the name the node runs under, which its identity covers.
-        master: the certified name of its own master.
-    """
+    """An enrolled node as its directory has it when it starts; its identity covers `name`."""
 
     def __init__(self, home: NodeHome, name: str, master: str = MASTER) -> None:
         self.home = home
@@ -355,11 +334,8 @@ class Membership:
         self.rights_version = 0
 
     def start(self, opening: Callable[[], Awaitable[None]] | None = None) -> None:
-        """Start the tasks: the session, the watchdog, and maintenance.
-
-        Args:
-            opening: opens the session; None: it is open.
-        """
+        """Start the tasks: the session (which `opening` opens, unless it is open), the watchdog, and
+        maintenance."""
         name = self._identity.name
         watchdog = ConnectionWatchdog(self._connections, self._access.expire_confirmation)
         self.tasks.spawn(watchdog.run(), f"{name}: watchdog")
@@ -392,11 +368,11 @@ class Membership:
                 self.domains.take_domains(data)
             case names.FOREIGN_UPDATE, (
                 str() as domain,
-                bytes() as revocations,
+                bytes() as data,
                 bytes() as timestamp,
                 list() as chain,
             ):
-                self.domains.take_foreign(domain, revocations, timestamp, chain)
+                self.domains.take_foreign(domain, data, timestamp, chain)
             case _:
                 raise CallRefused(f"{method} has other parameters")
 

@@ -1,10 +1,8 @@
-"""Listening on a port for secure connections; what becomes of them is in `accepted`.
+"""Listening for secure connections: half open at first, then each with a task of its own.
 
-Connections that others made: half open at first, then each with a task of its own.
-
-Unauthenticated peers cost a bounded amount: the unfinished handshakes from one address and in total
-are limited, each has one deadline. A handler ends with its connection: a crash is logged and closes
-that connection only.
+Unauthenticated peers cost a bounded amount: the unfinished handshakes from one address and in total are
+limited, each has one deadline. A handler ends with its connection: a crash is logged and closes that
+connection only.
 """
 
 import asyncio
@@ -27,12 +25,15 @@ from rossec.net.limits import HalfOpenSlot
 
 _log = logging.getLogger("rossec.net.server")
 _REPORT_EVERY: Final = 10.0
+_BACKLOG: Final = 128
+_ACCEPTS_PER_TURN: Final = 16
+ACCEPT_PAUSE: Final = 1.0  # seconds, when the host is out of descriptors
 
 Handler: TypeAlias = Callable[[SecureStream[PeerT]], Awaitable[None]]
 
 
 class AcceptedStreams(Generic[PeerT]):
-    """Connections and their handlers: the base of what listens, on a port or in a mailbox."""
+    """Connections and their handlers: the base of what listens, on a port or at a rendezvous."""
 
     def __init__(
         self, handler: Handler[PeerT], context: SecureContext[PeerT], protocol: WireProtocol
@@ -119,11 +120,6 @@ class AcceptedStreams(Generic[PeerT]):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         await self.close()
-
-
-_BACKLOG: Final = 128
-_ACCEPTS_PER_TURN: Final = 16
-ACCEPT_PAUSE: Final = 1.0  # seconds, when the host is out of descriptors
 
 
 class SecureServer(AcceptedStreams[PeerT]):

@@ -322,11 +322,7 @@ class BaseStream:
         return self._units is not None
 
     def next_unit(self) -> bytes | None:
-        """Return the next unit if it has arrived.
-
-        Raises:
-            ChannelError: as `receive`.
-        """
+        """Return the next unit if it has arrived; raises ChannelError: as `receive`."""
         if self._units is None:
             self.check()
             return None
