@@ -336,7 +336,6 @@ class Connection(Outbound[PeerT]):
         return events
 
     def buffer_updated(self, count: int, now: int) -> list[Event[PeerT]]:
-        """Take the `count` bytes that were written into `get_buffer`."""
         self._now = now
         self._buffer.filled(count)
         events = self._events = []
@@ -356,7 +355,6 @@ class Connection(Outbound[PeerT]):
         return events
 
     def receive_eof(self) -> None:
-        """The peer ended the TCP stream."""
         if self.state in ENDED:
             self.state = ConnectionState.CLOSED
             return

@@ -111,8 +111,6 @@ class Authenticated(Generic[PeerT]):
 
 @dataclass(frozen=True, slots=True)
 class UnitReceived:
-    """A unit, whole and verified."""
-
     data: bytes
 
 

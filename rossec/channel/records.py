@@ -211,7 +211,6 @@ def unpadded(plaintext: bytes) -> bytes:
 
 
 def fragments(pieces: Sequence[Bytes]) -> Iterator[Bytes]:
-    """Cut the pieces of a unit into the plaintexts of its records."""
     joined: list[Bytes] = []
     size = 0
     for piece in pieces:

@@ -1,17 +1,9 @@
-"""Whether the address that a node gives away is one of this host. A shell.
+"""Addresses: whether the one that a node gives away is this host's, whether a caller is near, and those
+people type.
 
-The commonest fault of a ROS network: the address of yesterday, or a name that only one host knows.
-Who gives it away notices nothing; who is given it finds nobody there. Behind a translated address
-(a container, NAT) it may be right all the same, so nothing is refused.
-
-Connections that a relay of this host brings: they come from loopback, but nobody is near.
-
-A relay connects to targets on its own host from an address of its own in 127.82.0.0/16, one for
-each remote relay. What a server allows local callers is not for these, and its limits for one
-address hold for each remote relay. Another program that binds such an address only gives up being
-local.
-
-The address of a node: in its code, and as a person types it.
+The commonest fault of a ROS network: the address of yesterday, or a name that only one host knows. Who gives
+it away notices nothing; who is given it finds nobody there. Behind a translated address (a container, NAT) it
+may be right all the same, so nothing is refused.
 """
 
 import hashlib
@@ -19,6 +11,7 @@ import ipaddress
 import re
 import socket
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from threading import Thread
 from typing import Final
 
@@ -27,7 +20,25 @@ from rossec.errors import ConfigurationError
 from rossec.peer_limits import printable
 from rossec.ros.names import is_loopback
 
+DEFAULT_PORT: Final = 11317
+JOIN_PORT: Final = 11318  # of the authority, for nodes with an invitation
 _SET: Final = "set ROS_IP to an address of this host: ip address"
+# A relay connects to targets on its own host from an address of its own, one for each remote relay: such
+# connections come from loopback, but nobody is near, and the limits for one address hold for each remote
+# relay. Another program that binds such an address only gives up being local.
+_SOURCES: Final = ipaddress.ip_network("127.82.0.0/16")
+# A name of labels, or an address with its zone: codes are untrusted, and the resolver
+# raises exceptions of its own for an empty label, a long one or a NUL.
+_HOST: Final = re.compile(
+    r"(?=.{1,253}$)(?:[A-Za-z0-9_](?:[A-Za-z0-9_-]{0,62}))(?:\.[A-Za-z0-9_-]{1,63})*\.?"
+    r"|(?=[^%]*:)[0-9A-Fa-f:.]{2,45}(?:%[A-Za-z0-9_.-]{1,32})?",
+    re.ASCII,
+)
+_PORT: Final = re.compile(r"[0-9]{1,5}", re.ASCII)
+_EXAMPLE: Final = f"write it as 192.168.1.7:{DEFAULT_PORT}, [fd00::7]:{DEFAULT_PORT} or robot.local"
+# Documentation addresses (RFC 5737, RFC 3849): connecting a UDP socket sends nothing, it only
+# asks the routing table which local address would be used.
+_ELSEWHERE: Final = ((socket.AF_INET, "192.0.2.1", "127.0.0.1"), (socket.AF_INET6, "2001:db8::1", "::1"))
 
 
 def variable_of(variables: Mapping[str, str]) -> str:
@@ -67,10 +78,12 @@ def warn_of_own_address(
         except ConfigurationError as error:
             warn(error)
 
-    if _is_numeric(address):
-        check()
-    else:
+    try:
+        ipaddress.ip_address(address)
+    except ValueError:
         Thread(target=check, name="own address", daemon=True).start()
+    else:
+        check()
 
 
 def resolved(host: str) -> list[tuple[int, str]]:
@@ -82,14 +95,6 @@ def resolved(host: str) -> list[tuple[int, str]]:
     return [(family, str(where[0])) for family, _, _, _, where in found]
 
 
-def _is_numeric(address: str) -> bool:
-    try:
-        ipaddress.ip_address(address)
-    except ValueError:
-        return False
-    return True
-
-
 def _is_here(place: tuple[int, str]) -> bool:
     family, address = place
     try:
@@ -98,9 +103,6 @@ def _is_here(place: tuple[int, str]) -> bool:
     except OSError:
         return False
     return True
-
-
-_SOURCES: Final = ipaddress.ip_network("127.82.0.0/16")
 
 
 def source_for(relay: str) -> str:
@@ -128,22 +130,6 @@ def is_near(address: str, local_address: str) -> bool:
     return local and not is_relayed(address)
 
 
-DEFAULT_PORT: Final = 11317
-JOIN_PORT: Final = 11318  # of the authority, for nodes with an invitation
-# A name of labels, or an address with its zone: codes are untrusted, and the resolver
-# raises exceptions of its own for an empty label, a long one or a NUL.
-_HOST: Final = re.compile(
-    r"(?=.{1,253}$)(?:[A-Za-z0-9_](?:[A-Za-z0-9_-]{0,62}))(?:\.[A-Za-z0-9_-]{1,63})*\.?"
-    r"|(?=[^%]*:)[0-9A-Fa-f:.]{2,45}(?:%[A-Za-z0-9_.-]{1,32})?",
-    re.ASCII,
-)
-_PORT: Final = re.compile(r"[0-9]{1,5}", re.ASCII)
-_EXAMPLE: Final = f"write it as 192.168.1.7:{DEFAULT_PORT}, [fd00::7]:{DEFAULT_PORT} or robot.local"
-# Documentation addresses (RFC 5737, RFC 3849): connecting a UDP socket sends nothing, it only
-# asks the routing table which local address would be used.
-_ELSEWHERE: Final = ((socket.AF_INET, "192.0.2.1", "127.0.0.1"), (socket.AF_INET6, "2001:db8::1", "::1"))
-
-
 def join(host: str, port: int) -> str:
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
@@ -161,15 +147,13 @@ def split(text: str, default: int = DEFAULT_PORT) -> tuple[str, int]:
 
 
 def own_addresses() -> list[str]:
-    found = [_towards(family, where) for family, where, _ in _ELSEWHERE]
+    found = []
+    for family, where, _ in _ELSEWHERE:
+        with (
+            suppress(OSError),
+            socket.socket(family, socket.SOCK_DGRAM) as sock,
+        ):  # no route, or no such family
+            sock.connect((where, 9))
+            found.append(str(sock.getsockname()[0]))
     usable = [address for address in found if address and not is_loopback(address)]
     return usable or [loopback for _, _, loopback in _ELSEWHERE]
-
-
-def _towards(family: int, where: str) -> str:
-    try:
-        with socket.socket(family, socket.SOCK_DGRAM) as sock:
-            sock.connect((where, 9))
-            return str(sock.getsockname()[0])
-    except OSError:  # no route, or no such family
-        return ""

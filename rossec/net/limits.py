@@ -74,9 +74,7 @@ class HalfOpenSlot:
         self._count = count
         self.source = source
         self.address = address
-        self.close: Callable[[], None] | None = (
-            None  # closes its socket at once, to make room, where that can be
-        )
+        self.close: Callable[[], None] | None = None  # closes its socket at once, where that can be done
 
     def linger(self) -> None:
         self._count.lingers(self)

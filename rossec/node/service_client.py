@@ -1,9 +1,8 @@
 """Calls of a service: a connection for each call, or a persistent one.
 
-The master provides the address of the provider only. Its identity comes from the channel, its right
-to provide from the grant it presents; `service_guard` filters what is sent and received. A
-connection that failed during a call is not used again: a late response must not be taken for that
-of the next call.
+The master provides the address of the provider only. Its identity comes from the channel, its right to
+provide from the grant it presents; `ServiceGuard` filters what is sent and received. A connection that failed
+during a call is not used again: a late response must not be taken for that of the next call.
 """
 
 import asyncio
@@ -34,7 +33,6 @@ from rossec.participant.handshakes import (
 from rossec.participant.message_types import Message
 from rossec.participant.service_types import Pieces, ServiceGuard, ServiceType
 from rossec.ros import tcpros
-from rossec.ros import tcpros as wire
 from rossec.ros.tcpros import MESSAGE_LIMIT
 
 CALL_DEADLINE: Final = 60.0
@@ -52,11 +50,11 @@ async def exchange_call(stream: SecureStream[Identity], request: Pieces) -> byte
         ServiceFailed: the provider answered with an error.
         RossecError: the connection was closed, or the peer violated the protocol.
     """
-    frames = wire.response_reader()
-    await stream.send(*wire.framed(request))
+    frames = tcpros.response_reader()
+    await stream.send(*tcpros.framed(request))
     while (content := frames.feed_one(await stream.receive())) is None:
         pass
-    return wire.open_response(content)
+    return tcpros.open_response(content)
 
 
 async def exchange_headers(
@@ -208,7 +206,12 @@ class ServiceClient:
             stream.abort("the connection header was refused")
             raise
         self.links.add(connection)
-        self._task_set.spawn(self._discard_when_ended(connection), f"{self.service}: connection")
+
+        async def discard_when_ended() -> None:  # so that the next call does not use it
+            await connection.stream.wait_ended()
+            self._discard(connection)
+
+        self._task_set.spawn(discard_when_ended(), f"{self.service}: connection")
         return connection
 
     async def _handshake(self, stream: SecureStream[Identity]) -> ProviderConnection:
@@ -228,11 +231,6 @@ class ServiceClient:
     def _guard(self, decision: Decision) -> ServiceGuard:
         context = self._context
         return ServiceGuard(self.kind, decision, context.filter_key, context.memory_scope)
-
-    async def _discard_when_ended(self, connection: ProviderConnection) -> None:
-        # Discard a connection when it ends, so that the next call does not use it.
-        await connection.stream.wait_ended()
-        self._discard(connection)
 
     def _discard(self, connection: ProviderConnection) -> None:
         connection.stream.abort("the call failed before its end")

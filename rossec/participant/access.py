@@ -208,8 +208,6 @@ def batches(tokens: Iterable[bytes]) -> Iterator[list[bytes]]:
 
 @dataclass(frozen=True)
 class HeldGrant:
-    """A grant this node holds."""
-
     grant: Grant  # its content; `expires` as renewed
     original: bytes  # what the authority signed
     token: bytes  # what is presented

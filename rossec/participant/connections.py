@@ -108,10 +108,10 @@ class ConnectionTable(Generic[StreamT]):
 
         A foreign authority certifies any number of keys, so its domain counts as one peer.
         """
-        if isinstance(peer, str):
-            source, name = peer, peer
-        else:
-            source, name = f"domain {peer.domain}" if peer.is_foreign else peer.thumbprint, peer.name
+        source: bytes | str = peer if isinstance(peer, str) else peer.thumbprint
+        if not isinstance(peer, str) and peer.is_foreign:
+            source = f"domain {peer.domain}"
+        name = peer if isinstance(peer, str) else peer.name
         most = PEER_CONNECTIONS if self._most is None else self._most
         with self._lock:
             if limited:
@@ -128,7 +128,6 @@ class ConnectionTable(Generic[StreamT]):
             self._accepted[key] = _Accepted(source, peer, abort)
 
     def forget(self, key: object) -> None:
-        """Stop counting a connection; one that is not counted is ignored."""
         with self._lock:
             self._accepted.pop(key, None)
 
@@ -140,7 +139,6 @@ class ConnectionTable(Generic[StreamT]):
 
     @property
     def domains(self) -> frozenset[str]:
-        """The trust domains of the peers that are connected."""
         with self._lock:
             peers = [each.peer for each in self._accepted.values()]
             peers += [each.stream.peer for each in self._authorized]
@@ -175,7 +173,6 @@ class ConnectionTable(Generic[StreamT]):
             self.check(connection)
 
     def discard(self, connection: AuthorizedConnection[StreamT, Any]) -> bool:
-        """The connection is gone; returns whether it was in the table."""
         with self._lock:
             known = connection in self._authorized
             self._authorized.discard(connection)
@@ -183,7 +180,6 @@ class ConnectionTable(Generic[StreamT]):
 
     @contextmanager
     def track(self, connection: AuthorizedConnection[StreamT, Any]) -> Iterator[None]:
-        """Keep a connection in the table while the block runs; raises as `add`."""
         self.add(connection)
         try:
             yield
@@ -191,7 +187,6 @@ class ConnectionTable(Generic[StreamT]):
             self.discard(connection)
 
     def check(self, connection: AuthorizedConnection[StreamT, Any]) -> None:
-        """Return while the connection may stay open."""
         now = clock.now()
         with self._standing_lock:
             reason = connection.termination_reason(self._standing, now)
@@ -299,18 +294,15 @@ class FollowedPublishers(Generic[PublisherT]):
         self._followed: dict[PeerStream, tuple[str, PublisherT]] = {}
 
     def add(self, stream: PeerStream, topic: str, publisher: PublisherT) -> None:
-        """A connection to a publisher of `topic`; `discard` when it has ended."""
         if is_alias(topic):
             with self._lock:
                 self._followed[stream] = topic, publisher
 
     def discard(self, stream: PeerStream) -> None:
-        """Forget a connection, also one that was never added."""
         with self._lock:
             self._followed.pop(stream, None)
 
     def leave_unlisted(self) -> None:
-        """End the connections to publishers that are not listed."""
         with self._lock:
             followed = tuple(self._followed.items())
         for stream, (topic, publisher) in followed:
@@ -338,7 +330,6 @@ class OwnAddresses:
         return self.host != "" and _plain(host) == _plain(self.host) and port in self._ports
 
     def check_redirect(self, first: Address, then: Address) -> None:
-        """Refuse a redirect from another node back to this one."""
         if self.is_own(then) and not self.is_own(first):
             host, port = first
             raise ConnectionHeaderRefused(f"the node at {host} port {port} sends this node to itself")
@@ -401,7 +392,6 @@ class Dialer:
         return stream
 
     async def service(self, uri: str) -> SecureStream[Identity]:
-        """Connect to the provider of a service, at its rosrpc URI; raises as `topic`."""
         host, port = names.parse_uri(uri, "a service's URI", scheme="rosrpc")
         stream = await self._connect(host, port, WireProtocol.TCPROS)
         self._check_identity(stream)

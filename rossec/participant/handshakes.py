@@ -219,7 +219,6 @@ class ExpectedTopic:
 
 
 def subscriber_header(caller: str, endpoint: TopicEndpoint, access: HandshakeAccess, now: int) -> Fields:
-    """Fields a subscriber sends first; they prove its right to subscribe."""
     return {
         "callerid": caller.encode(),
         "topic": origin_of(endpoint.topic).encode(),
@@ -234,7 +233,6 @@ def subscriber_header(caller: str, endpoint: TopicEndpoint, access: HandshakeAcc
 def publisher_header(
     caller: str, endpoint: TopicEndpoint, access: HandshakeAccess, now: int, *, latching: bool
 ) -> Fields:
-    """Fields a publisher answers with; they prove its right to publish."""
     return {
         "callerid": caller.encode(),
         "topic": endpoint.topic.encode(),
@@ -247,7 +245,6 @@ def publisher_header(
 
 
 def requested_topic(fields: Mapping[str, bytes]) -> str:
-    """Topic a connecting subscriber asks for."""
     return refuse_on_wire(text(fields, "topic"))
 
 
@@ -317,7 +314,6 @@ def client_header(
     persistent: bool = False,
     probe: bool = False,
 ) -> Fields:
-    """Fields a client sends first; they prove its right to call."""
     flags = {"persistent": persistent, "probe": probe}
     return {
         "callerid": caller.encode(),
@@ -332,7 +328,6 @@ def client_header(
 def server_header(
     caller: str, service: str, kind: ExpectedService, access: HandshakeAccess, now: int
 ) -> Fields:
-    """Fields a server answers with; they prove its right to provide."""
     return {
         "callerid": caller.encode(),
         "service": service.encode(),
@@ -345,7 +340,6 @@ def server_header(
 
 
 def caller_proof(service: str, access: HandshakeAccess, now: int) -> Fields:
-    """The field a client adds to its header; it proves the right to call."""
     return {FIELD: access.present(Right.CALL, service, now)}
 
 
@@ -354,7 +348,6 @@ def provider_proof(service: str, access: HandshakeAccess, now: int) -> Fields:
 
 
 def requested_service(fields: Mapping[str, bytes]) -> str:
-    """Service a connecting client asks for."""
     return refuse_on_wire(text(fields, "service"))
 
 
@@ -371,7 +364,6 @@ def admit_caller(fields: Mapping[str, bytes], peer: Identity, access: HandshakeA
 def admit_provider(
     fields: Mapping[str, bytes], peer: Identity, service: str, access: HandshakeAccess, now: int
 ) -> Decision:
-    """Decide on a server from the header it answered with."""
     if "error" in fields:
         raise ConnectionHeaderRefused(f"{shown(peer.name)} refuses: {text(fields, 'error')}")
     check_caller(fields, peer)

@@ -61,7 +61,6 @@ class GrantDirectory:
         self._errors: dict[Path, str] = {}
 
     def take_new(self) -> list[bytes]:
-        """Hold the grants that are new in the directory; returns them."""
         paths = self._home.grant_files()
         self._errors = {path: text for path, text in self._errors.items() if path in paths}
         found = ((path, self._read(path)) for path in paths)
@@ -71,7 +70,6 @@ class GrantDirectory:
         return self._hold(self._home.path, data)
 
     def save(self, grant_id: bytes, data: bytes) -> None:
-        """Store a grant that is held; a full disk is logged. For any thread."""
         try:
             self._home.add_grant(grant_id, data)
         except (OSError, HintedError) as error:  # the master has it after a restart, too
@@ -155,7 +153,6 @@ class GrantDelivery:
             self.supported.set()
 
     def known(self) -> bytes:
-        """The ids of the grants this node needs no more, one after the other."""
         ids = dict.fromkeys(reversed(self._received))
         ids |= dict.fromkeys(held.grant.id for held in self._access.held_grants())
         return b"".join(list(ids)[:MAX_KNOWN])

@@ -106,13 +106,10 @@ def search_result(answer: list[object], found: str) -> list[object] | None:
 
 
 def not_found(key: str) -> list[object]:
-    """The answer when no name exists."""
     return [-1, f"Cannot find parameter [{key}] in an upwards search", ""]
 
 
 class RegistrationTable:
-    """The registrations of one name."""
-
     def __init__(self) -> None:
         self._calls: dict[tuple[str, str], tuple[object, ...]] = {}
         self._refused: set[tuple[str, str]] = set()
@@ -174,7 +171,6 @@ def shows_nothing(method: str, answer: object) -> bool:
 
 
 def nothing_shown(node: str) -> str:
-    """What is said then."""
     return f"nothing that {node} may see; all of it needs: rossec grant sign {node} --graph"
 
 
@@ -220,7 +216,6 @@ class PublisherGrace:
         self._until = 0.0
 
     def session_opened(self) -> None:
-        """The session was lost and opened again: lists may be incomplete from now on."""
         now = self._now()
         if now >= self._until:
             self._missing.clear()
@@ -258,8 +253,6 @@ class PublisherGrace:
 
 
 class ObservedChange(NamedTuple):
-    """The changes in one answer."""
-
     added: tuple[Fact, ...]
     removed: tuple[Fact, ...]
     restarted: bool  # the master restarted, or no longer knows this watcher
@@ -308,7 +301,6 @@ class GraphView:
 
 
 def facts_of(rows: list[object]) -> frozenset[Fact]:
-    """The facts in a part of an answer."""
     found: set[Fact] = set()
     for row in rows:
         match row:

@@ -207,7 +207,8 @@ class SlaveApi:
                 events.shutdown_requested(*params)
                 return [1, "shutdown", 0]
             case names.REVOCATION_UPDATE:
-                events.revocations_arrived(*params, peer)
+                revocations, timestamp = params
+                events.revocations_arrived(revocations, timestamp, peer)
             case names.DOMAINS_UPDATE | names.FOREIGN_UPDATE:
                 events.push_arrived(method, params, peer)
             case "requestTopic":

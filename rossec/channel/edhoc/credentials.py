@@ -55,8 +55,6 @@ FindChain: TypeAlias = Callable[[Value], Chain]
 
 
 class OwnCredential(Protocol):
-    """What the handshake needs of this side's credential."""
-
     @property
     def id_cred(self) -> Value: ...
 
@@ -144,7 +142,6 @@ def encode_id_cred(id_cred: Value) -> bytes:
 
 
 def x5chain(id_cred: Value) -> Chain:
-    """Return the chain an x5chain ID_CRED_x carries."""
     if isinstance(id_cred, dict) and X5T in id_cred:
         raise PeerCredentialUnknown("the peer names a certificate by its hash, and this node caches none")
     named = id_cred.get(X5CHAIN) if isinstance(id_cred, dict) and len(id_cred) == 1 else None
@@ -186,14 +183,12 @@ class KnownCertificates:
         return len(self._chains)
 
     def remember(self, chain: Chain) -> None:
-        """Cache a chain that was just verified."""
         key = _short(chain[0])
         there = self._chains.get(key, chain)
         ambiguous = there is None or there[0] != chain[0]
         self._put(self._chains, key, None if ambiguous else chain)
 
     def find(self, id_cred: Value) -> Chain:
-        """From ID_CRED_x, of either kind, to the chain."""
         match id_cred:
             case {34: [-15, bytes() as short], **rest} if not rest:
                 chain = self._chains.get(short)

@@ -251,7 +251,6 @@ class Initiator(EdhocPeer[PeerT]):
         return Initiator(self.config, usable[0])
 
     def message_2(self, data: bytes, now: int) -> tuple[bytes, PeerT]:
-        """Check message_2; return message_3 and the authenticated responder."""
         # Processing of message_2 (section 5.3.3).
         # 1. Decode G_Y_CIPHERTEXT_2.
         body = decode_bytes(data)
@@ -290,10 +289,7 @@ class Initiator(EdhocPeer[PeerT]):
 
 
 class Responder(EdhocPeer[PeerT]):
-    """Checks message_1, sends message_2, checks message_3, sends message_4."""
-
     def message_1(self, data: bytes) -> bytes:
-        """Check message_1; return message_2."""
         config = self.config
         # Processing of message_1 (section 5.2.3).
         # 1. Decode it.

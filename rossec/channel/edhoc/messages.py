@@ -110,7 +110,6 @@ def decode_plaintext_4(data: bytes) -> None:
 
 
 def encode_error(code: int, info: Value) -> bytes:
-    """Encode an EDHOC error message."""
     return encode(code) + encode(info)
 
 

@@ -108,7 +108,6 @@ class AcceptedStreams(Generic[PeerT]):
             raise  # a crash is logged by the task's owner
 
     async def close(self) -> None:
-        """Abort every connection, wait until the handlers are gone."""
         await self._tasks.close()
         for stream in [*self._streams, *self._slots]:
             stream.abort("the server was closed")
@@ -138,7 +137,6 @@ class SecureServer(AcceptedStreams[PeerT]):
         return self.addresses[0][1]
 
     def listen(self, host: str | None, port: int) -> None:
-        """Bind and start to accept."""
         for sock in bind(host, port):
             sock.setblocking(False)
             self.addresses.append(sock.getsockname()[:2])
@@ -185,7 +183,6 @@ class SecureServer(AcceptedStreams[PeerT]):
             listener.shutdown(socket.SHUT_RDWR)
 
     def resume(self) -> None:
-        """Listen again after `suspend`."""
         if not self._suspended:
             return
         self._suspended = False
@@ -195,7 +192,6 @@ class SecureServer(AcceptedStreams[PeerT]):
             self._add_reader(listener)
 
     async def close(self) -> None:
-        """Stop listening, abort every connection, wait until the handlers are gone."""
         for listener in self._listeners:
             self._loop.remove_reader(listener.fileno())
             listener.close()
@@ -224,7 +220,6 @@ def serve(
 
 
 def bind(host: str | None, port: int) -> list[socket.socket]:
-    """Bind every address `host` stands for, all with one port."""
     if not host or host in {"0.0.0.0", "::"}:  # noqa: S104 - ROS nodes listen everywhere
         with suppress(OSError):  # a host without IPv6 is left with IPv4
             return [_bind_one(socket.AF_INET6, "::", port, dual=True)]

@@ -118,7 +118,6 @@ class Transport:
     # -- reading
 
     def resume_reading(self) -> None:
-        """Read whenever bytes arrive."""
         if not (self.reading or self._closing or self.closed):
             self.reading = True
             self._loop.add_reader(self._fd, self._readable)
@@ -396,7 +395,6 @@ class BaseStream:
 
     @property
     def backlog(self) -> int:
-        """Bytes that were written and not sent yet."""
         return self.transport.backlog
 
     async def drain(self) -> None:

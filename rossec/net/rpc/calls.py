@@ -375,7 +375,6 @@ class RpcClient:
         return self._calls.is_compact
 
     async def call(self, method: str, *params: object) -> object:
-        """The value of the response."""
         answer = await self._answer(method, params)
         if isinstance(answer, Encoded) and len(answer.body) > AT_ONCE:
             return await of_loop().run(self._source, value_steps(answer, self._limit))

@@ -182,7 +182,6 @@ _shared: "WeakKeyDictionary[asyncio.AbstractEventLoop, LoopTurns]" = WeakKeyDict
 
 
 def of_loop() -> LoopTurns:
-    """The turns of the running loop."""
     loop = asyncio.get_running_loop()
     turns = _shared.get(loop)
     if turns is None:

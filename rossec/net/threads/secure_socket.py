@@ -418,7 +418,6 @@ class SecureSocket(Carrier[PeerT]):
         return unit
 
     def sendall(self, *pieces: Bytes) -> None:
-        """Send the pieces as one unit."""
         end = self._end()
         if self.peer is None:
             with self._reading:
