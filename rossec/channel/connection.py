@@ -84,8 +84,8 @@ class PresentsIdentity(Protocol):
         """As `Outbound.present_identity`, from any thread, without waiting."""
 
 
-class Outbound(Generic[PeerT]):
-    """The half that sends: units to records, the close, renewal and deadlines.
+class Connection(Generic[PeerT]):
+    """A connection of either role: make one with `initiator` or `responder`.
 
     `streams`: where what moves its bytes belongs, if its certificate may be renewed.
     """
@@ -113,6 +113,46 @@ class Outbound(Generic[PeerT]):
         self._own_chain: Sequence[bytes] = ()
         self.streams: OpenStreams | None = None
         self.state = ConnectionState.OPENING
+
+    @classmethod
+    def initiator(
+        cls,
+        config: EdhocConfig[PeerT],
+        *,
+        now: int,
+        opening: WireProtocol = WireProtocol.TCPROS,
+        limits: ChannelLimits = _DEFAULTS,
+    ) -> Self:
+        """The side that connected; its first flight is ready to send.
+
+        With `known` certificates are cached, and `request_x5t` asks the responder to send a hash of its own:
+        for an address where a known peer was reached before. `OwnCredentialUnknown` and
+        `PeerCredentialUnknown` mean: forget the introductions, and retry without `request_x5t`. With
+        `own_dials`, which this node's listeners share, it means to reach itself, and no other peer is
+        accepted. With `renews` the peer is told that renewed certificates and grants are taken on the open
+        connection.
+        """
+        edhoc, preamble = Initiator(config), Preamble(opening, None)
+        connection = cls(preamble, Negotiation(edhoc), now, limits)
+        connection._out += [preamble.take(), frame(Frame.HANDSHAKE, edhoc.message_1())]
+        return connection
+
+    @classmethod
+    def responder(
+        cls,
+        config: EdhocConfig[PeerT],
+        *,
+        now: int,
+        accept: Collection[WireProtocol] = _BOTH,
+        limits: ChannelLimits = _DEFAULTS,
+    ) -> Self:
+        """The side that was connected to; `accept` says which openings are accepted.
+
+        With `own_dials` this node may connect to itself, for dials noted there. `renews`: as for the
+        initiator.
+        """
+        preamble = Preamble(WireProtocol.TCPROS, accept)
+        return cls(preamble, Negotiation(Responder(config)), now, limits, FIRST)
 
     @property
     def protocol(self) -> WireProtocol:
@@ -273,50 +313,6 @@ class Outbound(Generic[PeerT]):
         self._buffer.clear()
         self._negotiation.forget()
         self._out = []
-
-
-class Connection(Outbound[PeerT]):
-    """A connection of either role, and the half that receives: make one with `initiator` or `responder`."""
-
-    @classmethod
-    def initiator(
-        cls,
-        config: EdhocConfig[PeerT],
-        *,
-        now: int,
-        opening: WireProtocol = WireProtocol.TCPROS,
-        limits: ChannelLimits = _DEFAULTS,
-    ) -> Self:
-        """The side that connected; its first flight is ready to send.
-
-        With `known` certificates are cached, and `request_x5t` asks the responder to send a hash of its own:
-        for an address where a known peer was reached before. `OwnCredentialUnknown` and
-        `PeerCredentialUnknown` mean: forget the introductions, and retry without `request_x5t`. With
-        `own_dials`, which this node's listeners share, it means to reach itself, and no other peer is
-        accepted. With `renews` the peer is told that renewed certificates and grants are taken on the open
-        connection.
-        """
-        edhoc, preamble = Initiator(config), Preamble(opening, None)
-        connection = cls(preamble, Negotiation(edhoc), now, limits)
-        connection._out += [preamble.take(), frame(Frame.HANDSHAKE, edhoc.message_1())]
-        return connection
-
-    @classmethod
-    def responder(
-        cls,
-        config: EdhocConfig[PeerT],
-        *,
-        now: int,
-        accept: Collection[WireProtocol] = _BOTH,
-        limits: ChannelLimits = _DEFAULTS,
-    ) -> Self:
-        """The side that was connected to; `accept` says which openings are accepted.
-
-        With `own_dials` this node may connect to itself, for dials noted there. `renews`: as for the
-        initiator.
-        """
-        preamble = Preamble(WireProtocol.TCPROS, accept)
-        return cls(preamble, Negotiation(Responder(config)), now, limits, FIRST)
 
     # -- receiving
 

@@ -39,7 +39,6 @@ from rossec.participant.delivery import Wishes, carried_out, requested_wishes
 from rossec.participant.handshakes import (
     TopicEndpoint,
     admit_subscriber,
-    caller_for,
     check_type,
     publisher_header,
     requested_topic,
@@ -67,24 +66,19 @@ class Listener:
 
     def __init__(
         self,
-        name: str,
-        context: SecureContext[Identity],
-        access: Access,
+        node: NodeContext,
+        secure: SecureContext[Identity],
         publishers: Mapping[str, Publisher],
         services: Services,
         slave: SlaveApi,
-        connections: ConnectionTable[SecureStream[Identity]],
         own_addresses: OwnAddresses,
-        certified: str,
     ) -> None:
-        self._name = name
-        self._certified = certified
-        self._context = context
-        self._access = access
+        self._node = node
+        self._access = node.access
+        self._secure = secure
         self._publishers = publishers
         self._services = services
         self._slave = slave
-        self._connections = connections
         self._own_addresses = own_addresses
         self._servers: list[SecureServer[Identity]] = []
 
@@ -103,7 +97,7 @@ class Listener:
             (self._serve_slave, WireProtocol.HTTP),
             (self._serve_tcpros, WireProtocol.TCPROS),
         ):
-            server = serve(self._connections.bounded(handler), bind, 0, self._context, protocol)
+            server = serve(self._node.connections.bounded(handler), bind, 0, self._secure, protocol)
             self._servers.append(server)
             self._own_addresses.add_ports(address, server.port)
 
@@ -129,7 +123,7 @@ class Listener:
                 case _:
                     pass
             if presented and method in SLAVE_CALLS and not self._access.is_master(peer):
-                check_slave_call(method, peer, self._name, presented[0], self._access, now)
+                check_slave_call(method, peer, self._node.name, presented[0], self._access, now)
                 authorized = True
         except RevocationsStale as error:
             if method not in SIGNED_UPDATES:  # one of them ends the staleness
@@ -160,12 +154,12 @@ class Listener:
             decision = admit_subscriber(fields, stream.peer, self._access, now)
             publisher = self._publishers.get(requested_topic(fields))
             if publisher is None:
-                raise ConnectionHeaderRefused(f"{self._name} does not publish {requested_topic(fields)}")
+                raise ConnectionHeaderRefused(f"{self._node.name} does not publish {requested_topic(fields)}")
             wishes = carried_out(requested_wishes(fields), decision)
             await publisher.ready()
             check_type(fields, publisher.endpoint.expected)
             guard = publisher.guard(decision)
-            name = caller_for(stream.peer, self._name, self._certified)
+            name = self._node.name_for(stream.peer)
             answer = publisher_header(name, publisher.endpoint, self._access, now, latching=publisher.latch)
             head = tcpros.encode(answer | wishes.fields)
             return partial(publisher.serve, stream, decision, guard, head, wishes)
@@ -239,16 +233,9 @@ class Node:
         self.topics = Topics(context, grace)
         self.services = Services(context)
         self.params = NodeParameters(context, self.settings.resolve)
+        slave = SlaveApi(self, loaded.master)
         self._listener = Listener(
-            self.name,
-            secure,
-            self.access,
-            self.topics.publishers,
-            self.services,
-            SlaveApi(self, loaded.master),
-            connections,
-            own_addresses,
-            self.identity.name,
+            context, secure, self.topics.publishers, self.services, slave, own_addresses
         )
         self._host = ""
         self._ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -272,9 +259,7 @@ class Node:
             raise
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self.close()
 
     async def publisher(

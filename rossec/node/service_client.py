@@ -8,7 +8,6 @@ during a call is not used again: a late response must not be taken for that of t
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Awaitable, Callable
-from types import TracebackType
 from typing import Final, Self, TypeAlias
 
 from ca.certificates import Identity
@@ -162,9 +161,7 @@ class ServiceClient:
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self.close()
 
     @contextlib.asynccontextmanager

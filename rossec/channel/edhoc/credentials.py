@@ -54,22 +54,6 @@ FindChain: TypeAlias = Callable[[Value], Chain]
 """From ID_CRED_x to the chain it names."""
 
 
-class OwnCredential(Protocol):
-    @property
-    def id_cred(self) -> Value: ...
-
-    @property
-    def certificate(self) -> bytes: ...
-
-    @property
-    def public_key(self) -> PublicKey: ...
-
-    @property
-    def shared(self) -> bool: ...  # several nodes hold this key: a peer that sends it is not a reflection
-
-    def sign(self, message: bytes) -> bytes: ...
-
-
 @dataclass(frozen=True)
 class Credentials:
     """A node's key and its certificate chain, without the trust anchor; `shared`: several nodes have it."""
@@ -87,11 +71,8 @@ class Credentials:
         return self.chain[0]
 
     @property
-    def public_key(self) -> PublicKey:
-        return self.signer.public_key
-
-    def sign(self, message: bytes) -> bytes:
-        return self.signer.sign(message)
+    def current(self) -> "Credentials":
+        return self
 
 
 class LiveCredentials:
@@ -111,24 +92,8 @@ class LiveCredentials:
         for call in self.on_change:
             call(renewed.chain)
 
-    @property
-    def id_cred(self) -> Value:
-        return self.current.id_cred
 
-    @property
-    def certificate(self) -> bytes:
-        return self.current.certificate
-
-    @property
-    def public_key(self) -> PublicKey:
-        return self.current.public_key
-
-    @property
-    def shared(self) -> bool:
-        return self.current.shared
-
-    def sign(self, message: bytes) -> bytes:
-        return self.current.sign(message)
+OwnCredential: TypeAlias = Credentials | LiveCredentials
 
 
 def by_value(chain: Sequence[bytes]) -> Value:

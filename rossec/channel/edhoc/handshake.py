@@ -144,7 +144,7 @@ class EdhocPeer(Generic[PeerT]):
 
     def _state(self, label: KdfLabel, c_r: bytes | None) -> bytes:
         # The plaintext of message_2 or message_3 (sections 5.3.2 and 5.4.2).
-        config, own = self.config, self.config.credential
+        config, own = self.config, self.config.credential.current
         # 1. ID_CRED_x, CRED_x, EAD_x.
         self.sent = own.certificate
         cred = bstr(self.sent)
@@ -153,7 +153,7 @@ class EdhocPeer(Generic[PeerT]):
         # 2. MAC_x, and the signature over it.
         prefix = b"" if c_r is None else encode_identifier(c_r)
         statement = _Statement(label, prefix, encode_id_cred(named), self._th, cred, ead)
-        signature = own.sign(statement.to_be_signed(self._prk))
+        signature = own.signer.sign(statement.to_be_signed(self._prk))
         # 3. PLAINTEXT_x; the next transcript hash is over it, not over its ciphertext.
         plaintext = Plaintext(c_r, named, signature, ead).encode()
         self._th = transcript_next(self._th, plaintext, cred)
@@ -187,8 +187,8 @@ class EdhocPeer(Generic[PeerT]):
             kind = ForeignIdentity if isinstance(error, ForeignCertificate) else IdentityRefused
             raise kind(text, error.hint) from error
         # The key is compared: a renewed certificate has the same.
-        own, dials = self.config.credential, self.config.own_dials
-        is_own_key = peer.public_key == own.public_key
+        own, dials = self.config.credential.current, self.config.own_dials
+        is_own_key = peer.public_key == own.signer.public_key
         is_itself = is_own_key and dials is not None and dials.is_own(self._g_x, self._g_y)
         if is_own_key and not (is_itself or own.shared):
             raise IdentityRefused("the peer sent this node's own certificate", _HINT_REFLECTED)

@@ -231,7 +231,7 @@ class MasterServer:
         """Figures for administrators and metrics."""
         registry = self.state.registry
         entries = [entry for kind in Kind for entry in registry.entries(kind)]
-        own = svid.parse(self._context.credentials.certificate)
+        own = svid.parse(self._context.credentials.current.certificate)
         return {
             "uri": self.uri,
             "pid": os.getpid(),

@@ -11,7 +11,6 @@ import socket
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from functools import partial
-from types import TracebackType
 from typing import Final, Generic, Self, TypeAlias
 
 from rossec.channel.edhoc.credentials import PeerT
@@ -115,9 +114,7 @@ class AcceptedStreams(Generic[PeerT]):
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self.close()
 
 

@@ -2,7 +2,7 @@
 
 A *unit* is the data of one `send`; it arrives whole. Framing inside a unit is TCPROS's or HTTP's own, and
 small units sent in one burst are joined into one: a receiver takes units as a stream of bytes that never
-breaks inside what was sent together. `Driver` has the transport, the timer and back-pressure, and no
+breaks inside what was sent together. The class has the transport, the timer and back-pressure, and no
 decisions; what arrives is read straight into the connection's receive buffer.
 """
 
@@ -10,7 +10,6 @@ import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from time import monotonic
-from types import TracebackType
 from typing import Final, Generic, Protocol, Self
 
 from rossec import clock
@@ -44,8 +43,8 @@ def wall_clock() -> int:  # never ROS time
     return clock.now()
 
 
-class Driver(BaseStream, Generic[PeerT]):
-    """One connection on a loop; it owns its transport and starts at once.
+class SecureStream(BaseStream, Generic[PeerT]):
+    """One authenticated connection on a loop; it owns its transport and starts at once.
 
     Args:
         transport: makes what carries its bytes: `partial(Transport, sock)` for a connected socket.
@@ -67,6 +66,14 @@ class Driver(BaseStream, Generic[PeerT]):
         on_end: Callable[[Self, ChannelError], None],
     ) -> None:
         super().__init__()
+        self._turn = asyncio.Lock()
+        self._queue: list[bytes] = []
+        self._queued = 0
+        self._flush_due = False
+        self._burst_until = 0.0
+        self._limit = connection.unit_limit
+        self._join = min(JOINED_UNITS, self._limit)
+        self._small = min(JOIN_UNITS_BELOW, self._limit)
         self.connection = connection
         forget_in_children(connection)
         self._on_authenticated = on_authenticated
@@ -258,27 +265,7 @@ class Driver(BaseStream, Generic[PeerT]):
             self._timer.cancel()
             self._timer = None
 
-
-class SecureStream(Driver[PeerT]):
-    """An authenticated connection, as `Driver` with what is sent."""
-
-    def __init__(
-        self,
-        connection: Connection[PeerT],
-        transport: Callable[[TransportOwner], ByteTransport],
-        address: str,
-        on_authenticated: Callable[[Self], None],
-        on_end: Callable[[Self, ChannelError], None],
-    ) -> None:
-        self._turn = asyncio.Lock()
-        self._queue: list[bytes] = []
-        self._queued = 0
-        self._flush_due = False
-        self._burst_until = 0.0
-        self._limit = connection.unit_limit
-        self._join = min(JOINED_UNITS, self._limit)
-        self._small = min(JOIN_UNITS_BELOW, self._limit)
-        super().__init__(connection, transport, address, on_authenticated, on_end)
+    # -- sending
 
     async def send(self, *pieces: Bytes) -> None:
         """Send the pieces as one unit, after what is queued; waits while the peer lags.
@@ -415,9 +402,7 @@ class SecureStream(Driver[PeerT]):
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
             await self.close()
         else:

@@ -40,7 +40,22 @@ AT_ONCE: Final = socket.MSG_DONTWAIT
 PUMPED: Final = 16  # buffers in one go
 
 
-class Carrier(Generic[PeerT]):
+def _now() -> int:
+    return clock.now()
+
+
+class SecureSocket(Generic[PeerT]):
+    """A connection over a connected TCP socket, which it owns.
+
+    The handshake happens in `do_handshake`, or in the first `recv` or `sendall`. Two threads may
+    use it, one to receive and one to send.
+
+    Raises (every method that moves bytes):
+        TimeoutError, BlockingIOError: as sockets do. A `sendall` that could not finish ends the
+            connection: half a record cannot be taken back.
+        ChannelError: the connection cannot be made, or has ended; `recv` returns b"" after a close.
+    """
+
     def __init__(
         self, sock: socket.socket, core: Connection[PeerT], on_released: Callable[[], None] = lambda: None
     ) -> None:
@@ -58,13 +73,35 @@ class Carrier(Generic[PeerT]):
         self._on_renewal: Callable[[Renewal[PeerT]], None] | None = None
         self._error: ChannelError | None = None
         self._timers_run_at = -1
-        self._aborted = False
+        self._aborted = self._closed = False
         self._core_lock = Lock()
         self._reading = Lock()
         self._writing = Lock()
         forget_in_children(self)
         if core.streams is not None:
             core.streams.add(self)
+
+    @classmethod
+    def initiate(
+        cls,
+        sock: socket.socket,
+        context: SecureContext[PeerT],
+        protocol: WireProtocol = WireProtocol.TCPROS,
+        *,
+        to_itself: bool = False,
+        timeout: float | None = None,
+    ) -> Self:
+        """Authenticate, within `timeout` seconds, over a connected socket; `to_itself`: this node means
+        itself."""
+        secure = cls(sock, context.initiator(protocol, to_itself=to_itself))
+        try:
+            secure.settimeout(timeout)
+            secure.do_handshake()
+            secure.settimeout(None)
+        except BaseException:
+            secure.close()
+            raise
+        return secure
 
     def abandon(self) -> None:
         # A lock that another thread held at the fork would never be released.
@@ -283,50 +320,7 @@ class Carrier(Generic[PeerT]):
             self._call_core(self._core.tick, now)
         self._timers_run_at = now
 
-
-def _now() -> int:
-    return clock.now()
-
-
-class SecureSocket(Carrier[PeerT]):
-    """A connection over a connected TCP socket, which it owns.
-
-    The handshake happens in `do_handshake`, or in the first `recv` or `sendall`. Two threads may
-    use it, one to receive and one to send.
-
-    Raises (every method that moves bytes):
-        TimeoutError, BlockingIOError: as sockets do. A `sendall` that could not finish ends the
-            connection: half a record cannot be taken back.
-        ChannelError: the connection cannot be made, or has ended; `recv` returns b"" after a close.
-    """
-
-    def __init__(
-        self, sock: socket.socket, core: Connection[PeerT], on_released: Callable[[], None] = lambda: None
-    ) -> None:
-        super().__init__(sock, core, on_released)
-        self._closed = False
-
-    @classmethod
-    def initiate(
-        cls,
-        sock: socket.socket,
-        context: SecureContext[PeerT],
-        protocol: WireProtocol = WireProtocol.TCPROS,
-        *,
-        to_itself: bool = False,
-        timeout: float | None = None,
-    ) -> Self:
-        """Authenticate, within `timeout` seconds, over a connected socket; `to_itself`: this node means
-        itself."""
-        secure = cls(sock, context.initiator(protocol, to_itself=to_itself))
-        try:
-            secure.settimeout(timeout)
-            secure.do_handshake()
-            secure.settimeout(None)
-        except BaseException:
-            secure.close()
-            raise
-        return secure
+    # -- for users
 
     def raise_unit_limit(self, limit: int | None = None) -> None:
         """Accept units of up to `limit`, or `ChannelLimits.unit`: the peer is authorized."""
