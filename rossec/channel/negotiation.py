@@ -147,10 +147,7 @@ class Renewals(Generic[PeerT]):
 
     A renewed certificate is verified as one in the handshake is, and must be of the same key and name: who
     holds the key was proven then. One that is refused changes nothing.
-
-    Args:
-        sent: the certificate that this side sent in the handshake.
-        now: when the connection opened.
+    `sent`: the certificate that this side sent in the handshake; `now`: when the connection opened.
     """
 
     __slots__ = ("_charged_at", "_left", "_renews", "_sent", "_verify")

@@ -62,25 +62,16 @@ async def no_names(_: JoinClaim) -> NameAnswer:
 
 
 class JoinServer:
-    """The join port of an authority.
-
-    Args:
-        identity: returns the identity of `/ca` as of now; it is renewed while this runs.
-        admit: decides a request; what it raises is logged, and the node told to come again.
-        on_refusal: is called with each broken session as one printable line.
-        patience: seconds until a session's request is there.
-        caps: of open sessions, by address and in all.
-        name: finds the name for a claim; raises as `admit`.
-    """
+    """The join port of an authority."""
 
     def __init__(
         self,
-        identity: Callable[[], LiveIdentity],
-        admit: Admit,
-        on_refusal: Callable[[str], None] = lambda _: None,
+        identity: Callable[[], LiveIdentity],  # of `/ca` as of now; it is renewed while this runs
+        admit: Admit,  # decides a request; what it raises is logged, and the node told to come again
+        on_refusal: Callable[[str], None] = lambda _: None,  # called with each broken session as one line
         patience: float = REQUEST_PATIENCE,
         caps: HalfOpen = _CAPS,
-        name: Name = no_names,
+        name: Name = no_names,  # finds the name for a claim; raises as `admit`
     ) -> None:
         self._identity = identity
         self._admit = admit

@@ -59,12 +59,9 @@ def mark(signer: Signer, before: str, at: float) -> Entry:
 
 
 def check_beginning(first: Entry, key: bytes | None = None, after: str | None = None) -> str:
-    """Check the beginning of an audit; returns a remark, empty when it is complete.
+    """Check the beginning of an audit, whose hash was verified; returns a remark, empty when it is complete.
 
-    Args:
-        first: the first line, whose hash was verified.
-        key: thumbprint of the master's key, if it is known.
-        after: the hash of the line before, if it is known.
+    `key`: thumbprint of the master's key; `after`: the hash of the line before, if they are known.
     """
     before = first.get("before")
     if _SIGNATURE in first:

@@ -61,29 +61,19 @@ class OpenStreams:
 class SecureContext(Generic[PeerT]):
     """The credentials and the policy of one identity; its connections and ports share it.
 
-    Args:
-        credentials: its own; `LiveCredentials` are read at each handshake.
-        verify: verification of every peer.
-        suites: the policy (`rossec.channel.edhoc.suites.POST_QUANTUM`).
-        known: with it, certificates of known peers are named by a hash (x5t). For asyncio only:
-            `SecureSocket` does not repeat a handshake by value.
-        own_dials: its pending connections to itself, which its ports accept.
-        dial_limits, accept_limits: of connections it makes, and of those it accepts.
-        half_open: the limit that all its ports share.
-        renews: with it, renewed certificates and grants are taken on open connections.
-        open_streams: its open connections.
+    `known` is for asyncio only: `SecureSocket` does not repeat a handshake by value.
     """
 
-    credentials: OwnCredential
-    verify: Verify[PeerT]
+    credentials: OwnCredential  # `LiveCredentials` are read at each handshake
+    verify: Verify[PeerT]  # of every peer
     _: KW_ONLY
-    suites: tuple[int, ...] = PRODUCTION
-    known: KnownCertificates | None = None
-    own_dials: OwnDials = field(default_factory=OwnDials)
+    suites: tuple[int, ...] = PRODUCTION  # the policy (`rossec.channel.edhoc.suites.POST_QUANTUM`)
+    known: KnownCertificates | None = None  # with it, known peers' certificates are named by a hash (x5t)
+    own_dials: OwnDials = field(default_factory=OwnDials)  # to itself, which its ports accept
     dial_limits: Mapping[WireProtocol, ChannelLimits] = field(default_factory=lambda: DIALLED)
     accept_limits: Mapping[WireProtocol, ChannelLimits] = field(default_factory=lambda: ACCEPTED)
-    half_open: HalfOpenCount = field(default_factory=lambda: HalfOpenCount(HalfOpen()))
-    renews: Renews[PeerT] | None = None
+    half_open: HalfOpenCount = field(default_factory=lambda: HalfOpenCount(HalfOpen()))  # all ports share it
+    renews: Renews[PeerT] | None = None  # with it, renewed certificates and grants are taken
     open_streams: OpenStreams = field(default_factory=OpenStreams)
 
     def __post_init__(self) -> None:

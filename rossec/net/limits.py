@@ -45,12 +45,7 @@ DIALLED: Final = {
 
 
 def message_limit(size: int | None, most: int) -> int:
-    """How long a message may be.
-
-    Args:
-        size: of every message of the type, if it is fixed; else None.
-        most: how long any message may be.
-    """
+    """How long a message may be, if any may have `most`; `size`: of every one of the type, if it is fixed."""
     return most if size is None else min(max(size, HEADER_LIMIT), most)
 
 

@@ -319,27 +319,20 @@ class RawPublisher(Publisher):
     the last message of a latching publisher for the value of the topic. Restrictions of a subscriber are
     applied by the sender's definition, where that is proven or this host's: they may protect the subscriber
     from the sender.
-
-    Args:
-        type_name: as registered; `*`: not known yet.
-        on_demand: called when `demand` has changed.
-
-    Attributes:
-        problem: why the type is not known, for the log of a subscriber that waited in vain.
     """
 
     def __init__(
         self,
         topic: str,
-        type_name: str,
+        type_name: str,  # as registered; `*`: not known yet
         context: NodeContext,
-        on_demand: Callable[[], None],
+        on_demand: Callable[[], None],  # called when `demand` has changed
         *,
         queue_size: int = QUEUE_SIZE,
     ) -> None:
         unknown = TopicEndpoint(topic, MessageType(type_name, ANY_TYPE, ""))
         super().__init__(unknown, None, context, latch=False, queue_size=queue_size)
-        self.problem = ""
+        self.problem = ""  # why the type is not known, for the log of a subscriber that waited in vain
         self._on_demand = on_demand
         self._waiting = 0
         self._known = asyncio.Event()

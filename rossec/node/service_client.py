@@ -98,12 +98,7 @@ async def probe(dial: Dial, caller_for: CallerFor, service: str, access: Access)
 
 
 class ServiceClient:
-    """Calls one service: `response = await client(data=True)`. Made by `Node.client`.
-
-    Args:
-        persistent: keep the connection between calls, which then run one at a time.
-        deadline: seconds a call may take, connecting included.
-    """
+    """Calls one service: `response = await client(data=True)`. Made by `Node.client`."""
 
     def __init__(
         self,
@@ -113,8 +108,8 @@ class ServiceClient:
         dial: Dial,
         on_close: Callable[["ServiceClient"], None],
         *,
-        persistent: bool = False,
-        deadline: float = CALL_DEADLINE,
+        persistent: bool = False,  # keep the connection between calls, which then run one at a time
+        deadline: float = CALL_DEADLINE,  # seconds a call may take, connecting included
     ) -> None:
         if deadline <= 0:
             raise ConfigurationError(f"a deadline of {deadline:g} seconds", "it must be above zero")

@@ -66,9 +66,7 @@ def granted_name(peer: Identity, topic: str, own: str = "") -> str:
     topic as `/gateway/hospital/pose`, on the wire and in its grants; to every other peer the alias is the
     origin's name, by the origin's grants. So neither authority's grants count for what the other one's are
     about.
-
-    Args:
-        own: the certified name of this node, if it may be a gateway. To a gateway an alias is the origin's
+    `own`: the certified name of this node, if it may be a gateway. To a gateway an alias is the origin's
         alone: it
             could be led to forward what it serves itself.
     """
@@ -215,12 +213,8 @@ class HeldGrant:
 
 
 class Access:
-    """Holds the grants of a node and checks those of its peers.
-
-    Args:
-        standing: which authorities count, and what they have revoked.
-        master: the certified name of the node's own master.
-    """
+    """Holds the grants of a node and checks those of its peers; `master`: the certified name of its own
+    master."""
 
     def __init__(self, standing: Standing, held: Iterable[bytes] = (), master: str = MASTER) -> None:
         self.standing = standing

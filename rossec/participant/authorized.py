@@ -83,22 +83,17 @@ class Presented:
 class AuthorizedConnection(Generic[StreamT, GuardT]):
     """A connection admitted by `decision`.
 
-    Attributes:
-        guard: applies the restrictions of the decision to what passes; None: nothing does here.
-        rebuild: makes the guard for another decision of the same peer, right and name; it raises a
-            `HintedError` where that cannot be applied to this connection. None: it takes none.
-        swap: puts another guard in the place of the one in force; None: it is this attribute.
-        presented: what both sides have presented since it is open.
-        ends: when the grant or the certificate of the peer expires (seconds).
+    `rebuild` makes the guard for another decision of the same peer, right and name; it raises a `HintedError`
+    where that cannot be applied to this connection. None: it takes none.
     """
 
     stream: StreamT
     decision: Decision
-    guard: GuardT
+    guard: GuardT  # applies the restrictions of the decision to what passes; None: nothing does here
     rebuild: Callable[[Decision], GuardT] | None = None
-    swap: Callable[[GuardT], None] | None = None
-    presented: Presented = field(default_factory=Presented)
-    ends: int = field(init=False)
+    swap: Callable[[GuardT], None] | None = None  # replaces the guard in force; None: it is the attribute
+    presented: Presented = field(default_factory=Presented)  # by both sides, since it is open
+    ends: int = field(init=False)  # when the grant or the certificate of the peer expires (seconds)
 
     def __post_init__(self) -> None:
         self.update_end()

@@ -53,23 +53,14 @@ class _Accepted(NamedTuple):
 
 
 class ConnectionTable(Generic[StreamT]):
-    """The connections of one identity.
-
-    Args:
-        lock: held while `standing` is read, if threads share it.
-        most: how many connections one peer may have made (N8); None: `PEER_CONNECTIONS`.
-        master: the name of the own master, which may have more.
-
-    Attributes:
-        renewed: judges what peers present on open connections; None: no connection takes renewals.
-    """
+    """The connections of one identity; `lock` is held while `standing` is read, if threads share it."""
 
     def __init__(
         self,
         standing: Standing,
         lock: AbstractContextManager[object] = nullcontext(),  # noqa: B008 - has no state
-        most: int | None = None,
-        master: str = MASTER,
+        most: int | None = None,  # connections of one peer (N8); None: `PEER_CONNECTIONS`
+        master: str = MASTER,  # which may have more
     ) -> None:
         self._standing = standing
         self._standing_lock = lock
@@ -79,7 +70,7 @@ class ConnectionTable(Generic[StreamT]):
         self._accepted: dict[object, _Accepted] = {}
         self._authorized: set[AuthorizedConnection[StreamT, Any]] = set()
         self._closed: str | None = None
-        self.renewed: RenewedGrants | None = None
+        self.renewed: RenewedGrants | None = None  # None: no connection takes renewals
 
     # -- what peers connect
 
@@ -283,9 +274,7 @@ class FollowedPublishers(Generic[PublisherT]):
     What a gateway serves replaces the origin's publishers, and the reverse. roscpp and the built-in node
     leave a publisher that is listed no longer; rospy never does, and would get every message twice, over one
     line more. So its connections are ended for it. Topics of the own domain are left as ROS has them.
-
-    Args:
-        is_listed: whether the master lists a publisher of a topic, or may list it again.
+    `is_listed`: whether the master lists a publisher of a topic, or may list it again.
     """
 
     def __init__(self, is_listed: Callable[[str, PublisherT], bool]) -> None:

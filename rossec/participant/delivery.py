@@ -61,17 +61,11 @@ Data = TypeVar("Data", bytes, memoryview)
 
 @dataclass(frozen=True)
 class Wishes:
-    """The wishes for one connection; false if there are none.
+    """The wishes for one connection; false if there are none."""
 
-    Args:
-        rate: at most so many messages a second, 0.001 to 10000, to three decimals; None: all.
-        newest: of the messages that wait for a slow line only the newest is sent.
-        deflate: messages are sent compressed.
-    """
-
-    rate: float | None = None
-    newest: bool = False
-    deflate: bool = False
+    rate: float | None = None  # messages a second at most, 0.001 to 10000, to three decimals; None: all
+    newest: bool = False  # of the messages that wait for a slow line only the newest is sent
+    deflate: bool = False  # messages are sent compressed
 
     def __post_init__(self) -> None:
         if self.rate is None:

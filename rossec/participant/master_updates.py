@@ -112,15 +112,7 @@ class GrantDelivery:
     """Takes what the master has for one node: grants that the authority deposited there.
 
     They are fetched in each session, and while it lasts a call of its own connection waits for more.
-
-    Args:
-        standing: the authorities that may have signed one, and what they have revoked.
-        holder: the thumbprint of the node's key.
-        access, directory: where the grants are held, and stored by `save`.
-
-    Attributes:
-        supported: set while the master of the session knows the calls.
-        taken: how many grants were new so far.
+    `holder`: the thumbprint of the node's key.
     """
 
     def __init__(
@@ -134,8 +126,8 @@ class GrantDelivery:
         self._new: list[bytes] = []
         self._unsaved: list[tuple[bytes, bytes]] = []
         self._arrived = asyncio.Event()
-        self.supported = asyncio.Event()
-        self.taken = 0
+        self.supported = asyncio.Event()  # set while the master of the session knows the calls
+        self.taken = 0  # grants that were new so far
 
     async def fetch(self, call: MasterCall) -> None:
         """Fetch everything, at the beginning of a session; what was refused is judged again.
@@ -284,14 +276,9 @@ class DomainUpdates:
 
     The list is fetched at each beginning of a session and with each heartbeat, the revocations of a foreign
     domain when its peers or grants are here, and of the others often enough that a new peer finds them fresh;
-    both are pushed besides.
-
-    Args:
-        standing: what they change; `lock` is held meanwhile, if threads share it.
-        files: where they are saved.
-        changed: called after each that was taken, to cut what it ends; whether it says anything
-            new, so that what was refused may be tried again.
-        in_use: the foreign domains of which there are peers or grants here.
+    both are pushed besides. `changed` is called after each that was taken, to cut what it ends: with whether
+    it says anything new, so that what was refused may be tried again. `lock` is held while `standing` is
+    changed, if threads share it.
     """
 
     def __init__(
@@ -299,7 +286,7 @@ class DomainUpdates:
         standing: Standing,
         files: DomainFiles,
         changed: Callable[[bool], None],
-        in_use: Callable[[], Iterable[str]],
+        in_use: Callable[[], Iterable[str]],  # the foreign domains of which there are peers or grants here
         lock: AbstractContextManager[object] = nullcontext(),  # noqa: B008 - has no state
     ) -> None:
         self._standing = standing

@@ -55,31 +55,19 @@ _log = logging.getLogger("rossec.node")
 
 
 class MasterSession:
-    """Calls to the master, over a connection that is kept open.
-
-    Args:
-        name: the node's own name, the `caller_id` of every call.
-        dial: opens a secure stream to the master.
-        refresh: takes the newest revocation list and timestamp; raises when they are refused.
-        restore: makes every registration again; called on each new connection.
-        held: the signed revocation list this node holds, which the master then need not send.
-        prove: requests the proofs that are wanted; returns how many were accepted.
-        master: the certified name of the node's own master.
-        follow: called after each heartbeat, for what else the node keeps current.
-        explain: the cause of a failure that the node knows itself; empty: what the error says.
-    """
+    """Calls to the master, over a connection that is kept open."""
 
     def __init__(
         self,
-        name: str,
+        name: str,  # the node's own, the `caller_id` of every call
         dial: Callable[[], Awaitable[SecureStream[Identity]]],
-        refresh: Callable[[bytes, bytes, Identity], None],
-        restore: Callable[["MasterSession"], Awaitable[None]],
-        held: Callable[[], bytes],
-        prove: Callable[[MasterCall], Awaitable[int]],
-        master: str = MASTER,
-        follow: Callable[[MasterCall], Awaitable[None]] | None = None,
-        explain: Callable[[], str] = str,
+        refresh: Callable[[bytes, bytes, Identity], None],  # takes the newest list and timestamp, or raises
+        restore: Callable[["MasterSession"], Awaitable[None]],  # called on each new connection
+        held: Callable[[], bytes],  # the signed revocation list, which the master then need not send
+        prove: Callable[[MasterCall], Awaitable[int]],  # requests proofs; how many were accepted
+        master: str = MASTER,  # the certified name of the node's own
+        follow: Callable[[MasterCall], Awaitable[None]] | None = None,  # after each heartbeat
+        explain: Callable[[], str] = str,  # the cause of a failure, if the node knows it itself
     ) -> None:
         self._name = name
         self._dial = dial
@@ -272,17 +260,7 @@ class MembershipHooks(Protocol):
 class Membership:
     """Keeps one identity connected to the master.
 
-    Args:
-        access: of `identity`; with a lock if threads share it.
-        connections: cut when they must end.
-        grace: the publishers that a restarted master may not list yet.
-        lock: held while `identity.standing` is changed, if threads share it.
-
-    Attributes:
-        domains: what is known of foreign domains.
-        session: the session with the master.
-        tasks: the tasks of this identity; a crash of one of them ends everything.
-        rights_version: incremented for new grants and lists: what was refused may be tried again.
+    `lock` is held while `identity.standing` is changed, if threads share it; then `access` has a lock, too.
     """
 
     def __init__(
@@ -328,10 +306,10 @@ class Membership:
         self._watch = GrantWatch(
             identity.name, self._delivery, hooks.dial_watch, lambda: self.session.is_open, identity.master
         )
-        self.tasks = TaskSet(self._crashed)
+        self.tasks = TaskSet(self._crashed)  # a crash of one of them ends everything
         self._has_crashed = False
         self._domains_are_new = False
-        self.rights_version = 0
+        self.rights_version = 0  # incremented for new grants and lists: what was refused may be tried again
 
     def start(self, opening: Callable[[], Awaitable[None]] | None = None) -> None:
         """Start the tasks: the session (which `opening` opens, unless it is open), the watchdog, and

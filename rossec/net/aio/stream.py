@@ -46,14 +46,10 @@ def wall_clock() -> int:  # never ROS time
 class SecureStream(BaseStream, Generic[PeerT]):
     """One authenticated connection on a loop; it owns its transport and starts at once.
 
-    Args:
-        transport: makes what carries its bytes: `partial(Transport, sock)` for a connected socket.
-        address: the peer's IP address.
-        on_authenticated: called once; from then on `peer` is the identity of the peer's certificate.
-        on_end: called once, when the handshake or the connection is over, with the reason.
+    `transport` makes what carries its bytes: `partial(Transport, sock)` for a connected socket.
     """
 
-    peer: PeerT
+    peer: PeerT  # the identity of the peer's certificate, once it is authenticated
     _on_authenticated: Callable[[Self], None]
     _on_end: Callable[[Self, ChannelError], None]
 
@@ -61,9 +57,9 @@ class SecureStream(BaseStream, Generic[PeerT]):
         self,
         connection: Connection[PeerT],
         transport: Callable[[TransportOwner], ByteTransport],
-        address: str,
-        on_authenticated: Callable[[Self], None],
-        on_end: Callable[[Self, ChannelError], None],
+        address: str,  # the peer's
+        on_authenticated: Callable[[Self], None],  # called once
+        on_end: Callable[[Self, ChannelError], None],  # called once, with the reason
     ) -> None:
         super().__init__()
         self._turn = asyncio.Lock()
