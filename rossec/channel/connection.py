@@ -85,10 +85,8 @@ class PresentsIdentity(Protocol):
 
 
 class Connection(Generic[PeerT]):
-    """A connection of either role: make one with `initiator` or `responder`.
-
-    `streams`: where what moves its bytes belongs, if its certificate may be renewed.
-    """
+    """A connection of either role: make one with `initiator` or `responder`. `streams`: where what moves its
+    bytes belongs, if its certificate may be renewed."""
 
     def __init__(
         self,
@@ -146,11 +144,8 @@ class Connection(Generic[PeerT]):
         accept: Collection[WireProtocol] = _BOTH,
         limits: ChannelLimits = _DEFAULTS,
     ) -> Self:
-        """The side that was connected to; `accept` says which openings are accepted.
-
-        With `own_dials` this node may connect to itself, for dials noted there. `renews`: as for the
-        initiator.
-        """
+        """The side that was connected to; `accept` says which openings are accepted. With `own_dials` this
+        node may connect to itself, for dials noted there. `renews`: as for the initiator."""
         preamble = Preamble(WireProtocol.TCPROS, accept)
         return cls(preamble, Negotiation(Responder(config)), now, limits, FIRST)
 

@@ -101,10 +101,8 @@ ENDED: Final = frozenset({ConnectionState.CLOSING, ConnectionState.CLOSED})
 
 @dataclass(frozen=True, slots=True)
 class Authenticated(Generic[PeerT]):
-    """The peer proved that it holds the certified key; from here on this side may send.
-
-    An initiator may still be refused until the responder's message_4 arrives.
-    """
+    """The peer proved that it holds the certified key; from here on this side may send. An initiator may
+    still be refused until the responder's message_4 arrives."""
 
     identity: PeerT
 

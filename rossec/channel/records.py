@@ -58,10 +58,8 @@ _LENGTHS: Final[dict[int, tuple[int, int]]] = {
 
 @dataclass(frozen=True)
 class ChannelLimits:
-    """Where the channel stops or renews its keys; the defaults are the notes' (AEAD limits).
-
-    `preauth_limit`: how long a unit may be before the peer is authorized; None: as `unit`.
-    """
+    """Where the channel stops or renews its keys; the defaults are the notes' (AEAD limits). `preauth_limit`:
+    how long a unit may be before the peer is authorized; None: as `unit`."""
 
     records: int = 1 << 23
     octets: int = 1 << 36
@@ -193,10 +191,8 @@ class Epochs:
 
 
 def padded(plaintext: Bytes, multiple: int) -> bytes | None:
-    """The plaintext, %x01, and zeros up to a multiple of so many bytes, or to the longest allowed.
-
-    None: it is the longest allowed.
-    """
+    """The plaintext, %x01, and zeros up to a multiple of so many bytes, or to the longest allowed. None: it
+    is the longest allowed."""
     room = MAX_PLAINTEXT - len(plaintext)
     if room == 0:
         return None

@@ -64,11 +64,8 @@ def check_own_address(address: str, variable: str) -> str:
 def warn_of_own_address(
     address: str | None, variables: Mapping[str, str], warn: Callable[[HintedError], None]
 ) -> None:
-    """Call `warn` if the address that a node begins to give away is not one of this host.
-
-    A name is looked up in a thread of its own, which ends with the process: a resolver may take
-    long, and nobody waits for it.
-    """
+    """Call `warn` if the address that a node begins to give away is not one of this host. A name is looked up
+    in a thread of its own, which ends with the process: a resolver may take long, and nobody waits for it."""
     if address is None:
         return
 
@@ -106,10 +103,8 @@ def _is_here(place: tuple[int, str]) -> bool:
 
 
 def source_for(relay: str) -> str:
-    """The address from which connections of a remote relay are made on this host.
-
-    `relay`: its name here (`/remote/hospital/relay`). Two relays may share one.
-    """
+    """The address from which connections of a remote relay are made on this host. `relay`: its name here
+    (`/remote/hospital/relay`). Two relays may share one."""
     offset = int.from_bytes(hashlib.sha256(relay.encode()).digest()[:2])
     return str(_SOURCES[min(max(offset, 1), _SOURCES.num_addresses - 2)])
 

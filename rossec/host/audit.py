@@ -60,9 +60,7 @@ def mark(signer: Signer, before: str, at: float) -> Entry:
 
 def check_beginning(first: Entry, key: bytes | None = None, after: str | None = None) -> str:
     """Check the beginning of an audit, whose hash was verified; returns a remark, empty when it is complete.
-
-    `key`: thumbprint of the master's key; `after`: the hash of the line before, if they are known.
-    """
+    `key`: thumbprint of the master's key; `after`: the hash of the line before, if they are known."""
     before = first.get("before")
     if _SIGNATURE in first:
         signed_by = _key_of(first)
@@ -109,10 +107,8 @@ def encode(entry: Entry) -> str:
 
 
 def read_entries(lines: Iterable[str], max_damaged: int | None = None) -> tuple[list[Entry], list[int]]:
-    """The valid entries, and the numbers of the damaged lines.
-
-    Reading ends after `max_damaged` damaged lines.
-    """
+    """The valid entries, and the numbers of the damaged lines. Reading ends after `max_damaged` damaged
+    lines."""
     entries, damaged = list[Entry](), list[int]()
     for number, line in enumerate(lines, 1):
         entry = _entry(line)

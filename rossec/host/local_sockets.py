@@ -127,10 +127,8 @@ def tables() -> list[str]:
 
 
 class UnixPeer(NamedTuple):
-    """The other end of a unix socket: the process that connected it or listened, and its user.
-
-    The number of a process that has ended may be given to another one: it identifies nobody.
-    """
+    """The other end of a unix socket: the process that connected it or listened, and its user. The number of
+    a process that has ended may be given to another one: it identifies nobody."""
 
     process: int
     user: int
@@ -172,10 +170,8 @@ def find_holder(local: Endpoint, remote: Endpoint) -> Holder | None:
 
 
 def listeners(endpoint: Endpoint) -> list[Holder]:
-    """The holders of sockets that listen on `endpoint`, an address of this host.
-
-    At most one, unless only the tables are available: then all candidates.
-    """
+    """The holders of sockets that listen on `endpoint`, an address of this host. At most one, unless only the
+    tables are available: then all candidates."""
     try:
         entry = listener(endpoint)
     except OSError:

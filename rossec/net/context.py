@@ -59,10 +59,8 @@ class OpenStreams:
 
 @dataclass(frozen=True, eq=False)
 class SecureContext(Generic[PeerT]):
-    """The credentials and the policy of one identity; its connections and ports share it.
-
-    `known` is for asyncio only: `SecureSocket` does not repeat a handshake by value.
-    """
+    """The credentials and the policy of one identity; its connections and ports share it. `known` is for
+    asyncio only: `SecureSocket` does not repeat a handshake by value."""
 
     credentials: OwnCredential  # `LiveCredentials` are read at each handshake
     verify: Verify[PeerT]  # of every peer
@@ -83,10 +81,8 @@ class SecureContext(Generic[PeerT]):
     def initiator(
         self, protocol: WireProtocol, *, to_itself: bool = False, request_x5t: bool = False
     ) -> Connection[PeerT]:
-        """The core of a connection that this side made; as `Connection.initiator`.
-
-        `to_itself`: the peer must be this identity in this process; else it must be another one.
-        """
+        """The core of a connection that this side made; as `Connection.initiator`. `to_itself`: the peer must
+        be this identity in this process; else it must be another one."""
         dials = self.own_dials if to_itself else None
         config = self._config(dials, request_x5t=request_x5t)
         limits = self.dial_limits[protocol]

@@ -188,10 +188,8 @@ class Publisher:
         self._publish(self.endpoint.type.serialize(message))
 
     def publish_bytes(self, data: bytes | memoryview) -> None:
-        """Send a message that is serialized already (without its length prefix).
-
-        A buffer that could still change is copied, so that the bytes checked are the bytes sent.
-        """
+        """Send a message that is serialized already (without its length prefix). A buffer that could still
+        change is copied, so that the bytes checked are the bytes sent."""
         self._publish(memoryview(data if isinstance(data, bytes) else bytes(data)))
 
     def close(self) -> None:
@@ -258,10 +256,8 @@ class Publisher:
         answer: bytes,
         wishes: Wishes = NO_WISHES,
     ) -> None:
-        """Answer one admitted subscriber and send it messages until its stream ends.
-
-        It is registered before the answer is sent: a revocation received meanwhile closes it.
-        """
+        """Answer one admitted subscriber and send it messages until its stream ends. It is registered before
+        the answer is sent: a revocation received meanwhile closes it."""
         connection = AuthorizedConnection(stream, decision, guard, partial(self._rebuilt, wishes))
         queue = (
             WishQueue(stream, self._queue_size, wishes, self._deflation)

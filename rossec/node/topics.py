@@ -52,10 +52,8 @@ class Topics:
         return publisher
 
     async def unpublish(self, publisher: Publisher) -> None:
-        """Cut the subscribers of a publisher of this node, and unregister it.
-
-        A master that is out of reach is not told: what is not published is not registered again.
-        """
+        """Cut the subscribers of a publisher of this node, and unregister it. A master that is out of reach
+        is not told: what is not published is not registered again."""
         if self.publishers.get(publisher.topic) is not publisher:
             return
         del self.publishers[publisher.topic]

@@ -88,10 +88,8 @@ def possible_names(topic: str) -> tuple[str, ...]:
 
 
 class TokenOpener:
-    """Verifies tokens, each once, by the root, the list and the masters of one domain.
-
-    `own_master`: the key of the node's own master, which may renew grants of the own domain.
-    """
+    """Verifies tokens, each once, by the root, the list and the masters of one domain. `own_master`: the key
+    of the node's own master, which may renew grants of the own domain."""
 
     def __init__(self, standing: Standing) -> None:
         self._standing = standing
@@ -277,10 +275,8 @@ class Access:
         now: int,
         persist: Callable[[bytes], None],
     ) -> None:
-        """Take over a newer list (empty: the one held is the newest) and its timestamp.
-
-        A valid list is kept even when the timestamp is not accepted.
-        """
+        """Take over a newer list (empty: the one held is the newest) and its timestamp. A valid list is kept
+        even when the timestamp is not accepted."""
         if not timestamp and not revocations and self._revocations.current is None:
             raise CAError(*NO_LIST)
         if revocations:
@@ -308,26 +304,20 @@ class Access:
         self._revocations.add_proof(entry, proof)
 
     def current(self, now: int) -> list[bytes]:
-        """The grants that are valid now and not known to be revoked, the latest expiry first.
-
-        Of a domain that is not listed none: nobody here could verify them.
-        """
+        """The grants that are valid now and not known to be revoked, the latest expiry first. Of a domain
+        that is not listed none: nobody here could verify them."""
         known = {self._anchor.domain, *self.foreign_domains}
         return [held.token for held in self._current(now) if held.grant.domain in known]
 
     def present(self, right: Right, name: str, now: int) -> bytes:
-        """Header field that proves `right` on `name`: the array of the grants that cover it.
-
-        A peer accepts a limited number and size; those that expire last are sent.
-        """
+        """Header field that proves `right` on `name`: the array of the grants that cover it. A peer accepts a
+        limited number and size; those that expire last are sent."""
         covering = [held.token for held in self._covering(right, name, now)]
         return encode(list[Value](fitting(covering)))
 
     def holds(self, right: Right, name: str, now: int) -> bool:
-        """Whether a grant this node holds covers `right` on `name` now.
-
-        To subscribe to an alias one for what a gateway serves of it suffices.
-        """
+        """Whether a grant this node holds covers `right` on `name` now. To subscribe to an alias one for what
+        a gateway serves of it suffices."""
         names = possible_names(name) if right is Right.SUBSCRIBE else (name,)
         return any(self.covers(right, each, now) for each in names)
 

@@ -75,10 +75,8 @@ class ConnectionTable(Generic[StreamT]):
     # -- what peers connect
 
     def bounded(self, handler: Handler[Identity]) -> Handler[Identity]:
-        """Call `handler` for the connections that `accept` admits; the master may have more.
-
-        It has one for each program, of which a sidecar's identity has many.
-        """
+        """Call `handler` for the connections that `accept` admits; the master may have more. It has one for
+        each program, of which a sidecar's identity has many."""
 
         async def serve_one(stream: SecureStream[Identity]) -> None:
             try:
@@ -95,10 +93,8 @@ class ConnectionTable(Generic[StreamT]):
     def accept(
         self, key: object, peer: Identity | str, abort: Callable[[str], None], *, limited: bool = True
     ) -> None:
-        """Count a connection of `peer` until `forget` is called with the same key.
-
-        A foreign authority certifies any number of keys, so its domain counts as one peer.
-        """
+        """Count a connection of `peer` until `forget` is called with the same key. A foreign authority
+        certifies any number of keys, so its domain counts as one peer."""
         source: bytes | str = peer if isinstance(peer, str) else peer.thumbprint
         if not isinstance(peer, str) and peer.is_foreign:
             source = f"domain {peer.domain}"
@@ -301,10 +297,8 @@ class FollowedPublishers(Generic[PublisherT]):
 
 
 class OwnAddresses:
-    """The addresses a node registered as its own: only a connection to one of them may reach itself.
-
-    An address that a peer sends is not enough: the answer to `requestTopic` could send a node back to itself.
-    """
+    """The addresses a node registered as its own: only a connection to one of them may reach itself. An
+    address that a peer sends is not enough: the answer to `requestTopic` could send a node back to itself."""
 
     def __init__(self) -> None:
         self.host = ""  # that it registers; empty while it does not listen
@@ -354,10 +348,8 @@ class Dialer:
         return await self._connect(host, port, WireProtocol.HTTP)
 
     async def topic(self, uri: str, topic: str) -> SecureStream[Identity]:
-        """Connect to the TCPROS port that the node at `uri` names in its answer to `requestTopic`.
-
-        At a relay's forwarded port that is the same port again: the node names an address of its own network.
-        """
+        """Connect to the TCPROS port that the node at `uri` names in its answer to `requestTopic`. At a
+        relay's forwarded port that is the same port again: the node names an address of its own network."""
         api = names.parse_uri(uri, "a publisher's URI")
         stream = await self.rpc(*api)
         self._check_identity(stream)

@@ -127,10 +127,8 @@ FindDefinition: TypeAlias = Callable[[str], Definition | None]
 
 
 def from_header(fields: Mapping[str, bytes]) -> Definition:
-    """The type one side of a connection claims in its header; the definition may be missing.
-
-    It is checked where it is needed: `Definition.layout` refuses text that is not UTF-8.
-    """
+    """The type one side of a connection claims in its header; the definition may be missing. It is checked
+    where it is needed: `Definition.layout` refuses text that is not UTF-8."""
     definition = fields.get("message_definition", b"").decode(errors="surrogateescape")
     return Definition(text(fields, "type"), text(fields, "md5sum"), definition)
 
@@ -226,10 +224,8 @@ def forwarded_definition(sent: Definition, decision: Decision, find_installed: F
 
 
 def definition_fields(kind: Definition, decision: Decision) -> Fields:
-    """Header fields that replace the publisher's, where a guard depends on the definition.
-
-    Programs that accept any type (rosbag, relays) use the definition in the header.
-    """
+    """Header fields that replace the publisher's, where a guard depends on the definition. Programs that
+    accept any type (rosbag, relays) use the definition in the header."""
     if not needs_definition(decision):
         return {}
     return {"type": kind.name.encode(), "md5sum": kind.md5sum.encode(), "message_definition": kind.octets}

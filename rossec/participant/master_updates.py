@@ -130,10 +130,8 @@ class GrantDelivery:
         self.taken = 0  # grants that were new so far
 
     async def fetch(self, call: MasterCall) -> None:
-        """Fetch everything, at the beginning of a session; what was refused is judged again.
-
-        A master that forged a grant, or a clock that was wrong, keeps it away no longer than that.
-        """
+        """Fetch everything, at the beginning of a session; what was refused is judged again. A master that
+        forged a grant, or a clock that was wrong, keeps it away no longer than that."""
         self._received.clear()
         try:
             for _ in range(MAX_ANSWERS):

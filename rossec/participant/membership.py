@@ -258,10 +258,8 @@ class MembershipHooks(Protocol):
 
 
 class Membership:
-    """Keeps one identity connected to the master.
-
-    `lock` is held while `identity.standing` is changed, if threads share it; then `access` has a lock, too.
-    """
+    """Keeps one identity connected to the master. `lock` is held while `identity.standing` is changed, if
+    threads share it; then `access` has a lock, too."""
 
     def __init__(
         self,

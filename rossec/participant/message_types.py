@@ -55,10 +55,8 @@ class MessageType(Definition):
     """A message type whose messages can be created, serialized and deserialized."""
 
     def create(self, /, **fields: object) -> Message:
-        """Create a message with every field at its zero value, then set `fields`.
-
-        A field that is a keyword of Python is named as it is or as its attribute: `from_`.
-        """
+        """Create a message with every field at its zero value, then set `fields`. A field that is a keyword
+        of Python is named as it is or as its attribute: `from_`."""
         message = _zero(_ros2_name(self.name))
         names = _field_names(_ros2_name(self.name))
         attributes = {attribute_of(name) for name in names}
@@ -88,10 +86,8 @@ class MessageType(Definition):
 
 @cache
 def message_type(name: str) -> MessageType:
-    """Look up a type by its ROS name, for example `geometry_msgs/PoseStamped`.
-
-    A type that is not a standard one, nor was registered, is that of its package on this host.
-    """
+    """Look up a type by its ROS name, for example `geometry_msgs/PoseStamped`. A type that is not a standard
+    one, nor was registered, is that of its package on this host."""
     try:
         return registered_type(name)
     except MessageError:

@@ -125,10 +125,8 @@ class RegistrationTable:
         return self._calls.get((method, name))
 
     def record(self, method: str, params: Sequence[object], *, refused: bool = False) -> None:
-        """Record a call that registers, or unregisters, what it names; others are ignored.
-
-        What was registered with another address stays: a new program may have the old name.
-        """
+        """Record a call that registers, or unregisters, what it names; others are ignored. What was
+        registered with another address stays: a new program may have the old name."""
         index = _ADDRESS.get(method)
         if index is None or len(params) <= max(index, RELATIVE_NAME[method]):
             return  # the master refuses it
@@ -145,10 +143,8 @@ class RegistrationTable:
 
 
 def unheard_refusal(method: str, params: Sequence[object], answer: object) -> str | None:
-    """Why a call was refused of which the program does not hear it; None: it is none of these.
-
-    What rossec itself refuses has a reason of its own in its status, and is not meant here.
-    """
+    """Why a call was refused of which the program does not hear it; None: it is none of these. What rossec
+    itself refuses has a reason of its own in its status, and is not meant here."""
     match answer:
         case [code, str(status), *_] if code != 1 and method in UNHEARD:
             try:

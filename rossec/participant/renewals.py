@@ -49,10 +49,8 @@ class Renewals:
         self._outdated: set[bytes] = set()
 
     def due(self, now: int) -> list[HeldGrant]:
-        """Grants to be renewed now, the first to expire first; a refused one is due later.
-
-        In a new epoch of the revocation list sequence numbers restart: earlier tickets are invalid.
-        """
+        """Grants to be renewed now, the first to expire first; a refused one is due later. In a new epoch of
+        the revocation list sequence numbers restart: earlier tickets are invalid."""
         began = self._access.epoch > self._epoch
         self._epoch = self._access.epoch
         if began:

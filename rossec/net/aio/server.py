@@ -167,10 +167,8 @@ class SecureServer(AcceptedStreams[PeerT]):
                     raise
 
     def suspend(self) -> None:
-        """Refuse connections as if the port were closed, but keep it bound.
-
-        Linux keeps only a port that was given to bind(), not one it chose itself.
-        """
+        """Refuse connections as if the port were closed, but keep it bound. Linux keeps only a port that was
+        given to bind(), not one it chose itself."""
         if self._suspended:  # shut down twice, what it accepts later would be at its end
             return
         self._suspended = True

@@ -44,10 +44,8 @@ def wall_clock() -> int:  # never ROS time
 
 
 class SecureStream(BaseStream, Generic[PeerT]):
-    """One authenticated connection on a loop; it owns its transport and starts at once.
-
-    `transport` makes what carries its bytes: `partial(Transport, sock)` for a connected socket.
-    """
+    """One authenticated connection on a loop; it owns its transport and starts at once. `transport` makes
+    what carries its bytes: `partial(Transport, sock)` for a connected socket."""
 
     peer: PeerT  # the identity of the peer's certificate, once it is authenticated
     _on_authenticated: Callable[[Self], None]

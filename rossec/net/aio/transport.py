@@ -309,11 +309,8 @@ class BaseStream:
     def on_ready(
         self, callback: Callable[[], None] | None, take: Callable[[bytes], bool] | None = None
     ) -> None:
-        """Call back whenever `next_unit` has a new result: instead of `receive`.
-
-        A unit that arrived alone may be offered to `take` first; if it returns true, it is not
-        queued. Neither may raise.
-        """
+        """Call back whenever `next_unit` has a new result: instead of `receive`. A unit that arrived alone
+        may be offered to `take` first; if it returns true, it is not queued. Neither may raise."""
         self._callback, self._take = callback, take
 
     @property

@@ -347,11 +347,8 @@ async def serve_calls(
 
 
 class RpcClient:
-    """Calls methods of the peer at the other end of a stream, one at a time.
-
-    After a failed call (deadline, protocol error) the stream is closed: a late answer must not be
-    taken for the answer to the next call.
-    """
+    """Calls methods of the peer at the other end of a stream, one at a time. After a failed call (deadline,
+    protocol error) the stream is closed: a late answer must not be taken for the answer to the next call."""
 
     def __init__(
         self,

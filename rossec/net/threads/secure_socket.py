@@ -376,10 +376,8 @@ class SecureSocket(Generic[PeerT]):
                 self._units.clear()
 
     def run_timers(self) -> None:
-        """Handle key renewals of both sides while the connection is not used.
-
-        Never waits: where a thread reads or writes just now, that thread handles them.
-        """
+        """Handle key renewals of both sides while the connection is not used. Never waits: where a thread
+        reads or writes just now, that thread handles them."""
         if self._units or self.peer is None or not self._writing.acquire(blocking=False):
             return
         try:
@@ -423,10 +421,8 @@ class SecureSocket(Generic[PeerT]):
         self._flush(end)
 
     def try_send(self, data: bytes) -> bool:
-        """Send a small unit where this needs no waiting; False: nothing was sent.
-
-        What the kernel did not take is `unsent`, and is sent before anything else.
-        """
+        """Send a small unit where this needs no waiting; False: nothing was sent. What the kernel did not
+        take is `unsent`, and is sent before anything else."""
         if self.peer is None or not self._writing.acquire(blocking=False):
             return False
         try:
