@@ -127,8 +127,7 @@ class Connection(Generic[PeerT]):
         for an address where a known peer was reached before. `OwnCredentialUnknown` and
         `PeerCredentialUnknown` mean: forget the introductions, and retry without `request_x5t`. With
         `own_dials`, which this node's listeners share, it means to reach itself, and no other peer is
-        accepted. With `renews` the peer is told that renewed certificates and grants are taken on the open
-        connection.
+        accepted. With `renews` the peer is told that renewed certificates and grants are taken here.
         """
         edhoc, preamble = Initiator(config), Preamble(opening, None)
         connection = cls(preamble, Negotiation(edhoc), now, limits)

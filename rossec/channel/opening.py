@@ -173,8 +173,7 @@ def post_quantum(environ: Mapping[str, str], option: str | None = None) -> tuple
     """The suites to offer and accept, in order of preference, as an operator writes it; an option wins.
 
     `off` means the classical suite alone, `prefer` the hybrid one with peers that support it, `require` the
-    hybrid one alone. Any other value refuses the program's start: a misspelt `require` must not result in
-    less.
+    hybrid one alone. Any other value refuses the program's start: a misspelt `require` must not give less.
     """
     where, word = VARIABLE, environ.get(VARIABLE, DEFAULT)
     if option is not None:

@@ -11,7 +11,6 @@ import ipaddress
 import re
 import socket
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from threading import Thread
 from typing import Final
 
@@ -142,13 +141,15 @@ def split(text: str, default: int = DEFAULT_PORT) -> tuple[str, int]:
 
 
 def own_addresses() -> list[str]:
-    found = []
-    for family, where, _ in _ELSEWHERE:
-        with (
-            suppress(OSError),
-            socket.socket(family, socket.SOCK_DGRAM) as sock,
-        ):  # no route, or no such family
-            sock.connect((where, 9))
-            found.append(str(sock.getsockname()[0]))
+    found = [_towards(family, where) for family, where, _ in _ELSEWHERE]
     usable = [address for address in found if address and not is_loopback(address)]
     return usable or [loopback for _, _, loopback in _ELSEWHERE]
+
+
+def _towards(family: int, where: str) -> str:
+    try:
+        with socket.socket(family, socket.SOCK_DGRAM) as sock:
+            sock.connect((where, 9))
+            return str(sock.getsockname()[0])
+    except OSError:  # no route, or no such family
+        return ""

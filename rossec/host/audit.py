@@ -107,8 +107,7 @@ def encode(entry: Entry) -> str:
 
 
 def read_entries(lines: Iterable[str], max_damaged: int | None = None) -> tuple[list[Entry], list[int]]:
-    """The valid entries, and the numbers of the damaged lines. Reading ends after `max_damaged` damaged
-    lines."""
+    """The valid entries, and the numbers of the damaged lines; reading ends after `max_damaged` of those."""
     entries, damaged = list[Entry](), list[int]()
     for number, line in enumerate(lines, 1):
         entry = _entry(line)
@@ -147,8 +146,7 @@ def verify(entries: Iterable[Entry], before: str | None = None) -> str:
 
 
 class AuditFile(logging.Handler):
-    """Appends what is logged to `rossec.audit` to a file of its owner alone (0600); `signer` has the master's
-    key.
+    """Appends what is logged to `rossec.audit` to a file of its owner alone (0600); `signer`: the master.
 
     Each line is written at once and synced within a second of the first line not yet synced. When the file is
     moved away (logrotate), the next line begins a new file, and the chain continues. A line that was

@@ -238,15 +238,19 @@ def _found(local: tuple[bytes, int], remote: tuple[bytes, int]) -> SocketEntry |
         + remote[0].ljust(16, b"\0")
         + _ANY_COOKIE
     )
-    with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, _SOCK_DIAG) as kernel:
-        kernel.send(_HEAD.pack(_HEAD.size + len(body), _BY_FAMILY, _ASK, 1, 0) + body)
-        data, (sender, *_) = kernel.recvfrom(_ROOM)
-    if sender != 0:  # another process, which would need to be privileged: not the kernel
-        raise OSError(errno.EPROTO, "an answer from another process")
     try:
-        return parse(data)
+        return _ask(_HEAD.pack(_HEAD.size + len(body), _BY_FAMILY, _ASK, 1, 0) + body)
     except FileNotFoundError:
         return None
+
+
+def _ask(request: bytes) -> SocketEntry:
+    with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, _SOCK_DIAG) as kernel:
+        kernel.send(request)
+        data, (sender, *_) = kernel.recvfrom(_ROOM)
+        if sender != 0:  # another process, which would need to be privileged: not the kernel
+            raise OSError(errno.EPROTO, "an answer from another process")
+        return parse(data)
 
 
 def parse(data: bytes) -> SocketEntry:

@@ -58,8 +58,7 @@ _log = logging.getLogger("rossec.node")
 
 
 class Listener:
-    """Accepts the connections of other nodes, at two ports: its slave API, and TCPROS for topics and
-    services.
+    """Accepts the connections of other nodes: to the slave API, and by TCPROS to topics and services.
 
     A refused peer receives the error about its own grants, which reveals nothing of what this node has.
     """

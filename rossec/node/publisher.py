@@ -230,12 +230,7 @@ class Publisher:
             await self._changed.wait()
 
     def guard(self, decision: Decision) -> Guard:
-        """The guard that applies `decision` to the messages of this topic.
-
-        Raises:
-            GrantError: its restrictions are for another message type.
-            ConfigurationError: a key for pseudonyms cannot be read.
-        """
+        """The guard that applies `decision` to the messages of this topic."""
         context = self._context
         keys = {name: context.filter_key(name) for name in needed_keys(decision.restrictions)}
         return Guard(self._shape(decision), decision, keys, context.memory_scope)
@@ -349,11 +344,7 @@ class RawPublisher(Publisher):
         self._known.set()
 
     def forward(self, sender: object, data: bytes, *, keep: bool) -> None:
-        """Send a serialized message; with `keep` it is what new subscribers are sent first.
-
-        Raises:
-            NodeShutdown: the node is closed, or the topic is no longer published.
-        """
+        """Send a serialized message; with `keep` it is what new subscribers are sent first."""
         latch = self._by_sender.setdefault(sender, Latch()) if keep else None
         self._send(Sample(memoryview(data)), latch)
 
@@ -361,12 +352,7 @@ class RawPublisher(Publisher):
         self._by_sender.pop(sender, None)
 
     async def ready(self) -> None:
-        """Return when the type is known.
-
-        Raises:
-            ConnectionHeaderRefused: it did not become known in time.
-            NodeShutdown: the topic is no longer published.
-        """
+        """Return when the type is known."""
         self._waiting += 1
         self._on_demand()
         try:

@@ -228,12 +228,7 @@ class Services:
         concurrency: int = CONCURRENCY,
         deadline: float = HANDLER_DEADLINE,
     ) -> Service:
-        """Register the service `name`, a full name; `handler(request, caller)`; see `Service`.
-
-        Raises:
-            RossecError: a second provider in this node, a name below /remote, or the master
-                refuses.
-        """
+        """Register the service `name`, a full name; `handler(request, caller)`; see `Service`."""
         refuse_offer(name, "provided")
         if name in self._provided:
             raise ConfigurationError(f"{name} is provided by this node already")
@@ -265,12 +260,7 @@ class Services:
         return client
 
     async def wait_for(self, name: str, within: float | None = None) -> None:
-        """Return as soon as a provider of `name` answers.
-
-        Raises:
-            ServiceUnavailable: none did within so many seconds.
-            HintedError: this node may not call it, or the provider may not provide it.
-        """
+        """Return as soon as a provider of `name` answers."""
         try:
             async with asyncio.timeout(within):
                 while True:
@@ -287,11 +277,7 @@ class Services:
         return await probe(self.dial, self._context.name_for, name, self._context.access)
 
     async def known(self) -> dict[str, list[str]]:
-        """Services this node may see, each with its providers.
-
-        Raises:
-            RossecError: the master is out of reach, or sends a malformed answer.
-        """
+        """Services this node may see, each with its providers."""
         match await self._context.call("getSystemState"):
             case [_, _, [*services]]:
                 return dict(_provided(item) for item in services)
@@ -299,12 +285,7 @@ class Services:
                 raise AnswerMalformed("an invalid system state")
 
     async def lookup(self, name: str) -> str:
-        """The rosrpc URI of the provider of `name`.
-
-        Raises:
-            ServiceUnavailable: there is none.
-            RossecError: the master refuses, or is out of reach.
-        """
+        """The rosrpc URI of the provider of `name`."""
         try:
             uri = await self._context.call("lookupService", name)
         except AnswerRefused as error:
@@ -321,11 +302,7 @@ class Services:
     def admit(
         self, fields: Mapping[str, bytes], stream: SecureStream[Identity]
     ) -> Callable[[], Awaitable[None]]:
-        """Decide on a caller from its header; returns what serves it.
-
-        Raises:
-            HintedError: the caller is refused.
-        """
+        """Decide on a caller from its header; returns what serves it."""
         context, now = self._context, clock.now()
         decision = admit_caller(fields, stream.peer, context.access, now)
         name = requested_service(fields)

@@ -43,12 +43,7 @@ Dial = Callable[[str], Awaitable[SecureStream[Identity]]]  # service -> stream t
 
 
 async def exchange_call(stream: SecureStream[Identity], request: Pieces) -> bytes:
-    """The response to one request.
-
-    Raises:
-        ServiceFailed: the provider answered with an error.
-        RossecError: the connection was closed, or the peer violated the protocol.
-    """
+    """The response to one request."""
     frames = tcpros.response_reader()
     await stream.send(*tcpros.framed(request))
     while (content := frames.feed_one(await stream.receive())) is None:
@@ -66,11 +61,7 @@ async def exchange_headers(
     persistent: bool = False,
     probe: bool = False,
 ) -> tuple[Fields, Decision]:
-    """Exchange headers with a provider; returns its header, and the decision on its grants.
-
-    Raises:
-        HintedError: it refuses, or lacks the right.
-    """
+    """Exchange headers with a provider; returns its header, and the decision on its grants."""
     fields = client_header(caller, service, kind, access, clock.now(), persistent=persistent, probe=probe)
     await stream.send(tcpros.encode(fields))
     frames = tcpros.FrameReader(tcpros.HEADER_LIMIT)
@@ -81,12 +72,7 @@ async def exchange_headers(
 
 
 async def probe(dial: Dial, caller_for: CallerFor, service: str, access: Access) -> tuple[Fields, Identity]:
-    """Request the header of the provider of `service`; returns it and the provider's identity.
-
-    Raises:
-        HintedError: there is none, it refuses, or lacks the right.
-        TimeoutError: it does not answer.
-    """
+    """Request the header of the provider of `service`; returns it and the provider's identity."""
     async with asyncio.timeout(HANDSHAKE_DEADLINE):
         stream = await dial(service)
         try:

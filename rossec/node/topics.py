@@ -31,12 +31,7 @@ class Topics:
         return [item for items in self._subscribers.values() for item in items]
 
     async def publish(self, endpoint: TopicEndpoint, *, latch: bool, queue_size: int) -> Publisher:
-        """Register a publisher.
-
-        Raises:
-            RossecError: a second publisher of the topic, a name below /remote, or the master
-                refuses.
-        """
+        """Register a publisher."""
         publisher = Publisher(
             endpoint, endpoint.type.layout, self._context, latch=latch, queue_size=queue_size
         )
@@ -78,12 +73,7 @@ class Topics:
     async def subscribe(
         self, endpoint: TopicEndpoint, *, queue_size: int, wishes: Wishes = NO_WISHES
     ) -> Subscriber:
-        """Register a subscriber.
-
-        Raises:
-            NameRefused: a name below /remote that is no alias.
-            RossecError: the master refuses.
-        """
+        """Register a subscriber."""
         subscriber = Subscriber(
             endpoint, *self._for_subscriber(endpoint.topic), queue_size=queue_size, wishes=wishes
         )

@@ -211,8 +211,7 @@ class HeldGrant:
 
 
 class Access:
-    """Holds the grants of a node and checks those of its peers; `master`: the certified name of its own
-    master."""
+    """Holds the grants of a node and checks those of its peers; `master`: its own one's certified name."""
 
     def __init__(self, standing: Standing, held: Iterable[bytes] = (), master: str = MASTER) -> None:
         self.standing = standing

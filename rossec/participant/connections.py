@@ -264,8 +264,7 @@ class ConnectionWatchdog:
 
 
 class FollowedPublishers(Generic[PublisherT]):
-    """The connections of one identity to publishers of aliases, which end when the master lists those no
-    longer.
+    """The connections of one identity to publishers of aliases: they end when those are no longer listed.
 
     What a gateway serves replaces the origin's publishers, and the reverse. roscpp and the built-in node
     leave a publisher that is listed no longer; rospy never does, and would get every message twice, over one
@@ -391,8 +390,7 @@ class Dialer:
 
 
 async def serve_peer(stream: SecureStream[Identity], dispatch: Dispatch[Identity], access: Access) -> None:
-    """Answer the calls of a peer, to a node or to a program behind a sidecar, until it closes, or its time is
-    over.
+    """Answer the calls of a peer, to a node or a sidecar's program, until it closes or its time is over.
 
     The master's calls are parsed before those of others, as a revocation is one; its connection has no time
     limit. Another peer has little to say to a node, so it says it in small bodies, and in time.

@@ -83,8 +83,7 @@ def refuse_offer(name: str, done: str) -> str:
 
 
 def offer_refusal(method: str, params: Sequence[object]) -> list[object] | None:
-    """The answer to a program's call to the master that offers a (resolved) name below `/remote`; None:
-    none."""
+    """The answer to a program's call that offers a (resolved) name below `/remote`; None: it does not."""
     name = params[1] if method in OFFERS and len(params) > 1 else None
     if not isinstance(name, str):
         return None
@@ -117,8 +116,7 @@ def caller_for(peer: Identity, name: str, certified: str) -> str:
 
 
 def caller_here(peer: Identity, caller: str) -> str:
-    """The caller_id of a peer for a program: the alias of a foreign one, which it could not tell from a node
-    here."""
+    """The caller_id of a peer for a program: a foreign one's alias, or it would look like a node here."""
     return peer.name if peer.is_foreign else caller
 
 

@@ -210,8 +210,7 @@ class GrantDelivery:
 
 
 class GrantWatch:
-    """Waits at the master for grants, on a connection of its own, while the session is open; `name`: of the
-    node."""
+    """Waits at the master for grants, on a connection of its own, while the session is open."""
 
     def __init__(
         self,

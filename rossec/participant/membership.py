@@ -310,8 +310,7 @@ class Membership:
         self.rights_version = 0  # incremented for new grants and lists: what was refused may be tried again
 
     def start(self, opening: Callable[[], Awaitable[None]] | None = None) -> None:
-        """Start the tasks: the session (which `opening` opens, unless it is open), the watchdog, and
-        maintenance."""
+        """Start the session (which `opening` opens, unless it is open), the watchdog, and maintenance."""
         name = self._identity.name
         watchdog = ConnectionWatchdog(self._connections, self._access.expire_confirmation)
         self.tasks.spawn(watchdog.run(), f"{name}: watchdog")

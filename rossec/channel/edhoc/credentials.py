@@ -135,8 +135,7 @@ def _short(certificate: bytes) -> bytes:
 
 
 class KnownCertificates:
-    """A bounded cache of one node, least recently used first out; a hash that two certificates share finds
-    neither."""
+    """A bounded cache of one node, least recently used first out; a hash that two share finds neither."""
 
     def __init__(self, capacity: int = _CAPACITY) -> None:
         self._capacity = capacity

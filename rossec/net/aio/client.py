@@ -134,12 +134,7 @@ async def _wait(
 
 
 async def dial(host: str, port: int, within: float) -> socket.socket:
-    """Return a connected, non-blocking socket within that time in seconds.
-
-    Raises:
-        TimeoutError: no answer.
-        OSError: no address of the host can be reached.
-    """
+    """Return a connected, non-blocking socket within that time in seconds."""
     family = _family(host)
     if family is None:
         async with asyncio.timeout(within):

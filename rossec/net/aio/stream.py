@@ -371,8 +371,7 @@ class SecureStream(BaseStream, Generic[PeerT]):
         return transport.writable
 
     def pad_units(self, multiple: int) -> None:
-        """Pad what is sent from now on to a multiple of so many bytes; 0: do not. What is queued is not
-        padded."""
+        """Pad what is sent from now on, not what is queued, to a multiple of so many bytes; 0: do not."""
         if self.error is None and not self._turn.locked():
             with suppress(ChannelError):  # the connection has ended: its users get the error
                 self._flush_queue()

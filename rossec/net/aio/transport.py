@@ -26,8 +26,7 @@ class TransportOwner(Protocol):
     """Receives the events of the socket; names as in `asyncio.BufferedProtocol`."""
 
     def get_buffer(self) -> memoryview:
-        """The buffer for the next bytes; raises BlockingIOError: there is no room, the owner has paused
-        reading."""
+        """The buffer for the next bytes; raises BlockingIOError: no room, the owner has paused reading."""
         ...
 
     def buffer_updated(self, count: int) -> None: ...

@@ -91,8 +91,7 @@ class SecureSocket(Generic[PeerT]):
         to_itself: bool = False,
         timeout: float | None = None,
     ) -> Self:
-        """Authenticate, within `timeout` seconds, over a connected socket; `to_itself`: this node means
-        itself."""
+        """Authenticate within `timeout` seconds, over a connected socket; `to_itself`: it means itself."""
         secure = cls(sock, context.initiator(protocol, to_itself=to_itself))
         try:
             secure.settimeout(timeout)
