@@ -20,6 +20,7 @@ from grants.model import Draft, Permission, Right
 from grants.token import Verifier, pack_chain, peek, sign_narrowing
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import Credentials
+from rossec.channel.edhoc.handshake import EdhocConfig
 
 DAY = 86400
 LISTED = 16  # foreign domains that the server trusts
@@ -67,8 +68,8 @@ def handshakes(seconds: float) -> dict[str, float]:
     server = home.enroll("/robot", now)
 
     def handshake(client: Credentials, anchors: Anchors) -> None:
-        left = Connection.initiator(client, anchors.verify, random=secrets.token_bytes, now=now)
-        right = Connection.responder(server, home.anchors.verify, random=secrets.token_bytes, now=now)
+        left = Connection.initiator(EdhocConfig(client, anchors.verify, secrets.token_bytes), now=now)
+        right = Connection.responder(EdhocConfig(server, home.anchors.verify, secrets.token_bytes), now=now)
         events = 0
         while data := left.data_to_send():
             events += len(right.receive_data(bytes(data), now))

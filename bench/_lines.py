@@ -14,6 +14,7 @@ from collections.abc import Iterable, Sequence
 from ca.certificates import Identity
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import Credentials, Verify
+from rossec.channel.edhoc.handshake import EdhocConfig
 from rossec.channel.negotiation import Authenticated, UnitReceived
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import HEADER, Frame
@@ -93,9 +94,8 @@ class SecureLine(Line):
 
     def __init__(self, port: int, own: Credentials, verify: Verify[Identity]) -> None:
         super().__init__(port)
-        self._core = Connection[Identity].initiator(
-            own, verify, random=secrets.token_bytes, now=int(time.time()), opening=WireProtocol.HTTP
-        )
+        config = EdhocConfig(own, verify, secrets.token_bytes)
+        self._core = Connection[Identity].initiator(config, now=int(time.time()), opening=WireProtocol.HTTP)
         authenticated = False
         while not authenticated:
             self.sock.sendall(self._core.data_to_send())

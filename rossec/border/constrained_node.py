@@ -311,16 +311,9 @@ class ThingNode:
         )
         self._topics = Topics(self._context, self._grace)
         self.services = Services(self._context)
+        slave, topics = SlaveApi(self, shared.master), self._topics
         self._listener = Listener(
-            self.name,
-            secure,
-            access,
-            self._topics.publishers,
-            self.services,
-            SlaveApi(self, shared.master),
-            self._connections,
-            own_addresses,
-            self.name,
+            self._context, secure, topics.publishers, self.services, slave, own_addresses
         )
 
     def _load(self, now: int) -> Identity:

@@ -1,30 +1,19 @@
-"""The half of a connection that sends: units to records, the close, renewal and deadlines.
+"""One secure connection without its socket: bytes and `now` in, events and bytes out.
 
-`Connection` adds the half that receives. What is sealed must be written in order and at once, for
-its counter is used: records queued meanwhile go first.
-
-One secure connection without its socket: bytes and `now` in, events and bytes out.
-
-`states.TABLE` is its state machine. Any error ends it: nothing is delivered or sent afterwards,
-except one last flight that tells a peer not authenticated yet that it was refused, in one generic
-text (no oracle). Verified units of the same call are dropped with the connection. The caller writes
-all bytes it is given, in order and at once, or drops the connection.
+`negotiation.TABLE` is its state machine. Any error ends it: nothing is delivered or sent afterwards, except
+one last flight that tells a peer not authenticated yet that it was refused, in one generic text (no oracle).
+Verified units of the same call are dropped with the connection. The caller writes all bytes it is given, in
+order and at once, or drops the connection: what is sealed has used its counter, so records queued meanwhile
+go first.
 """
 
 from collections.abc import Collection, Iterator, Sequence
 from typing import Final, Generic, Protocol, Self
 
 from ca.errors import HintedError
-from rossec.channel.edhoc.credentials import KnownCertificates, OwnCredential, OwnDials, PeerT, Renews, Verify
-from rossec.channel.edhoc.handshake import EdhocConfig, Responder
-from rossec.channel.edhoc.messages import (
-    MAX_MESSAGE_1,
-    RENEWALS_EAD,
-    UNKNOWN_CREDENTIAL,
-    UNSPECIFIED,
-    encode_error,
-)
-from rossec.channel.edhoc.suites import PRODUCTION, Random
+from rossec.channel.edhoc.credentials import PeerT
+from rossec.channel.edhoc.handshake import EdhocConfig, Initiator, Responder
+from rossec.channel.edhoc.messages import MAX_MESSAGE_1, UNKNOWN_CREDENTIAL, UNSPECIFIED, encode_error
 from rossec.channel.negotiation import (
     ENDED,
     FRAMED,
@@ -59,6 +48,7 @@ from rossec.channel.records import (
     frame,
 )
 from rossec.channel.session import FIRST, SMALL, ReceiveBuffer, Session
+from rossec.channel.tuning import ONE_RECORD
 from rossec.errors import (
     ChannelClosed,
     ChannelError,
@@ -71,8 +61,18 @@ from rossec.errors import (
     ProtocolViolation,
 )
 
-_ONE_RECORD: Final = 64 * 1024
 HINT_SILENT: Final = "it may be a plain ROS node, which has no identity, or overloaded"
+_OPEN_BUFFER: Final = 64 * 1024
+_FULL_BUFFER: Final = 2 * (HEADER + MAX_PLAINTEXT + TAG)  # two whole records stay aligned
+_REFUSED: Final = frame(Frame.ERROR, encode_error(UNSPECIFIED, "handshake refused"))
+_UNKNOWN: Final = frame(Frame.ERROR, encode_error(UNKNOWN_CREDENTIAL, info=True))
+_DEFAULTS: Final = ChannelLimits()
+_BOTH: Final = frozenset(WireProtocol)
+_RENEWING: Final = frozenset((Frame.IDENTITY.value, Frame.GRANTS.value))
+_ROWS: Final = {
+    state: {kind.value: row for (there, kind), row in TABLE.items() if there is state}
+    for state in ConnectionState
+}
 
 
 class OpenStreams(Protocol):
@@ -80,18 +80,13 @@ class OpenStreams(Protocol):
 
 
 class PresentsIdentity(Protocol):
-    """What moves the bytes of a connection."""
-
     def present_identity(self, chain: Sequence[bytes]) -> None:
         """As `Outbound.present_identity`, from any thread, without waiting."""
 
 
-class Outbound(Generic[PeerT]):
-    """The state of a connection, and everything that does not depend on what arrives.
-
-    Attributes:
-        streams: where what moves its bytes belongs, if its certificate may be renewed.
-    """
+class Connection(Generic[PeerT]):
+    """A connection of either role: make one with `initiator` or `responder`. `streams`: where what moves its
+    bytes belongs, if its certificate may be renewed."""
 
     def __init__(
         self,
@@ -116,6 +111,42 @@ class Outbound(Generic[PeerT]):
         self._own_chain: Sequence[bytes] = ()
         self.streams: OpenStreams | None = None
         self.state = ConnectionState.OPENING
+
+    @classmethod
+    def initiator(
+        cls,
+        config: EdhocConfig[PeerT],
+        *,
+        now: int,
+        opening: WireProtocol = WireProtocol.TCPROS,
+        limits: ChannelLimits = _DEFAULTS,
+    ) -> Self:
+        """The side that connected; its first flight is ready to send.
+
+        With `known` certificates are cached, and `request_x5t` asks the responder to send a hash of its own:
+        for an address where a known peer was reached before. `OwnCredentialUnknown` and
+        `PeerCredentialUnknown` mean: forget the introductions, and retry without `request_x5t`. With
+        `own_dials`, which this node's listeners share, it means to reach itself, and no other peer is
+        accepted. With `renews` the peer is told that renewed certificates and grants are taken here.
+        """
+        edhoc, preamble = Initiator(config), Preamble(opening, None)
+        connection = cls(preamble, Negotiation(edhoc), now, limits)
+        connection._out += [preamble.take(), frame(Frame.HANDSHAKE, edhoc.message_1())]
+        return connection
+
+    @classmethod
+    def responder(
+        cls,
+        config: EdhocConfig[PeerT],
+        *,
+        now: int,
+        accept: Collection[WireProtocol] = _BOTH,
+        limits: ChannelLimits = _DEFAULTS,
+    ) -> Self:
+        """The side that was connected to; `accept` says which openings are accepted. With `own_dials` this
+        node may connect to itself, for dials noted there. `renews`: as for the initiator."""
+        preamble = Preamble(WireProtocol.TCPROS, accept)
+        return cls(preamble, Negotiation(Responder(config)), now, limits, FIRST)
 
     @property
     def protocol(self) -> WireProtocol:
@@ -156,7 +187,7 @@ class Outbound(Generic[PeerT]):
 
     def seal_small(self, unit: Bytes) -> Bytes | None:
         # None: it does not apply, use `seal_unit`.
-        small = 0 < len(unit) <= min(_ONE_RECORD, self._limits.unit)
+        small = 0 < len(unit) <= min(ONE_RECORD, self._limits.unit)
         if self._out or self._sealing or not small or self.state not in SENDING or self._session is None:
             return None
         return self._session.seal_small(unit)
@@ -190,23 +221,18 @@ class Outbound(Generic[PeerT]):
     def takes_renewals(self) -> bool:
         return self._renewals is not None and self.state is ConnectionState.OPEN
 
-    @property
-    def _carries_grants(self) -> bool:
-        return self.protocol is WireProtocol.TCPROS
-
     def present_identity(self, chain: Sequence[bytes]) -> None:
         # Queue this side's certificates, unless the peer has them; before the end of the handshake they are
         # queued then. Nothing for a peer that takes none.
         self._own_chain = chain
-        renewals = self._renewals
-        if chain and renewals is not None and self.takes_renewals:
-            data = renewals.own(chain)
+        if chain and self._renewals is not None and self.takes_renewals:
+            data = self._renewals.own(chain)
             if data is not None:
                 self._out.append(self._open_session().seal_renewal(Frame.IDENTITY, data))
 
     def present_grants(self, data: bytes) -> bool:
         # On a connection for calls they are presented by a call.
-        if not (self.takes_renewals and self._carries_grants):
+        if not (self.takes_renewals and self.protocol is WireProtocol.TCPROS):
             return False
         if not 0 < len(data) <= MAX_GRANTS:
             raise LimitExceeded(f"{len(data)} bytes of grants, where 1 to {MAX_GRANTS} are allowed")
@@ -282,94 +308,6 @@ class Outbound(Generic[PeerT]):
         self._negotiation.forget()
         self._out = []
 
-
-_OPEN_BUFFER: Final = 64 * 1024
-_FULL_BUFFER: Final = 2 * (HEADER + MAX_PLAINTEXT + TAG)  # two whole records stay aligned
-_REFUSED: Final = frame(Frame.ERROR, encode_error(UNSPECIFIED, "handshake refused"))
-_UNKNOWN: Final = frame(Frame.ERROR, encode_error(UNKNOWN_CREDENTIAL, info=True))
-_DEFAULTS: Final = ChannelLimits()
-_BOTH: Final = frozenset(WireProtocol)
-_RENEWING: Final = frozenset((Frame.IDENTITY.value, Frame.GRANTS.value))
-
-
-class Connection(Outbound[PeerT]):
-    """A connection of either role: make one with `initiator` or `responder`."""
-
-    @classmethod
-    def initiator(
-        cls,
-        credentials: OwnCredential,
-        verify: Verify[PeerT],
-        *,
-        random: Random,
-        now: int,
-        opening: WireProtocol = WireProtocol.TCPROS,
-        suites: tuple[int, ...] = PRODUCTION,
-        limits: ChannelLimits = _DEFAULTS,
-        known: KnownCertificates | None = None,
-        request_x5t: bool = False,
-        own_dials: OwnDials | None = None,
-        renews: Renews[PeerT] | None = None,
-    ) -> Self:
-        """The side that connected; its first flight is ready to send.
-
-        With `known` certificates are cached, and `request_x5t` asks the responder to send a hash of
-        its own: for an address where a known peer was reached before. `OwnCredentialUnknown` and
-        `PeerCredentialUnknown` mean: forget the introductions, and retry without `request_x5t`.
-        With `own_dials`, which this node's listeners share, it means to reach itself, and no other
-        peer is accepted. With `renews` the peer is told that renewed certificates and grants are
-        taken on the open connection.
-        """
-        config = EdhocConfig(
-            credentials,
-            verify,
-            random,
-            suites,
-            known=known,
-            request_x5t=request_x5t,
-            own_dials=own_dials,
-            renews=renews,
-            ead=b"" if renews is None else RENEWALS_EAD,
-        )
-        negotiation, message_1 = Negotiation.begin(config)
-        preamble = Preamble(opening, None)
-        connection = cls(preamble, negotiation, now, limits)
-        connection._out += [preamble.take(), message_1]
-        return connection
-
-    @classmethod
-    def responder(
-        cls,
-        credentials: OwnCredential,
-        verify: Verify[PeerT],
-        *,
-        random: Random,
-        now: int,
-        accept: Collection[WireProtocol] = _BOTH,
-        suites: tuple[int, ...] = PRODUCTION,
-        limits: ChannelLimits = _DEFAULTS,
-        known: KnownCertificates | None = None,
-        own_dials: OwnDials | None = None,
-        renews: Renews[PeerT] | None = None,
-    ) -> Self:
-        """The side that was connected to; `accept` says which openings are accepted.
-
-        With `own_dials` this node may connect to itself, for dials noted there. `renews`: as for
-        the initiator.
-        """
-        config = EdhocConfig(
-            credentials,
-            verify,
-            random,
-            suites,
-            known=known,
-            own_dials=own_dials,
-            renews=renews,
-            ead=b"" if renews is None else RENEWALS_EAD,
-        )
-        preamble = Preamble(WireProtocol.TCPROS, accept)
-        return cls(preamble, Negotiation(Responder(config)), now, limits, FIRST)
-
     # -- receiving
 
     def get_buffer(self) -> memoryview:
@@ -388,7 +326,6 @@ class Connection(Outbound[PeerT]):
         return events
 
     def buffer_updated(self, count: int, now: int) -> list[Event[PeerT]]:
-        """Take the `count` bytes that were written into `get_buffer`."""
         self._now = now
         self._buffer.filled(count)
         events = self._events = []
@@ -408,7 +345,6 @@ class Connection(Outbound[PeerT]):
         return events
 
     def receive_eof(self) -> None:
-        """The peer ended the TCP stream."""
         if self.state in ENDED:
             self.state = ConnectionState.CLOSED
             return
@@ -438,20 +374,16 @@ class Connection(Outbound[PeerT]):
             row, length = self._parse_header(head)
             size = HEADER + length
             if len(view) < size:
-                self._expect(length, in_unit=head[0] >> 4 not in _RENEWING)
+                # A frame has begun whose header was checked; a stranger's gets room as it arrives.
+                if self._session is not None:
+                    if head[0] >> 4 not in _RENEWING:
+                        self._session.check_room(length)
+                    buffer.expect(size, _OPEN_BUFFER if size < _OPEN_BUFFER else _FULL_BUFFER)
                 return
             self._handle_frame(row, head, view[HEADER:size])
             buffer.consume(size)
         if self.state in ENDED:
             buffer.consume(len(buffer))
-
-    def _expect(self, length: int, *, in_unit: bool) -> None:
-        # A frame has begun whose header was checked; a stranger's gets room as it arrives.
-        if self._session is not None:
-            if in_unit:
-                self._session.check_room(length)
-            size = HEADER + length
-            self._buffer.expect(size, _OPEN_BUFFER if size < _OPEN_BUFFER else _FULL_BUFFER)
 
     def _parse_header(self, head: bytes) -> tuple[Row, int]:
         row = _ROWS[self.state].get(head[0] >> 4)
@@ -518,7 +450,7 @@ class Connection(Outbound[PeerT]):
 
     def _on_grants(self, head: bytes, body: memoryview) -> ConnectionState:
         _, data = self._renewal(head, body)
-        if not self._carries_grants:
+        if self.protocol is not WireProtocol.TCPROS:
             raise ProtocolViolation("grants on a connection for calls")
         self._events.append(GrantsPresented(data))
         return ConnectionState.OPEN
@@ -537,9 +469,3 @@ class Connection(Outbound[PeerT]):
         self._session = None
         self._events.append(Closed())
         return ConnectionState.CLOSED
-
-
-_ROWS: Final = {
-    state: {kind.value: row for (there, kind), row in TABLE.items() if there is state}
-    for state in ConnectionState
-}

@@ -1,20 +1,9 @@
-"""The state machine of a connection as one table, and the events it returns.
+"""The state machine of a connection as one table, its events, and what happens before records flow.
 
-`TABLE` says what a frame does in a state (a method of `Negotiation`, later of `Connection`) and
-which states may follow. A frame that is not in the table ends the connection. The diagram in
-docs/spec/channel.md is drawn from it.
-
-What happens before records flow: the preamble, then the handshake message by message.
-
-Each step takes what the peer sent and returns the next state and the reply; the connection applies
-both. `Preamble` is for the bytes before the first frame, `Negotiation` holds the
-rows of `states.TABLE` for the handshake.
-
-What is renewed while a connection is open: the certificates of both sides. Grants pass unread.
-
-A renewed certificate is verified as one in the handshake is, and must be of the same key and name:
-who holds the key was proven then. One that is refused changes nothing. Each costs signatures to
-verify, so a peer may present few, and its connection ends when it presents more.
+`TABLE` says what a frame does in a state (a method of `Negotiation`, later of `Connection`) and which states
+may follow. A frame that is not in the table ends the connection; the diagram in docs/spec/channel.md is drawn
+from it. Each step of the handshake takes what the peer sent and returns the next state and the reply; the
+connection applies both.
 """
 
 from collections.abc import Collection, Sequence
@@ -22,10 +11,10 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, Generic, NamedTuple, TypeAlias, cast
 
-from ca.encoding import Value, decode
+from ca.encoding import decode
 from ca.errors import EncodingError, HintedError
-from rossec.channel.edhoc.credentials import X5CHAIN, PeerT, Renews, Verify, encode_id_cred, x5chain
-from rossec.channel.edhoc.handshake import EdhocConfig, Initiator, Responder, WrongSuite
+from rossec.channel.edhoc.credentials import PeerT, Renews, Verify, by_value, encode_id_cred, x5chain
+from rossec.channel.edhoc.handshake import Initiator, Responder, WrongSuite
 from rossec.channel.edhoc.messages import (
     MAX_MESSAGE,
     UNKNOWN_CREDENTIAL,
@@ -55,10 +44,17 @@ from rossec.errors import (
     PlainPeer,
 )
 
+# A peer may present so many renewals at once, and then one in so many seconds: each costs signatures to
+# verify.
+MOST_AT_ONCE: Final = 12
+SECONDS_EACH: Final = 2
+
+_HINT_REFUSED: Final = "see the peer's log: it does not give reasons to an untrusted peer"
+_HINT_AGAIN: Final = "connect again: the whole certificate will be sent"
+_HINT_PLAIN: Final = "the peer is a plain ROS node: give it an identity, or use another address"
+
 
 class ConnectionState(Enum):
-    """The state of a connection."""
-
     OPENING = "opening"
     DRAINING = "draining"
     WAIT_1 = "wait for message_1"
@@ -105,18 +101,14 @@ ENDED: Final = frozenset({ConnectionState.CLOSING, ConnectionState.CLOSED})
 
 @dataclass(frozen=True, slots=True)
 class Authenticated(Generic[PeerT]):
-    """The peer proved that it holds the certified key; from here on this side may send.
-
-    An initiator may still be refused until the responder's message_4 arrives.
-    """
+    """The peer proved that it holds the certified key; from here on this side may send. An initiator may
+    still be refused until the responder's message_4 arrives."""
 
     identity: PeerT
 
 
 @dataclass(frozen=True, slots=True)
 class UnitReceived:
-    """A unit, whole and verified."""
-
     data: bytes
 
 
@@ -147,19 +139,13 @@ class GrantsPresented:
 Renewal: TypeAlias = IdentityRenewed[PeerT] | RenewalRefused | GrantsPresented
 Event: TypeAlias = Authenticated[PeerT] | UnitReceived | Closed | Renewal[PeerT]
 
-MOST_AT_ONCE: Final = 12
-SECONDS_EACH: Final = 2
-"""A peer may present so many at once, and then one in so many seconds."""
-
 
 class Renewals(Generic[PeerT]):
-    """Of one connection between sides that both take renewals.
+    """Of one connection between sides that both take renewals; grants pass unread.
 
-    Args:
-        verify: as in the handshake.
-        renews: whether an identity is another one renewed.
-        sent: the certificate that this side sent in the handshake.
-        now: when the connection opened.
+    A renewed certificate is verified as one in the handshake is, and must be of the same key and name: who
+    holds the key was proven then. One that is refused changes nothing.
+    `sent`: the certificate that this side sent in the handshake; `now`: when the connection opened.
     """
 
     __slots__ = ("_charged_at", "_left", "_renews", "_sent", "_verify")
@@ -180,7 +166,7 @@ class Renewals(Generic[PeerT]):
 
     def identity(self, data: bytes, held: PeerT, now: int) -> PeerT:
         try:
-            value: Value = decode(data, limit=MAX_MESSAGE)
+            value = decode(data, limit=MAX_MESSAGE)
         except EncodingError as error:
             raise HandshakeFailed(f"an unreadable certificate: {error}") from None
         renewed = self._verify(x5chain(value), now)
@@ -195,12 +181,7 @@ class Renewals(Generic[PeerT]):
         if chain[0] == self._sent:
             return None
         self._sent = chain[0]
-        return encode_id_cred({X5CHAIN: chain[0] if len(chain) == 1 else list(chain)})
-
-
-_HINT_REFUSED: Final = "see the peer's log: it does not give reasons to an untrusted peer"
-_HINT_AGAIN: Final = "connect again: the whole certificate will be sent"
-_HINT_PLAIN: Final = "the peer is a plain ROS node: give it an identity, or use another address"
+        return encode_id_cred(by_value(chain))
 
 
 class Preamble:
@@ -220,7 +201,11 @@ class Preamble:
         if state is ConnectionState.OPENING:
             prefix = bytes(buffer.unread()[:MAX_OPENING])
             if self._accept is None:
-                return self._answer(buffer, classify_answer(prefix, self.protocol))
+                length = classify_answer(prefix, self.protocol)
+                if length is None:
+                    return ConnectionState.OPENING
+                buffer.consume(length)
+                return ConnectionState.WAIT_2
             state = self._call(buffer, classify_caller(prefix), self._accept)
         if state is ConnectionState.DRAINING:
             count = min(self._drain, len(buffer))
@@ -229,12 +214,6 @@ class Preamble:
             if self._drain == 0:
                 self._refuse()
         return state
-
-    def _answer(self, buffer: ReceiveBuffer, length: int | None) -> ConnectionState:
-        if length is None:
-            return ConnectionState.OPENING
-        buffer.consume(length)
-        return ConnectionState.WAIT_2
 
     def _call(
         self, buffer: ReceiveBuffer, verdict: Verdict, accept: Collection[WireProtocol]
@@ -269,11 +248,6 @@ class Negotiation(Generic[PeerT]):
         self._unconfirmed_peer: PeerT | None = None
         self.peer_sent_error = False  # an error is never answered with an error
 
-    @classmethod
-    def begin(cls, config: EdhocConfig[PeerT]) -> tuple["Negotiation[PeerT]", bytes]:
-        edhoc = Initiator(config)
-        return cls(edhoc), frame(Frame.HANDSHAKE, edhoc.message_1())
-
     def session(self, limits: ChannelLimits, now: int) -> Session:
         # The record layer under the secret both sides now share.
         edhoc = self._edhoc
@@ -287,7 +261,6 @@ class Negotiation(Generic[PeerT]):
         return Renewals(config.verify, config.renews, edhoc.sent, now)
 
     def forget(self) -> None:
-        # Drop the secrets.
         self._edhoc.forget()
 
     def on_message_1(self, body: bytes, _: int) -> NegotiationStep[PeerT]:
@@ -305,9 +278,8 @@ class Negotiation(Generic[PeerT]):
         edhoc = cast("Initiator[PeerT]", self._edhoc)
         message_3, peer = edhoc.message_2(body, now)
         if edhoc.send_x5t:  # the responder may not know the certificate: send nothing before message_4
-            self._unconfirmed_peer, peer_now = peer, None
-        else:
-            peer_now = peer
+            self._unconfirmed_peer = peer
+        peer_now = None if edhoc.send_x5t else peer
         return NegotiationStep(ConnectionState.WAIT_4, frame(Frame.HANDSHAKE, message_3), peer_now)
 
     def on_message_3(self, body: bytes, now: int) -> NegotiationStep[PeerT]:

@@ -1,16 +1,10 @@
 """The first bytes of a connection, valid for a plain ROS peer, and the answer to such a peer.
 
-The initiator's opening is a TCPROS connection header with the one field `rossec=1`, or an HTTP
-request that asks to upgrade; neither holds anything private. A plain peer answers either readably
-instead of waiting for a bogus length. Conversely, a plain caller gets the refusal in its own
-protocol. No channel state: functions from a prefix of the stream to a verdict, which is `None`
-while the prefix is too short.
-
-The post-quantum policy as an operator writes it: ROSSEC_POST_QUANTUM, or an option that wins.
-
-`off` means the classical suite alone, `prefer` the hybrid one with peers that support it, `require`
-the hybrid one alone. Any other value refuses the program's start: a misspelt `require` must not
-result in less.
+The initiator's opening is a TCPROS connection header with the one field `rossec=1`, or an HTTP request that
+asks to upgrade; neither holds anything private. A plain peer answers either readably instead of waiting for a
+bogus length. Conversely, a plain caller gets the refusal in its own protocol. No channel state: functions
+from a prefix of the stream to a verdict, which is `None` while the prefix is too short. At the end, the
+post-quantum policy.
 """
 
 from collections.abc import Mapping
@@ -37,12 +31,13 @@ REFUSAL: Final = (
     "rossec: this node accepts only connections secured by rossec; "
     "enroll your program as a node (see the README of rossec)"
 )
+VARIABLE: Final = "ROSSEC_POST_QUANTUM"
+DEFAULT: Final = "off"
+_ONE_OF: Final = f"one of: {', '.join(POST_QUANTUM)}"
 _HINT_PLAIN: Final = "the peer is a plain ROS node: give it an identity, or use another address"
 
 
 class WireProtocol(Enum):
-    """The protocol in which the connection opens."""
-
     TCPROS = "tcpros"
     HTTP = "http"
 
@@ -96,28 +91,17 @@ def _classify_http(data: bytes) -> Verdict:
             raise ProtocolViolation("an HTTP request head beyond the limit")
         return None
     lines = data[:end].split(b"\r\n")
-    fields = _http_fields(lines[1:])
-    upgrade = fields.get(b"upgrade")
-    if lines[0] == b"GET /rossec HTTP/1.1" and upgrade == b"rossec/1":
-        return Accepted(WireProtocol.HTTP, end + 4, _SWITCH)
-    return PlainCaller(WireProtocol.HTTP, end + 4 + _body_length(fields))
-
-
-def _http_fields(lines: list[bytes]) -> dict[bytes, bytes]:
     fields: dict[bytes, bytes] = {}
-    for line in lines:
+    for line in lines[1:]:
         name, colon, value = line.partition(b":")
         if not colon or name.lower() in fields:
             raise ProtocolViolation("a malformed HTTP request head")
         fields[name.lower()] = value.strip()
-    return fields
-
-
-def _body_length(fields: dict[bytes, bytes]) -> int:
+    if lines[0] == b"GET /rossec HTTP/1.1" and fields.get(b"upgrade") == b"rossec/1":
+        return Accepted(WireProtocol.HTTP, end + 4, _SWITCH)
     text = fields.get(b"content-length", b"0")
-    if not text.isdigit() or len(text) > 9:
-        return 0
-    return min(int(text), MAX_DRAIN)
+    body = min(int(text), MAX_DRAIN) if text.isdigit() and len(text) <= 9 else 0
+    return PlainCaller(WireProtocol.HTTP, end + 4 + body)
 
 
 def refusal(protocol: WireProtocol) -> bytes:
@@ -185,14 +169,13 @@ def _error_field(body: bytes) -> str | None:
     return None
 
 
-VARIABLE: Final = "ROSSEC_POST_QUANTUM"
-DEFAULT: Final = "off"
-_ONE_OF: Final = f"one of: {', '.join(POST_QUANTUM)}"
-
-
 def post_quantum(environ: Mapping[str, str], option: str | None = None) -> tuple[int, ...]:
-    """The suites to offer and accept, in order of preference."""
-    where, word = (VARIABLE, environ.get(VARIABLE, DEFAULT))
+    """The suites to offer and accept, in order of preference, as an operator writes it; an option wins.
+
+    `off` means the classical suite alone, `prefer` the hybrid one with peers that support it, `require` the
+    hybrid one alone. Any other value refuses the program's start: a misspelt `require` must not give less.
+    """
+    where, word = VARIABLE, environ.get(VARIABLE, DEFAULT)
     if option is not None:
         where, word = "the post-quantum policy", option
     suites = POST_QUANTUM.get(word)

@@ -1,10 +1,9 @@
 """Frames, and the records of an open connection: AEAD with counters that are never sent.
 
-A frame is a 4-byte header, big endian: type (4 bits), epoch mod 16 (4 bits), length of the body
-(24 bits). A record is a frame whose body is sealed; its header is the associated data, its nonce
-is IV xor a 64-bit counter, one counter per direction and epoch. TCP delivers in order, so there is
-no window: whatever is replayed, reordered or left out fails the tag. When to send which record, and
-what to do about a failure, is decided by the connection.
+A frame is a 4-byte header, big endian: type (4 bits), epoch mod 16 (4 bits), length of the body (24 bits). A
+record is a frame whose body is sealed; its header is the associated data, its nonce is IV xor a 64-bit
+counter, one counter per direction and epoch. TCP delivers in order, so there is no window: whatever is
+replayed, reordered or left out fails the tag. When to send which record is decided by the connection.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,15 +16,15 @@ from cryptography.hazmat.primitives.ciphers.aead import AESGCM, ChaCha20Poly1305
 
 from rossec.channel.edhoc.messages import MAX_MESSAGE
 from rossec.channel.edhoc.suites import EdhocExporter, Suite
+from rossec.channel.tuning import ENCRYPT_INTO_FROM, JOIN_PIECES_BELOW
 from rossec.errors import LimitExceeded, ProtocolViolation, RecordForged
 
 HEADER: Final = 4
 TAG: Final = 16
 MAX_PLAINTEXT: Final = 256 * 1024  # the measured optimum, and the bound on what waits for its tag
 MAX_GRANTS: Final = 40 * 1024
-_JOIN_BELOW: Final = 16 * 1024
-_INTO_FROM: Final = 4 * 1024  # from here on encrypting in place beats one more copy
-
+_INITIATOR_SENDS: Final = 32768  # exporter labels for private use, key and IV each
+_RESPONDER_SENDS: Final = 32770
 _RECORD_AEADS: Final = (AESGCM, ChaCha20Poly1305)
 
 Bytes: TypeAlias = bytes | bytearray | memoryview
@@ -59,10 +58,8 @@ _LENGTHS: Final[dict[int, tuple[int, int]]] = {
 
 @dataclass(frozen=True)
 class ChannelLimits:
-    """Where the channel stops or renews its keys; the defaults are the notes' (AEAD limits).
-
-    `preauth_limit`: how long a unit may be before the peer is authorized; None: as `unit`.
-    """
+    """Where the channel stops or renews its keys; the defaults are the notes' (AEAD limits). `preauth_limit`:
+    how long a unit may be before the peer is authorized; None: as `unit`."""
 
     records: int = 1 << 23
     octets: int = 1 << 36
@@ -77,7 +74,6 @@ def frame(kind: Frame, body: bytes, epoch: int = 0) -> bytes:
 
 
 def header(kind: Frame, epoch: int, length: int) -> bytes:
-    """The 4 bytes before every body."""
     return (kind << 28 | (epoch & 15) << 24 | length).to_bytes(4)
 
 
@@ -119,7 +115,7 @@ class Direction:
         length = len(plaintext)
         head = (kind << 28 | (self.epoch & 15) << 24 | (length + TAG)).to_bytes(4)
         nonce = self._nonce(length)
-        if length < _INTO_FROM:
+        if length < ENCRYPT_INTO_FROM:
             return head + self._aead.encrypt(nonce, plaintext, head)
         if scratch is None:
             scratch = bytearray(HEADER + length + TAG)
@@ -149,14 +145,11 @@ class Epochs:
     of the old one is dropped at once: a silent direction keeps only its own traffic key alive.
     """
 
-    _INITIATOR_SENDS: Final = 32768  # exporter labels for private use, key and IV each
-    _RESPONDER_SENDS: Final = 32770
-
     sender: Direction
     receiver: Direction
 
     def __init__(self, suite: Suite, exporter: EdhocExporter, *, initiator: bool) -> None:
-        labels = (self._INITIATOR_SENDS, self._RESPONDER_SENDS)
+        labels = (_INITIATOR_SENDS, _RESPONDER_SENDS)
         self._labels = labels if initiator else labels[::-1]
         self._suite = suite
         self._exporter = exporter
@@ -198,10 +191,8 @@ class Epochs:
 
 
 def padded(plaintext: Bytes, multiple: int) -> bytes | None:
-    """The plaintext, %x01, and zeros up to a multiple of so many bytes, or to the longest allowed.
-
-    None: it is the longest allowed.
-    """
+    """The plaintext, %x01, and zeros up to a multiple of so many bytes, or to the longest allowed. None: it
+    is the longest allowed."""
     room = MAX_PLAINTEXT - len(plaintext)
     if room == 0:
         return None
@@ -216,19 +207,15 @@ def unpadded(plaintext: bytes) -> bytes:
 
 
 def fragments(pieces: Sequence[Bytes]) -> Iterator[Bytes]:
-    """Cut the pieces of a unit into the plaintexts of its records.
-
-    Small pieces are joined; a large one is cut into views, never copied.
-    """
     joined: list[Bytes] = []
     size = 0
     for piece in pieces:
         view = piece if isinstance(piece, bytes) else memoryview(piece).cast("B")
         length = len(view)
-        if joined and (length >= _JOIN_BELOW or size + length > MAX_PLAINTEXT):
+        if joined and (length >= JOIN_PIECES_BELOW or size + length > MAX_PLAINTEXT):
             yield b"".join(joined)
             joined, size = [], 0
-        if length >= _JOIN_BELOW:
+        if length >= JOIN_PIECES_BELOW:
             whole = memoryview(view)
             for start in range(0, length, MAX_PLAINTEXT):
                 yield whole[start : start + MAX_PLAINTEXT]

@@ -1,20 +1,9 @@
-"""The receive buffer: the socket writes into it, frames are parsed and decrypted from it in place.
+"""The open half of a connection: units to records and back, the memory for both, and when keys are renewed.
 
-Bytes are moved only when an incomplete frame has reached the end of the buffer. It grows by what
-has arrived, not by what a header announces: to twice the size when it is full, and for a peer that
-is authenticated at once to eight times the bytes that are there. An idle connection has none: an
-empty buffer is freed, but not one for large frames while many of them arrive.
-
-The unit that is being received: records verified one by one, handed out as a whole.
-
-Nothing of it is handed out before its last record has verified, and it grows only as authenticated
-bytes arrive, up to a limit that is checked before a record is.
-
-The open half of a connection: units to records and back, and when keys are renewed.
-
-A direction renews its keys after so many records, bytes or seconds, and stops hard at twice that.
-The two directions are never more than one epoch apart: the receiver of REKEY follows at once, even
-if it has no data, so that a one-way flow can be renewed again.
+A direction renews its keys after so many records, bytes or seconds, and stops hard at twice that. The two
+directions are never more than one epoch apart: the receiver of REKEY follows at once, even if it has no data,
+so that a one-way flow can be renewed again. Nothing of a unit is handed out before its last record has
+verified. Memory grows by what has arrived, a unit's by what has verified: never by what a header announces.
 """
 
 from collections import deque
@@ -36,6 +25,7 @@ from rossec.channel.records import (
     padded,
     unpadded,
 )
+from rossec.channel.tuning import RECORDS_AT_ONCE, REUSE_BUFFER_ABOVE
 from rossec.errors import ConnectionTruncated, LimitExceeded
 from rossec.peer_limits import Progress
 
@@ -45,16 +35,23 @@ SMALL: Final = 2 * 1024
 """Before authentication, and no more until it is full; most messages of a handshake fit."""
 OPEN: Final = 8 * 1024
 """After it: several small records fit."""
-
-
 _GIVE_BACK: Final = 64 * 1024  # larger buffers are kept: allocating them again costs too much
 _EARNED: Final = 8  # bytes of room for each that arrived: from 8 KiB to the largest size in 2 steps
 _NOTHING: Final = bytearray()
 _NO_VIEW: Final = memoryview(_NOTHING)
+_ITS_OWN: Final = 2  # references: the buffer's, and the argument of `getrefcount`
+_KEEP: Final = 16 * 1024 * 1024  # memory of larger units is given back at once
+_RECORD: Final = HEADER + MAX_PLAINTEXT + TAG
 
 
 class ReceiveBuffer:
-    """A byte queue whose free tail is lent to the reader of the socket."""
+    """A byte queue whose free end is lent to the socket's reader; frames are decrypted from it in place.
+
+    Bytes are moved only when an incomplete frame has reached the end of the buffer. It grows to twice the
+    size when it is full, and for an authenticated peer at once to eight times the bytes that are there. An
+    idle connection has none: an empty buffer is freed, but not one for large frames while many of them
+    arrive.
+    """
 
     __slots__ = ("_data", "_end", "_least", "_start", "_view")
 
@@ -73,7 +70,7 @@ class ReceiveBuffer:
         return len(self._data)
 
     def free(self) -> memoryview:
-        # Return the free tail, never empty; valid until the next call of any method.
+        # The free end, never empty; valid until the next call of any method.
         if self._data is _NOTHING:
             self._data = bytearray(self._least)
             self._view = memoryview(self._data)
@@ -89,7 +86,6 @@ class ReceiveBuffer:
         self._end += count
 
     def unread(self) -> memoryview:
-        # Return the bytes not consumed yet.
         return self._view[self._start : self._end]
 
     def consume(self, count: int) -> None:
@@ -122,16 +118,12 @@ class ReceiveBuffer:
         self._start, self._end = 0, length
 
 
-_ITS_OWN: Final = 2  # references: the buffer's, and the argument of `getrefcount`
-_KEEP: Final = 16 * 1024 * 1024  # memory of larger units is given back at once
-
-
 class UnitAssembly:
     """The unit being received, handed out only when its last record has verified.
 
-    `BytesIO` because it gives a writable view to decrypt into, and then the very same memory as
-    `bytes`, without a copy. It grows only as authenticated bytes arrive. Memory that the reader of
-    a unit has released is reused: new pages cost about as much as decrypting into them.
+    `BytesIO` because it gives a writable view to decrypt into, and then the very same memory as `bytes`,
+    without a copy. Memory that the reader of a unit has released is reused: new pages cost about as much as
+    decrypting into them.
     """
 
     __slots__ = ("_buffer", "_handed_out", "_last", "_room", "length", "limit")
@@ -147,7 +139,12 @@ class UnitAssembly:
     def add(self, direction: Direction, head: bytes, body: memoryview) -> None:
         end = self.check_room(len(body))
         if self.length == 0:
-            self._begin()
+            self._buffer, self._room = BytesIO(), 0
+            # Only whether it pays depends on the count: a `BytesIO` never writes into bytes that
+            # are referenced elsewhere, it moves to a copy of its own first.
+            if self._handed_out and getrefcount(self._handed_out[0].getvalue()) == _ITS_OWN:
+                self._buffer = self._handed_out.popleft()
+                self._room = self._buffer.seek(0, SEEK_END)
         if end > self._room:
             self._grow(end)
         with self._buffer.getbuffer() as view, view[self.length : end] as target:
@@ -193,23 +190,10 @@ class UnitAssembly:
             raise LimitExceeded(f"the peer sends a unit of more than {self.limit} bytes")
         return end
 
-    def _begin(self) -> None:
-        self._buffer, self._room = BytesIO(), 0
-        # Only whether it pays depends on the count: a `BytesIO` never writes into bytes that
-        # are referenced elsewhere, it moves to a copy of its own first.
-        if self._handed_out and getrefcount(self._handed_out[0].getvalue()) == _ITS_OWN:
-            self._buffer = self._handed_out.popleft()
-            self._room = self._buffer.seek(0, SEEK_END)
-
     def _grow(self, needed: int) -> None:
         self._room = min(self.limit, max(needed, 2 * self.length, self._last))
         self._buffer.seek(self._room - 1)
         self._buffer.write(b"\0")
-
-
-_REUSE_ABOVE: Final = 64 * 1024
-_RECORD: Final = HEADER + MAX_PLAINTEXT + TAG
-_JOINED: Final = 4  # whole records in the buffer; beyond a megabyte nothing is gained
 
 
 class Session:
@@ -223,8 +207,7 @@ class Session:
         self.pad = 0  # units are padded to a multiple of so many bytes
 
     @property
-    def receive_epoch(self) -> int:
-        # The epoch the peer's next record must be of.
+    def receive_epoch(self) -> int:  # of the peer's next record
         return self._epochs.receiver.epoch
 
     @property
@@ -248,10 +231,10 @@ class Session:
 
     def check_unit(self, pieces: Sequence[Bytes]) -> None:
         # Refuse a unit that the peer would not take; nothing has happened to the connection.
-        size = _size(pieces)
-        if size > self._limits.unit:
+        size, most = _size(pieces), self._limits.unit
+        if size > most:
             raise LimitExceeded(
-                f"a message of {size} bytes where at most {self._limits.unit} are allowed", "send it in parts"
+                f"a message of {size} bytes where at most {most} are allowed", "send it in parts"
             )
 
     def seal_small(self, unit: Bytes) -> Bytes | None:
@@ -264,19 +247,17 @@ class Session:
         return sender.seal(Frame.DATA_END, unit)
 
     def seal_unit(self, pieces: Sequence[Bytes], *, reuse: bool) -> Iterator[Bytes]:
-        # With `reuse` large records share one buffer, several of them at a time: a new one for each costs a
-        # sixth of the encryption, for zeroing it, and a system call for each costs more.
-        if reuse and _size(pieces) > _REUSE_ABOVE:
-            yield from self._joined(pieces, memoryview(self._shared_buffer()))
+        # With `reuse` the records of a long unit share one buffer, several of them at a time.
+        if not (reuse and _size(pieces) > REUSE_BUFFER_ABOVE):
+            for kind, plaintext in self._kinds(pieces):
+                if self._renewal_is_due():
+                    yield self._rekey()
+                yield self._epochs.sender.seal(kind, plaintext)
             return
-        for kind, plaintext in self._kinds(pieces):
-            if self._renewal_is_due():
-                yield self._rekey()
-            yield self._epochs.sender.seal(kind, plaintext)
-
-    def _joined(self, pieces: Sequence[Bytes], buffer: memoryview) -> Iterator[Bytes]:
-        # Seal one record behind the other; yield what lies there when the next does not fit.
-        used = 0
+        # One record behind the other; what lies there is yielded when the next does not fit.
+        if self._scratch is None:
+            self._scratch = bytearray(RECORDS_AT_ONCE * _RECORD)
+        buffer, used = memoryview(self._scratch), 0
         for kind, plaintext in self._kinds(pieces):
             due = self._renewal_is_due()
             if used > 0 and (due or used + _RECORD > len(buffer)):
@@ -301,11 +282,6 @@ class Session:
         if held is not None:
             last = (Frame.DATA_END, held)
             yield _padded(*last, pad) if pad else last
-
-    def _shared_buffer(self) -> bytearray:
-        if self._scratch is None:
-            self._scratch = bytearray(_JOINED * _RECORD)
-        return self._scratch
 
     def _renewal_is_due(self) -> bool:
         limits, sender = self._limits, self._epochs.sender

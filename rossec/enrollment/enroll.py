@@ -1,40 +1,26 @@
-"""A node that waits to be enrolled: its listening port, open to all, and the person who confirms.
+"""Enrollment of a node that waits: its port, the person who confirms, the authority that connects, the code
+in a picture.
 
-Callers are unauthenticated: a limited number at a time, each with a deadline; a message that is
-refused ends its connection, and is reported to the person in one line. Callers whose offer was
-answered stay connected for the result.
-
-How `rossec node confirm` reaches the waiting `rossec node enroll`: a socket in its directory.
-
-Only the same user (or root) may use it: the kernel gives the user of the caller. The digits are not
-secret, but confirming them activates a trust anchor, so this never goes over the network. The
-socket is named through /proc: the path of a Unix socket has at most 107 octets, a directory's may
-have more.
-
-The authority connects to a node: fetch its request, then deliver the offer and await the result.
-
-Between the two a person decides, so these are two connections. A broken connection is made again,
-with exactly the same offer, until the offer expires.
-
-Read an enrollment code from a picture: a photograph, a screenshot, a frame of a camera.
-
-A shell. The picture is decoded in a process of its own (`rossec.enrollment.scanner`), with a time
-limit; no answer, or anything but a few texts, means that there is no code.
+Callers are unauthenticated: a limited number at a time, each with a deadline; a message that is refused ends
+its connection, and is reported to the person in one line. `rossec node confirm` reaches the waiting `rossec
+node enroll` by a socket in the node's directory, as the same user (or root): the digits are not secret, but
+confirming them activates a trust anchor, so this never goes over the network. The authority connects twice,
+as a person decides between the request and the offer; a broken connection is made again, with exactly the
+same offer, until the offer expires.
 """
 
 import asyncio
 import json
 import os
 import socket
-import struct
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import asynccontextmanager, contextmanager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO, Final, Self, TypeAlias
 
-from ca.enrollment.messages import MAX_MESSAGE, Abort, Delivery, Reason, read, write
+from ca.enrollment.messages import Abort, Delivery, Reason, read, write
 from ca.enrollment.sides import AuthorityEnrollment, AuthorityState, NodeEnrollment, NodeState, Pending
 from ca.errors import (
     ConflictingOffer,
@@ -50,11 +36,18 @@ from rossec.enrollment.scanner import CLOSER, MAX_FILE, SECONDS
 from rossec.enrollment.sessions import SessionServer, wait_closed
 from rossec.errors import ConfigurationError, NotDelivered, PeerUnreachable
 from rossec.host import addresses
-from rossec.net.aio.client import dial
+from rossec.host.local_sockets import unix_peer
 from rossec.net.limits import HalfOpen
 from rossec.peer_limits import printable
 
 PATIENCE: Final = 10.0  # seconds without a message from a caller
+RETRY_DELAY: Final = 0.5
+SCANNER: Final = (sys.executable, "-I", "-m", "rossec.enrollment.scanner")
+_AUTHORITY_PATIENCE: Final = 10.0  # seconds to connect, and for the request
+_TRIES: Final = 5
+_NAME: Final = "enrolling.sock"
+_LIMIT: Final = 4096
+_PATIENCE: Final = 30.0
 _CAPS: Final = HalfOpen(per_address=4, total=16)
 _REASONS: Final[dict[type[EnrollmentRefused], Reason]] = {
     ConflictingOffer: Reason.CONFLICT,
@@ -63,10 +56,10 @@ _REASONS: Final[dict[type[EnrollmentRefused], Reason]] = {
     EnrollmentLocked: Reason.OVER,
 }
 
+Answer: TypeAlias = dict[str, str]
+
 
 class WaitingNode:
-    """One enrollment of one node, on the network."""
-
     def __init__(
         self,
         core: NodeEnrollment,
@@ -137,7 +130,9 @@ class WaitingNode:
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str) -> None:
         try:
             while True:
-                async with asyncio.timeout(self._wait_for(writer)):
+                waits = writer in self._waiting  # for the result
+                patience = max(1, self.core.expires - self._clock() + 1) if waits else self._patience
+                async with asyncio.timeout(patience):
                     data = await sessions.receive(reader)
                 self._answer(writer, data)
                 async with asyncio.timeout(self._patience):  # a caller that does not read is not written to
@@ -152,11 +147,6 @@ class WaitingNode:
         finally:
             self._waiting.discard(writer)
             writer.close()
-
-    def _wait_for(self, writer: asyncio.StreamWriter) -> float:
-        if writer in self._waiting:
-            return max(1, self.core.expires - self._clock() + 1)
-        return self._patience
 
     def _answer(self, writer: asyncio.StreamWriter, data: bytes) -> None:
         before = self.core.state
@@ -185,21 +175,19 @@ def _abort(error: EnrollmentRefused) -> bytes:
     return write(Abort(_REASONS.get(type(error), Reason.REFUSED)))
 
 
-Answer: TypeAlias = dict[str, str]
-
-_NAME: Final = "enrolling.sock"
-_LIMIT: Final = 4096
-_PATIENCE: Final = 30.0
-_CREDENTIALS: Final = struct.Struct("3i")  # pid, uid, gid: unix(7), SO_PEERCRED
-
-
 async def serve(directory: Path, answer: Callable[[Answer], Answer]) -> asyncio.Server:
     async def call(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
-            if _is_ours(writer.get_extra_info("socket")):
+            if unix_peer(writer.get_extra_info("socket")).user in {0, os.getuid()}:
                 async with asyncio.timeout(_PATIENCE):
-                    request = _request(await reader.readline())
-                writer.write(json.dumps(_call(answer, request)).encode() + b"\n")
+                    request = json.loads(await reader.readline())
+                if not isinstance(request, dict):
+                    raise ValueError("not a request")
+                try:
+                    found = answer(request)
+                except HintedError as error:
+                    found = {"error": str(error), "hint": error.hint}
+                writer.write(json.dumps(found).encode() + b"\n")
         except (OSError, ValueError, TimeoutError):
             pass  # a malformed request gets no answer
         finally:
@@ -223,42 +211,17 @@ def ask(directory: Path, request: Answer) -> Answer:
     sock = _connect(directory)
     if sock is None:
         raise ConfigurationError("no enrollment of this node is waiting", "first: rossec node enroll NAME")
-    with sock:
-        line = _exchange(sock, json.dumps(request).encode() + b"\n")
+    line = b""
+    sock.settimeout(_PATIENCE)
+    with sock, suppress(OSError), sock.makefile("rb") as stream:
+        sock.sendall(json.dumps(request).encode() + b"\n")
+        line = stream.readline(_LIMIT)
     if not line:
         raise ConfigurationError("the waiting enrollment has just ended", "see its last message")
     answer: Answer = json.loads(line)
     if "error" in answer:
         raise ConfigurationError(answer["error"], answer.get("hint", ""))
     return answer
-
-
-def _exchange(sock: socket.socket, request: bytes) -> bytes:
-    sock.settimeout(_PATIENCE)
-    with suppress(OSError), sock.makefile("rb") as stream:
-        sock.sendall(request)
-        return stream.readline(_LIMIT)
-    return b""
-
-
-def _request(line: bytes) -> Answer:
-    found = json.loads(line)
-    if not isinstance(found, dict):
-        raise ValueError("not a request")  # noqa: TRY004 - as json says it
-    return found
-
-
-def _call(answer: Callable[[Answer], Answer], request: Answer) -> Answer:
-    try:
-        return answer(request)
-    except HintedError as error:
-        return {"error": str(error), "hint": error.hint}
-
-
-def _is_ours(sock: socket.socket) -> bool:
-    raw = sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
-    _, user, _ = _CREDENTIALS.unpack(raw)
-    return user in {0, os.getuid()}
 
 
 def _connect(directory: Path) -> socket.socket | None:
@@ -274,6 +237,7 @@ def _connect(directory: Path) -> socket.socket | None:
 
 @contextmanager
 def _socket_path(directory: Path) -> Iterator[str]:
+    # Through /proc: the path of a Unix socket has at most 107 octets, a directory's may have more.
     descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         yield f"/proc/self/fd/{descriptor}/{_NAME}"
@@ -281,15 +245,12 @@ def _socket_path(directory: Path) -> Iterator[str]:
         os.close(descriptor)
 
 
-_AUTHORITY_PATIENCE: Final = 10.0  # seconds to connect, and for the request
-_TRIES: Final = 5
-RETRY_DELAY: Final = 0.5
-
-
 async def fetch(core: AuthorityEnrollment, host: str, port: int, clock: Callable[[], int]) -> None:
-    """Fetch the node's request into `core.request`."""
     try:
-        async with _connection(host, port) as (reader, writer), asyncio.timeout(_AUTHORITY_PATIENCE):
+        async with (
+            sessions.connected(host, port, _AUTHORITY_PATIENCE) as (reader, writer),
+            asyncio.timeout(_AUTHORITY_PATIENCE),
+        ):
             sessions.send(writer, core.fetch())
             core.receive(await sessions.receive(reader), clock())
     except (OSError, EOFError, TimeoutError) as error:
@@ -311,9 +272,16 @@ async def deliver(
     failures, state = 0, core.state
     while failures < _TRIES:
         try:
-            async with _connection(host, port) as (reader, writer):
+            async with sessions.connected(host, port, _AUTHORITY_PATIENCE) as (reader, writer):
                 sessions.send(writer, offer)
-                await _listen(core, reader, clock, show)
+                shown = core.digits
+                while core.state is not AuthorityState.ENROLLED:
+                    async with asyncio.timeout(max(1, core.deadline - clock() + 1)):
+                        data = await sessions.receive(reader)
+                    core.receive(data, clock())
+                    if core.digits != shown:
+                        shown = core.digits
+                        show(shown)
                 return
         except (OSError, EOFError, TimeoutError, EnrollmentMessageRefused):
             core.tick(clock())
@@ -325,43 +293,11 @@ async def deliver(
     )
 
 
-async def _listen(
-    core: AuthorityEnrollment,
-    reader: asyncio.StreamReader,
-    clock: Callable[[], int],
-    show: Callable[[str], None],
-) -> None:
-    shown = core.digits
-    while core.state is not AuthorityState.ENROLLED:
-        async with asyncio.timeout(max(1, core.deadline - clock() + 1)):
-            data = await sessions.receive(reader)
-        core.receive(data, clock())
-        if core.digits != shown:
-            shown = core.digits
-            show(shown)
-
-
-@asynccontextmanager
-async def _connection(
-    host: str, port: int
-) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
-    sock = await dial(host, port, _AUTHORITY_PATIENCE)
-    try:
-        reader, writer = await asyncio.open_connection(sock=sock, limit=MAX_MESSAGE)
-    except BaseException:
-        sock.close()
-        raise
-    try:
-        yield reader, writer
-    finally:
-        writer.close()
-
-
-SCANNER: Final = (sys.executable, "-I", "-m", "rossec.enrollment.scanner")
+# A picture (a photograph, a screenshot, a frame of a camera) is decoded in a process of its own, with a time
+# limit; no answer, or anything but a few texts, means that there is no code.
 
 
 def code_in_file(path: Path, stdin: BinaryIO) -> str:
-    """The text of the one code in a picture; `-` is standard input."""
     if str(path) == "-":
         return code_in(stdin.read(MAX_FILE + 1))
     with path.open("rb") as file:
@@ -370,16 +306,6 @@ def code_in_file(path: Path, stdin: BinaryIO) -> str:
 
 def code_in(data: bytes) -> str:
     """As `code_in_file`, for the bytes of the picture."""
-    match _texts(data):
-        case [text]:
-            return text
-        case []:
-            raise ConfigurationError("there is no rossec code in the picture", CLOSER)
-        case found:
-            raise ConfigurationError(f"there are {len(found)} codes in the picture", "show one of them alone")
-
-
-def _texts(data: bytes) -> list[str]:
     if len(data) > MAX_FILE:
         raise ConfigurationError(f"the picture has more than {MAX_FILE} bytes", CLOSER)
     try:
@@ -391,4 +317,10 @@ def _texts(data: bytes) -> list[str]:
         raise ConfigurationError("reading the picture took too long, or failed", CLOSER) from error
     if "error" in answer:
         raise ConfigurationError(answer["error"], answer["hint"])
-    return [str(text) for text in answer["texts"]]
+    match [str(text) for text in answer["texts"]]:
+        case [text]:
+            return text
+        case []:
+            raise ConfigurationError("there is no rossec code in the picture", CLOSER)
+        case found:
+            raise ConfigurationError(f"there are {len(found)} codes in the picture", "show one of them alone")

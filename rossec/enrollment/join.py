@@ -1,15 +1,12 @@
-"""The port where nodes join: sessions with strangers, whose requests are decided elsewhere.
+"""Joining by an invitation: the port of the authority, whose requests are decided elsewhere, and the node
+that connects.
 
-Runs in a process without the authority's key. A session has one deadline until its request is
-there; a limited number are open at a time, in all and from one address, and few requests of one
-invitation are decided at a time, so that no code and no host keeps the others out. A session that
-breaks the protocol is closed and reported in one line; a stranger is told nothing but a reason. If
-a request cannot be decided, the node is told to come again: it then gets the same answer.
-
-A node joins: it connects to the authority of its invitation and sends its request.
-
-A connection that breaks, or an authority that is busy, is tried again a few times, with the same
-request: it gets the same answer. A refusal is not tried again.
+The port runs in a process without the authority's key. A session has one deadline until its request is there;
+a limited number are open at a time, in all and from one address, and few requests of one invitation are
+decided at a time, so that no code and no host keeps the others out. A session that breaks the protocol is
+closed and reported in one line; a stranger is told nothing but a reason. If a request cannot be decided, the
+node is told to come again: it then gets the same answer. A connection that breaks, or an authority that is
+busy, is tried again a few times, with the same request; a refusal is not.
 """
 
 import asyncio
@@ -17,7 +14,7 @@ import logging
 import secrets
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
-from typing import Final, NamedTuple, TypeAlias, TypeVar
+from typing import Final, TypeAlias, TypeVar
 
 from ca.enrollment import NONCE_SIZE
 from ca.enrollment.invitation import InvitationCode, JoinClaim, JoinRequest
@@ -33,13 +30,11 @@ from ca.enrollment.join import (
     RefuseReason,
     write,
 )
-from ca.enrollment.messages import MAX_MESSAGE
 from ca.errors import EnrollmentRefused, HintedError, JoinBusy
 from rossec.enrollment import sessions
 from rossec.enrollment.sessions import SessionServer
 from rossec.errors import PeerUnreachable
 from rossec.host import addresses
-from rossec.net.aio.client import dial
 from rossec.net.limits import HalfOpen
 from rossec.peer_limits import printable
 
@@ -49,8 +44,13 @@ Name: TypeAlias = Callable[[JoinClaim], Awaitable[NameAnswer]]
 REQUEST_PATIENCE: Final = 10.0  # seconds until a session's request is there
 DECISION: Final = 30.0  # seconds until it is decided
 MAX_OF_INVITATION: Final = 4  # decisions at a time
+CONNECT_PATIENCE: Final = 10.0  # seconds to connect, and for the authority to show itself
+RETRY_DELAY: Final = 0.5  # seconds, then twice as long each time, and up to as much again
+_DECISION: Final = 45.0  # seconds for the answer
+_TRIES: Final = 5
 _CAPS: Final = HalfOpen(per_address=32, total=256)
 _BUSY: Final = Refused(RefuseReason.BUSY)
+_T = TypeVar("_T")
 _Asked = TypeVar("_Asked", JoinRequest, JoinClaim)
 _Answer = TypeVar("_Answer", JoinAnswer, NameAnswer)
 _log = logging.getLogger("rossec.enrollment.join")
@@ -62,25 +62,16 @@ async def no_names(_: JoinClaim) -> NameAnswer:
 
 
 class JoinServer:
-    """The join port of an authority.
-
-    Args:
-        identity: returns the identity of `/ca` as of now; it is renewed while this runs.
-        admit: decides a request; what it raises is logged, and the node told to come again.
-        on_refusal: is called with each broken session as one printable line.
-        patience: seconds until a session's request is there.
-        caps: of open sessions, by address and in all.
-        name: finds the name for a claim; raises as `admit`.
-    """
+    """The join port of an authority."""
 
     def __init__(
         self,
-        identity: Callable[[], LiveIdentity],
-        admit: Admit,
-        on_refusal: Callable[[str], None] = lambda _: None,
+        identity: Callable[[], LiveIdentity],  # of `/ca` as of now; it is renewed while this runs
+        admit: Admit,  # decides a request; what it raises is logged, and the node told to come again
+        on_refusal: Callable[[str], None] = lambda _: None,  # called with each broken session as one line
         patience: float = REQUEST_PATIENCE,
         caps: HalfOpen = _CAPS,
-        name: Name = no_names,
+        name: Name = no_names,  # finds the name for a claim; raises as `admit`
     ) -> None:
         self._identity = identity
         self._admit = admit
@@ -158,20 +149,12 @@ class _Turns:
                 self._waiting[invitation] = semaphore, users - 1
 
 
-CONNECT_PATIENCE: Final = 10.0  # seconds to connect, and for the authority to show itself
-_DECISION: Final = 45.0  # seconds for the answer
-_TRIES: Final = 5
-_T = TypeVar("_T")
-RETRY_DELAY: Final = 0.5  # seconds, then twice as long each time, and up to as much again
-
-
 async def ask_name(code: InvitationCode, metadata: bytes, clock: Callable[[], int]) -> str:
     """The name that the authority's rules give for `metadata`: nothing is made or recorded."""
 
     async def session() -> str:
         core = NodeJoin(code, secrets.token_bytes(NONCE_SIZE))
-        async with _welcomed(code, core, clock) as connection:
-            await connection.ask(core, core.claim(metadata), clock)
+        await _asked(code, core, clock, lambda: core.claim(metadata))
         return core.name
 
     return await _tried(code, session)
@@ -188,9 +171,7 @@ async def join(
 
     async def session() -> JoinedIdentity:
         core = NodeJoin(code, secrets.token_bytes(NONCE_SIZE))
-        async with _welcomed(code, core, clock) as connection:
-            csr = request(core.anchor.domain)
-            await connection.ask(core, core.join(csr, metadata), clock)
+        await _asked(code, core, clock, lambda: core.join(request(core.anchor.domain), metadata))
         return core.identity
 
     return await _tried(code, session)
@@ -215,31 +196,14 @@ async def _tried(code: InvitationCode, session: Callable[[], Awaitable[_T]]) -> 
         delay *= 2
 
 
-class _Connection(NamedTuple):
-    reader: asyncio.StreamReader
-    writer: asyncio.StreamWriter
-
-    async def ask(self, core: NodeJoin, message: bytes, clock: Callable[[], int]) -> None:
-        sessions.send(self.writer, message)
-        async with asyncio.timeout(_DECISION):
-            core.receive(await sessions.receive(self.reader), clock())
-
-
-@asynccontextmanager
-async def _welcomed(
-    code: InvitationCode, core: NodeJoin, clock: Callable[[], int]
-) -> AsyncIterator[_Connection]:
+async def _asked(
+    code: InvitationCode, core: NodeJoin, clock: Callable[[], int], message: Callable[[], bytes]
+) -> None:
     host, port = addresses.split(code.address, addresses.JOIN_PORT)
-    sock = await dial(host, port, CONNECT_PATIENCE)
-    try:
-        reader, writer = await asyncio.open_connection(sock=sock, limit=MAX_MESSAGE)
-    except BaseException:
-        sock.close()
-        raise
-    try:
+    async with sessions.connected(host, port, CONNECT_PATIENCE) as (reader, writer):
         sessions.send(writer, core.hello())
         async with asyncio.timeout(CONNECT_PATIENCE):
             core.receive(await sessions.receive(reader), clock())
-        yield _Connection(reader, writer)
-    finally:
-        writer.close()
+        sessions.send(writer, message())  # once the authority has shown itself
+        async with asyncio.timeout(_DECISION):
+            core.receive(await sessions.receive(reader), clock())

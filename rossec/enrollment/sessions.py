@@ -1,20 +1,25 @@
-"""Frames of the enrollment on asyncio streams.
+"""Frames of the enrollment on asyncio streams, and a port for them that is open to strangers.
 
-A port that is open to strangers: a limited number of sessions at a time, in all and by address.
-
-A session counts until its socket is closed. One that has ended and whose peer does not close is
-evicted first, so that idle sockets keep nobody out (`rossec.net.limits`).
+A limited number of sessions are open at a time, in all and by address. A session counts until its socket is
+closed; one that has ended and whose peer does not close is evicted first, so that idle sockets keep nobody
+out (`rossec.net.limits`).
 """
 
 import asyncio
-from collections.abc import Awaitable, Callable
-from contextlib import suppress
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager, suppress
 from typing import Final, TypeAlias
 
 from ca.enrollment.messages import HEADER_SIZE, MAX_MESSAGE, frame, length
 from rossec.host.runner import TaskSet
+from rossec.net.aio.client import dial
 from rossec.net.aio.server import bind
-from rossec.net.limits import HalfOpen, HalfOpenCount, HalfOpenSlot
+from rossec.net.limits import HalfOpen, HalfOpenCount
+
+CLOSE_TIMEOUT: Final = 5.0  # seconds for what was sent last to leave
+
+Serve: TypeAlias = Callable[[asyncio.StreamReader, asyncio.StreamWriter, str], Awaitable[None]]
+"""One session with the peer at an address, until it is over; it need not close the writer."""
 
 
 async def receive(reader: asyncio.StreamReader) -> bytes:
@@ -26,21 +31,27 @@ def send(writer: asyncio.StreamWriter, message: bytes) -> None:
     writer.write(frame(message))
 
 
-CLOSE_TIMEOUT: Final = 5.0  # seconds for what was sent last to leave
-
-Serve: TypeAlias = Callable[[asyncio.StreamReader, asyncio.StreamWriter, str], Awaitable[None]]
-"""One session with the peer at an address, until it is over; it need not close the writer."""
+@asynccontextmanager
+async def connected(
+    host: str, port: int, within: float
+) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
+    sock = await dial(host, port, within)
+    try:
+        reader, writer = await asyncio.open_connection(sock=sock, limit=MAX_MESSAGE)
+    except BaseException:
+        sock.close()
+        raise
+    try:
+        yield reader, writer
+    finally:
+        writer.close()
 
 
 class SessionServer:
-    """Listens, and runs `serve` for every peer that `caps` admit.
-
-    Attributes:
-        port: the port it listens on last; 0 before.
-    """
+    """Listens, and runs `serve` for every peer that `caps` admit."""
 
     def __init__(self, serve: Serve, caps: HalfOpen) -> None:
-        self.port = 0
+        self.port = 0  # it listens on last
         self._serve = serve
         self._count = HalfOpenCount(caps)
         self._servers: list[asyncio.Server] = []
@@ -70,21 +81,19 @@ class SessionServer:
         if slot is None:
             writer.transport.abort()
             return
-        session = self._run(reader, writer, address, slot)
-        self._tasks.spawn(session, name=f"session with {address}")
 
-    async def _run(
-        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str, slot: HalfOpenSlot
-    ) -> None:
-        slot.close = writer.transport.abort
-        try:
-            await self._serve(reader, writer, address)
-            slot.linger()
-            writer.close()
-            await wait_closed(writer)
-        finally:
-            writer.transport.abort()
-            slot.release()
+        async def session() -> None:
+            slot.close = writer.transport.abort
+            try:
+                await self._serve(reader, writer, address)
+                slot.linger()
+                writer.close()
+                await wait_closed(writer)
+            finally:
+                writer.transport.abort()
+                slot.release()
+
+        self._tasks.spawn(session(), name=f"session with {address}")
 
 
 async def wait_closed(writer: asyncio.StreamWriter) -> None:

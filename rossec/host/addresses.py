@@ -1,17 +1,9 @@
-"""Whether the address that a node gives away is one of this host. A shell.
+"""Addresses: whether the one that a node gives away is this host's, whether a caller is near, and those
+people type.
 
-The commonest fault of a ROS network: the address of yesterday, or a name that only one host knows.
-Who gives it away notices nothing; who is given it finds nobody there. Behind a translated address
-(a container, NAT) it may be right all the same, so nothing is refused.
-
-Connections that a relay of this host brings: they come from loopback, but nobody is near.
-
-A relay connects to targets on its own host from an address of its own in 127.82.0.0/16, one for
-each remote relay. What a server allows local callers is not for these, and its limits for one
-address hold for each remote relay. Another program that binds such an address only gives up being
-local.
-
-The address of a node: in its code, and as a person types it.
+The commonest fault of a ROS network: the address of yesterday, or a name that only one host knows. Who gives
+it away notices nothing; who is given it finds nobody there. Behind a translated address (a container, NAT) it
+may be right all the same, so nothing is refused.
 """
 
 import hashlib
@@ -27,7 +19,25 @@ from rossec.errors import ConfigurationError
 from rossec.peer_limits import printable
 from rossec.ros.names import is_loopback
 
+DEFAULT_PORT: Final = 11317
+JOIN_PORT: Final = 11318  # of the authority, for nodes with an invitation
 _SET: Final = "set ROS_IP to an address of this host: ip address"
+# A relay connects to targets on its own host from an address of its own, one for each remote relay: such
+# connections come from loopback, but nobody is near, and the limits for one address hold for each remote
+# relay. Another program that binds such an address only gives up being local.
+_SOURCES: Final = ipaddress.ip_network("127.82.0.0/16")
+# A name of labels, or an address with its zone: codes are untrusted, and the resolver
+# raises exceptions of its own for an empty label, a long one or a NUL.
+_HOST: Final = re.compile(
+    r"(?=.{1,253}$)(?:[A-Za-z0-9_](?:[A-Za-z0-9_-]{0,62}))(?:\.[A-Za-z0-9_-]{1,63})*\.?"
+    r"|(?=[^%]*:)[0-9A-Fa-f:.]{2,45}(?:%[A-Za-z0-9_.-]{1,32})?",
+    re.ASCII,
+)
+_PORT: Final = re.compile(r"[0-9]{1,5}", re.ASCII)
+_EXAMPLE: Final = f"write it as 192.168.1.7:{DEFAULT_PORT}, [fd00::7]:{DEFAULT_PORT} or robot.local"
+# Documentation addresses (RFC 5737, RFC 3849): connecting a UDP socket sends nothing, it only
+# asks the routing table which local address would be used.
+_ELSEWHERE: Final = ((socket.AF_INET, "192.0.2.1", "127.0.0.1"), (socket.AF_INET6, "2001:db8::1", "::1"))
 
 
 def variable_of(variables: Mapping[str, str]) -> str:
@@ -53,11 +63,8 @@ def check_own_address(address: str, variable: str) -> str:
 def warn_of_own_address(
     address: str | None, variables: Mapping[str, str], warn: Callable[[HintedError], None]
 ) -> None:
-    """Call `warn` if the address that a node begins to give away is not one of this host.
-
-    A name is looked up in a thread of its own, which ends with the process: a resolver may take
-    long, and nobody waits for it.
-    """
+    """Call `warn` if the address that a node begins to give away is not one of this host. A name is looked up
+    in a thread of its own, which ends with the process: a resolver may take long, and nobody waits for it."""
     if address is None:
         return
 
@@ -67,10 +74,12 @@ def warn_of_own_address(
         except ConfigurationError as error:
             warn(error)
 
-    if _is_numeric(address):
-        check()
-    else:
+    try:
+        ipaddress.ip_address(address)
+    except ValueError:
         Thread(target=check, name="own address", daemon=True).start()
+    else:
+        check()
 
 
 def resolved(host: str) -> list[tuple[int, str]]:
@@ -80,14 +89,6 @@ def resolved(host: str) -> list[tuple[int, str]]:
     except (OSError, ValueError):  # UnicodeError: no host name at all
         return []
     return [(family, str(where[0])) for family, _, _, _, where in found]
-
-
-def _is_numeric(address: str) -> bool:
-    try:
-        ipaddress.ip_address(address)
-    except ValueError:
-        return False
-    return True
 
 
 def _is_here(place: tuple[int, str]) -> bool:
@@ -100,14 +101,9 @@ def _is_here(place: tuple[int, str]) -> bool:
     return True
 
 
-_SOURCES: Final = ipaddress.ip_network("127.82.0.0/16")
-
-
 def source_for(relay: str) -> str:
-    """The address from which connections of a remote relay are made on this host.
-
-    `relay`: its name here (`/remote/hospital/relay`). Two relays may share one.
-    """
+    """The address from which connections of a remote relay are made on this host. `relay`: its name here
+    (`/remote/hospital/relay`). Two relays may share one."""
     offset = int.from_bytes(hashlib.sha256(relay.encode()).digest()[:2])
     return str(_SOURCES[min(max(offset, 1), _SOURCES.num_addresses - 2)])
 
@@ -126,22 +122,6 @@ def is_near(address: str, local_address: str) -> bool:
     """Whether the caller at `address` is a program of this host that came by no relay."""
     local = is_loopback(address) or address == local_address
     return local and not is_relayed(address)
-
-
-DEFAULT_PORT: Final = 11317
-JOIN_PORT: Final = 11318  # of the authority, for nodes with an invitation
-# A name of labels, or an address with its zone: codes are untrusted, and the resolver
-# raises exceptions of its own for an empty label, a long one or a NUL.
-_HOST: Final = re.compile(
-    r"(?=.{1,253}$)(?:[A-Za-z0-9_](?:[A-Za-z0-9_-]{0,62}))(?:\.[A-Za-z0-9_-]{1,63})*\.?"
-    r"|(?=[^%]*:)[0-9A-Fa-f:.]{2,45}(?:%[A-Za-z0-9_.-]{1,32})?",
-    re.ASCII,
-)
-_PORT: Final = re.compile(r"[0-9]{1,5}", re.ASCII)
-_EXAMPLE: Final = f"write it as 192.168.1.7:{DEFAULT_PORT}, [fd00::7]:{DEFAULT_PORT} or robot.local"
-# Documentation addresses (RFC 5737, RFC 3849): connecting a UDP socket sends nothing, it only
-# asks the routing table which local address would be used.
-_ELSEWHERE: Final = ((socket.AF_INET, "192.0.2.1", "127.0.0.1"), (socket.AF_INET6, "2001:db8::1", "::1"))
 
 
 def join(host: str, port: int) -> str:

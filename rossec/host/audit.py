@@ -1,24 +1,11 @@
-"""The first line of an audit file: signed with the master's key. Pure.
+"""The audit log: denials and administrative actions, one a line, in a hash chain.
 
-The hash chain shows what is missing between two lines, not what is missing before the first. So
-each file begins with a line that names the hash from which it continues, or none in the very first
-file. Only the master can sign it: without the beginning of a file it is missing, too, and cannot be
-forged. A file that was removed is detected by the hash that the next one names.
-
-The audit log: denials and administrative actions, one a line, in a hash chain.
-
-A line is a JSON object; its `hash` is SHA-256 over the hash of the line before and the line without
-it. So a line cannot be changed, removed or inserted without breaking the chain. A removed
-*beginning* is detected by the signed line a file begins with (`audit_mark`); a removed *end* only
-by comparison with a later hash, so `rossec audit --verify` prints the last one. Pure except for
-`AuditFile`, which appends to a file of its owner alone (0600).
-
-Each line is written at once and synced within a second of the first line not yet synced. When the
-file is moved away (logrotate), the next line begins a new file, and the chain continues. A line
-that was truncated (full disk, power failure) is removed, and the next one records that.
-The rate of lines that nodes cause is limited before: `rossec.master.operation.admin`.
-
-Connecting the audit to Python's logging, for as long as a program runs.
+A line is a JSON object; its `hash` is SHA-256 over the hash of the line before and the line without it. So a
+line cannot be changed, removed or inserted without breaking the chain. Each file begins with a line, signed
+with the master's key, that names the hash from which it continues, or none in the very first file: a removed
+*beginning*, or a whole file, is detected by it. A removed *end* is detected only by comparison with a later
+hash, so `rossec audit --verify` prints the last one. Pure except for `AuditFile`. The rate of lines that
+nodes cause is limited before: `rossec.master.operation.admin`.
 """
 
 import hashlib
@@ -53,7 +40,15 @@ _HINT: Final = (
     " of them with --after"
 )
 
+LEFT_OUT: Final = "left_out"
+SYNC_EVERY: Final = 1.0  # seconds
+LINE_LIMIT: Final = 8 * 1024
+AUDIT: Final = "rossec.audit"
+_TAIL: Final = 64 * 1024  # enough to hold the last line
+_LATEST: Final = 1 << 40  # seconds since the epoch
+
 Entry = dict[str, Any]
+_log = logging.getLogger("rossec.master.audit")
 
 
 def mark(signer: Signer, before: str, at: float) -> Entry:
@@ -64,13 +59,8 @@ def mark(signer: Signer, before: str, at: float) -> Entry:
 
 
 def check_beginning(first: Entry, key: bytes | None = None, after: str | None = None) -> str:
-    """Check the beginning of an audit; returns a remark, empty when it is complete.
-
-    Args:
-        first: the first line, whose hash was verified.
-        key: thumbprint of the master's key, if it is known.
-        after: the hash of the line before, if it is known.
-    """
+    """Check the beginning of an audit, whose hash was verified; returns a remark, empty when it is complete.
+    `key`: thumbprint of the master's key; `after`: the hash of the line before, if they are known."""
     before = first.get("before")
     if _SIGNATURE in first:
         signed_by = _key_of(first)
@@ -106,15 +96,6 @@ def _signed(entry: Entry) -> bytes:
     ).encode()
 
 
-LEFT_OUT: Final = "left_out"
-SYNC_EVERY: Final = 1.0  # seconds
-LINE_LIMIT: Final = 8 * 1024
-_TAIL: Final = 64 * 1024  # enough to hold the last line
-_LATEST: Final = 1 << 40  # seconds since the epoch
-
-_log = logging.getLogger("rossec.master.audit")
-
-
 def with_hash(entry: Entry, before: str) -> Entry:
     text = json.dumps(entry, sort_keys=True, separators=(",", ":"))
     data = f"{before}\n{text}".encode(errors="surrogatepass")  # a foreign line may contain surrogates
@@ -126,10 +107,7 @@ def encode(entry: Entry) -> str:
 
 
 def read_entries(lines: Iterable[str], max_damaged: int | None = None) -> tuple[list[Entry], list[int]]:
-    """The valid entries, and the numbers of the damaged lines.
-
-    Reading ends after `max_damaged` damaged lines.
-    """
+    """The valid entries, and the numbers of the damaged lines; reading ends after `max_damaged` of those."""
     entries, damaged = list[Entry](), list[int]()
     for number, line in enumerate(lines, 1):
         entry = _entry(line)
@@ -168,23 +146,33 @@ def verify(entries: Iterable[Entry], before: str | None = None) -> str:
 
 
 class AuditFile(logging.Handler):
-    """Appends what is logged to `rossec.audit`."""
+    """Appends what is logged to `rossec.audit` to a file of its owner alone (0600); `signer`: the master.
+
+    Each line is written at once and synced within a second of the first line not yet synced. When the file is
+    moved away (logrotate), the next line begins a new file, and the chain continues. A line that was
+    truncated (full disk, power failure) is removed, and the next one records that.
+    """
 
     def __init__(
         self, path: Path, clock: Callable[[], float] = host_time, signer: Signer | None = None
     ) -> None:
-        """Begin or continue the file at `path`; `signer` has the master's key."""
         super().__init__(logging.INFO)
         self._signer = signer
         self._path = path
         self._clock = clock
-        self._file = self._open()
-        self._last, self._torn = self._resume()
+        self._file = files.append_own(path)
+        size = os.fstat(self._file).st_size
+        tail = os.pread(self._file, _TAIL, max(0, size - _TAIL))
+        self._torn = len(tail) - (tail.rfind(b"\n") + 1)
+        if self._torn:
+            os.ftruncate(self._file, size - self._torn)
+        lines = tail[: len(tail) - self._torn].decode(errors="replace").splitlines()
+        entries, _ = read_entries(lines)  # the first may be incomplete
+        self._last: str = entries[-1]["hash"] if entries else FIRST
         self._synced = clock()
-        self._failing = False
+        self.is_failing = False  # the last line could not be written
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write one line."""
         now = self._clock()
         entry: Entry = {
             "at": round(now, 3),
@@ -196,30 +184,36 @@ class AuditFile(logging.Handler):
         if self._torn:
             entry["cut_short"] = self._torn
         try:
-            self._reopen_if_moved()
+            try:
+                there = self._path.stat()
+            except FileNotFoundError:
+                there = None
+            here = os.fstat(self._file)
+            if there is None or (there.st_dev, there.st_ino) != (here.st_dev, here.st_ino):
+                # Open first: the number of a closed descriptor may be reused.
+                self._file, old = files.append_own(self._path), self._file
+                os.close(old)
             at = round(now, 3)
             if self._signer is not None and os.fstat(self._file).st_size == 0:
                 self._append(with_hash(mark(self._signer, self._last, at), self._last))
             self._append(with_hash({**entry, "before": self._last}, self._last))
-            self._torn, self._failing = 0, False
-        except (OSError, PathRefused) as error:
-            self._fail(error)
+            self._torn, self.is_failing = 0, False
+        except (
+            OSError,
+            PathRefused,
+        ) as error:  # a full disk must not end the master; the first failure is logged
+            if not self.is_failing:
+                _log.error("the audit cannot be written: %s; the lines before are intact", error)
+            self.is_failing = True
         if now - self._synced >= SYNC_EVERY or now < self._synced:
             self.sync()
 
-    @property
-    def is_failing(self) -> bool:
-        """Whether the last line could not be written."""
-        return self._failing
-
     def sync(self) -> None:
-        """Sync what was written to the disk."""
         self._synced = self._clock()
         with suppress(OSError):
             os.fdatasync(self._file)
 
     def close(self) -> None:
-        """Sync and close the file."""
         if self._file >= 0:
             self.sync()
             os.close(self._file)
@@ -234,43 +228,9 @@ class AuditFile(logging.Handler):
             raise OSError("the disk is full")
         self._last = entry["hash"]
 
-    def _fail(self, error: Exception) -> None:
-        # Log the first failure; a full disk must not end the master.
-        if not self._failing:
-            _log.error("the audit cannot be written: %s; the lines before are intact", error)
-        self._failing = True
-
-    def _reopen_if_moved(self) -> None:
-        try:
-            there = self._path.stat()
-        except FileNotFoundError:
-            there = None
-        here = os.fstat(self._file)
-        if there is None or (there.st_dev, there.st_ino) != (here.st_dev, here.st_ino):
-            # Open first: the number of a closed descriptor may be reused.
-            self._file, old = self._open(), self._file
-            os.close(old)
-
-    def _open(self) -> int:
-        return files.append_own(self._path)
-
-    def _resume(self) -> tuple[str, int]:
-        size = os.fstat(self._file).st_size
-        tail = os.pread(self._file, _TAIL, max(0, size - _TAIL))
-        torn = len(tail) - (tail.rfind(b"\n") + 1)
-        if torn:
-            os.ftruncate(self._file, size - torn)
-        lines = tail[: len(tail) - torn].decode(errors="replace").splitlines()
-        entries, _ = read_entries(lines)  # the first may be incomplete
-        return (entries[-1]["hash"] if entries else FIRST), torn
-
-
-AUDIT: Final = "rossec.audit"
-
 
 @contextmanager
 def audit_written(path: Path, signer: Signer) -> Iterator[AuditFile]:
-    """Write what is logged to `rossec.audit` to the audit file at `path`."""
     handler = AuditFile(path, signer=signer)
     log, root = logging.getLogger(AUDIT), logging.getLogger()
     level = log.level

@@ -31,10 +31,8 @@ _log = logging.getLogger("rossec.host")
 
 
 def confine_files(own: Sequence[Path]) -> None:
-    """Let this process read what is at or below `own` and what programs need, and write nothing.
-
-    Where the kernel cannot do that, the log says so; the limits of the service manager remain.
-    """
+    """Let this process read what is at or below `own` and what programs need, and write nothing. Where the
+    kernel cannot do that, the log says so; the limits of the service manager remain."""
     found = sysconfig.get_paths()
     libraries = {found[name] for name in ("stdlib", "platstdlib", "purelib", "platlib")}
     programs = {*libraries, f"{sys.base_prefix}/lib", *sys.path}

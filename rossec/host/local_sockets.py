@@ -1,24 +1,13 @@
-"""One process at a time: an advisory lock on a file, which ends with the process.
+"""Local sockets: a lock and a unix socket of one's own, and which user is at the other end of a connection in
+this host.
 
-A unix socket of one's own: in a directory of its owner, who alone may connect (0600).
-
-Which user is at the other end of a connection within this host.
-
-For a unix socket the kernel says so (SO_PEERCRED); for TCP over loopback its socket table does,
-queried for the one connection (`sockdiag`), or read as a whole where that is not available.
-A TCP row counts only while it is ESTABLISHED and has an inode: the kernel shows user 0 for sockets
-that no process holds any more (TIME_WAIT, closed, not yet accepted), which must not pass for
-root's. Users of another user namespace all show as the overflow id, which identifies none: refused.
-
-The user is the creator of the socket. A program that passes its open socket to another one, or a
-set-user-id program that connects on behalf of its caller, is responsible for it.
-
-The kernel's answer to "who holds this TCP socket?" for one socket: NETLINK_SOCK_DIAG.
-
-The same data as in /proc/net/tcp, whose text grows with every connection in TIME_WAIT; here the
-kernel looks one connection up in its own table, and finds the listener by the rules of connect().
-The format is that of sock_diag(7). An IPv4 connection is found whichever family its sockets have.
-Not every kernel has it (gVisor, old containers): callers must fall back to the tables.
+For a unix socket the kernel says so (SO_PEERCRED); for TCP over loopback its socket table does, queried for
+the one connection (NETLINK_SOCK_DIAG), or read as a whole where that is not available (gVisor, old
+containers). A TCP row counts only while it is ESTABLISHED and has an inode: the kernel shows user 0 for
+sockets that no process holds any more (TIME_WAIT, closed, not yet accepted), which must not pass for root's.
+Users of another user namespace all show as the overflow id, which identifies none: refused. The user is the
+creator of the socket: a program that passes its open socket to another one, or a set-user-id program that
+connects on behalf of its caller, is responsible for it.
 """
 
 import errno
@@ -34,18 +23,39 @@ from typing import Final, NamedTuple, TypeAlias
 from rossec import files
 from rossec.errors import ConfigurationError, PeerUserRefused
 
+Endpoint: TypeAlias = tuple[str, int]
+"""An IP address and a port."""
+
+MAX_PATH: Final = 107  # bytes, unix(7)
+TABLES: Final = (Path("/proc/net/tcp"), Path("/proc/net/tcp6"))
+OVERFLOW: Final = Path("/proc/sys/kernel/overflowuid")
+_ESTABLISHED: Final = "01"
+_LISTEN: Final = " 0A"
+_TRIES: Final = 3  # the kernel returns the table in pieces: a row can be missed between two of them
+_HINT: Final = "connect from this host, as the user who runs this program"
+
+# As sock_diag(7) has it:
+ESTABLISHED: Final = 1
+LISTEN: Final = 10
+_SOCK_DIAG: Final = 4  # NETLINK_SOCK_DIAG, and SOCK_DIAG_BY_FAMILY below
+_BY_FAMILY: Final = 20
+_ERROR: Final = 2
+_ASK: Final = 0x1  # NLM_F_REQUEST
+_ROOM: Final = 64 * 1024
+_HEAD: Final = struct.Struct("=IHHII")  # nlmsghdr
+_WHAT: Final = struct.Struct("=BBBBI")  # family, protocol, extensions, padding, states
+_PORTS: Final = struct.Struct("!HH")
+_ANY_COOKIE: Final = struct.pack("=III", 0, 0xFFFFFFFF, 0xFFFFFFFF)  # and no interface
+_FOUND: Final = struct.Struct("=BB2x4s16s16s12x12xII")  # inet_diag_msg
+
 
 @contextmanager
 def process_lock(path: Path, busy: ConfigurationError) -> Iterator[None]:
-    """Hold the lock file `path`."""
     descriptor = files.lock_file(path, busy)
     try:
         yield
     finally:
         os.close(descriptor)
-
-
-MAX_PATH: Final = 107  # bytes, unix(7)
 
 
 def listen_at(path: Path, backlog: int = 100) -> socket.socket:
@@ -74,17 +84,6 @@ def raw_socket(sock: object) -> socket.socket:
     if not isinstance(found, socket.socket):
         raise PeerUserRefused("the connection has no socket")
     return found
-
-
-Endpoint: TypeAlias = tuple[str, int]
-"""An IP address and a port."""
-
-TABLES: Final = (Path("/proc/net/tcp"), Path("/proc/net/tcp6"))
-OVERFLOW: Final = Path("/proc/sys/kernel/overflowuid")
-_ESTABLISHED: Final = "01"
-_LISTEN: Final = " 0A"
-_TRIES: Final = 3  # the kernel returns the table in pieces: a row can be missed between two of them
-_HINT: Final = "connect from this host, as the user who runs this program"
 
 
 class Holder(NamedTuple):
@@ -128,10 +127,8 @@ def tables() -> list[str]:
 
 
 class UnixPeer(NamedTuple):
-    """The other end of a unix socket: the process that connected it or listened, and its user.
-
-    The number of a process that has ended may be given to another one: it identifies nobody.
-    """
+    """The other end of a unix socket: the process that connected it or listened, and its user. The number of
+    a process that has ended may be given to another one: it identifies nobody."""
 
     process: int
     user: int
@@ -173,10 +170,8 @@ def find_holder(local: Endpoint, remote: Endpoint) -> Holder | None:
 
 
 def listeners(endpoint: Endpoint) -> list[Holder]:
-    """The holders of sockets that listen on `endpoint`, an address of this host.
-
-    At most one, unless only the tables are available: then all candidates.
-    """
+    """The holders of sockets that listen on `endpoint`, an address of this host. At most one, unless only the
+    tables are available: then all candidates."""
     try:
         entry = listener(endpoint)
     except OSError:
@@ -190,7 +185,6 @@ def is_known(user: int) -> bool:
 
 
 def require_user(sock: socket.socket, users: Collection[int]) -> int:
-    """Return the user id at the other end."""
     user = user_of(sock)
     if user not in users or not is_known(user):
         raise PeerUserRefused(f"user {user} may not use this connection", _HINT)
@@ -207,18 +201,9 @@ def _hex(endpoint: Endpoint, mapped: int) -> str:
     return "".join(f"{word:08X}" for word in words) + f":{endpoint[1]:04X}"
 
 
-ESTABLISHED: Final = 1
-LISTEN: Final = 10
-_SOCK_DIAG: Final = 4  # NETLINK_SOCK_DIAG, and SOCK_DIAG_BY_FAMILY below
-_BY_FAMILY: Final = 20
-_ERROR: Final = 2
-_ASK: Final = 0x1  # NLM_F_REQUEST
-_ROOM: Final = 64 * 1024
-_HEAD: Final = struct.Struct("=IHHII")  # nlmsghdr
-_WHAT: Final = struct.Struct("=BBBBI")  # family, protocol, extensions, padding, states
-_PORTS: Final = struct.Struct("!HH")
-_ANY_COOKIE: Final = struct.pack("=III", 0, 0xFFFFFFFF, 0xFFFFFFFF)  # and no interface
-_FOUND: Final = struct.Struct("=BB2x4s16s16s12x12xII")  # inet_diag_msg
+# The kernel's answer to "who holds this TCP socket?" for one socket: the same data as in /proc/net/tcp, whose
+# text grows with every connection in TIME_WAIT; here the kernel looks one up, and finds the listener by the
+# rules of connect(). An IPv4 connection is found whichever family its sockets have.
 
 
 class SocketEntry(NamedTuple):
@@ -229,7 +214,7 @@ class SocketEntry(NamedTuple):
     inode: int
 
 
-def find(local: tuple[str, int], remote: tuple[str, int]) -> SocketEntry | None:
+def find(local: Endpoint, remote: Endpoint) -> SocketEntry | None:
     """The socket that is bound to `local` and connected to `remote`; None: there is none."""
     ends = _packed(local), _packed(remote)
     entry = _found(*ends)
@@ -238,7 +223,7 @@ def find(local: tuple[str, int], remote: tuple[str, int]) -> SocketEntry | None:
     return entry if (_plain(entry.local), _plain(entry.remote)) == ends else None
 
 
-def listener(local: tuple[str, int]) -> SocketEntry | None:
+def listener(local: Endpoint) -> SocketEntry | None:
     """The socket that a connection to `local` would reach; None: there is none."""
     entry = _found(_packed(local), _packed((local[0], 0)))  # no connection is from port 0
     return entry if entry is not None and entry.state == LISTEN else None
@@ -246,13 +231,6 @@ def listener(local: tuple[str, int]) -> SocketEntry | None:
 
 def _found(local: tuple[bytes, int], remote: tuple[bytes, int]) -> SocketEntry | None:
     family = socket.AF_INET if len(local[0]) == 4 else socket.AF_INET6
-    try:
-        return _ask(_request(family, local, remote))
-    except FileNotFoundError:
-        return None
-
-
-def _request(family: int, local: tuple[bytes, int], remote: tuple[bytes, int]) -> bytes:
     body = (
         _WHAT.pack(family, socket.IPPROTO_TCP, 0, 0, 1 << ESTABLISHED)
         + _PORTS.pack(local[1], remote[1])
@@ -260,7 +238,10 @@ def _request(family: int, local: tuple[bytes, int], remote: tuple[bytes, int]) -
         + remote[0].ljust(16, b"\0")
         + _ANY_COOKIE
     )
-    return _HEAD.pack(_HEAD.size + len(body), _BY_FAMILY, _ASK, 1, 0) + body
+    try:
+        return _ask(_HEAD.pack(_HEAD.size + len(body), _BY_FAMILY, _ASK, 1, 0) + body)
+    except FileNotFoundError:
+        return None
 
 
 def _ask(request: bytes) -> SocketEntry:
@@ -284,17 +265,13 @@ def parse(data: bytes) -> SocketEntry:
         raise OSError(number, os.strerror(number))
     if kind != _BY_FAMILY or len(body) < _FOUND.size:
         raise OSError(errno.EPROTO, "an answer of another kind")
-    return _entry(body)
-
-
-def _entry(body: bytes) -> SocketEntry:
     family, state, ports, local, remote, user, inode = _FOUND.unpack_from(body)
     size = 4 if family == socket.AF_INET else 16
     local_port, remote_port = _PORTS.unpack(ports)
     return SocketEntry(state, (local[:size], local_port), (remote[:size], remote_port), user, inode)
 
 
-def _packed(end: tuple[str, int]) -> tuple[bytes, int]:
+def _packed(end: Endpoint) -> tuple[bytes, int]:
     return _plain((ipaddress.ip_address(end[0].partition("%")[0]).packed, end[1]))
 
 

@@ -1,14 +1,8 @@
-"""Tasks with an owner: they are awaited or cancelled at the end, and a crash is logged.
+"""How a long-running program runs: its tasks, its end at a signal, its children, its service manager, its
+log.
 
-For servers whose tasks come and go; where a `TaskGroup` fits, use that.
-
-When a running master ends: at a signal, or when one of its tasks ends. A shell.
-
-The end of a child process that ends by itself; one that does not is killed.
-
-Notifying the service manager: the datagrams of sd_notify(3), without its library.
-
-The log as lines of JSON, for machines that read logs.
+Tasks have an owner: they are awaited or cancelled at the end, and a crash is logged. For servers whose tasks
+come and go; where a `TaskGroup` fits, use that.
 """
 
 import asyncio
@@ -24,6 +18,8 @@ from typing import Any
 
 from rossec.terminal import printable, to_json
 
+READY = "READY=1"
+STOPPING = "STOPPING=1"
 _log = logging.getLogger("rossec.net.tasks")
 
 
@@ -38,7 +34,6 @@ class TaskSet:
         return len(self._tasks)
 
     def spawn(self, work: Coroutine[Any, Any, Any], name: str = "") -> asyncio.Task[Any]:
-        """Start `work`; its exception is logged."""
         task = asyncio.get_running_loop().create_task(work, name=name or None)
         self._tasks.add(task)
         task.add_done_callback(self._done)
@@ -94,15 +89,8 @@ async def reap(process: "subprocess.Popen[bytes]", within: float) -> None:
         raise
 
 
-READY = "READY=1"
-STOPPING = "STOPPING=1"
-
-
 def notify(state: str, environ: Mapping[str, str] = os.environ) -> bool:
-    """Send `state` to $NOTIFY_SOCKET; returns whether it was sent.
-
-    A failure to send is ignored.
-    """
+    """Send `state` to $NOTIFY_SOCKET (sd_notify(3)); returns whether it was sent, a failure is ignored."""
     address = environ.get("NOTIFY_SOCKET", "")
     if not address.startswith(("/", "@")):
         return False

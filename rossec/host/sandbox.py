@@ -1,20 +1,11 @@
-"""Let this process open no files but some, for reading: Landlock of Linux 5.13 and later.
+"""Confinement of this process by the kernel: what it opens (Landlock), what it calls (seccomp), who reads its
+memory.
 
-For a process that talks to strangers, beside files of the same user that it must not get: once
-confined, neither it nor what it starts opens anything else (landlock(7)). Files that are open stay
-open. Only the calling thread and those it starts later are confined: call it first of all.
-
-Let this process make no system calls but some: a filter of Linux 3.17 and later (seccomp(2)).
-
-Limits of resources do not bind root, which may start processes whatever RLIMIT_NPROC says; a
-filter binds everybody, cannot be taken back, and is inherited. A call that is not on the list fails
-with EPERM, so does one of x32; one of another architecture (32 bits) ends the process.
-
-A process whose memory holds a key: nobody else may read it, and it is never written to disk.
-
-Without this every program of the same user could attach a debugger, and a crash would write the
-key into a core file (attack of the same user: ptrace(2), core(5)). Memory that is swapped out is
-not covered: where there is swap it must be encrypted, or kept away by the service manager.
+Landlock (Linux 5.13, landlock(7)): once confined, neither the process nor what it starts opens anything but
+some files, for reading; files that are open stay open. Only the calling thread and those it starts later are
+confined: call it first of all. Seccomp (Linux 3.17): limits of resources do not bind root, a filter binds
+everybody, cannot be taken back, and is inherited. A call that is not on the list fails with EPERM, so does
+one of x32; one of another architecture ends the process.
 """
 
 import ctypes
@@ -32,6 +23,8 @@ _PATH_BENEATH: Final = 1
 _READ_FILE: Final = 1 << 2
 _READ: Final = _READ_FILE | 1 << 3  # and directories
 _ALL: Final = (1 << 13) - 1  # every access that the first version of Landlock knows
+_PR_GET_DUMPABLE: Final = 3
+_PR_SET_DUMPABLE: Final = 4
 _PR_SET_NO_NEW_PRIVS: Final = 38
 LIBC: Final = ctypes.CDLL(None, use_errno=True)
 
@@ -148,16 +141,10 @@ def program(names: Iterable[str], machine: str) -> bytes:
     column = list(_AUDIT).index(machine)
     numbers = sorted(_NUMBERS[name][column] for name in set(names) - {FORK})
     fork = [_NUMBERS[FORK][column]] if FORK in set(names) else []
-    return b"".join(
-        struct.pack("<HBBI", *instruction) for instruction in _instructions(_AUDIT[machine], numbers, fork)
-    )
-
-
-def _instructions(architecture: int, numbers: list[int], fork: list[int]) -> list[tuple[int, int, int, int]]:
     refuse, allow = (_RETURN, 0, 0, _ERRNO | _EPERM), (_RETURN, 0, 0, _ALLOW)
     found = [
         (_LOAD, 0, 0, _ARCHITECTURE),
-        (_JUMP_IF_EQUAL, 1, 0, architecture),
+        (_JUMP_IF_EQUAL, 1, 0, _AUDIT[machine]),
         (_RETURN, 0, 0, _KILL_PROCESS),
         (_LOAD, 0, 0, _NUMBER),
     ]
@@ -172,16 +159,14 @@ def _instructions(architecture: int, numbers: list[int], fork: list[int]) -> lis
             (_JUMP_IF_EQUAL, 0, 1, 0),
             allow,
         ]
-    return [*found, refuse]
-
-
-_PR_GET_DUMPABLE: Final = 3
-_PR_SET_DUMPABLE: Final = 4
+    return b"".join(struct.pack("<HBBI", *instruction) for instruction in [*found, refuse])
 
 
 def protect_memory() -> None:
-    """Let no process of the same user read this one's memory, and write no core file.
+    """Let no process of the same user read this one's memory, which holds a key, and write no core file.
 
+    Without this every program of the same user could attach a debugger (ptrace(2), core(5)). Memory that is
+    swapped out is not covered: where there is swap it must be encrypted, or kept away by the service manager.
     Programs started later are not affected, but cannot gain privileges (set-user-id).
     """
     _prctl(_PR_SET_DUMPABLE, 0)
@@ -190,7 +175,6 @@ def protect_memory() -> None:
 
 
 def is_protected() -> bool:
-    """Whether this process is not dumpable."""
     return _prctl(_PR_GET_DUMPABLE, 0) == 0
 
 

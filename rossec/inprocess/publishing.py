@@ -43,11 +43,11 @@ from grants.errors import GrantError
 from grants.guard import Guard
 from rossec import clock
 from rossec.channel.records import Bytes
+from rossec.channel.tuning import UNSENT
 from rossec.inprocess.options import PlainConnection
 from rossec.inprocess.process import RosConnection
 from rossec.inprocess.sockets import RosSocket
 from rossec.net.context import forget_in_children
-from rossec.net.limits import UNSENT
 from rossec.participant import delivery
 from rossec.participant.delivery import Deflatable, Latch, Sample, SharedDeflation, WishedRate, Wishes
 

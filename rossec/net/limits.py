@@ -1,22 +1,14 @@
-"""How much a peer may have one connection hold, by what the connection is for.
+"""How much a peer may have one connection hold, by what it is for; how many may be half open (N8, M11).
 
-A unit is assembled before it is delivered. So a peer that is authenticated but not yet authorized
-may send no more than a connection header needs; a subscriber never more, and an authorized peer as
-much as its messages can need. How long it may take: `progress`.
-
-How many half-open connections this process has, in total and from one source (N8, M11).
-
-A socket counts from `accept` until its peer is authenticated, or until it is closed: one whose
-handshake failed lingers, so that its peer can read the refusal, and costs a descriptor as before.
-At the limit, the one that lingers longest is closed first; then, if the total is reached, one of
-the source that has most, if it has more than the source of the new one. A whole LAN is one source
-of IPv6: at its limit, one of the address that has most makes room in the same way.
+A unit is assembled before it is delivered. So a peer that is authenticated but not yet authorized may send no
+more than a connection header needs; a subscriber never more, and an authorized peer as much as its messages
+can need. How long it may take: `Progress`.
 """
 
 import functools
 import ipaddress
 from collections import Counter, deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from threading import Lock
 from typing import Any, Final
@@ -30,9 +22,6 @@ from rossec.ros.xmlrpc import BODY_LIMIT
 
 PREAUTH_LIMIT: Final = 2 * HEADER_LIMIT  # with what was sent in the same burst
 BATCH_LIMIT: Final = 2 * 1024 * 1024  # 256 KiB of messages, one more, and 4 bytes for each
-UNSENT: Final = 16 * 1024
-"""Bytes that the kernel holds and has not sent yet, above which it takes no more for a receiver
-that wishes the newest message only: its own buffer would hold seconds of a slow line."""
 UNSHOWN_BODY: Final = 64 * 1024
 """Bytes of a call that are parsed of a caller that has shown no grant (but those that show one)."""
 UNSHOWN_UNIT: Final = 1024 * 1024 + HEADERS_LIMIT
@@ -56,12 +45,7 @@ DIALLED: Final = {
 
 
 def message_limit(size: int | None, most: int) -> int:
-    """How long a message may be.
-
-    Args:
-        size: of every message of the type, if it is fixed; else None.
-        most: how long any message may be.
-    """
+    """How long a message may be, if any may have `most`; `size`: of every one of the type, if it is fixed."""
     return most if size is None else min(max(size, HEADER_LIMIT), most)
 
 
@@ -72,8 +56,6 @@ def unit_limit(size: int | None, most: int) -> int:
 
 @dataclass(frozen=True)
 class HalfOpen:
-    """The caps."""
-
     per_address: int = 128
     total: int = 512
 
@@ -87,8 +69,7 @@ class HalfOpenSlot:
         self._count = count
         self.source = source
         self.address = address
-        self.close: Callable[[], None] | None = None
-        """Closes its socket at once, to make room; None where that cannot be done."""
+        self.close: Callable[[], None] | None = None  # closes its socket at once, where that can be done
 
     def linger(self) -> None:
         self._count.lingers(self)
@@ -101,7 +82,14 @@ class HalfOpenSlot:
 
 
 class HalfOpenCount:
-    """The count against the caps; threads may share it."""
+    """The half-open connections of this process, in total and from one source; threads may share it.
+
+    A socket counts from `accept` until its peer is authenticated, or until it is closed: one whose handshake
+    failed lingers, so that its peer can read the refusal, and costs a descriptor as before. At the limit, the
+    one that lingers longest is closed first; then, if the total is reached, one of the source that has most,
+    if it has more than the source of the new one. A whole LAN is one source of IPv6: at its limit, one of the
+    address that has most makes room in the same way.
+    """
 
     def __init__(self, caps: HalfOpen) -> None:
         self._caps = caps
@@ -110,8 +98,8 @@ class HalfOpenCount:
         self._sources: dict[str, dict[HalfOpenSlot, None]] = {}
         self._lingering: dict[HalfOpenSlot, None] = {}
         self._lock = Lock()
+        # Slots whose sockets were garbage collected: that may happen with the lock held.
         self.collected: deque[HalfOpenSlot] = deque()
-        """Slots whose sockets were garbage collected: that may happen with the lock held."""
 
     def __len__(self) -> int:
         with self._lock:
@@ -124,7 +112,8 @@ class HalfOpenCount:
         with self._lock:
             self._forget_collected()
             victim = None
-            if self._is_full(source):
+            held = len(self._sources.get(source, ()))
+            if self._total >= self._caps.total or held >= self._caps.per_address:
                 victim = self._victim(source, address)
                 if victim is None:
                     return None
@@ -145,14 +134,9 @@ class HalfOpenCount:
             self._remove(self.collected.popleft())
 
     def lingers(self, slot: HalfOpenSlot) -> None:
-        """As of `HalfOpenSlot.linger`."""
         with self._lock:
             if slot in self._sources.get(slot.source, ()):
                 self._lingering[slot] = None
-
-    def _is_full(self, source: str) -> bool:
-        held = len(self._sources.get(source, ()))
-        return self._total >= self._caps.total or held >= self._caps.per_address
 
     def _victim(self, source: str, address: str) -> HalfOpenSlot | None:
         own = self._sources.get(source, {})
@@ -160,8 +144,12 @@ class HalfOpenCount:
         for slot in self._lingering:
             if slot.close is not None and (slot.source == source or not own_full):
                 return slot
-        if own_full:
-            return _of_most(own, address)
+        if own_full:  # the oldest slot of the address that has most, if it has more than `address` would have
+            counts = Counter(slot.address for slot in own)
+            busiest = max(counts, key=counts.__getitem__)
+            if counts[busiest] <= counts[address] + 1:
+                return None
+            return next((slot for slot in own if slot.address == busiest and slot.close is not None), None)
         most = max(self._sources.values(), key=len, default={})
         if len(most) <= len(own) + 1:
             return None
@@ -176,15 +164,6 @@ class HalfOpenCount:
         del slots[slot]
         if not slots:
             del self._sources[slot.source]
-
-
-def _of_most(slots: Iterable[HalfOpenSlot], address: str) -> HalfOpenSlot | None:
-    # The oldest slot of the address that has most, if it has more than `address` would have.
-    counts = Counter(slot.address for slot in slots)
-    most = max(counts, key=counts.__getitem__)
-    if counts[most] <= counts[address] + 1:
-        return None
-    return next((slot for slot in slots if slot.address == most and slot.close is not None), None)
 
 
 @functools.lru_cache(maxsize=256)

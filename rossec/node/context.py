@@ -25,27 +25,18 @@ NodeConnection: TypeAlias = AuthorizedConnection[SecureStream[Identity], GuardT]
 
 @dataclass
 class NodeContext:
-    """The context of one running node.
-
-    Attributes:
-        call: calls the master.
-        filter_key: finds a key for pseudonyms by its name.
-        memory_scope: finds what a limited right has used up.
-        uri: its API URI, as registered; empty until it listens.
-        rosrpc: the URI of its services, as registered.
-        certified: its name without a tail; empty: it has none.
-    """
+    """The context of one running node."""
 
     name: str
     access: Access
     connections: ConnectionTable[SecureStream[Identity]]
-    call: MasterCall
+    call: MasterCall  # calls the master
     dialer: Dialer
-    filter_key: Callable[[str], bytes]
-    memory_scope: MemoryScope
-    uri: str = ""
-    rosrpc: str = ""
-    certified: str = ""
+    filter_key: Callable[[str], bytes]  # finds a key for pseudonyms by its name
+    memory_scope: MemoryScope  # finds what a limited right has used up
+    uri: str = ""  # of its API, as registered; empty until it listens
+    rosrpc: str = ""  # the URI of its services, as registered
+    certified: str = ""  # its name without an anonymous suffix; empty: it has none
 
     def name_for(self, peer: Identity) -> str:
         return caller_for(peer, self.name, self.certified or self.name)

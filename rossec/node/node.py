@@ -1,19 +1,8 @@
 """A ROS node without ROS: topics, services and parameters over the secure channel, in asyncio.
 
-Connects the parts: the master session, the slave API, the TCPROS server, topics and services.
-Decisions are made elsewhere: `access` authorizes peers, the handshake modules check headers,
-`connections` says when a connection must end, `membership` keeps grants, identity and revocation
-data current.
-
-The two ports of a node: its slave API, and TCPROS for its topics and services.
-
-Every connection is authenticated before it is handled here. A refused peer receives the error about
-its own grants, which reveals nothing of what this node publishes or provides.
-
-A program that ends by a refusal of its node shows error and hint, as the command line does.
-
-Only refusals: any other exception keeps its traceback. So does everything in Python's development
-mode (`python -X dev`), and in a program that has set `sys.excepthook` itself.
+Connects the parts: the master session, the slave API, the TCPROS server, topics and services. Decisions are
+made elsewhere: `access` authorizes peers, `handshakes` checks headers, `connections` says when a connection
+must end, `membership` keeps grants, identity and revocation data current.
 """
 
 import asyncio
@@ -50,7 +39,6 @@ from rossec.participant.delivery import Wishes, carried_out, requested_wishes
 from rossec.participant.handshakes import (
     TopicEndpoint,
     admit_subscriber,
-    caller_for,
     check_type,
     publisher_header,
     requested_topic,
@@ -70,28 +58,26 @@ _log = logging.getLogger("rossec.node")
 
 
 class Listener:
-    """Accepts the connections of other nodes."""
+    """Accepts the connections of other nodes: to the slave API, and by TCPROS to topics and services.
+
+    A refused peer receives the error about its own grants, which reveals nothing of what this node has.
+    """
 
     def __init__(
         self,
-        name: str,
-        context: SecureContext[Identity],
-        access: Access,
+        node: NodeContext,
+        secure: SecureContext[Identity],
         publishers: Mapping[str, Publisher],
         services: Services,
         slave: SlaveApi,
-        connections: ConnectionTable[SecureStream[Identity]],
         own_addresses: OwnAddresses,
-        certified: str,
     ) -> None:
-        self._name = name
-        self._certified = certified
-        self._context = context
-        self._access = access
+        self._node = node
+        self._access = node.access
+        self._secure = secure
         self._publishers = publishers
         self._services = services
         self._slave = slave
-        self._connections = connections
         self._own_addresses = own_addresses
         self._servers: list[SecureServer[Identity]] = []
 
@@ -110,7 +96,7 @@ class Listener:
             (self._serve_slave, WireProtocol.HTTP),
             (self._serve_tcpros, WireProtocol.TCPROS),
         ):
-            server = serve(self._connections.bounded(handler), bind, 0, self._context, protocol)
+            server = serve(self._node.connections.bounded(handler), bind, 0, self._secure, protocol)
             self._servers.append(server)
             self._own_addresses.add_ports(address, server.port)
 
@@ -119,13 +105,12 @@ class Listener:
             await server.close()
 
     async def _serve_slave(self, stream: SecureStream[Identity]) -> None:
-        presented: list[bytes] = []
+        presented: list[bytes] = []  # the grants the peer has presented on this connection
         await serve_peer(stream, partial(self._call, presented), self._access)
 
     async def _call(
         self, presented: list[bytes], method: str, params: tuple[object, ...], peer: Identity
     ) -> object:
-        # `presented` holds the grants the peer has presented on this connection.
         now = clock.now()
         authorized = False
         try:
@@ -137,7 +122,7 @@ class Listener:
                 case _:
                     pass
             if presented and method in SLAVE_CALLS and not self._access.is_master(peer):
-                check_slave_call(method, peer, self._name, presented[0], self._access, now)
+                check_slave_call(method, peer, self._node.name, presented[0], self._access, now)
                 authorized = True
         except RevocationsStale as error:
             if method not in SIGNED_UPDATES:  # one of them ends the staleness
@@ -168,12 +153,12 @@ class Listener:
             decision = admit_subscriber(fields, stream.peer, self._access, now)
             publisher = self._publishers.get(requested_topic(fields))
             if publisher is None:
-                raise ConnectionHeaderRefused(f"{self._name} does not publish {requested_topic(fields)}")
+                raise ConnectionHeaderRefused(f"{self._node.name} does not publish {requested_topic(fields)}")
             wishes = carried_out(requested_wishes(fields), decision)
             await publisher.ready()
             check_type(fields, publisher.endpoint.expected)
             guard = publisher.guard(decision)
-            name = caller_for(stream.peer, self._name, self._certified)
+            name = self._node.name_for(stream.peer)
             answer = publisher_header(name, publisher.endpoint, self._access, now, latching=publisher.latch)
             head = tcpros.encode(answer | wishes.fields)
             return partial(publisher.serve, stream, decision, guard, head, wishes)
@@ -244,34 +229,36 @@ class Node:
             memory_scope(self.name),
             certified=self.identity.name,
         )
-        self._topics = Topics(context, grace)
+        self.topics = Topics(context, grace)
         self.services = Services(context)
         self.params = NodeParameters(context, self.settings.resolve)
+        slave = SlaveApi(self, loaded.master)
         self._listener = Listener(
-            self.name,
-            secure,
-            self.access,
-            self._topics.publishers,
-            self.services,
-            SlaveApi(self, loaded.master),
-            connections,
-            own_addresses,
-            self.identity.name,
+            context, secure, self.topics.publishers, self.services, slave, own_addresses
         )
         self._host = ""
         self._ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     async def __aenter__(self) -> Self:
+        address = self.settings.address
         try:
-            await self._start()
+            warn_of_own_address(
+                address,
+                self._environ,
+                lambda error: _log.warning("%s: %s (%s)", self.name, error, error.hint),
+            )
+            stream = await self._membership.session.open()
+            self._host = address or stream.local_address
+            await self._listener.start(self._host)
+            self._context.uri = names.build_uri(self._host, self._listener.slave_port)
+            self._context.rosrpc = names.build_uri(*self.topic_endpoint(), scheme="rosrpc")
+            self._membership.start()
         except BaseException:
             await self.close()
             raise
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self.close()
 
     async def publisher(
@@ -284,7 +271,7 @@ class Node:
                 master refuses.
         """
         endpoint = TopicEndpoint(self.settings.resolve(topic), message_type(type_name))
-        return await self._topics.publish(endpoint, latch=latch, queue_size=queue_size)
+        return await self.topics.publish(endpoint, latch=latch, queue_size=queue_size)
 
     async def topic_types(self) -> dict[str, str]:
         """The topics that have a publisher or subscriber, and that this node may see: their types.
@@ -322,11 +309,7 @@ class Node:
         """
         wishes = Wishes(rate, newest, deflate)
         endpoint = TopicEndpoint(self.settings.resolve(topic), message_type(type_name))
-        return await self._topics.subscribe(endpoint, queue_size=queue_size, wishes=wishes)
-
-    @property
-    def topics(self) -> Topics:
-        return self._topics
+        return await self.topics.subscribe(endpoint, queue_size=queue_size, wishes=wishes)
 
     async def service(
         self,
@@ -377,29 +360,25 @@ class Node:
         await self.services.wait_for(self.settings.resolve(name), within=timeout)
 
     async def wait_ended(self) -> None:
-        """Wait until the node ends by itself.
-
-        Raises:
-            NodeShutdown: the master ended it.
-        """
+        """Wait until the node ends by itself; raises NodeShutdown: the master ended it."""
         await asyncio.shield(self._ended)
 
     async def close(self) -> None:
         """Unregister, close every connection, stop every task. Safe to call twice."""
-        for publisher in self._topics.publishers.values():
+        for publisher in self.topics.publishers.values():
             publisher.close()
         await self._listener.close()
-        await self._topics.close_subscribers()
+        await self.topics.close_subscribers()
         await self.services.close()
         self.params.close()
-        await self._topics.unregister()
+        await self.topics.unregister()
         await self._membership.close()
         self._ended.cancel()
 
     # --- calls of the slave API (SlaveEvents) ---
 
     def publishers_changed(self, topic: str, uris: list[str]) -> None:
-        self._topics.publishers_changed(topic, uris)
+        self.topics.publishers_changed(topic, uris)
 
     def parameter_changed(self, key: str, value: object) -> None:
         self.params.changed(key, value)
@@ -409,7 +388,6 @@ class Node:
         self._membership.update_revocations(revocations, timestamp, master)
 
     def push_arrived(self, method: str, params: tuple[object, ...], master: Identity) -> None:
-        """Take what else the master pushes, then close connections that must end."""
         self._membership.take_push(method, params, master)
 
     def shutdown_requested(self, reason: str) -> None:
@@ -428,7 +406,7 @@ class Node:
             "getPid": os.getpid(),
             "getBusStats": [[], [], []],
             "getBusInfo": [],
-            **self._topics.describe(),
+            **self.topics.describe(),
         }
 
     @property
@@ -444,8 +422,7 @@ class Node:
         return await self.dial_master()
 
     async def restore(self) -> None:
-        """Make every registration again."""
-        await self._topics.restore()
+        await self.topics.restore()
         await self.services.restore()
         await self.params.restore()
 
@@ -453,8 +430,7 @@ class Node:
         await self.restore()
 
     def maintain(self) -> None:
-        """Drop publishers that a restarted master did not list again in time."""
-        self._topics.drop_expired_publishers()
+        self.topics.drop_expired_publishers()
 
     def crashed(self, error: BaseException) -> None:
         """Close the node when a task fails: without its watchdog it would close no connection."""
@@ -463,21 +439,13 @@ class Node:
         if not self._ended.cancelled():
             self._membership.tasks.spawn(self.close(), f"{self.name}: closing after a failure")
 
-    async def _start(self) -> None:
-        warn_of_own_address(self.settings.address, self._environ, self._warn_of_address)
-        stream = await self._membership.session.open()
-        self._host = self.settings.address or stream.local_address
-        await self._listener.start(self._host)
-        self._context.uri = names.build_uri(self._host, self._listener.slave_port)
-        self._context.rosrpc = names.build_uri(*self.topic_endpoint(), scheme="rosrpc")
-        self._membership.start()
-
-    def _warn_of_address(self, error: HintedError) -> None:
-        _log.warning("%s: %s (%s)", self.name, error, error.hint)
-
 
 def install() -> None:
-    """Show refusals that nobody caught in this way, unless the program has a way of its own."""
+    """Show refusals that nobody caught with error and hint, as the command line does.
+
+    Only refusals: any other exception keeps its traceback. So does everything in Python's development mode
+    (`python -X dev`), and in a program that has set `sys.excepthook` itself.
+    """
     if sys.excepthook is sys.__excepthook__ and not sys.flags.dev_mode:
         sys.excepthook = show
 

@@ -1,8 +1,8 @@
 """Parameters: the master's tree, read and written over the node's session, and its changes.
 
-Values are those of XML-RPC: bool, int, float, str, bytes, lists, mappings with str keys. A
-subscription holds the newest value; a slow iteration misses values in between. The master notifies
-subscribers of an unset parameter with an empty mapping, as ROS does.
+Values are those of XML-RPC: bool, int, float, str, bytes, lists, mappings with str keys. A subscription holds
+the newest value; a slow iteration misses values in between. The master notifies subscribers of an unset
+parameter with an empty mapping, as ROS does.
 """
 
 import asyncio
@@ -27,11 +27,7 @@ Value = Any  # any XML-RPC value
 
 
 class NodeParameters:
-    """The parameters this node may read and write: `node.params`.
-
-    Args:
-        resolve: makes a name absolute and applies remappings.
-    """
+    """The parameters this node may read and write: `node.params`; `resolve` makes a name absolute."""
 
     def __init__(self, context: NodeContext, resolve: Callable[[str], str]) -> None:
         self._context = context
@@ -93,7 +89,6 @@ class NodeParameters:
             return None
 
     async def names(self) -> list[str]:
-        """Every parameter this node may read."""
         found = await self._ask("getParamNames")
         if not isinstance(found, list) or not all(isinstance(name, str) for name in found):
             raise AnswerMalformed("parameter names that are not a list of str")
@@ -115,7 +110,6 @@ class NodeParameters:
         return subscription
 
     def changed(self, key: str, value: Value) -> None:
-        """Take a new value of `key` from the master or this node."""
         key = key.removesuffix(SEPARATOR) or SEPARATOR
         for name, subscriptions in self._subscriptions.items():
             for subscription in subscriptions:
@@ -131,7 +125,6 @@ class NodeParameters:
                 await self._register(name)
 
     def close(self) -> None:
-        """End every iteration over a subscription."""
         for subscriptions in self._subscriptions.values():
             for subscription in subscriptions:
                 subscription.end()
@@ -172,16 +165,11 @@ class NodeParameters:
 
 
 class ParameterSubscription:
-    """A subscription to one parameter. Made by `NodeParameters.subscribe`.
-
-    Attributes:
-        name: its resolved name.
-        value: its newest value; do not change it in place.
-    """
+    """A subscription to one parameter. Made by `NodeParameters.subscribe`."""
 
     def __init__(self, name: str, on_close: Callable[["ParameterSubscription"], Awaitable[None]]) -> None:
         self.name = name
-        self.value: Value = {}
+        self.value: Value = {}  # the newest; do not change it in place
         self.updates = 0
         self._on_close = on_close
         self._updated = asyncio.Event()

@@ -1,26 +1,8 @@
 """A topic this node publishes: its subscribers, and what each may receive of a message.
 
-A shell around the guards: a message is serialized once, filtered once per distinct filter, and
-queued per subscriber (`subscriber_queue`, `wish_queue`). A subscriber whose guard cannot evaluate a
-message does not receive it.
-
-The messages that wait for one subscriber.
-
-A full queue drops its oldest message, as rospy's does; what waits is sent together.
-
-The messages for a subscriber with wishes: thinned out, the newest only, deflated.
-
-What comes here has passed the guard. Messages are sent one by one. For the newest to be sent, a
-message is taken from the queue only when those before it have left, and is deflated only then.
-
-A topic whose type becomes known when somebody subscribes: messages are forwarded as bytes.
-
-A subscriber is authorized first, as ever; then its handshake waits, a limited time, until the type
-is known (`describe`). Several senders may be behind the topic: a new subscriber is sent the last
-message of each that latches, and the header says that the topic latches only while there is one,
-as a receiver takes the last message of a latching publisher for the value of the topic.
-Restrictions of a subscriber are applied by the sender's definition, where that is proven or this
-host's: they may protect the subscriber from the sender.
+A shell around the guards: a message is serialized once, filtered once per distinct filter, and queued per
+subscriber. A full queue drops its oldest message, as rospy's does; what waits is sent together. A subscriber
+whose guard cannot evaluate a message does not receive it.
 """
 
 import asyncio
@@ -39,6 +21,7 @@ from grants.errors import GrantError
 from grants.filters.layout import Layout
 from grants.guard import Guard, needed_keys
 from rossec import clock
+from rossec.channel.tuning import BATCH
 from rossec.errors import ConnectionHeaderRefused, NodeShutdown, RossecError
 from rossec.net.aio import SecureStream
 from rossec.node.context import NodeConnection, NodeContext
@@ -63,10 +46,13 @@ from rossec.participant.message_types import Message, MessageType
 from rossec.ros.names import ANY_TYPE
 
 LENGTH: Final = struct.Struct("<I")
-# Batching amortizes system calls; beyond this a unit only adds latency (measured optimum 256 KiB).
-_BATCH: Final = 256 * 1024
+QUEUE_SIZE: Final = 10
+PATIENCE: Final = 4.0
+"""Seconds a handshake waits: a subscriber gives up after five (`HANDSHAKE_DEADLINE`)."""
 
 Pieces = Sequence[bytes | bytearray | memoryview]
+SubscriberConnection: TypeAlias = NodeConnection[Guard]
+_log = logging.getLogger("rossec.node")
 
 
 class SubscriberQueue:
@@ -103,7 +89,7 @@ class SubscriberQueue:
     def _next_batch(self) -> list[bytes | bytearray | memoryview]:
         batch: list[bytes | bytearray | memoryview] = []
         size = 0
-        while self._queue and size < _BATCH:
+        while self._queue and size < BATCH:
             pieces = self._queue.popleft()
             length = sum(map(len, pieces))
             batch.append(LENGTH.pack(length))
@@ -113,17 +99,17 @@ class SubscriberQueue:
 
 
 class WishQueue(SubscriberQueue):
-    """As `SubscriberQueue`, for a subscriber with `wishes`.
+    """As `SubscriberQueue`, for a subscriber with `wishes`: thinned out, the newest only, deflated.
 
-    Attributes:
-        thinned: how many messages the rate took away.
+    What comes here has passed the guard. Messages are sent one by one. For the newest to be sent, a message
+    is taken from the queue only when those before it have left, and is deflated only then.
     """
 
     def __init__(
         self, stream: SecureStream[Identity], queue_size: int, wishes: Wishes, deflation: SharedDeflation
     ) -> None:
         super().__init__(stream, 1 if wishes.newest else queue_size)
-        self.thinned = 0
+        self.thinned = 0  # messages that the rate took away
         self._wishes = wishes
         self._deflation = deflation
         self._rate = None if wishes.rate is None else WishedRate(wishes.rate)
@@ -149,24 +135,16 @@ class WishQueue(SubscriberQueue):
                 await self._wake.wait()
                 self._wake.clear()
                 while self._waiting:
-                    await self._send_one()
-
-    async def _send_one(self) -> None:
-        if self._wishes.newest:
-            await self._stream.flushed()
-        message = self._waiting.popleft()
-        size = sum(map(len, message.pieces))
-        if not self._wishes.deflate:
-            await self._stream.send(LENGTH.pack(size), *message.pieces)
-            return
-        large = size >= LARGE
-        content = await asyncio.to_thread(message.content) if large else message.content()
-        await self._stream.send(LENGTH.pack(len(content)), content)
-
-
-QUEUE_SIZE: Final = 10
-SubscriberConnection: TypeAlias = NodeConnection[Guard]
-_log = logging.getLogger("rossec.node")
+                    if self._wishes.newest:
+                        await self._stream.flushed()
+                    message = self._waiting.popleft()
+                    size = sum(map(len, message.pieces))
+                    if not self._wishes.deflate:
+                        await self._stream.send(LENGTH.pack(size), *message.pieces)
+                        continue
+                    large = size >= LARGE
+                    content = await asyncio.to_thread(message.content) if large else message.content()
+                    await self._stream.send(LENGTH.pack(len(content)), content)
 
 
 class Publisher:
@@ -210,17 +188,14 @@ class Publisher:
         self._publish(self.endpoint.type.serialize(message))
 
     def publish_bytes(self, data: bytes | memoryview) -> None:
-        """Send a message that is serialized already (without its length prefix).
-
-        A buffer that could still change is copied, so that the bytes checked are the bytes sent.
-        """
+        """Send a message that is serialized already (without its length prefix). A buffer that could still
+        change is copied, so that the bytes checked are the bytes sent."""
         self._publish(memoryview(data if isinstance(data, bytes) else bytes(data)))
 
     def close(self) -> None:
         self._closed = True
 
     def cut(self, reason: str) -> None:
-        """End the connection with every subscriber; what is queued for them is not sent."""
         for connection in tuple(self.links):
             connection.stream.abort(reason)
 
@@ -250,18 +225,12 @@ class Publisher:
                 queue.enqueue(pieces)
 
     async def wait_for_subscribers(self, count: int = 1) -> None:
-        """Return as soon as at least `count` subscribers are connected."""
         while len(self.links) < count:
             self._changed.clear()
             await self._changed.wait()
 
     def guard(self, decision: Decision) -> Guard:
-        """The guard that applies `decision` to the messages of this topic.
-
-        Raises:
-            GrantError: its restrictions are for another message type.
-            ConfigurationError: a key for pseudonyms cannot be read.
-        """
+        """The guard that applies `decision` to the messages of this topic."""
         context = self._context
         keys = {name: context.filter_key(name) for name in needed_keys(decision.restrictions)}
         return Guard(self._shape(decision), decision, keys, context.memory_scope)
@@ -282,12 +251,15 @@ class Publisher:
         answer: bytes,
         wishes: Wishes = NO_WISHES,
     ) -> None:
-        """Answer one admitted subscriber and send it messages until its stream ends.
-
-        It is registered before the answer is sent: a revocation received meanwhile closes it.
-        """
+        """Answer one admitted subscriber and send it messages until its stream ends. It is registered before
+        the answer is sent: a revocation received meanwhile closes it."""
         connection = AuthorizedConnection(stream, decision, guard, partial(self._rebuilt, wishes))
-        queue = self.links[connection] = self._queue_for(stream, wishes)
+        queue = (
+            WishQueue(stream, self._queue_size, wishes, self._deflation)
+            if wishes
+            else SubscriberQueue(stream, self._queue_size)
+        )
+        self.links[connection] = queue
         self._links_changed()
         try:
             with self._context.connections.track(connection):
@@ -312,11 +284,6 @@ class Publisher:
     def _latches(self) -> Iterable[Latch[memoryview]]:
         return (self._latch,)
 
-    def _queue_for(self, stream: SecureStream[Identity], wishes: Wishes) -> SubscriberQueue:
-        if wishes:
-            return WishQueue(stream, self._queue_size, wishes, self._deflation)
-        return SubscriberQueue(stream, self._queue_size)
-
     def _filter(
         self,
         connection: SubscriberConnection,
@@ -334,33 +301,29 @@ class Publisher:
         return pieces
 
 
-PATIENCE: Final = 4.0
-"""Seconds a handshake waits: a subscriber gives up after five (`HANDSHAKE_DEADLINE`)."""
-
-
 class RawPublisher(Publisher):
     """Forwards messages of a type that others define. Made by `Topics.publish_raw`.
 
-    Args:
-        type_name: as registered; `*`: not known yet.
-        on_demand: called when `demand` has changed.
-
-    Attributes:
-        problem: why the type is not known, for the log of a subscriber that waited in vain.
+    A subscriber is authorized first, as ever; then its handshake waits, a limited time, until the type is
+    known (`describe`). Several senders may be behind the topic: a new subscriber is sent the last message of
+    each that latches, and the header says that the topic latches only while there is one, as a receiver takes
+    the last message of a latching publisher for the value of the topic. Restrictions of a subscriber are
+    applied by the sender's definition, where that is proven or this host's: they may protect the subscriber
+    from the sender.
     """
 
     def __init__(
         self,
         topic: str,
-        type_name: str,
+        type_name: str,  # as registered; `*`: not known yet
         context: NodeContext,
-        on_demand: Callable[[], None],
+        on_demand: Callable[[], None],  # called when `demand` has changed
         *,
         queue_size: int = QUEUE_SIZE,
     ) -> None:
         unknown = TopicEndpoint(topic, MessageType(type_name, ANY_TYPE, ""))
         super().__init__(unknown, None, context, latch=False, queue_size=queue_size)
-        self.problem = ""
+        self.problem = ""  # why the type is not known, for the log of a subscriber that waited in vain
         self._on_demand = on_demand
         self._waiting = 0
         self._known = asyncio.Event()
@@ -381,11 +344,7 @@ class RawPublisher(Publisher):
         self._known.set()
 
     def forward(self, sender: object, data: bytes, *, keep: bool) -> None:
-        """Send a serialized message; with `keep` it is what new subscribers are sent first.
-
-        Raises:
-            NodeShutdown: the node is closed, or the topic is no longer published.
-        """
+        """Send a serialized message; with `keep` it is what new subscribers are sent first."""
         latch = self._by_sender.setdefault(sender, Latch()) if keep else None
         self._send(Sample(memoryview(data)), latch)
 
@@ -393,12 +352,7 @@ class RawPublisher(Publisher):
         self._by_sender.pop(sender, None)
 
     async def ready(self) -> None:
-        """Return when the type is known.
-
-        Raises:
-            ConnectionHeaderRefused: it did not become known in time.
-            NodeShutdown: the topic is no longer published.
-        """
+        """Return when the type is known."""
         self._waiting += 1
         self._on_demand()
         try:

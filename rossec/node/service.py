@@ -1,13 +1,10 @@
-"""A service this node provides: its callers, and what each of them may send and receive.
+"""The services of one node: those it provides, what each caller may send and receive, and their
+registrations.
 
-Every request is checked again, as a connection may be hours old. The requests of one connection are
-answered one after the other; a caller that sends faster is not read from. Exceptions of a handler
-are not sent to the caller, except `ServiceFailed`.
-
-The services of one node: those it provides, those it calls, and their registrations.
-
-A caller is authorized before this node looks up the service: a caller or a probe without the right
-learns nothing (attack N6).
+A caller is authorized before this node looks up the service: a caller or a probe without the right learns
+nothing (attack N6). Every request is checked again, as a connection may be hours old. The requests of one
+connection are answered one after the other; a caller that sends faster is not read from. Exceptions of a
+handler are not sent to the caller, except `ServiceFailed`.
 """
 
 import asyncio
@@ -57,12 +54,14 @@ from rossec.participant.handshakes import (
 from rossec.participant.message_types import Message, field_names
 from rossec.participant.service_types import Pieces, ServiceGuard, ServiceType
 from rossec.ros import tcpros
-from rossec.ros import tcpros as wire
 from rossec.ros.tcpros import REQUEST_LIMIT
 
 REQUEST_DEADLINE: Final = 10.0  # seconds from the beginning of a request to its end
 HANDLER_DEADLINE: Final = 60.0
 CONCURRENCY: Final = 8
+_POLL_PERIOD: Final = 0.3  # seconds between probes of a service, as in rospy
+_PASSING: Final = (ServiceUnavailable, ChannelError, OSError, TimeoutError, RevocationsStale)
+_ABSENT: Final = "no provider"  # status of the master, as stock; a refusal begins with "rossec: "
 
 CallerConnection: TypeAlias = NodeConnection[ServiceGuard]
 Response: TypeAlias = "Message | Mapping[str, object] | Awaitable[Any] | None"
@@ -73,7 +72,7 @@ _log = logging.getLogger("rossec.node")
 
 async def receive_request(stream: SecureStream[Identity], *, wait: bool) -> bytes:
     """The next request; `wait` without a time limit for it to begin."""
-    frames = wire.request_reader()
+    frames = tcpros.request_reader()
     content = frames.feed_one(await stream.receive()) if wait else None
     try:
         async with asyncio.timeout(REQUEST_DEADLINE):
@@ -147,7 +146,9 @@ class Service:
     ) -> None:
         # It is registered before the answer is sent: a revocation received meanwhile closes it.
         connection = AuthorizedConnection(stream, decision, guard, self.guard)
-        share = self._share_of(stream.peer)
+        share = self._shares.get(stream.peer.thumbprint)
+        if share is None:
+            share = self._shares[stream.peer.thumbprint] = asyncio.Semaphore(self._share)
         self.links.add(connection)
         try:
             with self._context.connections.track(connection):
@@ -160,12 +161,6 @@ class Service:
         finally:
             self.links.discard(connection)
 
-    def _share_of(self, caller: Identity) -> asyncio.Semaphore:
-        share = self._shares.get(caller.thumbprint)
-        if share is None:
-            share = self._shares[caller.thumbprint] = asyncio.Semaphore(self._share)
-        return share
-
     async def _answer(self, connection: CallerConnection, share: asyncio.Semaphore, request: bytes) -> None:
         self._context.connections.check(connection)
         await connection.stream.send(*await self._respond(connection, share, request))
@@ -176,23 +171,21 @@ class Service:
         try:
             async with asyncio.timeout(self._deadline), share, self._slots:
                 allowed = b"".join(connection.guard.request(request, clock.time()))
-                data = await self._handle(self._parse(allowed), connection.stream.peer)
-                return wire.success(connection.guard.response(data, clock.time()))
+                try:
+                    parsed = self.kind.request.deserialize(allowed)
+                except MessageError as error:
+                    raise ServiceRefused(f"not one {self.kind.request.name}") from error
+                data = await self._handle(parsed, connection.stream.peer)
+                return tcpros.success(connection.guard.response(data, clock.time()))
         except ServiceFailed as error:
-            return wire.failure(str(error))
+            return tcpros.failure(str(error))
         except (ServiceRefused, GrantError) as error:
             delivery.warn(_log, delivery.REFUSED, self.name, shown(connection.stream.peer.name), error)
-            return wire.failure(f"rossec: {error}")
+            return tcpros.failure(f"rossec: {error}")
         except TimeoutError:
             took = f"a call took more than {self._deadline:g} s"
             delivery.warn(_log, delivery.REFUSED, self.name, shown(connection.stream.peer.name), took)
-            return wire.failure("the service took too long")
-
-    def _parse(self, request: bytes) -> Message:
-        try:
-            return self.kind.request.deserialize(request)
-        except MessageError as error:
-            raise ServiceRefused(f"not one {self.kind.request.name}") from error
+            return tcpros.failure("the service took too long")
 
     async def _handle(self, request: Message, caller: Identity) -> memoryview:
         try:
@@ -220,14 +213,7 @@ class Service:
         return result
 
 
-_POLL_PERIOD: Final = 0.3  # seconds between probes of a service, as in rospy
-_PASSING: Final = (ServiceUnavailable, ChannelError, OSError, TimeoutError, RevocationsStale)
-_ABSENT: Final = "no provider"  # status of the master, as stock; a refusal begins with "rossec: "
-
-
 class Services:
-    """The provided services by name, and the clients."""
-
     def __init__(self, context: NodeContext) -> None:
         self._context = context
         self._provided: dict[str, Service] = {}
@@ -242,12 +228,7 @@ class Services:
         concurrency: int = CONCURRENCY,
         deadline: float = HANDLER_DEADLINE,
     ) -> Service:
-        """Register the service `name`, a full name; `handler(request, caller)`; see `Service`.
-
-        Raises:
-            RossecError: a second provider in this node, a name below /remote, or the master
-                refuses.
-        """
+        """Register the service `name`, a full name; `handler(request, caller)`; see `Service`."""
         refuse_offer(name, "provided")
         if name in self._provided:
             raise ConfigurationError(f"{name} is provided by this node already")
@@ -279,36 +260,24 @@ class Services:
         return client
 
     async def wait_for(self, name: str, within: float | None = None) -> None:
-        """Return as soon as a provider of `name` answers.
-
-        Raises:
-            ServiceUnavailable: none did within so many seconds.
-            HintedError: this node may not call it, or the provider may not provide it.
-        """
+        """Return as soon as a provider of `name` answers."""
         try:
             async with asyncio.timeout(within):
-                await self._wait_for_probe(name)
+                while True:
+                    with contextlib.suppress(*_PASSING):
+                        await self.probe(name)
+                        return
+                    await asyncio.sleep(_POLL_PERIOD)
         except TimeoutError:
             raise ServiceUnavailable(
                 f"no node provided {shown(name)} within {within:g} s", "is its provider running?"
             ) from None
 
-    async def _wait_for_probe(self, name: str) -> None:
-        while True:
-            with contextlib.suppress(*_PASSING):
-                await self.probe(name)
-                return
-            await asyncio.sleep(_POLL_PERIOD)
-
     async def probe(self, name: str) -> tuple[Fields, Identity]:
         return await probe(self.dial, self._context.name_for, name, self._context.access)
 
     async def known(self) -> dict[str, list[str]]:
-        """Services this node may see, each with its providers.
-
-        Raises:
-            RossecError: the master is out of reach, or sends a malformed answer.
-        """
+        """Services this node may see, each with its providers."""
         match await self._context.call("getSystemState"):
             case [_, _, [*services]]:
                 return dict(_provided(item) for item in services)
@@ -316,12 +285,7 @@ class Services:
                 raise AnswerMalformed("an invalid system state")
 
     async def lookup(self, name: str) -> str:
-        """The rosrpc URI of the provider of `name`.
-
-        Raises:
-            ServiceUnavailable: there is none.
-            RossecError: the master refuses, or is out of reach.
-        """
+        """The rosrpc URI of the provider of `name`."""
         try:
             uri = await self._context.call("lookupService", name)
         except AnswerRefused as error:
@@ -338,11 +302,7 @@ class Services:
     def admit(
         self, fields: Mapping[str, bytes], stream: SecureStream[Identity]
     ) -> Callable[[], Awaitable[None]]:
-        """Decide on a caller from its header; returns what serves it.
-
-        Raises:
-            HintedError: the caller is refused.
-        """
+        """Decide on a caller from its header; returns what serves it."""
         context, now = self._context, clock.now()
         decision = admit_caller(fields, stream.peer, context.access, now)
         name = requested_service(fields)
@@ -361,7 +321,6 @@ class Services:
         return partial(service.serve, stream, decision, guard, answer, persistent=persistent)
 
     async def withdraw(self, name: str) -> None:
-        """End a service of this node, if it is provided."""
         service = self._provided.get(name)
         if service is not None:
             await service.close()
@@ -373,7 +332,6 @@ class Services:
                 await self._register(service)
 
     async def close(self) -> None:
-        """Close every client and every service; unregister."""
         for client in tuple(self._clients):
             await client.close()
         for service in tuple(self._provided.values()):

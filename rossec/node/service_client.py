@@ -1,15 +1,13 @@
 """Calls of a service: a connection for each call, or a persistent one.
 
-The master provides the address of the provider only. Its identity comes from the channel, its right
-to provide from the grant it presents; `service_guard` filters what is sent and received. A
-connection that failed during a call is not used again: a late response must not be taken for that
-of the next call.
+The master provides the address of the provider only. Its identity comes from the channel, its right to
+provide from the grant it presents; `ServiceGuard` filters what is sent and received. A connection that failed
+during a call is not used again: a late response must not be taken for that of the next call.
 """
 
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Awaitable, Callable
-from types import TracebackType
 from typing import Final, Self, TypeAlias
 
 from ca.certificates import Identity
@@ -34,7 +32,6 @@ from rossec.participant.handshakes import (
 from rossec.participant.message_types import Message
 from rossec.participant.service_types import Pieces, ServiceGuard, ServiceType
 from rossec.ros import tcpros
-from rossec.ros import tcpros as wire
 from rossec.ros.tcpros import MESSAGE_LIMIT
 
 CALL_DEADLINE: Final = 60.0
@@ -46,17 +43,12 @@ Dial = Callable[[str], Awaitable[SecureStream[Identity]]]  # service -> stream t
 
 
 async def exchange_call(stream: SecureStream[Identity], request: Pieces) -> bytes:
-    """The response to one request.
-
-    Raises:
-        ServiceFailed: the provider answered with an error.
-        RossecError: the connection was closed, or the peer violated the protocol.
-    """
-    frames = wire.response_reader()
-    await stream.send(*wire.framed(request))
+    """The response to one request."""
+    frames = tcpros.response_reader()
+    await stream.send(*tcpros.framed(request))
     while (content := frames.feed_one(await stream.receive())) is None:
         pass
-    return wire.open_response(content)
+    return tcpros.open_response(content)
 
 
 async def exchange_headers(
@@ -69,11 +61,7 @@ async def exchange_headers(
     persistent: bool = False,
     probe: bool = False,
 ) -> tuple[Fields, Decision]:
-    """Exchange headers with a provider; returns its header, and the decision on its grants.
-
-    Raises:
-        HintedError: it refuses, or lacks the right.
-    """
+    """Exchange headers with a provider; returns its header, and the decision on its grants."""
     fields = client_header(caller, service, kind, access, clock.now(), persistent=persistent, probe=probe)
     await stream.send(tcpros.encode(fields))
     frames = tcpros.FrameReader(tcpros.HEADER_LIMIT)
@@ -84,12 +72,7 @@ async def exchange_headers(
 
 
 async def probe(dial: Dial, caller_for: CallerFor, service: str, access: Access) -> tuple[Fields, Identity]:
-    """Request the header of the provider of `service`; returns it and the provider's identity.
-
-    Raises:
-        HintedError: there is none, it refuses, or lacks the right.
-        TimeoutError: it does not answer.
-    """
+    """Request the header of the provider of `service`; returns it and the provider's identity."""
     async with asyncio.timeout(HANDSHAKE_DEADLINE):
         stream = await dial(service)
         try:
@@ -101,12 +84,7 @@ async def probe(dial: Dial, caller_for: CallerFor, service: str, access: Access)
 
 
 class ServiceClient:
-    """Calls one service: `response = await client(data=True)`. Made by `Node.client`.
-
-    Args:
-        persistent: keep the connection between calls, which then run one at a time.
-        deadline: seconds a call may take, connecting included.
-    """
+    """Calls one service: `response = await client(data=True)`. Made by `Node.client`."""
 
     def __init__(
         self,
@@ -116,8 +94,8 @@ class ServiceClient:
         dial: Dial,
         on_close: Callable[["ServiceClient"], None],
         *,
-        persistent: bool = False,
-        deadline: float = CALL_DEADLINE,
+        persistent: bool = False,  # keep the connection between calls, which then run one at a time
+        deadline: float = CALL_DEADLINE,  # seconds a call may take, connecting included
     ) -> None:
         if deadline <= 0:
             raise ConfigurationError(f"a deadline of {deadline:g} seconds", "it must be above zero")
@@ -164,9 +142,7 @@ class ServiceClient:
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self.close()
 
     @contextlib.asynccontextmanager
@@ -208,7 +184,12 @@ class ServiceClient:
             stream.abort("the connection header was refused")
             raise
         self.links.add(connection)
-        self._task_set.spawn(self._discard_when_ended(connection), f"{self.service}: connection")
+
+        async def discard_when_ended() -> None:  # so that the next call does not use it
+            await connection.stream.wait_ended()
+            self._discard(connection)
+
+        self._task_set.spawn(discard_when_ended(), f"{self.service}: connection")
         return connection
 
     async def _handshake(self, stream: SecureStream[Identity]) -> ProviderConnection:
@@ -228,11 +209,6 @@ class ServiceClient:
     def _guard(self, decision: Decision) -> ServiceGuard:
         context = self._context
         return ServiceGuard(self.kind, decision, context.filter_key, context.memory_scope)
-
-    async def _discard_when_ended(self, connection: ProviderConnection) -> None:
-        # Discard a connection when it ends, so that the next call does not use it.
-        await connection.stream.wait_ended()
-        self._discard(connection)
 
     def _discard(self, connection: ProviderConnection) -> None:
         connection.stream.abort("the call failed before its end")

@@ -1,21 +1,8 @@
 """A topic this node subscribes to: one connection to each publisher the master lists.
 
-The master provides the addresses of publishers only. Their identity comes from the channel, their
-right to publish from the grant they present. A publisher that refuses, or is refused, is tried
-again with growing pauses for as long as the master lists it: a grant may arrive later.
-
-What a subscriber's wishes mean for the messages it receives from one publisher.
-
-Inflates what the publisher deflates, never much in one turn of the loop. An older publisher takes
-no wish: then messages are thinned out here, which spares the program and not the line.
-
-A topic of any type, whose messages are taken as they come: bytes, by publisher.
-
-Type and md5sum of the subscription are `*`, as in ROS; what a publisher answers with says what its
-messages are, and is handed on with them. Nothing of it is trusted: where a right of the publisher
-is restricted, the restriction is applied by the definition that is installed here, as for every
-receiver of any type (`participant/definitions.py`). There is no queue: a receiver takes each
-message at once, or leaves it.
+The master provides the addresses of publishers only. Their identity comes from the channel, their right to
+publish from the grant they present. A publisher that refuses, or is refused, is tried again with growing
+pauses for as long as the master lists it: a grant may arrive later.
 """
 
 import asyncio
@@ -24,7 +11,6 @@ import re
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from time import monotonic
 from typing import Any, Final, Protocol, TypeAlias
 
@@ -63,12 +49,23 @@ from rossec.ros import tcpros
 from rossec.ros.names import ANY_TYPE
 from rossec.ros.tcpros import MESSAGE_LIMIT, FrameReader, Framing
 
+QUEUE_SIZE: Final = 10
+HANDSHAKE_DEADLINE: Final = 5.0
+_FIRST_PAUSE: Final = 0.25
+LONGEST_PAUSE: Final = 15.0
+ANY: Final = MessageType(ANY_TYPE, ANY_TYPE, "")
+_MD5: Final = re.compile(r"[0-9a-f]{32}")
+
+PublisherConnection: TypeAlias = NodeConnection[Guard | None]
+OnClose = Callable[["Subscriber"], Awaitable[None]]
+_log = logging.getLogger("rossec.node")
+
 
 class WishedMessages:
-    """The messages of one connection that was asked for with wishes.
+    """The messages of one connection that was asked for with wishes; `limit`: how many bytes one may have.
 
-    Args:
-        limit: how long a message may be, in bytes.
+    Inflates what the publisher deflates, never much in one turn of the loop. A publisher may take no wish:
+    then messages are thinned out here, which spares the program and not the line.
     """
 
     def __init__(self, asked: Wishes, taken: Wishes, limit: int) -> None:
@@ -100,16 +97,6 @@ def wished_messages(asked: Wishes, answer: Mapping[str, bytes], limit: int) -> W
     if taken.deflate or taken.rate != asked.rate:
         return WishedMessages(asked, taken, limit)
     return None
-
-
-QUEUE_SIZE: Final = 10
-HANDSHAKE_DEADLINE: Final = 5.0
-_FIRST_PAUSE: Final = 0.25
-LONGEST_PAUSE: Final = 15.0
-
-PublisherConnection: TypeAlias = NodeConnection[Guard | None]
-OnClose = Callable[["Subscriber"], Awaitable[None]]
-_log = logging.getLogger("rossec.node")
 
 
 class Subscriber:
@@ -247,14 +234,13 @@ class Subscriber:
         decision = admit_publisher(answer, stream.peer, endpoint.expected, context.access, clock.now())
         stream.raise_unit_limit(unit_limit(self._size, MESSAGE_LIMIT))
         del answer[FIELD]  # what is kept of it needs no grants
-        rebuild = partial(self._guard, answer)
+
+        def rebuild(decision: Decision) -> Guard | None:
+            kind = self._read_as(answer, decision)
+            return guard_for(kind, decision, context.filter_key, self.memory_scope)
+
         connection = AuthorizedConnection(stream, decision, rebuild(decision), rebuild)
         return connection, answer, units[1:]
-
-    def _guard(self, answer: Fields, decision: Decision) -> Guard | None:
-        # For the messages of the publisher that answered so.
-        kind = self._read_as(answer, decision)
-        return guard_for(kind, decision, self._context.filter_key, self.memory_scope)
 
     # -- what a raw subscriber does in another way
 
@@ -271,9 +257,8 @@ class Subscriber:
 
     def _deliver(self, connection: PublisherConnection, messages: list[bytes]) -> None:
         if connection.guard is not None:
-            messages = self._filtered(
-                connection.guard, messages, shown(connection.stream.peer.name), clock.time()
-            )
+            peer = shown(connection.stream.peer.name)
+            messages = self._filtered(connection.guard, messages, peer, clock.time())
         if messages:
             self.received += len(messages)
             self._keep(connection, messages)
@@ -320,34 +305,18 @@ def check_queue_size(size: int) -> None:
         raise ConfigurationError(f"a queue of {size} messages", "queue_size must be 1 or more")
 
 
-ANY: Final = MessageType(ANY_TYPE, ANY_TYPE, "")
-_MD5: Final = re.compile(r"[0-9a-f]{32}")
-
-
 @dataclass(frozen=True, eq=False)
 class RawSource:
-    """A publisher that is connected.
-
-    Attributes:
-        peer: its certified name, of a foreign one its alias.
-        type: of its messages, as it claims.
-        latching: whether it sends new subscribers the last message, as it claims.
-    """
-
-    peer: str
-    type: Definition
-    latching: bool
+    peer: str  # its certified name, of a foreign one its alias
+    type: Definition  # of its messages, as it claims
+    latching: bool  # whether it sends new subscribers the last message, as it claims
 
 
 class RawReceiver(Protocol):
     """What takes messages; each publisher is connected once, then gone once."""
 
     def connected(self, source: RawSource) -> None:
-        """A publisher is connected.
-
-        Raises:
-            HintedError: it is not wanted; it is tried again later.
-        """
+        """A publisher is connected; raises HintedError: it is not wanted; it is tried again later."""
 
     def received(self, source: RawSource, messages: Sequence[bytes]) -> None:
         """Serialized messages, without their length prefixes."""
@@ -360,7 +329,13 @@ class RawReceiver(Protocol):
 
 
 class RawSubscriber(Subscriber):
-    """Hands what arrives to a receiver. Made by `Topics.subscribe_raw`."""
+    """Hands what arrives, of any type, to a receiver: it takes each message at once. Made by
+    `Topics.subscribe_raw`.
+
+    Type and md5sum of the subscription are `*`, as in ROS; what a publisher answers with says what its
+    messages are, and is handed on with them. Nothing of it is trusted: where a right of the publisher is
+    restricted, the restriction is applied by the definition that is installed here.
+    """
 
     def __init__(self, topic: str, receiver: RawReceiver, *given: Any, **options: Any) -> None:
         super().__init__(TopicEndpoint(topic, ANY), *given, **options)

@@ -2,7 +2,7 @@
 
 import contextlib
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from itertools import count
 
 from ca.errors import HintedError
@@ -20,29 +20,18 @@ _log = logging.getLogger("rossec.node")
 
 
 class Topics:
-    """Publishers by topic, and any number of subscribers."""
-
     def __init__(self, context: NodeContext, grace: PublisherGrace) -> None:
         self._context = context
-        self._publishers: dict[str, Publisher] = {}
+        self.publishers: dict[str, Publisher] = {}
         self._subscribers: dict[str, list[Subscriber]] = {}
         self._grace = grace
-
-    @property
-    def publishers(self) -> Mapping[str, Publisher]:
-        return self._publishers
 
     @property
     def subscribers(self) -> list[Subscriber]:
         return [item for items in self._subscribers.values() for item in items]
 
     async def publish(self, endpoint: TopicEndpoint, *, latch: bool, queue_size: int) -> Publisher:
-        """Register a publisher.
-
-        Raises:
-            RossecError: a second publisher of the topic, a name below /remote, or the master
-                refuses.
-        """
+        """Register a publisher."""
         publisher = Publisher(
             endpoint, endpoint.type.layout, self._context, latch=latch, queue_size=queue_size
         )
@@ -58,13 +47,11 @@ class Topics:
         return publisher
 
     async def unpublish(self, publisher: Publisher) -> None:
-        """Cut the subscribers of a publisher of this node, and unregister it.
-
-        A master that is out of reach is not told: what is not published is not registered again.
-        """
-        if self._publishers.get(publisher.topic) is not publisher:
+        """Cut the subscribers of a publisher of this node, and unregister it. A master that is out of reach
+        is not told: what is not published is not registered again."""
+        if self.publishers.get(publisher.topic) is not publisher:
             return
-        del self._publishers[publisher.topic]
+        del self.publishers[publisher.topic]
         publisher.close()
         publisher.cut("no longer published")
         with contextlib.suppress(HintedError, OSError):
@@ -73,25 +60,20 @@ class Topics:
     async def _offer(self, publisher: Publisher) -> None:
         topic = publisher.topic
         refuse_offer(topic, "published")
-        if topic in self._publishers:
+        if topic in self.publishers:
             raise ConfigurationError(f"{topic} is published by this node already")
-        self._publishers[topic] = publisher
+        self.publishers[topic] = publisher
         try:
             await self._register_publisher(publisher)
         except BaseException:
-            if self._publishers.get(topic) is publisher:
-                del self._publishers[topic]
+            if self.publishers.get(topic) is publisher:
+                del self.publishers[topic]
             raise
 
     async def subscribe(
         self, endpoint: TopicEndpoint, *, queue_size: int, wishes: Wishes = NO_WISHES
     ) -> Subscriber:
-        """Register a subscriber.
-
-        Raises:
-            NameRefused: a name below /remote that is no alias.
-            RossecError: the master refuses.
-        """
+        """Register a subscriber."""
         subscriber = Subscriber(
             endpoint, *self._for_subscriber(endpoint.topic), queue_size=queue_size, wishes=wishes
         )
@@ -126,7 +108,6 @@ class Topics:
             raise
 
     def describe(self) -> dict[str, object]:
-        """The topics with their types, for the slave API."""
         publications = [[item.topic, item.endpoint.type.name] for item in self.publishers.values()]
         subscriptions = [[item.topic, item.endpoint.type.name] for item in self.subscribers]
         return {"getSubscriptions": subscriptions, "getPublications": publications}
@@ -144,8 +125,7 @@ class Topics:
             subscriber.update(uris)
 
     async def restore(self) -> None:
-        """Register everything again: the master was restarted, or there is a new grant."""
-        for publisher in tuple(self._publishers.values()):
+        for publisher in tuple(self.publishers.values()):
             with self._context.restoring(publisher.topic):
                 await self._register_publisher(publisher)
         for subscriber in self.subscribers:
@@ -157,9 +137,8 @@ class Topics:
             await subscriber.close()
 
     async def unregister(self) -> None:
-        """Unregister the publishers."""
         try:
-            for topic in self._publishers:
+            for topic in self.publishers:
                 await self._context.call("unregisterPublisher", topic, self._context.uri)
         except (HintedError, OSError, TimeoutError) as error:
             _log.info("%s: closed without unregistering: %s", self._context.name, error)

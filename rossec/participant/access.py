@@ -1,29 +1,11 @@
 """The grants a node holds, and the authorization of its peers, which happens here only.
 
-Pure: grants, revocations and `now` in; a `Decision` or an error out. Least disclosure: of the
-grants this node holds, a peer receives only those that cover the request. A name may be an alias: a
-right on it is the right on the origin's name, and only grants of the origin's domain prove it,
-whoever holds them; what a foreign authority signs counts for nothing else. What a gateway serves
-has a name of its own (`wire_names`), of this domain: only a gateway publishes under it.
-
-By which name a topic is asked of a publisher, and which name its grants speak of. Pure.
-
-A subscriber of the alias `/remote/hospital/pose` is told addresses by its master; who is there, and
-so which of two names counts, only the authenticated peer decides. A gateway of the own domain
-serves the topic as `/gateway/hospital/pose`: a name of the own domain, on the wire and in its
-grants. To every other peer, a foreign domain's `/gateway` too, the alias is the origin's name, by
-the origin's grants. So neither authority's grants count for what the other one's are about.
-
-Opens the tokens that a peer presents: by the root, the list and the masters of one domain.
-
-Which domain is the caller's to say, from the name that is asked for; never the token's. Pure.
-
-How many tokens are shown at once: what a peer that has not judged them yet may be sent.
-
-Pure. A chain of narrowings may be as large as a few dozen grants, so the bytes count as well as
-the number; what has no room is left out, or comes with the next call.
-
-The parts of `Access` used here: a program with threads passes an object with a lock.
+Pure: grants, revocations and `now` in; a `Decision` or an error out. Least disclosure: of the grants this
+node holds, a peer receives only those that cover the request. A name may be an alias: a right on it is the
+right on the origin's name, and only grants of the origin's domain prove it, whoever holds them; what a
+foreign authority signs counts for nothing else. What a gateway serves has a name of its own, of this domain:
+only a gateway publishes under it. Which domain a token must be of is the caller's to say, from the name that
+is asked for; never the token's.
 """
 
 from collections import OrderedDict
@@ -57,6 +39,19 @@ from grants.request import grant_command, remedy, rule_form
 from grants.token import Verifier, check_one_domain, peek
 from rossec.ros.names import MASTER
 
+MAX_PRESENTED: Final = 40 * 1024  # a header field holds 48 KiB
+MAX_GRANTS: Final = 16
+MAX_CALL: Final = 64  # tokens; the master stores this many of one node
+MAX_CALL_BYTES: Final = 512 * 1024  # a body has 1 MiB, and base64 takes a third more
+CACHE_SIZE: Final = 1024
+FIELD: Final = "rossec_grants"
+NO_LIST: Final = (
+    "the master has no revocation list yet",
+    "at the authority: rossec ca refresh, then rossec ca publish; until then no peer is trusted",
+)
+_ARRAY_HEAD, _BYTES_HEAD = 3, 5  # at most, in CBOR
+_OFFERS: Final = Right.PUBLISH | Right.PROVIDE
+
 
 def is_own_gateway(peer: Identity) -> bool:
     """Whether `peer` is a gateway of the own domain; a name with a tail is none."""
@@ -66,9 +61,14 @@ def is_own_gateway(peer: Identity) -> bool:
 def granted_name(peer: Identity, topic: str, own: str = "") -> str:
     """The local name whose grants decide on the subscribed `topic` with the publisher `peer`.
 
-    Args:
-        own: the certified name of this node, if it may be a gateway. To a gateway an alias is the
-            origin's alone: it could be led to forward what it serves itself.
+    A subscriber of the alias `/remote/hospital/pose` is told addresses by its master; who is there, and so
+    which of two names counts, only the authenticated peer decides. A gateway of the own domain serves the
+    topic as `/gateway/hospital/pose`, on the wire and in its grants; to every other peer the alias is the
+    origin's name, by the origin's grants. So neither authority's grants count for what the other one's are
+    about.
+    `own`: the certified name of this node, if it may be a gateway. To a gateway an alias is the origin's
+        alone: it
+            could be led to forward what it serves itself.
     """
     served = is_alias(topic) and is_own_gateway(peer) and not is_gateway(own)
     return served_name(topic) if served else topic
@@ -87,20 +87,9 @@ def possible_names(topic: str) -> tuple[str, ...]:
         return (topic,)
 
 
-MAX_PRESENTED: Final = 40 * 1024  # a header field holds 48 KiB
-MAX_GRANTS: Final = 16
-CACHE_SIZE: Final = 1024
-
-
 class TokenOpener:
-    """Verifies tokens, each once.
-
-    Args:
-        standing: which authorities count, and what they have revoked.
-
-    Attributes:
-        own_master: the key of the node's own master, which may renew grants of the own domain.
-    """
+    """Verifies tokens, each once, by the root, the list and the masters of one domain. `own_master`: the key
+    of the node's own master, which may renew grants of the own domain."""
 
     def __init__(self, standing: Standing) -> None:
         self._standing = standing
@@ -113,7 +102,8 @@ class TokenOpener:
     ) -> tuple[list[Grant], list[GrantError]]:
         grants: list[Grant] = []
         refusals: list[GrantError] = []
-        label = self._label(domain)
+        listed = None if domain == self._own.domain else self._standing.anchors.listed_domain(domain)
+        label = "" if listed is None else listed.entry.label
         for data in _unpack(presented):
             try:
                 grant = self._open_once(data, domain, now)
@@ -125,7 +115,18 @@ class TokenOpener:
         return grants, refusals
 
     def open(self, data: bytes, domain: str, now: int) -> Grant:
-        return self._verifier(domain).open(data, now)
+        is_own = domain == self._own.domain
+        revocations = self._standing.own if is_own else self._standing.foreign(domain)
+        held = None if revocations is None else revocations.current
+        mine = (self.own_master,) if is_own and self.own_master is not None else ()
+        verifier = Verifier(
+            self._root(domain).public_key,
+            domain,
+            (*mine, *self._standing.delegates(domain)),
+            0 if held is None else held.seq,
+            self.check_of(domain),
+        )
+        return verifier.open(data, now)
 
     def check_of(self, *domains: str) -> RevocationCheck:
         foreign = dict.fromkeys(domain for domain in domains if domain != self._own.domain)
@@ -152,25 +153,6 @@ class TokenOpener:
             self._opened.popitem(last=False)
         return grant
 
-    def _verifier(self, domain: str) -> Verifier:
-        is_own = domain == self._own.domain
-        revocations = self._standing.own if is_own else self._standing.foreign(domain)
-        held = None if revocations is None else revocations.current
-        mine = (self.own_master,) if is_own and self.own_master is not None else ()
-        return Verifier(
-            self._root(domain).public_key,
-            domain,
-            (*mine, *self._standing.delegates(domain)),
-            0 if held is None else held.seq,
-            self.check_of(domain),
-        )
-
-    def _label(self, domain: str) -> str:
-        if domain == self._own.domain:
-            return ""
-        listed = self._standing.anchors.listed_domain(domain)
-        return "" if listed is None else listed.entry.label
-
     def _root(self, domain: str) -> TrustAnchor:
         if domain == self._own.domain:
             return self._own
@@ -193,9 +175,8 @@ def _unpack(presented: bytes) -> list[bytes]:
     return grants
 
 
-MAX_CALL: Final = 64  # tokens; the master stores this many of one node
-MAX_CALL_BYTES: Final = 512 * 1024  # a body has 1 MiB, and base64 takes a third more
-_ARRAY_HEAD, _BYTES_HEAD = 3, 5  # at most, in CBOR
+# How many tokens are shown at once: what a peer that has not judged them yet may be sent. A chain of
+# narrowings may be as large as a few dozen grants, so the bytes count as well as the number.
 
 
 def fitting(tokens: Iterable[bytes]) -> Iterator[bytes]:
@@ -221,53 +202,26 @@ def batches(tokens: Iterable[bytes]) -> Iterator[list[bytes]]:
         yield batch
 
 
-FIELD: Final = "rossec_grants"
-_OFFERS: Final = Right.PUBLISH | Right.PROVIDE
-NO_LIST: Final = (
-    "the master has no revocation list yet",
-    "at the authority: rossec ca refresh, then rossec ca publish; until then no peer is trusted",
-)
-
-
 @dataclass(frozen=True)
 class HeldGrant:
-    """A grant this node holds.
-
-    Args:
-        grant: its content; `expires` as renewed.
-        original: the bytes the authority signed.
-        token: the bytes to present.
-        since: when it was last renewed, or becomes valid.
-    """
-
-    grant: Grant
-    original: bytes
-    token: bytes
-    since: int
+    grant: Grant  # its content; `expires` as renewed
+    original: bytes  # what the authority signed
+    token: bytes  # what is presented
+    since: int  # when it was last renewed, or becomes valid
 
 
 class Access:
-    """Holds the grants of a node and checks those of its peers.
-
-    Args:
-        standing: which authorities count, and what they have revoked.
-        held: the grants of this node.
-        master: the certified name of its own master.
-    """
+    """Holds the grants of a node and checks those of its peers; `master`: its own one's certified name."""
 
     def __init__(self, standing: Standing, held: Iterable[bytes] = (), master: str = MASTER) -> None:
-        self._standing = standing
+        self.standing = standing
         self._revocations: Final = standing.own
         self._anchor: Final = standing.anchors.own
-        self._master = master
+        self.master = master
         self._held: dict[bytes, HeldGrant] = {}
         self._tokens = TokenOpener(standing)
         for data in held:
             self.hold(data)
-
-    @property
-    def standing(self) -> Standing:
-        return self._standing
 
     def hold(self, data: bytes) -> None:
         grant = peek(data)
@@ -285,7 +239,7 @@ class Access:
     def held_grants(self) -> list[HeldGrant]:
         """All grants this node holds, expired ones too, except those known to be revoked."""
         own, others = self._revocations.entries, self._domains_held() - {self._anchor.domain}
-        revoked = {domain: own | self._standing.revoked(domain) for domain in others}
+        revoked = {domain: own | self.standing.revoked(domain) for domain in others}
         return [
             held
             for held in self._held.values()
@@ -297,19 +251,15 @@ class Access:
 
     @property
     def foreign_domains(self) -> frozenset[str]:
-        listed = self._standing.anchors.listed_domain
+        listed = self.standing.anchors.listed_domain
         return frozenset(domain for domain in self._domains_held() if listed(domain) is not None)
 
     def domain_called(self, label: str) -> str | None:
-        listed = self._standing.anchors.listed(label)
+        listed = self.standing.anchors.listed(label)
         return None if listed is None else listed.entry.domain
 
-    @property
-    def master(self) -> str:
-        return self._master
-
     def is_master(self, peer: Identity) -> bool:
-        return peer.name == self._master and not peer.is_foreign
+        return peer.name == self.master and not peer.is_foreign
 
     @property
     def epoch(self) -> int:
@@ -324,10 +274,8 @@ class Access:
         now: int,
         persist: Callable[[bytes], None],
     ) -> None:
-        """Take over a newer list (empty: the one held is the newest) and its timestamp.
-
-        A valid list is kept even when the timestamp is not accepted.
-        """
+        """Take over a newer list (empty: the one held is the newest) and its timestamp. A valid list is kept
+        even when the timestamp is not accepted."""
         if not timestamp and not revocations and self._revocations.current is None:
             raise CAError(*NO_LIST)
         if revocations:
@@ -345,7 +293,7 @@ class Access:
         self._tokens.own_master = master.public_key
 
     def expire_confirmation(self, until: int) -> None:
-        self._standing.expire_confirmations(until)
+        self.standing.expire_confirmations(until)
 
     @property
     def unproved(self) -> list[bytes]:
@@ -355,26 +303,20 @@ class Access:
         self._revocations.add_proof(entry, proof)
 
     def current(self, now: int) -> list[bytes]:
-        """The grants that are valid now and not known to be revoked, the latest expiry first.
-
-        Of a domain that is not listed none: nobody here could verify them.
-        """
+        """The grants that are valid now and not known to be revoked, the latest expiry first. Of a domain
+        that is not listed none: nobody here could verify them."""
         known = {self._anchor.domain, *self.foreign_domains}
         return [held.token for held in self._current(now) if held.grant.domain in known]
 
     def present(self, right: Right, name: str, now: int) -> bytes:
-        """Header field that proves `right` on `name`: the array of the grants that cover it.
-
-        A peer accepts a limited number and size; those that expire last are sent.
-        """
+        """Header field that proves `right` on `name`: the array of the grants that cover it. A peer accepts a
+        limited number and size; those that expire last are sent."""
         covering = [held.token for held in self._covering(right, name, now)]
         return encode(list[Value](fitting(covering)))
 
     def holds(self, right: Right, name: str, now: int) -> bool:
-        """Whether a grant this node holds covers `right` on `name` now.
-
-        To subscribe to an alias one for what a gateway serves of it suffices.
-        """
+        """Whether a grant this node holds covers `right` on `name` now. To subscribe to an alias one for what
+        a gateway serves of it suffices."""
         names = possible_names(name) if right is Right.SUBSCRIBE else (name,)
         return any(self.covers(right, each, now) for each in names)
 
@@ -401,7 +343,7 @@ class Access:
         if found is None:
             return self._anchor.domain, name
         label, origin = found
-        listed = self._standing.anchors.listed(label)
+        listed = self.standing.anchors.listed(label)
         if listed is None and right & MESSAGE_RIGHTS:
             raise NotAdmitted(
                 f"{shown(name)}: no domain is called {label} here",
@@ -416,11 +358,8 @@ class Access:
         return sorted(usable, key=lambda held: held.grant.expires, reverse=True)
 
     def check_peer(self, peer: Identity, now: int) -> None:
-        """Raise a `CAError` when `peer` is revoked, not trusted any more, or this is not known.
-
-        See `Standing.check_peer`.
-        """
-        self._standing.check_peer(peer, now)
+        """Raise a `CAError` when `peer` is revoked, not trusted any more, or this is not known."""
+        self.standing.check_peer(peer, now)
 
     def authorize(
         self, peer: Identity, presented: bytes | None, right: Right, name: str, now: int
@@ -455,6 +394,9 @@ def _remedy(peer: Identity, right: Right, name: str) -> str:
     if peer.is_foreign:  # it asks its own authority for nothing of ours
         return f"sign one: {grant_command(shown(peer.name), [(right, name)])}"
     return remedy(shown(peer.name), right, rule_form(peer.name, name, wildcard=peer.wildcard))
+
+
+# The parts of `Access` that others use: a program with threads passes an object with a lock.
 
 
 class HandshakeAccess(Protocol):

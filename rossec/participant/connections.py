@@ -1,35 +1,8 @@
-"""The connections of one identity: how many a peer may have, and what cuts them.
+"""The connections of one identity: those a node makes, how many a peer may have, and what cuts them.
 
-A connection is in the table before it is checked once more, and checked before data passes: a
-revocation that arrives while it is admitted finds it there, or is found by the check. Thread-safe;
-a connection is cut with no lock held. What a form of a node adds is the stream.
-
-Cuts connections that have expired, were revoked, or whose revocation data is stale.
-
-It waits for the clock only: a master that hangs must not keep an expired connection open.
-
-Connections to publishers of other origins, which end when the master lists those no longer.
-
-What a gateway serves replaces the origin's publishers, and the reverse. roscpp and the built-in
-node leave a publisher that is listed no longer; rospy never does, and would get every message
-twice, over one line more. So its connections are ended for it. Topics of the own domain are left as
-ROS has them. Thread-safe; a connection is ended with no lock held.
-
-The addresses a node registered as its own: only a connection to one of them may reach itself.
-
-An address that a peer sends is not enough: the answer to `requestTopic` could send a node back to
-itself. A redirect from another node to this one is therefore refused (`check_redirect`).
-
-Connections a node makes: to its master, and to the nodes that publish what it subscribes to.
-
-A peer is checked before anything is sent: its certificate by the channel, its revocation here.
-That a publisher lacks the right shows in its answer only; by then it has received the topic's name,
-which the master has sent it as well, and the subscriber's grant for that topic.
-
-Serving the slave API to one peer, on a loop: a node's own, or a program's behind a sidecar.
-
-The master's calls are parsed before those of others, as a revocation is one; its connection has no
-time limit. Another peer has little to say to a node, so it says it in small bodies, and in time.
+A connection is in the table before it is checked once more, and checked before data passes: a revocation that
+arrives while it is admitted finds it there, or is found by the check. The tables are thread-safe; a
+connection is cut with no lock held. What a form of a node adds is the stream.
 """
 
 import asyncio
@@ -62,11 +35,14 @@ PEER_CONNECTIONS: Final = 256  # of one identity, one for each topic or service:
 UNSHOWN_CONNECTIONS: Final = 32
 """Of those, the ones by which no grant was shown (yet): each is for a header, or a short call."""
 
+WATCH_PERIOD: Final = 1.0  # seconds between checks; an expiry is exact to the second
+FOLLOW_PERIOD: Final = 1.0  # seconds, at most, from the master's list to the end of a connection
+_REASON: Final = "the master lists this publisher no longer"
+
+Address = tuple[str, int]
+CheckPeer = Callable[[Identity, int], None]
+PublisherT = TypeVar("PublisherT")
 _log = logging.getLogger("rossec.node")
-
-
-def _source(peer: Identity) -> bytes | str:
-    return f"domain {peer.domain}" if peer.is_foreign else peer.thumbprint
 
 
 class _Accepted(NamedTuple):
@@ -77,24 +53,14 @@ class _Accepted(NamedTuple):
 
 
 class ConnectionTable(Generic[StreamT]):
-    """The connections of one identity.
-
-    Args:
-        standing: what ends them.
-        lock: held while `standing` is read, if threads share it.
-        most: how many connections one peer may have made (N8); None: `PEER_CONNECTIONS`.
-        master: the name of the own master, which may have more.
-
-    Attributes:
-        renewed: judges what peers present on open connections; None: no connection takes renewals.
-    """
+    """The connections of one identity; `lock` is held while `standing` is read, if threads share it."""
 
     def __init__(
         self,
         standing: Standing,
         lock: AbstractContextManager[object] = nullcontext(),  # noqa: B008 - has no state
-        most: int | None = None,
-        master: str = MASTER,
+        most: int | None = None,  # connections of one peer (N8); None: `PEER_CONNECTIONS`
+        master: str = MASTER,  # which may have more
     ) -> None:
         self._standing = standing
         self._standing_lock = lock
@@ -104,15 +70,13 @@ class ConnectionTable(Generic[StreamT]):
         self._accepted: dict[object, _Accepted] = {}
         self._authorized: set[AuthorizedConnection[StreamT, Any]] = set()
         self._closed: str | None = None
-        self.renewed: RenewedGrants | None = None
+        self.renewed: RenewedGrants | None = None  # None: no connection takes renewals
 
     # -- what peers connect
 
     def bounded(self, handler: Handler[Identity]) -> Handler[Identity]:
-        """Call `handler` for the connections that `accept` admits.
-
-        The master may have more: one for each program, of which a sidecar's identity has many.
-        """
+        """Call `handler` for the connections that `accept` admits; the master may have more. It has one for
+        each program, of which a sidecar's identity has many."""
 
         async def serve_one(stream: SecureStream[Identity]) -> None:
             try:
@@ -129,11 +93,12 @@ class ConnectionTable(Generic[StreamT]):
     def accept(
         self, key: object, peer: Identity | str, abort: Callable[[str], None], *, limited: bool = True
     ) -> None:
-        """Count a connection of `peer` until `forget` is called with the same key.
-
-        A foreign authority certifies any number of keys, so its domain counts as one peer.
-        """
-        source, name = (peer, peer) if isinstance(peer, str) else (_source(peer), peer.name)
+        """Count a connection of `peer` until `forget` is called with the same key. A foreign authority
+        certifies any number of keys, so its domain counts as one peer."""
+        source: bytes | str = peer if isinstance(peer, str) else peer.thumbprint
+        if not isinstance(peer, str) and peer.is_foreign:
+            source = f"domain {peer.domain}"
+        name = peer if isinstance(peer, str) else peer.name
         most = PEER_CONNECTIONS if self._most is None else self._most
         with self._lock:
             if limited:
@@ -150,7 +115,6 @@ class ConnectionTable(Generic[StreamT]):
             self._accepted[key] = _Accepted(source, peer, abort)
 
     def forget(self, key: object) -> None:
-        """Stop counting a connection; one that is not counted is ignored."""
         with self._lock:
             self._accepted.pop(key, None)
 
@@ -162,7 +126,6 @@ class ConnectionTable(Generic[StreamT]):
 
     @property
     def domains(self) -> frozenset[str]:
-        """The trust domains of the peers that are connected."""
         with self._lock:
             peers = [each.peer for each in self._accepted.values()]
             peers += [each.stream.peer for each in self._authorized]
@@ -197,7 +160,6 @@ class ConnectionTable(Generic[StreamT]):
             self.check(connection)
 
     def discard(self, connection: AuthorizedConnection[StreamT, Any]) -> bool:
-        """The connection is gone; returns whether it was in the table."""
         with self._lock:
             known = connection in self._authorized
             self._authorized.discard(connection)
@@ -205,7 +167,6 @@ class ConnectionTable(Generic[StreamT]):
 
     @contextmanager
     def track(self, connection: AuthorizedConnection[StreamT, Any]) -> Iterator[None]:
-        """Keep a connection in the table while the block runs; raises as `add`."""
         self.add(connection)
         try:
             yield
@@ -213,7 +174,6 @@ class ConnectionTable(Generic[StreamT]):
             self.discard(connection)
 
     def check(self, connection: AuthorizedConnection[StreamT, Any]) -> None:
-        """Return while the connection may stay open."""
         now = clock.now()
         with self._standing_lock:
             reason = connection.termination_reason(self._standing, now)
@@ -226,10 +186,7 @@ class ConnectionTable(Generic[StreamT]):
     # -- what must end
 
     def cut_ended(self, now: int) -> None:
-        """Cut every connection that must end at `now`, and every one of a revoked identity.
-
-        Also those of a domain that is not trusted any more, authorized or not.
-        """
+        """Cut what must end at `now`, and all of a revoked identity, or of a domain no longer trusted."""
         connections = tuple(self)
         with self._lock:
             accepted = tuple(self._accepted.values())
@@ -276,14 +233,11 @@ class ConnectionTable(Generic[StreamT]):
             connection.stream.abort(reason)
 
 
-WATCH_PERIOD: Final = 1.0  # seconds between checks; an expiry is exact to the second
-
-
 class ConnectionWatchdog:
-    """Checks the connections of one identity.
+    """Cuts connections that have expired, were revoked, or whose revocation data is stale.
 
-    Args:
-        expire_confirmation: expires the confirmation of the revocation list at that time.
+    It waits for the clock only: a master that hangs must not keep an expired connection open.
+    `expire_confirmation` expires the confirmation of the revocation list at that time.
     """
 
     def __init__(self, connections: ConnectionTable[Any], expire_confirmation: Callable[[int], None]) -> None:
@@ -309,17 +263,13 @@ class ConnectionWatchdog:
         self._connections.cut_ended(now)
 
 
-FOLLOW_PERIOD: Final = 1.0  # seconds, at most, from the master's list to the end of a connection
-_REASON: Final = "the master lists this publisher no longer"
-
-PublisherT = TypeVar("PublisherT")
-
-
 class FollowedPublishers(Generic[PublisherT]):
-    """The connections of one identity to publishers of aliases.
+    """The connections of one identity to publishers of aliases: they end when those are no longer listed.
 
-    Args:
-        is_listed: whether the master lists a publisher of a topic, or may list it again.
+    What a gateway serves replaces the origin's publishers, and the reverse. roscpp and the built-in node
+    leave a publisher that is listed no longer; rospy never does, and would get every message twice, over one
+    line more. So its connections are ended for it. Topics of the own domain are left as ROS has them.
+    `is_listed`: whether the master lists a publisher of a topic, or may list it again.
     """
 
     def __init__(self, is_listed: Callable[[str, PublisherT], bool]) -> None:
@@ -328,18 +278,15 @@ class FollowedPublishers(Generic[PublisherT]):
         self._followed: dict[PeerStream, tuple[str, PublisherT]] = {}
 
     def add(self, stream: PeerStream, topic: str, publisher: PublisherT) -> None:
-        """A connection to a publisher of `topic`; `discard` when it has ended."""
         if is_alias(topic):
             with self._lock:
                 self._followed[stream] = topic, publisher
 
     def discard(self, stream: PeerStream) -> None:
-        """Forget a connection, also one that was never added."""
         with self._lock:
             self._followed.pop(stream, None)
 
     def leave_unlisted(self) -> None:
-        """End the connections to publishers that are not listed."""
         with self._lock:
             followed = tuple(self._followed.items())
         for stream, (topic, publisher) in followed:
@@ -348,18 +295,12 @@ class FollowedPublishers(Generic[PublisherT]):
                 stream.abort(_REASON)
 
 
-Address = tuple[str, int]
-
-
 class OwnAddresses:
-    """The addresses of one node.
-
-    Attributes:
-        host: the host name it registers; empty while it does not listen.
-    """
+    """The addresses a node registered as its own: only a connection to one of them may reach itself. An
+    address that a peer sends is not enough: the answer to `requestTopic` could send a node back to itself."""
 
     def __init__(self) -> None:
-        self.host = ""
+        self.host = ""  # that it registers; empty while it does not listen
         self._ports: set[int] = set()
 
     def add_ports(self, host: str, *ports: int) -> None:
@@ -371,7 +312,6 @@ class OwnAddresses:
         return self.host != "" and _plain(host) == _plain(self.host) and port in self._ports
 
     def check_redirect(self, first: Address, then: Address) -> None:
-        """Refuse a redirect from another node back to this one."""
         if self.is_own(then) and not self.is_own(first):
             host, port = first
             raise ConnectionHeaderRefused(f"the node at {host} port {port} sends this node to itself")
@@ -381,11 +321,13 @@ def _plain(host: str) -> str:
     return host.lower().removeprefix("[").removesuffix("]")
 
 
-CheckPeer = Callable[[Identity, int], None]
-
-
 class Dialer:
-    """Connects as one node; `certified`: its name without a tail, by default the same."""
+    """Connects as one node; `certified`: its name without an anonymous suffix, by default the same.
+
+    A peer is checked before anything is sent: its certificate by the channel, its revocation here. That a
+    publisher lacks the right shows in its answer only; by then it has received the topic's name, which the
+    master has sent it as well, and the subscriber's grant for that topic.
+    """
 
     def __init__(
         self,
@@ -405,12 +347,24 @@ class Dialer:
         return await self._connect(host, port, WireProtocol.HTTP)
 
     async def topic(self, uri: str, topic: str) -> SecureStream[Identity]:
-        """Connect to the TCPROS port that the node at `uri` names in its answer to `requestTopic`.
-
-        At a relay's door that is the door again: the node names an address of its own network.
-        """
+        """Connect to the TCPROS port that the node at `uri` names in its answer to `requestTopic`. At a
+        relay's forwarded port that is the same port again: the node names an address of its own network."""
         api = names.parse_uri(uri, "a publisher's URI")
-        named = await self._request_topic(await self.rpc(*api), topic)
+        stream = await self.rpc(*api)
+        self._check_identity(stream)
+        try:
+            name = wire_name(stream.peer, topic, self._certified)
+            caller = caller_for(stream.peer, self._name, self._certified)
+            answer = await RpcClient(stream).ask("requestTopic", caller, name, [["TCPROS"]])
+        finally:
+            stream.close_soon()  # the peer could make this take longer than a caller has
+        match answer:
+            case ["TCPROS", str() as host, int() as port] if 0 < port < 1 << 16:
+                named = host, port
+            case _:
+                raise ConnectionHeaderRefused(
+                    f"{shown(stream.peer.name)} offers no connection for {shown(topic)}"
+                )
         address = api if names.is_door(uri) else named
         self._own_addresses.check_redirect(api, address)
         stream = await self._connect(*address, WireProtocol.TCPROS)
@@ -418,7 +372,6 @@ class Dialer:
         return stream
 
     async def service(self, uri: str) -> SecureStream[Identity]:
-        """Connect to the provider of a service, at its rosrpc URI; raises as `topic`."""
         host, port = names.parse_uri(uri, "a service's URI", scheme="rosrpc")
         stream = await self._connect(host, port, WireProtocol.TCPROS)
         self._check_identity(stream)
@@ -427,22 +380,6 @@ class Dialer:
     async def _connect(self, host: str, port: int, protocol: WireProtocol) -> SecureStream[Identity]:
         to_itself = self._own_addresses.is_own((host, port))
         return await connect(host, port, self._context, protocol, to_itself=to_itself)
-
-    async def _request_topic(self, stream: SecureStream[Identity], topic: str) -> tuple[str, int]:
-        self._check_identity(stream)
-        try:
-            named = wire_name(stream.peer, topic, self._certified)
-            caller = caller_for(stream.peer, self._name, self._certified)
-            answer = await RpcClient(stream).ask("requestTopic", caller, named, [["TCPROS"]])
-        finally:
-            stream.close_soon()  # the peer could make this take longer than a caller has
-        match answer:
-            case ["TCPROS", str() as host, int() as port] if 0 < port < 1 << 16:
-                return host, port
-            case _:
-                raise ConnectionHeaderRefused(
-                    f"{shown(stream.peer.name)} offers no connection for {shown(topic)}"
-                )
 
     def _check_identity(self, stream: SecureStream[Identity]) -> None:
         try:
@@ -453,7 +390,11 @@ class Dialer:
 
 
 async def serve_peer(stream: SecureStream[Identity], dispatch: Dispatch[Identity], access: Access) -> None:
-    """Answer the calls of a peer until it closes, or its time is over."""
+    """Answer the calls of a peer, to a node or a sidecar's program, until it closes or its time is over.
+
+    The master's calls are parsed before those of others, as a revocation is one; its connection has no time
+    limit. Another peer has little to say to a node, so it says it in small bodies, and in time.
+    """
     if access.is_master(stream.peer):
         stream.raise_unit_limit()
         await serve_calls(stream, dispatch, urgent=True)

@@ -1,21 +1,10 @@
-"""Message definitions, and which side's definition a guard is built from. Pure.
+"""Message definitions, which side's definition a guard is built from, and the guard of a connection. Pure.
 
-ROS's md5 proves less than it seems: array brackets after the name of a message type are not part
-of it (genmsg, `compute_md5_text`), so `Vector3[0] linear` has the md5 of `Vector3 linear`. A peer
-that chooses the text could make a guard check other bytes than the receiver reads. So a guard is
-built from the definition of the side that applies it: the receiver's own, or the one installed on
-its host. A restricted publisher's definition is used only where the receiver's md5 proves it.
-
-Which package has the definition of a message or service type: what to install. Pure.
-
-Debian has the definitions of a ROS package in one of its own, and ROS's packages for Ubuntu have
-everything of a ROS package in one. For hints alone.
-
-The guard that applies restrictions to the messages of one connection. Pure.
-
-Each side applies those of the other: a publisher the subscriber's, before a message is sent; a
-subscriber the publisher's, before a message is accepted. A restricted peer is not trusted to obey
-them, nor with the definition of its messages (`definitions`).
+ROS's md5 proves less than it seems: array brackets after the name of a message type are not part of it
+(genmsg, `compute_md5_text`), so `Vector3[0] linear` has the md5 of `Vector3 linear`. A peer that chooses the
+text could make a guard check other bytes than the receiver reads. So a guard is built from the definition of
+the side that applies it: the receiver's own, or the one installed on its host. A restricted publisher's
+definition is used only where the receiver's md5 proves it.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -62,6 +51,8 @@ _OTHERS: Final = {
     "roscpp": "ros-roscpp-msg",
     "topic_tools": "ros-topic-tools-srvs",
 }
+_RESTRICTED: Final = "the publisher's right is restricted, so this host must know the type"
+_ROS_PATH: Final = "sidecars and gateways look for .msg files along ROS_PACKAGE_PATH"
 
 
 def what_to_install(type_name: str) -> str:
@@ -82,15 +73,12 @@ def unknown_type(type_name: str, known: Iterable[str]) -> str:
     if same:
         near = closest(leaf, same)
         meant = f"did you mean {package}/{near}? " if near is not None else ""
-        return f"{meant}it is none of {package} as it is known here; {_own(package)}"
+        own = f"one of your own: register_type(), or the folder of its {package} in ROS_PACKAGE_PATH"
+        return f"{meant}it is none of {package} as it is known here; {own}"
     near = None if _debian(package) is not None else closest(type_name, known)
     if near is not None:
         return f"did you mean {near}? else {what_to_install(type_name)}"
     return what_to_install(type_name)
-
-
-def _own(package: str) -> str:
-    return f"one of your own: register_type(), or the folder of its {package} in ROS_PACKAGE_PATH"
 
 
 def _debian(package: str) -> str | None:
@@ -99,10 +87,6 @@ def _debian(package: str) -> str | None:
 
 def _dashed(package: str) -> str:
     return package.replace("_", "-").lower()
-
-
-_RESTRICTED: Final = "the publisher's right is restricted, so this host must know the type"
-_ROS_PATH: Final = "sidecars and gateways look for .msg files along ROS_PACKAGE_PATH"
 
 
 @dataclass(frozen=True)
@@ -120,7 +104,6 @@ class Definition:
 
     @cached_property
     def layout(self) -> Layout:
-        """Where the fields of a message are in its bytes."""
         shape = layout.parse(self.name, self.definition)
         if shape.md5 != self.md5sum:
             raise ConnectionHeaderRefused(
@@ -138,15 +121,14 @@ def size_of(kind: Definition) -> int | None:
         return None
 
 
+FilterKey = Callable[[str], bytes]
 FindDefinition: TypeAlias = Callable[[str], Definition | None]
 """Finds the definition installed on this host by type name; None: not installed."""
 
 
 def from_header(fields: Mapping[str, bytes]) -> Definition:
-    """The type one side of a connection claims in its header; the definition may be missing.
-
-    It is checked where it is needed: `Definition.layout` refuses text that is not UTF-8.
-    """
+    """The type one side of a connection claims in its header; the definition may be missing. It is checked
+    where it is needed: `Definition.layout` refuses text that is not UTF-8."""
     definition = fields.get("message_definition", b"").decode(errors="surrogateescape")
     return Definition(text(fields, "type"), text(fields, "md5sum"), definition)
 
@@ -242,10 +224,8 @@ def forwarded_definition(sent: Definition, decision: Decision, find_installed: F
 
 
 def definition_fields(kind: Definition, decision: Decision) -> Fields:
-    """Header fields that replace the publisher's, where a guard depends on the definition.
-
-    Programs that accept any type (rosbag, relays) use the definition in the header.
-    """
+    """Header fields that replace the publisher's, where a guard depends on the definition. Programs that
+    accept any type (rosbag, relays) use the definition in the header."""
     if not needs_definition(decision):
         return {}
     return {"type": kind.name.encode(), "md5sum": kind.md5sum.encode(), "message_definition": kind.octets}
@@ -268,16 +248,14 @@ def _either(own: str, claimed: str) -> str:
     return claimed if own == ANY_TYPE else own
 
 
-FilterKey = Callable[[str], bytes]
-
-
 def guard_for(
     kind: Definition, decision: Decision, filter_key: FilterKey, memory: MemoryScope
 ) -> Guard | None:
-    """The guard for messages of `kind`; None: nothing to apply.
+    """The guard that applies restrictions to the messages of one connection; None: nothing to apply.
 
-    `memory` finds what earlier connections of the same key have used up. Without a guard, the
-    watchdog still closes the connection when the right expires.
+    Each side applies those of the other: a publisher the subscriber's, before a message is sent; a subscriber
+    the publisher's, before a message is accepted. `memory` finds what earlier connections of the same key
+    have used up. Without a guard, the watchdog still closes the connection when the right expires.
     """
     if not decision.restrictions:
         return None

@@ -1,35 +1,11 @@
-"""What a subscriber wishes of how it is sent messages: a rate, the newest only, deflated. Pure.
+"""How a subscriber is sent messages: its wishes, the latched message, and what is said of withheld ones.
+Pure.
 
-Fields of the connection header (docs/spec/transport.md section 2.1): the subscriber's say what it
-wishes, the answer's what this publisher carries out; one that knows none ignores them all. A wish
-never gives more than the grant: guards come first, and what they let through is thinned out, kept
-back or made smaller; what is filtered or withheld is never deflated. What programs write into these
-fields is not passed on: an agent that forwards bytes could not read what came of it.
-
-Messages thinned out to a rate that their receiver wished. Pure.
-
-Not the rate of a grant, which is a limit and belongs to the holder's key (`grants.guard`): this
-one belongs to a connection and only ever takes away. Which messages it takes away does not depend
-on their content.
-
-Messages deflated for a slow line (RFC 1951), and inflated within bounds. Pure.
-
-A deflated connection carries TCPROS frames whose content is `00 message`, or `01 size data`, with
-the size of the message in 4 bytes, little endian. Each message is compressed for itself: no length
-depends on another one, so none tells what a grant withheld. It is compressed after filters, so its
-length tells no more than what its receiver reads. `size` is compared with the limit before anything
-is inflated, and no more than that many bytes ever are; a bomb costs what a message of that size
-costs, and ends its connection.
-
-What a latching publisher sends to a new subscriber: the newest message, if the rate allows it.
-
-Pure. Otherwise the last one that was sent to the same key, which reveals nothing new. A restarted
-program receives what it had; reconnecting again and again reveals no more than staying connected.
-
-Log lines about messages and calls that are withheld: one for each cause and peer in a minute.
-
-A peer with a limited grant decides how many of its messages are malformed or not allowed, and must
-not fill the disk of the node that applies the limit. The next line has the count of those left out.
+Fields of the connection header (docs/spec/transport.md section 2.1): the subscriber's say what it wishes, the
+answer's what this publisher carries out; one that knows none ignores them all. A wish never gives more than
+the grant: guards come first, and what they let through is thinned out, kept back or made smaller; what is
+filtered or withheld is never deflated. What programs write into these fields is not passed on: an agent that
+forwards bytes could not read what came of it.
 """
 
 import logging
@@ -58,21 +34,38 @@ _FIELDS: Final = frozenset((RATE, NEWEST, DEFLATE))
 _LOWEST, _HIGHEST = 0.001, 10_000
 _RATE: Final = re.compile(rb"[0-9]{1,5}(\.[0-9]{1,3})?")
 _YES: Final = b"1"
+_AT_ONCE: Final = (
+    2.0  # with room for one alone, a message that comes a moment early would cost a whole interval
+)
+
+STORED, DEFLATED = b"\0", b"\1"
+OVERHEAD: Final = 1
+"""Bytes that a content is longer than its message at most."""
+LARGE: Final = 64 * 1024
+"""A message from this size on is not deflated, or inflated, in the turn of an event loop."""
+_LEVEL: Final = 1  # higher ones take twice to four times as long, for a few per cent
+_SHORTEST: Final = 64  # bytes; below it there is nothing to gain
+_RAW: Final = -zlib.MAX_WBITS  # no header and no checksum: the channel authenticates
+_SIZE: Final = struct.Struct("<I")
+_START: Final = len(DEFLATED) + _SIZE.size
+
+SENT: Final = "%(where)s: withheld from %(peer)s: %(cause)s"
+RECEIVED: Final = "%(where)s: withheld a message of %(peer)s: %(cause)s"
+REFUSED: Final = "%(where)s: refused %(peer)s: %(cause)s"
+UNREACHED: Final = "%(where)s: not connected to %(peer)s: %(cause)s%(hint)s"
+RATE_LIMIT: Final = LogRateLimit()
+_LOCK: Final = Lock()  # rospy's connections have threads
+
+Data = TypeVar("Data", bytes, memoryview)
 
 
 @dataclass(frozen=True)
 class Wishes:
-    """The wishes for one connection; false if there are none.
+    """The wishes for one connection; false if there are none."""
 
-    Args:
-        rate: at most so many messages a second, 0.001 to 10000, to three decimals; None: all.
-        newest: of the messages that wait for a slow line only the newest is sent.
-        deflate: messages are sent compressed.
-    """
-
-    rate: float | None = None
-    newest: bool = False
-    deflate: bool = False
+    rate: float | None = None  # messages a second at most, 0.001 to 10000, to three decimals; None: all
+    newest: bool = False  # of the messages that wait for a slow line only the newest is sent
+    deflate: bool = False  # messages are sent compressed
 
     def __post_init__(self) -> None:
         if self.rate is None:
@@ -88,7 +81,6 @@ class Wishes:
 
     @property
     def fields(self) -> Fields:
-        """The fields of a connection header that say them."""
         found = {} if self.rate is None else {RATE: f"{self.rate:.3f}".encode()}
         found |= {NEWEST: _YES} if self.newest else {}
         return found | ({DEFLATE: _YES} if self.deflate else {})
@@ -98,10 +90,16 @@ NO_WISHES: Final = Wishes()
 
 
 def requested_wishes(fields: Mapping[str, bytes]) -> Wishes:
-    """What the header of a subscriber wishes."""
     if _FIELDS.isdisjoint(fields):
         return NO_WISHES
-    return Wishes(_rate(fields), _is_set(fields, NEWEST), _is_set(fields, DEFLATE))
+    value, rate = fields.get(RATE), None
+    if value is not None:
+        if not _RATE.fullmatch(value) or not _LOWEST <= float(value) <= _HIGHEST:
+            raise ConnectionHeaderRefused(
+                f"the connection header's {RATE!r} is no rate", f"it is a decimal, {_LOWEST} to {_HIGHEST}"
+            )
+        rate = float(value)
+    return Wishes(rate, _is_set(fields, NEWEST), _is_set(fields, DEFLATE))
 
 
 def carried_out(wishes: Wishes, decision: Decision) -> Wishes:
@@ -133,19 +131,7 @@ def taken_wishes(answer: Mapping[str, bytes], asked: Wishes) -> Wishes:
 
 
 def without_wishes(fields: Mapping[str, bytes]) -> Fields:
-    """The header without its fields about wishes."""
     return {key: value for key, value in fields.items() if key not in _FIELDS}
-
-
-def _rate(fields: Mapping[str, bytes]) -> float | None:
-    value = fields.get(RATE)
-    if value is None:
-        return None
-    if _RATE.fullmatch(value) and _LOWEST <= float(value) <= _HIGHEST:
-        return float(value)
-    raise ConnectionHeaderRefused(
-        f"the connection header's {RATE!r} is no rate", f"it is a decimal, {_LOWEST} to {_HIGHEST}"
-    )
 
 
 def _is_set(fields: Mapping[str, bytes], key: str) -> bool:
@@ -155,12 +141,12 @@ def _is_set(fields: Mapping[str, bytes], key: str) -> bool:
     return value is not None
 
 
-_AT_ONCE: Final = 2.0
-"""With room for one alone, a message that comes a moment early would cost a whole interval."""
-
-
 class WishedRate:
-    """Admits `rate` messages a second on average, and never more than two at once."""
+    """Admits `rate` messages a second on average, and never more than two at once.
+
+    Not the rate of a grant, which is a limit and belongs to the holder's key (`grants.guard`): this one
+    belongs to a connection and only ever takes away, whatever a message's content.
+    """
 
     def __init__(self, rate: float) -> None:
         self._bucket = TokenBucket(rate, _AT_ONCE)
@@ -173,16 +159,12 @@ class WishedRate:
         return True
 
 
-STORED, DEFLATED = b"\0", b"\1"
-OVERHEAD: Final = 1
-"""Bytes that a content is longer than its message at most."""
-LARGE: Final = 64 * 1024
-"""A message from this size on is not deflated, or inflated, in the turn of an event loop."""
-_LEVEL: Final = 1  # higher ones take twice to four times as long, for a few per cent
-_SHORTEST: Final = 64  # bytes; below it there is nothing to gain
-_RAW: Final = -zlib.MAX_WBITS  # no header and no checksum: the channel authenticates
-_SIZE: Final = struct.Struct("<I")
-_START: Final = len(DEFLATED) + _SIZE.size
+# Messages deflated for a slow line (RFC 1951), and inflated within bounds. A deflated connection carries
+# TCPROS frames whose content is `00 message`, or `01 size data`, with the size of the message in 4 bytes,
+# little endian. Each message is compressed for itself: no length depends on another one, so none tells what a
+# grant withheld; after filters, so its length tells no more than what its receiver reads. `size` is compared
+# with the limit before anything is inflated, and no more than that many bytes ever are; a bomb costs what a
+# message of that size costs, and ends its connection.
 
 
 def deflated(pieces: Sequence[Buffer]) -> bytes:
@@ -198,7 +180,6 @@ def deflated(pieces: Sequence[Buffer]) -> bytes:
 
 
 def claimed_size(content: bytes, limit: int) -> int:
-    """The size of the message that `content` says it has."""
     if content[:1] == STORED:
         size = len(content) - 1
     elif content[:1] == DEFLATED and len(content) > _START:
@@ -240,7 +221,6 @@ class Deflatable:
         self._lock = Lock()
 
     def content(self) -> bytes:
-        """What is sent of it."""
         with self._lock:
             if self._content is None:
                 self._content = deflated(self.pieces)
@@ -268,9 +248,6 @@ class SharedDeflation:
         return last
 
 
-Data = TypeVar("Data", bytes, memoryview)
-
-
 @dataclass(frozen=True)
 class Sample(Generic[Data]):
     """A serialized message; guards identify it by its mark."""
@@ -280,14 +257,14 @@ class Sample(Generic[Data]):
 
 
 class Latch(Generic[Data]):
-    """The latched messages of one topic.
+    """The latched messages of one topic: a new subscriber is sent the newest, if the rate allows it.
 
-    Attributes:
-        newest: the last message published.
+    Otherwise the last one that was sent to the same key, which reveals nothing new. A restarted program
+    receives what it had; reconnecting again and again reveals no more than staying connected.
     """
 
     def __init__(self) -> None:
-        self.newest: Sample[Data] | None = None
+        self.newest: Sample[Data] | None = None  # the last message published
         self._seen: WeakKeyDictionary[Memory, Sample[Data]] = WeakKeyDictionary()
 
     def record(self, guard: Guard, sample: Sample[Data]) -> None:
@@ -295,23 +272,19 @@ class Latch(Generic[Data]):
             self._seen[guard.memory] = sample
 
     def candidates(self, guard: Guard) -> Iterator[Sample[Data]]:
-        """The messages to try, in this order, until `guard` lets one through."""
         if self.newest is not None:
             yield self.newest
         if guard.memory is not None and guard.memory in self._seen:
             yield self._seen[guard.memory]
 
 
-SENT: Final = "%(where)s: withheld from %(peer)s: %(cause)s"
-RECEIVED: Final = "%(where)s: withheld a message of %(peer)s: %(cause)s"
-REFUSED: Final = "%(where)s: refused %(peer)s: %(cause)s"
-UNREACHED: Final = "%(where)s: not connected to %(peer)s: %(cause)s%(hint)s"
-RATE_LIMIT: Final = LogRateLimit()
-_LOCK: Final = Lock()  # rospy's connections have threads
-
-
 def warn(log: logging.Logger, text: str, where: str, peer: str, cause: object) -> None:
-    """Log `text`, filled in with the place, the peer and the cause, unless it is rate-limited."""
+    """Log `text`, filled in with the place, the peer and the cause, unless it is rate-limited.
+
+    A peer with a limited grant decides how many of its messages are malformed or not allowed, and must not
+    fill the disk of the node that applies the limit: one line for each cause and peer in a minute, with the
+    count of those left out.
+    """
     if not log.isEnabledFor(logging.WARNING):
         return
     kind = type(cause).__name__ if isinstance(cause, Exception) else cause

@@ -1,28 +1,12 @@
-"""Fields of a TCPROS connection header as peers write them: strictly read, never trusted.
+"""The TCPROS handshakes of topics and services inside the channel, both sides, as functions on header fields.
+Pure.
 
-Names on the wire are those at their origin: an alias that arrives is refused.
-
-Names of other masters and domains at the edge of a node. Pure.
-
-Inside, towards programs and towards the master, a name of another origin is an alias below
-`/remote`; on every wire to a peer stands the origin's name, and an alias that arrives from one is
-refused. A foreign node calls itself by its certified name, which programs get as its alias: they
-have no other way to tell it from a node of the same name here. In answers about itself a node tells
-a foreign caller its own names, and those of the caller's domain as `DOMAIN:/name`; those of a third
-domain it leaves out.
-
-The TCPROS handshake inside the channel, both sides, as pure functions on header fields.
-
-The caller's name comes from its certificate, never from `callerid` alone; rights come from the
-grants it presents. The peer is authorized before this node looks up the topic, so that without a
-grant it cannot tell a topic that exists from one that does not (attack N6). Access gets the local
-name of a topic, the header the origin's.
-
-The TCPROS handshake of a service inside the channel, both sides, as pure functions on fields.
-
-As for topics: names come from certificates, rights from the grants presented, and the peer is
-authorized before this node looks up the service. Probes (`probe=1`) need the right as well (N6).
-Access gets the local name of a service, the header the origin's.
+Fields are strictly read, never trusted: the caller's name comes from its certificate, never from `callerid`
+alone, its rights from the grants it presents. The peer is authorized before this node looks up the topic or
+service, so that without a grant it cannot tell one that exists from one that does not; probes need the right
+as well (attack N6). Inside, towards programs and the master, a name of another origin is an alias below
+`/remote`; on every wire to a peer stands the origin's name, and an alias that arrives from one is refused.
+Access gets the local name, the header the origin's.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -41,8 +25,18 @@ from rossec.ros.names import ANY_TYPE
 if TYPE_CHECKING:
     from rossec.participant.message_types import MessageType
 
+OFFERS: Final[Mapping[str, str]] = {
+    "registerPublisher": "published",
+    "registerService": "provided",
+    "setParam": "set",
+    "deleteParam": "deleted",
+}
+"""Calls to the master that concern what is here, with what is done to the name."""
+NOT_OFFERED: Final = f"names below {REMOTE} are those of other masters"
+_NAMES: Final = ("topic", "service")
 
 Fields = dict[str, bytes]
+Rename = Callable[[str], str]
 
 
 def check_caller(fields: Mapping[str, bytes], peer: Identity) -> None:
@@ -78,19 +72,6 @@ def text(fields: Mapping[str, bytes], key: str) -> str:
     return "".join(char if char.isprintable() else " " for char in decoded)[:4096]
 
 
-OFFERS: Final[Mapping[str, str]] = {
-    "registerPublisher": "published",
-    "registerService": "provided",
-    "setParam": "set",
-    "deleteParam": "deleted",
-}
-"""Calls to the master that concern what is here, with what is done to the name."""
-NOT_OFFERED: Final = f"names below {REMOTE} are those of other masters"
-_NAMES: Final = ("topic", "service")
-
-Rename = Callable[[str], str]
-
-
 def refuse_offer(name: str, done: str) -> str:
     """Return `name`, which is to be published, provided or set, unless it is below `/remote`."""
     if is_alias(name):
@@ -102,10 +83,7 @@ def refuse_offer(name: str, done: str) -> str:
 
 
 def offer_refusal(method: str, params: Sequence[object]) -> list[object] | None:
-    """The answer to a program's call to the master that offers a name below `/remote`; None: none.
-
-    `params`: with the name resolved.
-    """
+    """The answer to a program's call that offers a (resolved) name below `/remote`; None: it does not."""
     name = params[1] if method in OFFERS and len(params) > 1 else None
     if not isinstance(name, str):
         return None
@@ -138,7 +116,7 @@ def caller_for(peer: Identity, name: str, certified: str) -> str:
 
 
 def caller_here(peer: Identity, caller: str) -> str:
-    """The caller_id of a peer for a program: that of a foreign one is its alias."""
+    """The caller_id of a peer for a program: a foreign one's alias, or it would look like a node here."""
     return peer.name if peer.is_foreign else caller
 
 
@@ -156,9 +134,11 @@ def answer_here(peer: Identity, domain: str, method: str, value: object) -> obje
 
 
 def answer_for(peer: Identity, method: str, value: object) -> object:
-    """This node's answer about itself for `peer`.
+    """This node's answer about itself for `peer`: to a foreigner its own names, and `DOMAIN:/name` for the
+    peer's.
 
-    Nobody gets statistics: they count what a grant withholds, and when it came.
+    Those of a third domain are left out. Nobody gets statistics: they count what a grant withholds, and when
+    it came.
     """
     if method == "getBusStats":
         return [[], [], []]
@@ -186,27 +166,19 @@ def _renamed(method: str, value: object, rename: Rename) -> object:
     match method, value:
         case "getName", str() as name:
             return (_rename_all(rename, name) or ("",))[0]
-        case (("getPublications" | "getSubscriptions"), list() as rows):
-            return [row for each in rows if (row := _topic_row(each, rename)) is not None]
-        case "getBusInfo", list() as rows:
-            return [row for each in rows if (row := _bus_entry(each, rename)) is not None]
+        case (("getPublications" | "getSubscriptions" | "getBusInfo"), list() as rows):
+            return [row for each in rows if (row := _renamed_row(each, rename)) is not None]
         case (("getName" | "getPublications" | "getSubscriptions" | "getBusInfo"), _):
             return "" if method == "getName" else []
         case _:
             return value
 
 
-def _topic_row(row: object, rename: Rename) -> list[object] | None:
+def _renamed_row(row: object, rename: Rename) -> list[object] | None:
     match row:
         case [str() as topic, str() as kind]:
             names = _rename_all(rename, topic)
             return None if names is None else [*names, kind]
-        case _:
-            return None
-
-
-def _bus_entry(entry: object, rename: Rename) -> list[object] | None:
-    match entry:
         case [number, str() as end, direction, transport, str() as topic, *rest]:
             names = _rename_all(rename, *([] if "://" in end else [end]), topic)
             if names is None:
@@ -225,14 +197,13 @@ def _rename_all(rename: Rename, *names: str) -> tuple[str, ...] | None:
 
 @dataclass(frozen=True)
 class TopicEndpoint:
-    """A topic as this node sees it: its resolved name and its type."""
+    """A topic as this node has it: its resolved name and its type."""
 
     topic: str
     type: "MessageType"
 
     @property
     def expected(self) -> "ExpectedTopic":
-        """The topic and type the peer must have."""
         return ExpectedTopic(self.topic, self.type.name, self.type.md5sum)
 
 
@@ -246,7 +217,6 @@ class ExpectedTopic:
 
 
 def subscriber_header(caller: str, endpoint: TopicEndpoint, access: HandshakeAccess, now: int) -> Fields:
-    """Fields a subscriber sends first; they prove its right to subscribe."""
     return {
         "callerid": caller.encode(),
         "topic": origin_of(endpoint.topic).encode(),
@@ -261,7 +231,6 @@ def subscriber_header(caller: str, endpoint: TopicEndpoint, access: HandshakeAcc
 def publisher_header(
     caller: str, endpoint: TopicEndpoint, access: HandshakeAccess, now: int, *, latching: bool
 ) -> Fields:
-    """Fields a publisher answers with; they prove its right to publish."""
     return {
         "callerid": caller.encode(),
         "topic": endpoint.topic.encode(),
@@ -274,7 +243,6 @@ def publisher_header(
 
 
 def requested_topic(fields: Mapping[str, bytes]) -> str:
-    """Topic a connecting subscriber asks for."""
     return refuse_on_wire(text(fields, "topic"))
 
 
@@ -344,7 +312,6 @@ def client_header(
     persistent: bool = False,
     probe: bool = False,
 ) -> Fields:
-    """Fields a client sends first; they prove its right to call."""
     flags = {"persistent": persistent, "probe": probe}
     return {
         "callerid": caller.encode(),
@@ -359,7 +326,6 @@ def client_header(
 def server_header(
     caller: str, service: str, kind: ExpectedService, access: HandshakeAccess, now: int
 ) -> Fields:
-    """Fields a server answers with; they prove its right to provide."""
     return {
         "callerid": caller.encode(),
         "service": service.encode(),
@@ -372,7 +338,6 @@ def server_header(
 
 
 def caller_proof(service: str, access: HandshakeAccess, now: int) -> Fields:
-    """The field a client adds to its header; it proves the right to call."""
     return {FIELD: access.present(Right.CALL, service, now)}
 
 
@@ -381,7 +346,6 @@ def provider_proof(service: str, access: HandshakeAccess, now: int) -> Fields:
 
 
 def requested_service(fields: Mapping[str, bytes]) -> str:
-    """Service a connecting client asks for."""
     return refuse_on_wire(text(fields, "service"))
 
 
@@ -398,7 +362,6 @@ def admit_caller(fields: Mapping[str, bytes], peer: Identity, access: HandshakeA
 def admit_provider(
     fields: Mapping[str, bytes], peer: Identity, service: str, access: HandshakeAccess, now: int
 ) -> Decision:
-    """Decide on a server from the header it answered with."""
     if "error" in fields:
         raise ConnectionHeaderRefused(f"{shown(peer.name)} refuses: {text(fields, 'error')}")
     check_caller(fields, peer)

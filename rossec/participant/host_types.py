@@ -1,9 +1,8 @@
-"""The message types this host knows: .msg files of its packages, and those of ROS Noetic.
+"""The message types this host knows: .msg files of its packages, and those of ROS Noetic. A shell.
 
-A shell, and the one place that says where types come from: for policies, for every command, and for
-guards of programs that do not send their message definition (roscpp's subscribers do not, nor do
-tools that accept any type). Packages are looked for along ROS_PACKAGE_PATH, then where Debian and
-ROS install them.
+The one place that says where types come from: for policies, for every command, and for guards of programs
+that do not send their message definition (roscpp's subscribers do not, nor do tools that accept any type).
+Packages are looked for along ROS_PACKAGE_PATH, then where Debian and ROS install them.
 """
 
 import os
@@ -38,7 +37,8 @@ def known_type(name: str) -> Definition | None:
                 pending += sorted(layout.dependencies(current, texts[current]))
             if len(texts) > MAX_TYPES:
                 return None
-        whole = "\n".join((texts.pop(name), *(_section(*item) for item in texts.items())))
+        own = texts.pop(name)
+        whole = "\n".join((own, *(f"{SEPARATOR}\nMSG: {other}\n{text}" for other, text in texts.items())))
         return Definition(name, layout.parse(name, whole).md5, whole)
     except (MessageError, DefinitionRefused):
         return None
@@ -47,32 +47,20 @@ def known_type(name: str) -> Definition | None:
 def definition_of(name: str) -> str:
     """The definition text of the type `name`: that by which this host's guards would read it."""
     found = known_type(name)
-    if found is not None:
-        return found.definition
+    return _registered(name) if found is None else found.definition
+
+
+def layout_of(name: str) -> layout.Layout:
+    return layout.parse(name, definition_of(name))
+
+
+def _registered(name: str) -> str:
     from rossec.participant.message_types import registered_type  # noqa: PLC0415 - 15 MB, rarely needed
 
     return registered_type(name).definition
 
 
-def layout_of(name: str) -> layout.Layout:
-    """The layout of the type `name`; raises as `definition_of`."""
-    return layout.parse(name, definition_of(name))
-
-
 def _text(name: str) -> str:
-    found = _read(name)
-    if found is None:
-        from rossec.participant.message_types import registered_type  # noqa: PLC0415 - 15 MB, rarely needed
-
-        found = registered_type(name).definition.partition(SEPARATOR)[0]
-    return found
-
-
-def _section(name: str, text: str) -> str:
-    return f"{SEPARATOR}\nMSG: {name}\n{text}"
-
-
-def _read(name: str) -> str | None:
     package, leaf = name.split("/")
     for directory in _directories(package):
         path = directory / "msg" / f"{leaf}.msg"
@@ -81,7 +69,7 @@ def _read(name: str) -> str | None:
                 return path.read_text(errors="replace")  # comments may be in any encoding
         except OSError:
             continue
-    return None
+    return _registered(name).partition(SEPARATOR)[0]
 
 
 def places(variables: Mapping[str, str]) -> list[str]:

@@ -1,21 +1,8 @@
-"""The grants in a node's directory: each is loaded once, an invalid one is logged once.
+"""What a node takes from its master while it runs: delivered grants, and what is known of foreign domains.
 
-Grants may arrive while the node runs; they are checked by `access`.
-
-Grants that the authority deposited at the master for this node: fetched, verified, stored.
-
-They are fetched in each session, and while it lasts a call of its own connection waits for more
-(`rossec.watchGrants`). The master only carries them: what is not signed by the authority, for this
-domain and for this node's key, or is revoked, is dropped. A master without these calls, of an older
-version, is used without them.
-
-What a node knows of foreign domains, kept current at its master.
-
-The list of domains is fetched at each beginning of a session and with each heartbeat, the
-revocations of a foreign domain when its peers or grants are here, and of the others often enough
-that a new peer finds them fresh; both are pushed besides. The master only carries them: everything
-is verified here, and is on disk before it is used. A master that knows no domains, of an older
-version, is used without them; one with an older list receives the newer one. A call that fails
+The master only carries them. A grant that is not signed by the authority, for this domain and for this node's
+key, or is revoked, is dropped; lists are verified here, and are on disk before they are used. A master that
+knows no domains is used without them; one with an older list receives the newer one. A call that fails
 otherwise is made again at the next heartbeat.
 """
 
@@ -36,7 +23,6 @@ from ca.revocation.lists import digest
 from ca.revocation.trust_status import Standing
 from grants import document
 from grants.errors import GrantError, GrantExpired, GrantNotHeld
-from grants.model import Grant
 from grants.token import peek
 from rossec import clock
 from rossec.errors import AnswerMalformed, AnswerRefused, ConfigurationError
@@ -53,11 +39,20 @@ from rossec.saved_statements import DomainFiles
 
 KEPT: Final = 30 * 86400  # seconds after its end that a file stays
 
+FETCH: Final = "rossec.fetchGrants"
+WATCH: Final = "rossec.watchGrants"
+MAX_KNOWN: Final = 256  # ids in one call: the limit of the master
+MAX_ANSWERS: Final = 64  # to one fetch; a master has at most 64 grants for one key
+WATCH_DEADLINE: Final = 90.0  # seconds; the master answers after 60
+SHORTEST: Final = 1.0  # seconds an answer without a new grant takes
+CHECK_PERIOD: Final = 0.25  # seconds between looks whether the session is open
+MAX_CHAIN: Final = 2  # certificates: a master's, and its intermediate's
+
 _log = logging.getLogger("rossec.node")
 
 
 class GrantDirectory:
-    """Moves the grants of a directory into a node's `Access`."""
+    """Moves the grants of a directory into a node's `Access`: each once, an invalid one is logged once."""
 
     def __init__(self, home: NodeHome, access: HeldGrants) -> None:
         self._home = home
@@ -66,7 +61,6 @@ class GrantDirectory:
         self._errors: dict[Path, str] = {}
 
     def take_new(self) -> list[bytes]:
-        """Hold the grants that are new in the directory; returns them."""
         paths = self._home.grant_files()
         self._errors = {path: text for path, text in self._errors.items() if path in paths}
         found = ((path, self._read(path)) for path in paths)
@@ -76,7 +70,6 @@ class GrantDirectory:
         return self._hold(self._home.path, data)
 
     def save(self, grant_id: bytes, data: bytes) -> None:
-        """Store a grant that is held; a full disk is logged. For any thread."""
         try:
             self._home.add_grant(grant_id, data)
         except (OSError, HintedError) as error:  # the master has it after a restart, too
@@ -86,15 +79,19 @@ class GrantDirectory:
         """Delete the files of grants that ended long ago; only while the master confirms `now`."""
         for path in self._home.grant_files():
             data = self._read(path)
-            if data is not None and self._has_ended(path, data, now):
-                with contextlib.suppress(OSError):
+            with contextlib.suppress(GrantError, OSError):
+                grant = None if data is None else peek(data)
+                if grant is not None and path == self._home.grant_file(grant.id) and now >= grant.cap + KEPT:
                     path.unlink()
 
     def _read(self, path: Path) -> bytes | None:
         try:
             data = self._home.read_grant(path)
         except (OSError, HintedError) as error:
-            self._warn_once(path, f"cannot be read: {error}")
+            text = f"cannot be read: {error}"
+            if self._errors.get(path) != text:
+                self._errors[path] = text
+                _log.warning("%s %s", path, text)
             return None
         self._errors.pop(path, None)
         return data
@@ -110,39 +107,12 @@ class GrantDirectory:
             return False
         return True
 
-    def _warn_once(self, path: Path, error: str) -> None:
-        if self._errors.get(path) != error:
-            self._errors[path] = error
-            _log.warning("%s %s", path, error)
-
-    def _has_ended(self, path: Path, data: bytes, now: int) -> bool:
-        try:
-            grant = peek(data)
-        except GrantError:
-            return False
-        return path == self._home.grant_file(grant.id) and now >= grant.cap + KEPT
-
-
-FETCH: Final = "rossec.fetchGrants"
-WATCH: Final = "rossec.watchGrants"
-MAX_KNOWN: Final = 256  # ids in one call: the limit of the master
-MAX_ANSWERS: Final = 64  # to one fetch; a master has at most 64 grants for one key
-WATCH_DEADLINE: Final = 90.0  # seconds; the master answers after 60
-SHORTEST: Final = 1.0  # seconds an answer without a new grant takes
-CHECK_PERIOD: Final = 0.25  # seconds between looks whether the session is open
-
 
 class GrantDelivery:
-    """Takes what the master has for one node.
+    """Takes what the master has for one node: grants that the authority deposited there.
 
-    Args:
-        standing: the authorities that may have signed one, and what they have revoked.
-        holder: the thumbprint of the node's key.
-        access, directory: where the grants are held, and stored by `save`.
-
-    Attributes:
-        supported: set while the master of the session knows the calls.
-        taken: how many grants were new so far.
+    They are fetched in each session, and while it lasts a call of its own connection waits for more.
+    `holder`: the thumbprint of the node's key.
     """
 
     def __init__(
@@ -156,14 +126,12 @@ class GrantDelivery:
         self._new: list[bytes] = []
         self._unsaved: list[tuple[bytes, bytes]] = []
         self._arrived = asyncio.Event()
-        self.supported = asyncio.Event()
-        self.taken = 0
+        self.supported = asyncio.Event()  # set while the master of the session knows the calls
+        self.taken = 0  # grants that were new so far
 
     async def fetch(self, call: MasterCall) -> None:
-        """Fetch everything, at the beginning of a session; what was refused is judged again.
-
-        A master that forged a grant, or a clock that was wrong, keeps it away no longer than that.
-        """
+        """Fetch everything, at the beginning of a session; what was refused is judged again. A master that
+        forged a grant, or a clock that was wrong, keeps it away no longer than that."""
         self._received.clear()
         try:
             for _ in range(MAX_ANSWERS):
@@ -175,7 +143,6 @@ class GrantDelivery:
             self.supported.set()
 
     def known(self) -> bytes:
-        """The ids of the grants this node needs no more, one after the other."""
         ids = dict.fromkeys(reversed(self._received))
         ids |= dict.fromkeys(held.grant.id for held in self._access.held_grants())
         return b"".join(list(ids)[:MAX_KNOWN])
@@ -213,7 +180,10 @@ class GrantDelivery:
             raise AnswerMalformed("the master sends a grant that is not bytes")
         try:
             grant_id = document.grant_id(data)
-            self._receive(grant_id)
+            self._received.pop(grant_id, None)
+            self._received[grant_id] = None
+            if len(self._received) > MAX_KNOWN:
+                del self._received[next(iter(self._received))]
             self._check(data, clock.now())
         except HintedError as error:
             _log.warning("a grant that the master delivers is refused: %s", printable(error))
@@ -224,13 +194,7 @@ class GrantDelivery:
             self.taken += 1
             self._arrived.set()
 
-    def _receive(self, grant_id: bytes) -> None:
-        self._received.pop(grant_id, None)
-        self._received[grant_id] = None
-        if len(self._received) > MAX_KNOWN:
-            del self._received[next(iter(self._received))]
-
-    def _check(self, data: bytes, now: int) -> Grant:
+    def _check(self, data: bytes, now: int) -> None:
         # Verify a grant; one that is not valid yet, or may be renewed, is taken too.
         domain = document.peek(data).domain
         # Whose key a grant must be signed by: its domain only selects it.
@@ -243,18 +207,10 @@ class GrantDelivery:
             raise GrantExpired(f"the grant {grant.short_id} has expired")
         if grant.id in self._standing.own.entries | self._standing.revoked(grant.domain):
             raise GrantError(f"the grant {grant.short_id} is revoked")
-        return grant
 
 
 class GrantWatch:
-    """Waits at the master for grants, on a connection of its own, while the session is open.
-
-    Args:
-        name: the node's own name, the `caller_id` of every call.
-        dial: opens a secure stream to the master.
-        is_open: whether the session is open.
-        master: the certified name of the node's own master.
-    """
+    """Waits at the master for grants, on a connection of its own, while the session is open."""
 
     def __init__(
         self,
@@ -312,18 +268,14 @@ class GrantWatch:
                 await client.close()
 
 
-MAX_CHAIN: Final = 2  # certificates: a master's, and its intermediate's
-
-
 class DomainUpdates:
     """Takes lists of domains, and revocations of foreign ones.
 
-    Args:
-        standing: what they change; `lock` is held meanwhile, if threads share it.
-        files: where they are saved.
-        changed: called after each that was taken, to cut what it ends; whether it says anything
-            new, so that what was refused may be tried again.
-        in_use: the foreign domains of which there are peers or grants here.
+    The list is fetched at each beginning of a session and with each heartbeat, the revocations of a foreign
+    domain when its peers or grants are here, and of the others often enough that a new peer finds them fresh;
+    both are pushed besides. `changed` is called after each that was taken, to cut what it ends: with whether
+    it says anything new, so that what was refused may be tried again. `lock` is held while `standing` is
+    changed, if threads share it.
     """
 
     def __init__(
@@ -331,7 +283,7 @@ class DomainUpdates:
         standing: Standing,
         files: DomainFiles,
         changed: Callable[[bool], None],
-        in_use: Callable[[], Iterable[str]],
+        in_use: Callable[[], Iterable[str]],  # the foreign domains of which there are peers or grants here
         lock: AbstractContextManager[object] = nullcontext(),  # noqa: B008 - has no state
     ) -> None:
         self._standing = standing
@@ -377,7 +329,9 @@ class DomainUpdates:
         self._supported = True
         self._wanted = {each.entry.domain for each in self._standing.anchors.all_listed}
         if await self._fetch_domains(call) and self._standing.anchors.data:
-            await self._send_missing(call)
+            with contextlib.suppress(Fault, AnswerRefused):
+                if await call(DOMAINS, digest(b"")) == b"":  # it has none at all
+                    await self._send(call)
         await self.fetch_wanted(call)
 
     async def heartbeat(self, call: MasterCall) -> None:
@@ -414,26 +368,15 @@ class DomainUpdates:
         if not isinstance(answer, bytes):
             self._warn(DOMAINS, AnswerMalformed("the master's list of domains is not one"))
             return False
-        if answer:
-            return await self._take_or_send(call, answer)
-        self._warned.pop(DOMAINS, None)
-        return True
-
-    async def _take_or_send(self, call: MasterCall, data: bytes) -> bool:
+        if not answer:
+            self._warned.pop(DOMAINS, None)
+            return True
         try:
-            self.take_domains(data)
+            self.take_domains(answer)
         except CAError as error:
             self._warn(DOMAINS, error)
             await self._send(call)
         return False
-
-    async def _send_missing(self, call: MasterCall) -> None:
-        try:
-            answer = await call(DOMAINS, digest(b""))
-        except (Fault, AnswerRefused):
-            return
-        if answer == b"":
-            await self._send(call)
 
     async def _send(self, call: MasterCall) -> None:
         held = self._standing.anchors.data
@@ -453,8 +396,11 @@ class DomainUpdates:
         if held is None:
             return
         try:
-            answer = await call(FOREIGN_REVOCATIONS, domain, digest(held.data))
-            self.take_foreign(domain, *_foreign(answer))
+            match await call(FOREIGN_REVOCATIONS, domain, digest(held.data)):
+                case [bytes() as revocations, bytes() as timestamp, list() as chain]:
+                    self.take_foreign(domain, revocations, timestamp, chain)
+                case _:
+                    raise AnswerMalformed("the master's answer is not a foreign revocation list")
             self._warned.pop(domain, None)
         except (Fault, AnswerRefused, AnswerMalformed, CAError) as error:
             self._warn(domain, error)
@@ -465,9 +411,13 @@ class DomainUpdates:
         if held is None or not wanted:
             return False
         try:
-            asked, answer = _known(wanted, await call(FOREIGN_PROOFS, domain, wanted))
+            answer = await call(FOREIGN_PROOFS, domain, wanted)
+            if isinstance(answer, list) and len(answer) == len(wanted):
+                # Without the proofs that the master does not have yet: it fetches them, and is asked again.
+                known = [pair for pair in zip(wanted, answer, strict=True) if pair[1] != b""]
+                wanted, answer = [entry for entry, _ in known], [proof for _, proof in known]
             with self._lock:
-                taken = take(held, asked, answer)
+                taken = take(held, wanted, answer)
         except (Fault, AnswerRefused, AnswerMalformed) as error:
             self._warn(f"{domain}: proofs", error)
             return False
@@ -495,19 +445,3 @@ class DomainUpdates:
         self._warned[what] = text
         level = logging.INFO if isinstance(error, RevocationsStale) else logging.WARNING
         _log.log(level, "%s: %s", what, text)
-
-
-def _known(wanted: list[bytes], answer: object) -> tuple[list[bytes], object]:
-    # Without the proofs that the master does not have yet: it fetches them, and is asked again.
-    if not isinstance(answer, list) or len(answer) != len(wanted):
-        return wanted, answer
-    known = [pair for pair in zip(wanted, answer, strict=True) if pair[1] != b""]
-    return [entry for entry, _ in known], [proof for _, proof in known]
-
-
-def _foreign(answer: object) -> tuple[bytes, bytes, list[object]]:
-    match answer:
-        case [bytes() as revocations, bytes() as timestamp, list() as chain]:
-            return revocations, timestamp, chain
-        case _:
-            raise AnswerMalformed("the master's answer is not a foreign revocation list")

@@ -1,20 +1,11 @@
-"""The membership of one identity at the master, for every form of a node.
+"""The membership of one identity at the master, for every form of a node, and its session there.
 
-On each connection to the master it fetches and renews the node's grants, presents them, and has
-everything registered again. Meanwhile it takes grants that are delivered or arrive in the node's
-directory, renews grants and the identity, requests proofs, and takes revocation data. A list is on
-disk before it is used.
-
-What a form registers is behind `MembershipHooks`. Fail closed: if a task crashes, connections might
-not be cut any more, so the form closes all (`crashed`).
-
-A node's session with its master: one control connection, opened again whenever it is lost.
-
-On every connection the node checks that the peer is its master in its own trust domain, loads
-revocations, presents its grants and registers everything again, so that a master can restart
-without the node's program noticing. The heartbeat fetches revocations as well: pushed updates alone
-could be suppressed unnoticed (RFC 9770 section 11 requires the same). A master whose list was
-rolled back receives the newer one this node holds, as new nodes would accept the old one.
+On each connection the node checks that the peer is its master in its own trust domain, loads revocations,
+fetches, renews and presents its grants and registers everything again, so that a master can restart without
+the node's program noticing. Meanwhile it takes what is delivered, renews, requests proofs and takes
+revocation data: the heartbeat fetches it as well, since pushed updates alone could be suppressed unnoticed
+(RFC 9770 section 11 requires the same). Fail closed: if a task crashes, connections might not be cut any
+more, so the form closes all (`crashed`).
 """
 
 import asyncio
@@ -57,37 +48,26 @@ from rossec.ros.xmlrpc import Fault
 from rossec.saved_statements import DomainFiles, saved_revocations
 
 HEARTBEAT: Final = 10.0
+PERIOD: Final = 1.0  # seconds between checks for new grants and renewals
 _SAID_AGAIN: Final = 60.0  # seconds after which a cause that lasts is logged again
 
 _log = logging.getLogger("rossec.node")
 
 
 class MasterSession:
-    """Calls to the master, over a connection that is kept open.
-
-    Args:
-        name: the node's own name, the `caller_id` of every call.
-        dial: opens a secure stream to the master.
-        refresh: takes the newest revocation list and timestamp; raises when they are refused.
-        restore: makes every registration again; called on each new connection.
-        held: the signed revocation list this node holds, which the master then need not send.
-        prove: requests the proofs that are wanted; returns how many were accepted.
-        master: the certified name of the node's own master.
-        follow: called after each heartbeat, for what else the node keeps current.
-        explain: the cause of a failure that the node knows itself; empty: what the error says.
-    """
+    """Calls to the master, over a connection that is kept open."""
 
     def __init__(
         self,
-        name: str,
+        name: str,  # the node's own, the `caller_id` of every call
         dial: Callable[[], Awaitable[SecureStream[Identity]]],
-        refresh: Callable[[bytes, bytes, Identity], None],
-        restore: Callable[["MasterSession"], Awaitable[None]],
-        held: Callable[[], bytes],
-        prove: Callable[[MasterCall], Awaitable[int]],
-        master: str = MASTER,
-        follow: Callable[[MasterCall], Awaitable[None]] | None = None,
-        explain: Callable[[], str] = str,
+        refresh: Callable[[bytes, bytes, Identity], None],  # takes the newest list and timestamp, or raises
+        restore: Callable[["MasterSession"], Awaitable[None]],  # called on each new connection
+        held: Callable[[], bytes],  # the signed revocation list, which the master then need not send
+        prove: Callable[[MasterCall], Awaitable[int]],  # requests proofs; how many were accepted
+        master: str = MASTER,  # the certified name of the node's own
+        follow: Callable[[MasterCall], Awaitable[None]] | None = None,  # after each heartbeat
+        explain: Callable[[], str] = str,  # the cause of a failure, if the node knows it itself
     ) -> None:
         self._name = name
         self._dial = dial
@@ -124,18 +104,17 @@ class MasterSession:
             raise as_master(error) from error
         if stream.peer.name != self._master:
             stream.abort("not the master")
-            found = shown(stream.peer.name)
             raise ConfigurationError(
-                f"the node at the master's address is {found}, not {self._master}",
+                f"the node at the master's address is {shown(stream.peer.name)}, not {self._master}",
                 f"check ROS_MASTER_URI, and {OWN_MASTER} if there are several masters",
             )
-        await self._disconnect()
+        await self.close()
         self._client, self._stream = RpcClient(stream), stream
         try:
             await self._heartbeat()
             await self._restore(self)
         except BaseException:  # no caller may use a session that failed to open
-            await self._disconnect()
+            await self.close()
             raise
         self._is_restored = True
         return stream
@@ -161,7 +140,7 @@ class MasterSession:
                 if text != said or now - said_at >= _SAID_AGAIN:
                     _log.warning("%s: no answer from the master: %s", self._name, text)
                     said, said_at = text, now
-                await self._disconnect()
+                await self.close()
                 await asyncio.sleep(retry.pause(now))
 
     async def refresh(self) -> None:
@@ -170,9 +149,6 @@ class MasterSession:
             await self._follow(self.call)
 
     async def close(self) -> None:
-        await self._disconnect()
-
-    async def _disconnect(self) -> None:
         client, self._client = self._client, None
         self._is_restored = False
         if client is not None:
@@ -187,7 +163,8 @@ class MasterSession:
             await self._fetch_revocations()
 
     async def _send_held_list(self) -> bool:
-        # Of a tree a node does not have the entries, which the master needs.
+        # A master whose list was rolled back: new nodes would accept the old one. Of a tree a node does not
+        # have the entries, which the master needs.
         newest = self._held()
         if not newest or is_tree(newest):
             return False
@@ -218,32 +195,22 @@ class MasterSession:
                 raise CAError(*NO_LIST)
 
     def _apply(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
+        def corrects_clock() -> bool:
+            # Only the answer to the node's own call may do so: it is at most as old as the call.
+            return clock.correct(open_timestamp(timestamp, master.public_key).issued)
+
         try:
             self._refresh(revocations, timestamp, master)
         except ClocksDisagree:  # only then: a revoked master sets no clock
-            if not _corrects_clock(timestamp, master):
+            if not corrects_clock():
                 raise
             self._refresh(revocations, timestamp, master)
         else:
-            _corrects_clock(timestamp, master)
-
-
-def _corrects_clock(timestamp: bytes, master: Identity) -> bool:
-    # Only the answer to the node's own call may do so: it is at most as old as the call.
-    return clock.correct(open_timestamp(timestamp, master.public_key).issued)
-
-
-PERIOD: Final = 1.0  # seconds between checks for new grants and renewals
+            corrects_clock()
 
 
 class LoadedIdentity:
-    """An enrolled node as its directory has it when it starts.
-
-    Args:
-        home: the directory.
-        name: the name the node runs under, which its identity covers.
-        master: the certified name of its own master.
-    """
+    """An enrolled node as its directory has it when it starts; its identity covers `name`."""
 
     def __init__(self, home: NodeHome, name: str, master: str = MASTER) -> None:
         self.home = home
@@ -291,20 +258,8 @@ class MembershipHooks(Protocol):
 
 
 class Membership:
-    """Keeps one identity connected to the master.
-
-    Args:
-        access: of `identity`; with a lock if threads share it.
-        connections: cut when they must end.
-        grace: the publishers that a restarted master may not list yet.
-        lock: held while `identity.standing` is changed, if threads share it.
-
-    Attributes:
-        domains: what is known of foreign domains.
-        session: the session with the master.
-        tasks: the tasks of this identity; a crash of one of them ends everything.
-        rights_version: incremented for new grants and lists: what was refused may be tried again.
-    """
+    """Keeps one identity connected to the master. `lock` is held while `identity.standing` is changed, if
+    threads share it; then `access` has a lock, too."""
 
     def __init__(
         self,
@@ -349,17 +304,13 @@ class Membership:
         self._watch = GrantWatch(
             identity.name, self._delivery, hooks.dial_watch, lambda: self.session.is_open, identity.master
         )
-        self.tasks = TaskSet(self._crashed)
+        self.tasks = TaskSet(self._crashed)  # a crash of one of them ends everything
         self._has_crashed = False
         self._domains_are_new = False
-        self.rights_version = 0
+        self.rights_version = 0  # incremented for new grants and lists: what was refused may be tried again
 
     def start(self, opening: Callable[[], Awaitable[None]] | None = None) -> None:
-        """Start the tasks: the session, the watchdog, and maintenance.
-
-        Args:
-            opening: opens the session; None: it is open.
-        """
+        """Start the session (which `opening` opens, unless it is open), the watchdog, and maintenance."""
         name = self._identity.name
         watchdog = ConnectionWatchdog(self._connections, self._access.expire_confirmation)
         self.tasks.spawn(watchdog.run(), f"{name}: watchdog")
@@ -392,11 +343,11 @@ class Membership:
                 self.domains.take_domains(data)
             case names.FOREIGN_UPDATE, (
                 str() as domain,
-                bytes() as revocations,
+                bytes() as data,
                 bytes() as timestamp,
                 list() as chain,
             ):
-                self.domains.take_foreign(domain, revocations, timestamp, chain)
+                self.domains.take_foreign(domain, data, timestamp, chain)
             case _:
                 raise CallRefused(f"{method} has other parameters")
 

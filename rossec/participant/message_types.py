@@ -1,14 +1,8 @@
 """Message types by their ROS 1 name: definition text, md5, serialization. No ROS install needed.
 
-`rosbags` provides the definitions of Noetic's standard packages and the serialization, transforms
-and sound are in `further_types`; other types are found in the packages of this host (`host_types`),
-or added from their `.msg` text. The ROS 2 names (`pkg/msg/Type`) that `rosbags` uses do not leave
-this module.
-
-Message types of ROS Noetic that `rosbags` leaves out: transforms and sound. Data, nothing else.
-
-They are those of the vocabulary (`grants.vocabulary.contents`), so a policy can name every type of
-which it is known what it tells, also on a host without ROS.
+`rosbags` provides the definitions of Noetic's standard packages and the serialization; what it leaves out is
+below. Other types are found in the packages of this host (`host_types`), or added from their `.msg` text. The
+ROS 2 names (`pkg/msg/Type`) that `rosbags` uses do not leave this module.
 """
 
 import re
@@ -43,8 +37,12 @@ FURTHER_TYPES: Final[Mapping[str, str]] = {
         "uint8 channels\nuint32 sample_rate\nstring sample_format\nuint32 bitrate\nstring coding_format\n"
     ),
 }
-"""The text of the .msg file, by name; a type comes after those it uses."""
+"""The text of the .msg file, by name; a type comes after those it uses: transforms and sound, which are in
+the vocabulary (`grants.vocabulary.contents`), so a policy can name them also on a host without ROS."""
 
+_TIMES: Final = {"builtin_interfaces/msg/Time": "time", "builtin_interfaces/msg/Duration": "duration"}
+# rosbags' names of ROS base types that numpy does not know under the same name
+_NUMPY: Final = {"octet": "uint8", "byte": "int8", "char": "uint8"}
 _SEGMENT: Final = re.compile("[A-Za-z][A-Za-z0-9_]*")  # rosbags makes Python code of it
 _NO_FIELDS: Final = "structure_needs_at_least_one_member"
 _CHECK_TEXT: Final = "check the text of the .msg file, and register the types it uses first"
@@ -57,10 +55,8 @@ class MessageType(Definition):
     """A message type whose messages can be created, serialized and deserialized."""
 
     def create(self, /, **fields: object) -> Message:
-        """Create a message with every field at its zero value, then set `fields`.
-
-        A field that is a keyword of Python is named as it is or as its attribute: `from_`.
-        """
+        """Create a message with every field at its zero value, then set `fields`. A field that is a keyword
+        of Python is named as it is or as its attribute: `from_`."""
         message = _zero(_ros2_name(self.name))
         names = _field_names(_ros2_name(self.name))
         attributes = {attribute_of(name) for name in names}
@@ -82,7 +78,6 @@ class MessageType(Definition):
         return data
 
     def deserialize(self, data: bytes | memoryview) -> Message:
-        """Message from its ROS 1 wire bytes."""
         try:
             return _store().deserialize_ros1(data, _ros2_name(self.name))
         except Exception as error:
@@ -91,10 +86,8 @@ class MessageType(Definition):
 
 @cache
 def message_type(name: str) -> MessageType:
-    """Look up a type by its ROS name, for example `geometry_msgs/PoseStamped`.
-
-    A type that is not a standard one, nor was registered, is that of its package on this host.
-    """
+    """Look up a type by its ROS name, for example `geometry_msgs/PoseStamped`. A type that is not a standard
+    one, nor was registered, is that of its package on this host."""
     try:
         return registered_type(name)
     except MessageError:
@@ -155,7 +148,6 @@ def _check_nested(name: str, types: Mapping[str, Any]) -> None:
 
 
 def field_names(message: Message) -> list[str]:
-    """Names of the fields of `message`, in order of its definition."""
     return _field_names(message.__msgtype__)
 
 
@@ -164,12 +156,10 @@ def attribute_of(field: str) -> str:
 
 
 def field_value(message: Message, field: str) -> Any:
-    """The value of `field`, by its name in the definition."""
     return getattr(message, attribute_of(field))
 
 
 def set_field(message: Message, field: str, value: object) -> None:
-    """Set `field`, by its name in the definition."""
     setattr(message, attribute_of(field), value)
 
 
@@ -191,9 +181,6 @@ def _element(message: Message, field: str) -> Any:
     return dict(fields)[field][1][0]
 
 
-_TIMES: Final = {"builtin_interfaces/msg/Time": "time", "builtin_interfaces/msg/Duration": "duration"}
-
-
 def _field_names(inner: str) -> list[str]:
     # rosbags adds a field to an empty message, as ROS 2's IDL requires; ROS 1 has none
     return [name for name, _ in _store().fielddefs[inner][1] if name != _NO_FIELDS]
@@ -212,10 +199,6 @@ def _ros2_name(name: str) -> str:
     if not slash or not all(_SEGMENT.fullmatch(part) for part in (package, leaf)):
         raise MessageError(f"{name!r} is not a message type name", "write package/Type")
     return f"{package}/msg/{leaf}"
-
-
-# rosbags' names of ROS base types that numpy does not know under the same name
-_NUMPY: Final = {"octet": "uint8", "byte": "int8", "char": "uint8"}
 
 
 def _zero(inner: str) -> Message:

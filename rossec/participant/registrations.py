@@ -1,39 +1,10 @@
-"""What one node, or one program, has registered at the master, to be registered again. Pure.
+"""What one node, or one program, has registered at the master, and what follows from a master's restart.
+Pure.
 
-Programs register once and never again; a master that was restarted would not know them. Refused
-registrations are kept as well, for when there is a new grant. Thread-safe: iterations are over a
-copy, which is made in one step.
-
-A call to the master with another caller_id than the node's own name. Pure.
-
-Tools, and programs before `init_node`, use names that no certificate covers; the master receives
-the node's own. A relative name in such a call is resolved for the original caller, or it would
-silently mean another key.
-
-What a client library does not tell its program, so that somebody else has to say it. Pure.
-
-rospy and roscpp drop the answer to `setParam`, and a graph of which a node may see nothing looks
-like a graph in which there is nothing.
-
-When to reconnect after a connection is lost. Pure.
-
-Soon at first, as a restarted master is back within seconds; less often after `FAST_PERIOD`, when it
-was probably switched off. Each pause is shortened at random by up to a half, or all nodes of a
-graph would reconnect at the same moment.
-
-The publishers to stay connected to while a restarted master receives registrations. Pure.
-
-A restarted master knows the nodes that have registered since. Subscribers that reconnect first are
-sent incomplete publisher lists, and disconnecting from the rest would interrupt topics that are
-not affected. So after a session is opened, a publisher missing from the list is kept for `GRACE`
-seconds, or until it is listed again; if it is removed after that, it is dropped at once. The grace
-period begins with the loss of the session, and not again while a publisher is missing: a peer that
-resets sessions cannot extend it. Whether a connection may stay open is decided elsewhere.
-
-The graph of a master as a watcher knows it from the answers of `rossec.watchGraph`. Pure.
-
-The thesis (4.2) has a watcher compare versions to notice a restarted master; here each answer has
-an instance id of the master, and a master that does not know the watcher sends the whole graph.
+Programs register once and never again, so registrations are kept to be made again, refused ones too, for when
+there is a new grant. Tools, and programs before `init_node`, call with names that no certificate covers; the
+master receives the node's own, and a relative name is resolved for the original caller, or it would silently
+mean another key. Iterations are over a copy, made in one step: threads may share these tables.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -45,6 +16,18 @@ from rossec.errors import AnswerMalformed
 from rossec.ros import names
 from rossec.ros.names import canonical
 
+Params = tuple[object, ...]
+Call = tuple[str, Params]  # a method of the master, its parameters
+Fact = tuple[str, str, str]
+"""Kind, name and value, as `rossec.master.api.graph_calls` has them."""
+
+GRACE: Final = 15.0  # seconds; a hundred nodes register within six
+FIRST: Final = 0.25
+FAST_PERIOD: Final = 30.0  # seconds from the loss on
+_LONGEST_FAST: Final = 1.0
+_LONGEST: Final = 5.0
+MAX_REFUSED: Final = 256  # refused registrations of one program that are kept
+WATCH_GRAPH: Final = "rossec.watchGraph"
 SEARCH: Final = "searchParam"
 RELATIVE_NAME: Final = {
     "registerPublisher": 1,
@@ -64,8 +47,28 @@ RELATIVE_NAME: Final = {
     "hasParam": 1,
 }
 """Index of the parameter that is a name relative to the caller; the caller_id is 0."""
-
-Params = tuple[object, ...]
+UNREGISTERS: Final = {
+    "unregisterPublisher": "registerPublisher",
+    "unregisterSubscriber": "registerSubscriber",
+    "unregisterService": "registerService",
+    "unsubscribeParam": "subscribeParam",
+}
+REGISTERS: Final = frozenset(UNREGISTERS.values())
+_ADDRESS: Final = {
+    "registerPublisher": 3,
+    "registerSubscriber": 3,
+    "registerService": 2,
+    "subscribeParam": 1,
+    "unregisterPublisher": 2,
+    "unregisterSubscriber": 2,
+    "unregisterService": 2,
+    "unsubscribeParam": 1,
+}
+"""Index of the address that is registered: of the service, else of the slave API."""
+UNHEARD: Final = frozenset({"setParam", "deleteParam"})
+"""Calls to the master whose refusal does not reach the program: rospy and roscpp drop the answer."""
+GRAPH: Final = frozenset({"getSystemState", "getTopicTypes", "getPublishedTopics"})
+"""Calls that are answered with what the caller may see."""
 
 
 def resolve_params(method: str, params: Params, caller: str) -> Params:
@@ -103,36 +106,10 @@ def search_result(answer: list[object], found: str) -> list[object] | None:
 
 
 def not_found(key: str) -> list[object]:
-    """The answer when no name exists."""
     return [-1, f"Cannot find parameter [{key}] in an upwards search", ""]
 
 
-Call = tuple[str, tuple[object, ...]]  # a method of the master, its parameters
-MAX_REFUSED: Final = 256  # refused registrations of one program that are kept
-
-UNREGISTERS: Final = {
-    "unregisterPublisher": "registerPublisher",
-    "unregisterSubscriber": "registerSubscriber",
-    "unregisterService": "registerService",
-    "unsubscribeParam": "subscribeParam",
-}
-REGISTERS: Final = frozenset(UNREGISTERS.values())
-_ADDRESS: Final = {
-    "registerPublisher": 3,
-    "registerSubscriber": 3,
-    "registerService": 2,
-    "subscribeParam": 1,
-    "unregisterPublisher": 2,
-    "unregisterSubscriber": 2,
-    "unregisterService": 2,
-    "unsubscribeParam": 1,
-}
-"""Index of the address that is registered: of the service, else of the slave API."""
-
-
 class RegistrationTable:
-    """The registrations of one name."""
-
     def __init__(self) -> None:
         self._calls: dict[tuple[str, str], tuple[object, ...]] = {}
         self._refused: set[tuple[str, str]] = set()
@@ -148,10 +125,8 @@ class RegistrationTable:
         return self._calls.get((method, name))
 
     def record(self, method: str, params: Sequence[object], *, refused: bool = False) -> None:
-        """Record a call that registers, or unregisters, what it names; others are ignored.
-
-        What was registered with another address stays: a new program may have the old name.
-        """
+        """Record a call that registers, or unregisters, what it names; others are ignored. What was
+        registered with another address stays: a new program may have the old name."""
         index = _ADDRESS.get(method)
         if index is None or len(params) <= max(index, RELATIVE_NAME[method]):
             return  # the master refuses it
@@ -167,36 +142,23 @@ class RegistrationTable:
             self._refused.discard(key)
 
 
-UNHEARD: Final = frozenset({"setParam", "deleteParam"})
-"""Calls to the master whose refusal does not reach the program."""
-GRAPH: Final = frozenset({"getSystemState", "getTopicTypes", "getPublishedTopics"})
-"""Calls that are answered with what the caller may see."""
-
-
 def unheard_refusal(method: str, params: Sequence[object], answer: object) -> str | None:
-    """Why a call was refused of which the program does not hear it; None: it is none of these.
-
-    What rossec itself refuses has a reason of its own in its status, and is not meant here.
-    """
+    """Why a call was refused of which the program does not hear it; None: it is none of these. What rossec
+    itself refuses has a reason of its own in its status, and is not meant here."""
     match answer:
         case [code, str(status), *_] if code != 1 and method in UNHEARD:
-            return _of_name(params[RELATIVE_NAME[method] :][:1]) or status
+            try:
+                for name in params[RELATIVE_NAME[method] :][:1]:
+                    check_name(canonical(str(name)))
+            except NameRefused as error:
+                return f"{error} ({error.hint})"
+            return status
         case _:
             return None
 
 
-def _of_name(named: Sequence[object]) -> str:
-    # What is wrong with the name in a call, and what would not be; empty: nothing.
-    for name in named:
-        try:
-            check_name(canonical(str(name)))
-        except NameRefused as error:
-            return f"{error} ({error.hint})"
-    return ""
-
-
 def shows_nothing(method: str, answer: object) -> bool:
-    """Whether a node asked for the graph and was shown nothing of it."""
+    """Whether a node asked for the graph and was shown nothing of it: that looks as if there were nothing."""
     match answer:
         case [1, _, list(found)] if method in GRAPH:
             return not any(found)
@@ -205,21 +167,15 @@ def shows_nothing(method: str, answer: object) -> bool:
 
 
 def nothing_shown(node: str) -> str:
-    """What is said then."""
     return f"nothing that {node} may see; all of it needs: rossec grant sign {node} --graph"
 
 
-FIRST: Final = 0.25
-FAST_PERIOD: Final = 30.0  # seconds from the loss on
-_LONGEST_FAST: Final = 1.0
-_LONGEST: Final = 5.0
-
-
 class Retry:
-    """The pauses after one loss, until `succeeded`.
+    """The pauses after one loss of a connection, until `succeeded`.
 
-    Args:
-        rand: returns a random number from 0 up to 1.
+    Soon at first, as a restarted master is back within seconds; less often after `FAST_PERIOD`, when it was
+    probably switched off. Each pause is shortened at random by up to a half, or all nodes would reconnect at
+    the same moment: `rand` returns a number from 0 up to 1.
     """
 
     def __init__(self, rand: Callable[[], float]) -> None:
@@ -238,14 +194,15 @@ class Retry:
         return self._pause * (1 - self._rand() / 2)
 
 
-GRACE: Final = 15.0  # seconds; a hundred nodes register within six
-
-
 class PublisherGrace:
-    """The publishers of each topic of one node, by their URIs.
+    """The publishers to stay connected to while a restarted master receives registrations, by their URIs.
 
-    Args:
-        now: seconds of a monotonic clock (`rossec.clock.counter`).
+    A restarted master knows the nodes that have registered since. Subscribers that reconnect first are sent
+    incomplete publisher lists, and disconnecting from the rest would interrupt topics that are not affected.
+    So after a session is opened, a publisher missing from the list is kept for `GRACE` seconds, or until it
+    is listed again; if it is removed after that, it is dropped at once. The grace period begins with the loss
+    of the session, and not again while a publisher is missing: a peer that resets sessions cannot extend it.
+    `now`: seconds of a monotonic clock.
     """
 
     def __init__(self, now: Callable[[], float]) -> None:
@@ -255,7 +212,6 @@ class PublisherGrace:
         self._until = 0.0
 
     def session_opened(self) -> None:
-        """The session was lost and opened again: lists may be incomplete from now on."""
         now = self._now()
         if now >= self._until:
             self._missing.clear()
@@ -292,28 +248,19 @@ class PublisherGrace:
         self._missing.pop(topic, None)
 
 
-WATCH_GRAPH: Final = "rossec.watchGraph"
-
-Fact = tuple[str, str, str]
-"""Kind, name and value, as `rossec.master.api.graph_calls` has them."""
-
-
 class ObservedChange(NamedTuple):
-    """The changes in one answer.
-
-    Args:
-        restarted: the master restarted, or no longer knows this watcher.
-        more: call again at once.
-    """
-
     added: tuple[Fact, ...]
     removed: tuple[Fact, ...]
-    restarted: bool
-    more: bool
+    restarted: bool  # the master restarted, or no longer knows this watcher
+    more: bool  # call again at once
 
 
 class GraphView:
-    """The graph as one watcher knows it."""
+    """The graph as one watcher knows it from the answers of `rossec.watchGraph`.
+
+    The thesis (4.2) has a watcher compare versions to notice a restarted master; here each answer has an
+    instance id of the master, and a master that does not know the watcher sends the whole graph.
+    """
 
     def __init__(self) -> None:
         self.facts: frozenset[Fact] = frozenset()
@@ -340,9 +287,8 @@ class GraphView:
                 new, old = facts_of(added), facts_of(removed)
             case _:
                 raise AnswerMalformed("a graph update that is malformed")
-        base = frozenset() if whole else self.facts
         known = self.facts
-        self.facts = (base | new) - old
+        self.facts = ((frozenset() if whole else known) | new) - old
         restarted = whole and self.instance != ""
         self.instance, self.version, self._cursor = instance, version, cursor
         return ObservedChange(
@@ -351,7 +297,6 @@ class GraphView:
 
 
 def facts_of(rows: list[object]) -> frozenset[Fact]:
-    """The facts in a part of an answer."""
     found: set[Fact] = set()
     for row in rows:
         match row:

@@ -1,19 +1,9 @@
-"""When a node has its grants renewed, and what it does with the answer.
+"""Renewal of a node's grants and of its identity, and the proofs of a revocation tree, requested from the
+master.
 
-Call `renew` every few seconds, and before registering on a new connection: a node that was off for
-long holds grants that have expired but may still be renewed.
-
-Renewal of a node's identity by the node itself, before it expires; `ca.certificates` has the rules.
-
-The key stays, as grants are bound to it: there is one file to replace, which is done in one step.
-The new certificate is presented on open connections (`rossec.net.context`), and used for new
-ones. The same request is repeated until it is answered: the signer signs each request once, and
-always answers it with the same certificate. A certificate that somebody installs is used as well,
-also after the own one has ended: no master answers by then.
-
-Requests for proofs to the master, where revocations are a tree and not a list.
-
-Call `prove` about every second, and when the master's own identity has no proof yet.
+Call `renew` and `prove` about every second, and `renew` before registering on a new connection: a node that
+was off for long holds grants that have expired but may still be renewed. `ca.certificates` has the rules for
+identities.
 """
 
 import logging
@@ -37,6 +27,14 @@ RENEW_GRANTS: Final = "rossec.renewGrants"
 MAX_GRANTS_PER_CALL: Final = 16  # grants in one call: the limit of the master
 GRANT_RETRY: Final = 60  # seconds at most until a grant that was not renewed is requested again
 _TRIES: Final = 4  # requests at least in the rest of its lifetime
+IDENTITY_METHOD: Final = RENEW_IDENTITY
+IDENTITY_RETRY: Final = 600  # seconds at most after a refusal
+FIRST_PAUSE: Final = 5  # seconds after the first request that has no answer yet; then doubled up to
+LONGEST_PAUSE: Final = 60
+WARN_EVERY: Final = 3600  # seconds at most between two warnings
+_PENDING: Final = 0  # ROS's code: nothing was wrong with the call
+REVOCATION_PROOFS: Final = "rossec.revocationProofs"
+MAX_PROOFS_PER_CALL: Final = 64  # entries in one call: the limit of the master
 
 _log = logging.getLogger("rossec.node")
 
@@ -51,10 +49,8 @@ class Renewals:
         self._outdated: set[bytes] = set()
 
     def due(self, now: int) -> list[HeldGrant]:
-        """Grants to be renewed now, the first to expire first; a refused one is due later.
-
-        In a new epoch of the revocation list sequence numbers restart: earlier tickets are invalid.
-        """
+        """Grants to be renewed now, the first to expire first; a refused one is due later. In a new epoch of
+        the revocation list sequence numbers restart: earlier tickets are invalid."""
         began = self._access.epoch > self._epoch
         self._epoch = self._access.epoch
         if began:
@@ -69,11 +65,13 @@ class Renewals:
             and self._retry_at.get(held.grant.id, 0) <= now
         ]
         chosen = sorted(due, key=lambda held: held.grant.expires)[:MAX_GRANTS_PER_CALL]
-        self._retry_at.update({held.grant.id: now + _pause(held, now) for held in chosen})
+        for held in chosen:
+            left = held.grant.expires - now
+            pause = min(GRANT_RETRY, max(1, left // _TRIES)) if left > 0 else GRANT_RETRY
+            self._retry_at[held.grant.id] = now + pause
         return chosen
 
     def take(self, requested: list[HeldGrant], answer: object, now: int) -> int:
-        """Hold the renewed grants; returns how many of `requested` were renewed."""
         if not isinstance(answer, list) or len(answer) != len(requested):
             raise AnswerMalformed("the master's answer has a different number of grants than requested")
         return sum(self._hold(held, token, now) for held, token in zip(requested, answer, strict=True))
@@ -91,43 +89,32 @@ class Renewals:
 
 
 class MasterCall(Protocol):
-    """Calls a method of the master."""
-
     def __call__(self, method: str, *params: object) -> Awaitable[object]: ...
 
 
 async def renew(call: MasterCall, renewals: Renewals, now: int) -> int:
-    """Renew the grants that are due; returns how many were renewed."""
     due = renewals.due(now)
     if not due:
         return 0
     return renewals.take(due, await call(RENEW_GRANTS, [held.original for held in due]), now)
 
 
-def _pause(held: HeldGrant, now: int) -> int:
-    left = held.grant.expires - now
-    return min(GRANT_RETRY, max(1, left // _TRIES)) if left > 0 else GRANT_RETRY
-
-
 def due_at(held: HeldGrant) -> int:
-    """At about two thirds of its lifetime, spread so that nodes do not all renew at once.
-
-    The spread comes from the grant's id, which is random enough.
-    """
+    """At about two thirds of its lifetime, spread (by the grant's random id) so that nodes do not all renew
+    at once."""
     lifetime = held.grant.expires - held.since
     return held.since + lifetime * (560 + held.grant.id[0] * 200 // 255) // 1000
 
 
-IDENTITY_METHOD: Final = RENEW_IDENTITY
-IDENTITY_RETRY: Final = 600  # seconds at most after a refusal
-FIRST_PAUSE: Final = 5  # seconds after the first request that has no answer yet; then doubled up to
-LONGEST_PAUSE: Final = 60
-WARN_EVERY: Final = 3600  # seconds at most between two warnings
-_PENDING: Final = 0  # ROS's code: nothing was wrong with the call
-
-
 class IdentityRenewal:
-    """The renewals of one node, for as long as it runs."""
+    """The renewals of one node's identity, for as long as it runs, before it expires.
+
+    The key stays, as grants are bound to it: there is one file to replace, which is done in one step. The new
+    certificate is presented on open connections, and used for new ones. The same request is repeated until it
+    is answered: the signer signs each request once, and always answers it with the same certificate. A
+    certificate that somebody installs is used as well, also after the own one has ended: no master answers by
+    then.
+    """
 
     def __init__(self, home: NodeHome, credentials: LiveCredentials, now: int) -> None:
         self._home = home
@@ -172,7 +159,6 @@ class IdentityRenewal:
         return True
 
     def take(self, bundle: object, now: int) -> None:
-        """Write a new identity to the disk, then use it."""
         if not isinstance(bundle, bytes):
             raise AnswerMalformed("an identity that is not bytes")
         self._use(self._home.install(bundle, now))
@@ -219,7 +205,6 @@ class IdentityRenewal:
 
 
 async def renew_identity(call: MasterCall, renewal: IdentityRenewal, now: int) -> bool:
-    """Renew the identity if it is due; returns whether it was renewed."""
     request = renewal.request(now)
     if request is None:
         return False
@@ -234,10 +219,6 @@ async def renew_identity(call: MasterCall, renewal: IdentityRenewal, now: int) -
     return True
 
 
-REVOCATION_PROOFS: Final = "rossec.revocationProofs"
-MAX_PROOFS_PER_CALL: Final = 64  # entries in one call: the limit of the master
-
-
 class Provable(Protocol):
     @property
     def unproved(self) -> list[bytes]: ...
@@ -246,7 +227,6 @@ class Provable(Protocol):
 
 
 async def prove(call: MasterCall, revocations: Provable) -> int:
-    """Request the proofs that are wanted; returns how many were accepted."""
     wanted = revocations.unproved[:MAX_PROOFS_PER_CALL]
     return take(revocations, wanted, await call(REVOCATION_PROOFS, wanted)) if wanted else 0
 
@@ -255,13 +235,11 @@ def take(revocations: Provable, wanted: list[bytes], answer: object) -> int:
     """Take the proofs in `answer`, one for each entry in `wanted`, or none at all."""
     if not isinstance(answer, list) or len(answer) not in {0, len(wanted)}:
         raise AnswerMalformed("the master's answer has a different number of proofs than requested")
-    return sum(_take(revocations, *pair) for pair in zip(wanted, answer, strict=False))
-
-
-def _take(revocations: Provable, entry: bytes, proof: object) -> bool:
-    try:
-        revocations.add_proof(entry, proof if isinstance(proof, bytes) else b"")
-    except RevocationRefused as error:
-        _log.warning("the master's proof for %s is invalid: %s", entry.hex(), error)
-        return False
-    return True
+    taken = 0
+    for entry, proof in zip(wanted, answer, strict=False):
+        try:
+            revocations.add_proof(entry, proof if isinstance(proof, bytes) else b"")
+            taken += 1
+        except RevocationRefused as error:
+            _log.warning("the master's proof for %s is invalid: %s", entry.hex(), error)
+    return taken

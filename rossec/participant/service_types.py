@@ -1,15 +1,8 @@
-"""Service types by their ROS 1 name: request and response types, and the md5sum. No ROS needed.
+"""Service types by their ROS 1 name, and what a decision means for the two messages of a call. No ROS needed.
 
-`rosbags` knows messages only; the definitions of Noetic's standard services are written here, and
-others are added from the text of their `.srv` files. The parts of `std_srvs/SetBool` are the
-message types `std_srvs/SetBoolRequest` and `std_srvs/SetBoolResponse`, as genpy names them.
-
-What a decision means for the two messages of a call: one guard for each.
-
-Pure. A restriction for the response type (`std_srvs/TriggerResponse`) applies to responses; every
-other one applies to requests, so that a rate or a time counts once per call. A restriction for any
-other type refuses the connection. Both ends use this: the server with the client's right to call,
-the client with the server's right to provide.
+`rosbags` knows messages only; the definitions of Noetic's standard services are written here, and others are
+added from the text of their `.srv` files. The parts of `std_srvs/SetBool` are the message types
+`std_srvs/SetBoolRequest` and `std_srvs/SetBoolResponse`, as genpy names them.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,8 +19,9 @@ from rossec.errors import MessageError, ServiceRefused
 from rossec.participant.definitions import what_to_install
 from rossec.participant.message_types import MessageType, message_type, register_types
 
-_DIVIDER: Final = "---"
+Pieces = Sequence[Buffer]
 
+_DIVIDER: Final = "---"
 # As in Debian's std_srvs, roscpp, nav_msgs, sensor_msgs, diagnostic_msgs and tf2_msgs, comments
 # left out; a test compares the md5sums with those packages.
 _STANDARD: Final = {
@@ -62,8 +56,6 @@ _STANDARD: Final = {
 
 @dataclass(frozen=True)
 class ServiceType:
-    """One service type: `name` is `package/Type`."""
-
     name: str
     request: MessageType
     response: MessageType
@@ -120,23 +112,17 @@ def _register(name: str, definition: str) -> None:
             f"cannot register {name}: {len(dividers)} lines '---'",
             "a .srv file is the request, one line ---, and the response",
         )
-    register_types(
-        {
-            f"{name}Request": "\n".join(lines[: dividers[0]]),
-            f"{name}Response": "\n".join(lines[dividers[0] + 1 :]),
-        }
-    )
-
-
-Pieces = Sequence[Buffer]
+    request, response = lines[: dividers[0]], lines[dividers[0] + 1 :]
+    register_types({f"{name}Request": "\n".join(request), f"{name}Response": "\n".join(response)})
 
 
 class ServiceGuard:
-    """Filters the requests and responses of one connection.
+    """Filters the requests and responses of one connection: a guard for each.
 
-    Args:
-        filter_key: finds a key for pseudonyms by its name.
-        memory: finds what earlier connections of the same key have used up.
+    A restriction for the response type applies to responses; every other one applies to requests, so that a
+    rate or a time counts once per call. One for any other type refuses the connection. Both ends use this:
+    the server with the client's right to call, the client with the server's right to provide. `memory` finds
+    what earlier connections of the same key have used up.
     """
 
     def __init__(
@@ -152,11 +138,9 @@ class ServiceGuard:
         self._response = Guard(kind.response_layout, response, keys, memory.child("response"))
 
     def request(self, data: Buffer, now: float) -> Pieces:
-        """The request as it may be forwarded."""
         return self._filter(self._request, "request", data, now)
 
     def response(self, data: Buffer, now: float) -> Pieces:
-        """The response as it may be forwarded."""
         return self._filter(self._response, "response", data, now)
 
     def _filter(self, guard: Guard, what: str, data: Buffer, now: float) -> Pieces:

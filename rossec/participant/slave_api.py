@@ -1,25 +1,16 @@
-"""The node's slave API: which calls it answers, and from whom.
+"""The node's slave API: which calls it answers, and from whom. Pure dispatch; every kind of node shares it.
 
-Pure dispatch. Only the master's identity may control a node (attacks N1-N3). Any authenticated node
-may call `requestTopic`, and the answer is the same whether the topic exists or not: the grant is
-checked on the topic connection (N5). All other calls disclose information (N4): they are for the
-master, and for peers that have presented a grant for them (`slave_rights`), as `rosnode ping`,
-`info` and `kill` need; a relay of the own domain asks for the TCPROS port. UDPROS is never offered
-(N10).
-
-Who may call which method of a node's slave API. Pure; every kind of node shares it.
-
-Only the master controls a node (attacks N1-N3). An operator with the admin right may shut it down,
-one with the graph right may read its state (N4); both present their grants first, with
-`rossec.presentGrants`. Any authenticated node may call `requestTopic`: the answer is the same for
-every topic, and the topic connection requires the grant (N5). A relay of the own domain learns the
-TCPROS port, to which it leads connections from other sites. Every other method is refused (L1).
+Only the master controls a node (attacks N1-N3). An operator with the admin right may shut it down, one with
+the graph right may read its state (N4), as `rosnode ping`, `info` and `kill` need; both present their grants
+first, with `rossec.presentGrants`. Any authenticated node may call `requestTopic`: the answer is the same for
+every topic, whether it exists or not, and the topic connection requires the grant (N5). A relay of the own
+domain learns the TCPROS port, to which it leads connections from other sites. Every other method is refused
+(L1); UDPROS is never offered (N10).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from ca.certificates import Identity
 from ca.errors import HintedError
@@ -28,8 +19,17 @@ from grants.model import Right
 from rossec.errors import CallRefused
 from rossec.participant.access import HandshakeAccess
 from rossec.participant.handshakes import answer_for
+from rossec.ros import names
 from rossec.ros.names import DOMAINS_UPDATE, FOREIGN_UPDATE, MASTER, PORTS, REVOCATION_UPDATE
 
+Answer = list[object]
+TCPROS: Final = "TCPROS"
+DEADLINE: Final = 30.0  # seconds a connection of a peer that is not the master may last
+_ERROR: Final = -1
+ALIAS_ASKED: Final = "a name below /remote is the caller's alias; a peer is asked by the origin's name"
+NO_TRANSPORT: Final = (
+    "rossec: only TCPROS, inside the secure channel; in C++: ros::TransportHints().reliable()"
+)
 OPEN: Final = frozenset({"requestTopic"})
 MASTER_ONLY: Final = frozenset({"publisherUpdate", "paramUpdate"})
 RELAY_ONLY: Final = frozenset({PORTS})
@@ -62,24 +62,10 @@ def check_slave_call(
         return
     right = SLAVE_CALLS.get(method)
     if right is None:
-        raise CallRefused(_reason(method))
+        if method in MASTER_ONLY:
+            raise CallRefused(f"{method} is for the master alone")
+        raise CallRefused(f"{method} is for a relay alone" if method in RELAY_ONLY else "no such method")
     access.authorize(peer, presented, right, node, now)
-
-
-def _reason(method: str) -> str:
-    if method in MASTER_ONLY:
-        return f"{method} is for the master alone"
-    return f"{method} is for a relay alone" if method in RELAY_ONLY else "no such method"
-
-
-Answer = list[object]
-TCPROS: Final = "TCPROS"
-DEADLINE: Final = 30.0  # seconds a connection of a peer that is not the master may last
-_ERROR: Final = -1
-ALIAS_ASKED: Final = "a name below /remote is the caller's alias; a peer is asked by the origin's name"
-NO_TRANSPORT: Final = (
-    "rossec: only TCPROS, inside the secure channel; in C++: ros::TransportHints().reliable()"
-)
 
 
 class SlaveEvents(Protocol):
@@ -91,9 +77,8 @@ class SlaveEvents(Protocol):
 
     def push_arrived(self, method: str, params: tuple[object, ...], master: Identity) -> None: ...
 
-    def shutdown_requested(self, reason: str) -> None:
-        # The master shuts this node down, for example because another one has its name.
-        ...
+    # The master shuts this node down, for example because another one has its name.
+    def shutdown_requested(self, reason: str) -> None: ...
 
     def topic_endpoint(self) -> tuple[str, int]: ...
 
@@ -138,23 +123,21 @@ def refusal(
     rule = RULES.get(method)
     if rule is None:
         return [_ERROR, "rossec: no such method", 0]
-    only = _only_for(method, peer, master)
+    if method in RELAY_ONLY:
+        only = None if is_relay(peer) else "a relay"
+    else:
+        only = "the master" if rule.master_only and peer.name != master else None
     if only is not None and not (authorized and method in SLAVE_CALLS):
         return [_ERROR, f"rossec: {method} is for {only} alone", rule.default]
     unnamed = without_caller(params, rule.default)
     if unnamed is not None:
         return unnamed
-    if not _fits(params, rule.kinds):
+    expected = (str, *rule.kinds)
+    if len(params) != len(expected) or not all(map(isinstance, params, expected)):
         return [_ERROR, "Error: bad call arity or types", rule.default]
     if not peer.covers(str(params[0])):
         return [_ERROR, f"rossec: caller_id is not {shown(peer.name)}", rule.default]
     return alias_asked(method, params)
-
-
-def _only_for(method: str, peer: Identity, master: str) -> str | None:
-    if method in RELAY_ONLY:
-        return None if is_relay(peer) else "a relay"
-    return "the master" if RULES[method].master_only and peer.name != master else None
 
 
 def alias_asked(method: str, params: tuple[object, ...]) -> Answer | None:
@@ -199,16 +182,6 @@ class SlaveApi:
     def __init__(self, events: SlaveEvents, master: str = MASTER) -> None:
         self._events = events
         self._master = master
-        self._methods: dict[str, Callable[..., Answer]] = {
-            "publisherUpdate": self._publisher_update,
-            "paramUpdate": self._param_update,
-            "shutdown": self._shutdown,
-            REVOCATION_UPDATE: self._revocation_update,
-            DOMAINS_UPDATE: partial(self._push, DOMAINS_UPDATE),
-            FOREIGN_UPDATE: partial(self._push, FOREIGN_UPDATE),
-            "requestTopic": self._request_topic,
-            PORTS: self._ports,
-        }
 
     async def __call__(
         self, method: str, params: tuple[object, ...], peer: Identity, *, authorized: bool = False
@@ -216,42 +189,32 @@ class SlaveApi:
         refused = refusal(method, params, peer, authorized=authorized, master=self._master)
         if refused is not None:
             return refused
-        run = self._methods.get(method, partial(self._describe, method))
         try:
-            return run(peer, *params[1:])
+            return self._run(method, params[1:], peer)
         except HintedError as error:
             return [_ERROR, f"rossec: {error}", RULES[method].default]
 
-    def _publisher_update(self, _: Identity, topic: str, uris: list[object]) -> Answer:
-        self._events.publishers_changed(topic, [uri for uri in uris if isinstance(uri, str)])
+    def _run(self, method: str, params: tuple[Any, ...], peer: Identity) -> Answer:
+        # What `RULES` says of the parameters was checked.
+        events = self._events
+        match method:
+            case "publisherUpdate":
+                topic, uris = params
+                events.publishers_changed(topic, [uri for uri in uris if isinstance(uri, str)])
+            case "paramUpdate":
+                events.parameter_changed(*params)
+            case "shutdown":
+                events.shutdown_requested(*params)
+                return [1, "shutdown", 0]
+            case names.REVOCATION_UPDATE:
+                revocations, timestamp = params
+                events.revocations_arrived(revocations, timestamp, peer)
+            case names.DOMAINS_UPDATE | names.FOREIGN_UPDATE:
+                events.push_arrived(method, params, peer)
+            case "requestTopic":
+                return topic_offer(params[1], *events.topic_endpoint())
+            case names.PORTS:
+                return ports_answer(events.topic_endpoint()[1])
+            case _:
+                return [1, "", answer_for(peer, method, events.describe()[method])]
         return [1, "", 0]
-
-    def _param_update(self, _: Identity, key: str, value: object) -> Answer:
-        self._events.parameter_changed(key, value)
-        return [1, "", 0]
-
-    def _shutdown(self, _: Identity, reason: str) -> Answer:
-        self._events.shutdown_requested(reason)
-        return [1, "shutdown", 0]
-
-    def _revocation_update(self, master: Identity, revocations: bytes, timestamp: bytes) -> Answer:
-        self._events.revocations_arrived(revocations, timestamp, master)
-        return [1, "", 0]
-
-    def _push(self, method: str, master: Identity, *params: object) -> Answer:
-        self._events.push_arrived(method, params, master)
-        return [1, "", 0]
-
-    def _request_topic(self, _: Identity, _topic: str, protocols: list[object]) -> Answer:
-        return topic_offer(protocols, *self._events.topic_endpoint())
-
-    def _ports(self, _: Identity) -> Answer:
-        return ports_answer(self._events.topic_endpoint()[1])
-
-    def _describe(self, method: str, peer: Identity) -> Answer:
-        return [1, "", answer_for(peer, method, self._events.describe()[method])]
-
-
-def _fits(params: tuple[object, ...], kinds: tuple[type, ...]) -> bool:
-    expected = (str, *kinds)
-    return len(params) == len(expected) and all(map(isinstance, params, expected))

@@ -15,6 +15,7 @@ import pytest_asyncio
 from ca.certificates import Identity
 from grants.model import Right
 from rossec.channel.connection import Connection
+from rossec.channel.edhoc.handshake import EdhocConfig
 from rossec.channel.negotiation import Authenticated, UnitReceived
 from rossec.ros import tcpros
 from tests.support.attacker import HOST, credentials
@@ -36,12 +37,8 @@ class Wire:
 
     def __init__(self, victim: Victim, name: str) -> None:
         self.sock = socket.create_connection((HOST, victim.port), timeout=10)
-        self.core = Connection[Identity].initiator(
-            credentials(victim.site, name),
-            victim.site.anchor.verify,
-            random=secrets.token_bytes,
-            now=int(time.time()),
-        )
+        config = EdhocConfig(credentials(victim.site, name), victim.site.anchor.verify, secrets.token_bytes)
+        self.core = Connection[Identity].initiator(config, now=int(time.time()))
         self.units: list[bytes] = []
         self.push()
         while not self.pull():

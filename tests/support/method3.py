@@ -23,7 +23,6 @@ from rossec.channel.edhoc.suites import (
     bstr,
     extract,
     kdf,
-    keystream_2,
     transcript_2,
     transcript_next,
 )
@@ -98,13 +97,13 @@ class Method3:
         self._mix(SALT_3E2M, self.own.exchange(self.g_x))
         plaintext = c_r + self.own.kid + bstr(self._mac(KdfLabel.MAC_2, c_r, self.own, ead)) + ead
         self.th = transcript_next(th_2, plaintext, self.own.cred)
-        return bstr(self.g_y + _xor(plaintext, keystream_2(prk_2e, th_2, len(plaintext))))
+        return bstr(self.g_y + _xor(plaintext, kdf(prk_2e, KdfLabel.KEYSTREAM_2, th_2, len(plaintext))))
 
     def take_2(self, data: bytes) -> None:
         body = decode_bytes(data)
         self.g_y, ciphertext = body[:32], body[32:]
         self._agree(self.finish(self.g_y))
-        plaintext = _xor(ciphertext, keystream_2(self.prk, self.th, len(ciphertext)))
+        plaintext = _xor(ciphertext, kdf(self.prk, KdfLabel.KEYSTREAM_2, self.th, len(ciphertext)))
         c_r, kid, mac, *ead = decode_sequence(plaintext)
         self.c_r = encode(c_r)
         assert encode(kid) == self.peer.kid

@@ -1,13 +1,12 @@
 """The messages of EDHOC (RFC 9528 section 5 and 6) to bytes and back.
 
-Structure only: no keys, no policy, no state. Decoding is strict, and since `ca.encoding` accepts
-only the one deterministic form, encoding a decoded item gives the bytes that were received: that
-is what makes hashing `encode(item)` the same as hashing the received bytes.
+Structure only: no keys, no policy, no state. Decoding is strict, and since `ca.encoding` accepts only the one
+deterministic form, hashing `encode(item)` is the same as hashing the bytes that were received.
 """
 
 from typing import Final, NamedTuple
 
-from ca.encoding import Value, decode_sequence, encode, head
+from ca.encoding import Value, decode_sequence, encode
 from ca.errors import EncodingError
 from rossec.channel.edhoc.credentials import X5CHAIN, X5CHAIN_HEAD, encode_id_cred
 from rossec.channel.edhoc.suites import SIGNATURE_LENGTH, bstr
@@ -39,9 +38,8 @@ class Message1(NamedTuple):
     c_i: bytes
 
     def encode(self) -> bytes:
-        several = len(self.suites) > 1
-        suites = encode(suites_item(self.suites)) if several else _encode_int(self.suites[0])
-        return _encode_int(self.method) + suites + bstr(self.g_x) + encode_identifier(self.c_i)
+        method, suites = encode(self.method), encode(suites_item(self.suites))
+        return method + suites + bstr(self.g_x) + encode_identifier(self.c_i)
 
 
 class Plaintext(NamedTuple):
@@ -112,7 +110,6 @@ def decode_plaintext_4(data: bytes) -> None:
 
 
 def encode_error(code: int, info: Value) -> bytes:
-    """Encode an EDHOC error message."""
     return encode(code) + encode(info)
 
 
@@ -166,10 +163,6 @@ def _usual_plaintext(data: bytes, start: int, ead: bytes) -> Plaintext | None:
 
 def _body(item: bytes) -> bytes:
     return item[_HEADS.get(item[:1], 1) :]
-
-
-def _encode_int(value: int) -> bytes:
-    return head(0, value) if value >= 0 else head(_NEGATIVE, -1 - value)
 
 
 def _small_int(byte: int) -> int:

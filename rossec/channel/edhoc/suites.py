@@ -1,14 +1,9 @@
-"""The cipher suites of EDHOC (RFC 9528 section 3.6) as one table.
+"""The cipher suites of EDHOC (RFC 9528 section 3.6) as one table, and its key schedule (section 4).
 
-Nothing here decides which suite to use: `PRODUCTION` is the policy, the other rows of the table are
-implemented, not offered. The key exchange of a suite has the interface of a KEM (RFC 9528 section
-9.4), so a hybrid one fits without a change to the handshake.
-
-The key schedule of EDHOC (RFC 9528 sections 4 and 5) with SHA-256, method 0.
-
-With method 0 both sides authenticate by signature, so PRK_2e = PRK_3e2m = PRK_4e3m. Functions over
-bytes only; which secret exists when is decided in `handshake`. Python cannot wipe bytes:
-secrets are dropped as early as possible, no more is promised.
+`PRODUCTION` is the policy; the other rows are implemented, not offered. The key exchange of a suite has the
+interface of a KEM (section 9.4), so a hybrid one fits without a change to the handshake. SHA-256 and method
+0 alone: both sides sign, so PRK_2e = PRK_3e2m = PRK_4e3m. Which secret exists when is decided in `handshake`.
+Python cannot wipe bytes: secrets are dropped as early as possible, no more is promised.
 """
 
 import hashlib
@@ -36,10 +31,14 @@ Finish: TypeAlias = Callable[[bytes], bytes]
 """From the responder's half of an exchange to the shared secret; holds the ephemeral key."""
 
 HASH_LENGTH: Final = 32  # SHA-256 in every suite of the table
-HYBRID: Final = -24
-_ECDSA: Final = ec.ECDSA(hashes.SHA256())
-_P256_ORDER: Final = 0xFFFFFFFF00000000FFFFFFFFFFFFFFFFBCE6FAADA7179E84F3B9CAC2FC632551
 SIGNATURE_LENGTH: Final = 64  # EdDSA and ES256 alike
+HYBRID: Final = -24
+_SHA256: Final = hashes.SHA256()
+_ECDSA: Final = ec.ECDSA(_SHA256)
+_P256_ORDER: Final = 0xFFFFFFFF00000000FFFFFFFFFFFFFFFFBCE6FAADA7179E84F3B9CAC2FC632551
+# CBOR's heads of short byte strings, and its small integers.
+_SHORT: Final = tuple(head(0x40, length) for length in range(256))
+_SMALL: Final = tuple(head(0, value) for value in range(256))
 
 
 class KeyExchange(Protocol):
@@ -48,13 +47,11 @@ class KeyExchange(Protocol):
     initiator_length: int
     responder_length: int
 
-    def start(self, random: Random) -> tuple[Finish, bytes]:
-        # Return what turns G_Y into the shared secret, and G_X to send.
-        ...
+    # What turns G_Y into the shared secret, and G_X to send.
+    def start(self, random: Random) -> tuple[Finish, bytes]: ...
 
-    def answer(self, random: Random, g_x: bytes) -> tuple[bytes, bytes]:
-        # Return G_Y to send and the shared secret.
-        ...
+    # G_Y to send, and the shared secret.
+    def answer(self, random: Random, g_x: bytes) -> tuple[bytes, bytes]: ...
 
 
 class X25519Exchange:
@@ -68,7 +65,6 @@ class X25519Exchange:
         return partial(_x25519, key), key.public_key().public_bytes_raw()
 
     def answer(self, random: Random, g_x: bytes) -> tuple[bytes, bytes]:
-        # Return G_Y and the shared secret.
         finish, g_y = self.start(random)
         return g_y, finish(g_x)
 
@@ -88,7 +84,6 @@ class P256Exchange:
         return partial(_p256, key), key.public_key().public_numbers().x.to_bytes(32)
 
     def answer(self, random: Random, g_x: bytes) -> tuple[bytes, bytes]:
-        # Return G_Y and the shared secret.
         finish, g_y = self.start(random)
         return g_y, finish(g_x)
 
@@ -110,7 +105,6 @@ class HybridExchange:
         return partial(_hybrid, key, finish), key.public_key().public_bytes_raw() + share
 
     def answer(self, random: Random, g_x: bytes) -> tuple[bytes, bytes]:
-        # Return G_Y and the shared secret.
         try:
             key = mlkem.MLKEM768PublicKey.from_public_bytes(g_x[:1184])
         except ValueError:
@@ -198,8 +192,6 @@ PRODUCTION: Final = (6,)
 POST_QUANTUM: Final = {"off": PRODUCTION, "prefer": (HYBRID, 6), "require": (HYBRID,)}
 """The policies: `prefer` costs one round trip with a peer that has it `off`."""
 
-_SHA256: Final = hashes.SHA256()
-
 
 class KdfLabel(IntEnum):
     """Labels of EDHOC_KDF (RFC 9528, figure 6)."""
@@ -217,6 +209,7 @@ class KdfLabel(IntEnum):
 
 
 class Secret:
+    # Section 4.1.2, EDHOC_Expand: HKDF-Expand.
     __slots__ = ("_hmac", "_key")
 
     def __init__(self, key: bytes) -> None:
@@ -235,7 +228,7 @@ GONE: Final = Secret(b"")
 
 
 def extract(salt: bytes, secret: bytes) -> Secret:
-    """EDHOC_Extract: HKDF-Extract (RFC 5869)."""
+    """EDHOC_Extract: HKDF-Extract (section 4.1.1)."""
     return Secret(HKDF.extract(_SHA256, salt, secret))
 
 
@@ -247,33 +240,22 @@ def bstr(data: bytes) -> bytes:
     return b"\x59" + length.to_bytes(2) + data if length < 65536 else encode(data)
 
 
-_SHORT: Final = tuple(head(0x40, length) for length in range(256))
-
-
 def kdf(prk: Secret, label: int, context: bytes, length: int) -> bytes:
-    """EDHOC_KDF (RFC 9528 section 4.1.2)."""
-    return prk.expand(_uint(label) + bstr(context) + _uint(length), length)
-
-
-def _uint(value: int) -> bytes:
-    return _SMALL[value] if value < len(_SMALL) else head(0, value)
-
-
-_SMALL: Final = tuple(head(0, value) for value in range(256))
+    """EDHOC_KDF (section 4.1.2)."""
+    size = _SMALL[length] if length < len(_SMALL) else head(0, length)
+    number = _SMALL[label] if label < len(_SMALL) else head(0, label)
+    return prk.expand(number + bstr(context) + size, length)
 
 
 def transcript_2(g_y: bytes, message_1: bytes) -> bytes:
-    """TH_2 = H( G_Y, H(message_1) ), over the bytes as they travelled."""
+    """TH_2 = H( G_Y, H(message_1) ), over the bytes as they travelled (section 5.3.2)."""
     digest = hashlib.sha256(message_1).digest()
     return hashlib.sha256(bstr(g_y) + bstr(digest)).digest()
 
 
 def transcript_next(previous: bytes, plaintext: bytes, credential: bytes) -> bytes:
+    """TH_3 and TH_4 = H( TH_2 or TH_3, PLAINTEXT_x, CRED_x ) (sections 5.4.2 and 5.5.2)."""
     return hashlib.sha256(bstr(previous) + plaintext + credential).digest()
-
-
-def keystream_2(prk_2e: Secret, th_2: bytes, length: int) -> bytes:
-    return kdf(prk_2e, KdfLabel.KEYSTREAM_2, th_2, length)
 
 
 @dataclass(frozen=True)
@@ -282,23 +264,23 @@ class EdhocExporter:
 
     prk_out: bytes
 
+    @classmethod
+    def derive(cls, prk_4e3m: Secret, th_4: bytes) -> "EdhocExporter":
+        return cls(kdf(prk_4e3m, KdfLabel.PRK_OUT, th_4, HASH_LENGTH))  # section 4.1.3
+
     @cached_property
     def _prk_exporter(self) -> Secret:
         return Secret(kdf(Secret(self.prk_out), KdfLabel.PRK_EXPORTER, b"", HASH_LENGTH))
 
-    @classmethod
-    def derive(cls, prk_4e3m: Secret, th_4: bytes) -> "EdhocExporter":
-        return cls(kdf(prk_4e3m, KdfLabel.PRK_OUT, th_4, HASH_LENGTH))
-
     def export(self, label: int, context: bytes, length: int) -> bytes:
-        """EDHOC_Exporter (RFC 9528 section 4.2.1)."""
+        """EDHOC_Exporter (section 4.2.1)."""
         return kdf(self._prk_exporter, label, context, length)
 
     def bare(self) -> "EdhocExporter":
         return EdhocExporter(self.prk_out)
 
     def update(self, context: bytes) -> "EdhocExporter":
-        """EDHOC_KeyUpdate (RFC 9528 section 4.2.2): only forward secrecy."""
+        """EDHOC_KeyUpdate (section 4.2.2): only forward secrecy."""
         return EdhocExporter(kdf(Secret(self.prk_out), KdfLabel.KEY_UPDATE, context, HASH_LENGTH))
 
     def __repr__(self) -> str:

@@ -193,7 +193,7 @@ class MasterServer:
     def status(self) -> dict[str, str | int]:
         registry = self.state.registry
         entries = [entry for kind in Kind for entry in registry.entries(kind)]
-        own = svid.parse(self.context.credentials.certificate)
+        own = svid.parse(self.context.credentials.current.certificate)
         return {
             "uri": self.uri,
             "pid": os.getpid(),

@@ -1,10 +1,8 @@
-"""Listening on a port for secure connections; what becomes of them is in `accepted`.
+"""Listening for secure connections: half open at first, then each with a task of its own.
 
-Connections that others made: half open at first, then each with a task of its own.
-
-Unauthenticated peers cost a bounded amount: the unfinished handshakes from one address and in total
-are limited, each has one deadline. A handler ends with its connection: a crash is logged and closes
-that connection only.
+Unauthenticated peers cost a bounded amount: the unfinished handshakes from one address and in total are
+limited, each has one deadline. A handler ends with its connection: a crash is logged and closes that
+connection only.
 """
 
 import asyncio
@@ -13,7 +11,6 @@ import socket
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from functools import partial
-from types import TracebackType
 from typing import Final, Generic, Self, TypeAlias
 
 from rossec.channel.edhoc.credentials import PeerT
@@ -27,12 +24,15 @@ from rossec.net.limits import HalfOpenSlot
 
 _log = logging.getLogger("rossec.net.server")
 _REPORT_EVERY: Final = 10.0
+_BACKLOG: Final = 128
+_ACCEPTS_PER_TURN: Final = 16
+ACCEPT_PAUSE: Final = 1.0  # seconds, when the host is out of descriptors
 
 Handler: TypeAlias = Callable[[SecureStream[PeerT]], Awaitable[None]]
 
 
 class AcceptedStreams(Generic[PeerT]):
-    """Connections and their handlers: the base of what listens, on a port or in a mailbox."""
+    """Connections and their handlers: the base of what listens, on a port or at a rendezvous."""
 
     def __init__(
         self, handler: Handler[PeerT], context: SecureContext[PeerT], protocol: WireProtocol
@@ -107,7 +107,6 @@ class AcceptedStreams(Generic[PeerT]):
             raise  # a crash is logged by the task's owner
 
     async def close(self) -> None:
-        """Abort every connection, wait until the handlers are gone."""
         await self._tasks.close()
         for stream in [*self._streams, *self._slots]:
             stream.abort("the server was closed")
@@ -115,15 +114,8 @@ class AcceptedStreams(Generic[PeerT]):
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self.close()
-
-
-_BACKLOG: Final = 128
-_ACCEPTS_PER_TURN: Final = 16
-ACCEPT_PAUSE: Final = 1.0  # seconds, when the host is out of descriptors
 
 
 class SecureServer(AcceptedStreams[PeerT]):
@@ -142,7 +134,6 @@ class SecureServer(AcceptedStreams[PeerT]):
         return self.addresses[0][1]
 
     def listen(self, host: str | None, port: int) -> None:
-        """Bind and start to accept."""
         for sock in bind(host, port):
             sock.setblocking(False)
             self.addresses.append(sock.getsockname()[:2])
@@ -176,10 +167,8 @@ class SecureServer(AcceptedStreams[PeerT]):
                     raise
 
     def suspend(self) -> None:
-        """Refuse connections as if the port were closed, but keep it bound.
-
-        Linux keeps only a port that was given to bind(), not one it chose itself.
-        """
+        """Refuse connections as if the port were closed, but keep it bound. Linux keeps only a port that was
+        given to bind(), not one it chose itself."""
         if self._suspended:  # shut down twice, what it accepts later would be at its end
             return
         self._suspended = True
@@ -189,7 +178,6 @@ class SecureServer(AcceptedStreams[PeerT]):
             listener.shutdown(socket.SHUT_RDWR)
 
     def resume(self) -> None:
-        """Listen again after `suspend`."""
         if not self._suspended:
             return
         self._suspended = False
@@ -199,7 +187,6 @@ class SecureServer(AcceptedStreams[PeerT]):
             self._add_reader(listener)
 
     async def close(self) -> None:
-        """Stop listening, abort every connection, wait until the handlers are gone."""
         for listener in self._listeners:
             self._loop.remove_reader(listener.fileno())
             listener.close()
@@ -228,7 +215,6 @@ def serve(
 
 
 def bind(host: str | None, port: int) -> list[socket.socket]:
-    """Bind every address `host` stands for, all with one port."""
     if not host or host in {"0.0.0.0", "::"}:  # noqa: S104 - ROS nodes listen everywhere
         with suppress(OSError):  # a host without IPv6 is left with IPv4
             return [_bind_one(socket.AF_INET6, "::", port, dual=True)]

@@ -1,22 +1,15 @@
-"""`SecureStream`: what `connect` and `serve` return.
+"""`SecureStream`: one `Connection` on an asyncio loop, what `connect` and `serve` return.
 
-A *unit* is the data of one `send`; it arrives whole. Framing inside a unit is TCPROS's or HTTP's
-own, and small units sent in one burst are joined into one: a receiver takes units as a stream of
-bytes that never breaks inside what was sent together.
-
-One `Connection` on an asyncio loop: its transport, timer and back-pressure, no decisions.
-
-What arrives is read straight into the connection's receive buffer. What is sent, and when, is in
-`rossec.net.aio.stream.SecureStream`, which users hold.
-
-The messages of a stream on a loop, each of which must make progress.
+A *unit* is the data of one `send`; it arrives whole. Framing inside a unit is TCPROS's or HTTP's own, and
+small units sent in one burst are joined into one: a receiver takes units as a stream of bytes that never
+breaks inside what was sent together. The class has the transport, the timer and back-pressure, and no
+decisions; what arrives is read straight into the connection's receive buffer.
 """
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterator, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from time import monotonic
-from types import TracebackType
 from typing import Final, Generic, Protocol, Self
 
 from rossec import clock
@@ -32,33 +25,29 @@ from rossec.channel.negotiation import (
     UnitReceived,
 )
 from rossec.channel.records import Bytes
+from rossec.channel.tuning import JOIN_UNITS_BELOW, JOINED_UNITS
 from rossec.errors import ChannelClosed, ChannelError
 from rossec.net.aio.transport import BaseStream, ByteTransport, TransportOwner
 from rossec.net.context import forget_in_children
 from rossec.ros.tcpros import PATIENCE, Framing
 
 LINGER: Final = 5.0  # seconds to wait for the peer's FIN after the last flight
+_BURST: Final = 1 / 3  # of the time a record took: a turn of the loop takes longer, on any machine
 
 
-def wall_clock() -> int:
-    """The host's clock in whole seconds; never ROS time."""
+class UnitSource(Protocol):
+    def receive(self) -> Awaitable[bytes]: ...
+
+
+def wall_clock() -> int:  # never ROS time
     return clock.now()
 
 
-class Driver(BaseStream, Generic[PeerT]):
-    """One connection on a loop; it owns its transport and starts at once.
+class SecureStream(BaseStream, Generic[PeerT]):
+    """One authenticated connection on a loop; it owns its transport and starts at once. `transport` makes
+    what carries its bytes: `partial(Transport, sock)` for a connected socket."""
 
-    `peer` is the identity of the peer's certificate, once it is authenticated.
-
-    Args:
-        connection: the core.
-        transport: makes what carries its bytes: `partial(Transport, sock)` for a connected socket.
-        address: the peer's IP address.
-        on_authenticated: called once.
-        on_end: called once, when the handshake or the connection is over, with the reason.
-    """
-
-    peer: PeerT
+    peer: PeerT  # the identity of the peer's certificate, once it is authenticated
     _on_authenticated: Callable[[Self], None]
     _on_end: Callable[[Self, ChannelError], None]
 
@@ -66,11 +55,19 @@ class Driver(BaseStream, Generic[PeerT]):
         self,
         connection: Connection[PeerT],
         transport: Callable[[TransportOwner], ByteTransport],
-        address: str,
-        on_authenticated: Callable[[Self], None],
-        on_end: Callable[[Self, ChannelError], None],
+        address: str,  # the peer's
+        on_authenticated: Callable[[Self], None],  # called once
+        on_end: Callable[[Self, ChannelError], None],  # called once, with the reason
     ) -> None:
         super().__init__()
+        self._turn = asyncio.Lock()
+        self._queue: list[bytes] = []
+        self._queued = 0
+        self._flush_due = False
+        self._burst_until = 0.0
+        self._limit = connection.unit_limit
+        self._join = min(JOINED_UNITS, self._limit)
+        self._small = min(JOIN_UNITS_BELOW, self._limit)
         self.connection = connection
         forget_in_children(connection)
         self._on_authenticated = on_authenticated
@@ -194,10 +191,6 @@ class Driver(BaseStream, Generic[PeerT]):
         self.check()
         self.connection.raise_unit_limit(limit)
 
-    def pad_units(self, multiple: int) -> None:
-        # Pad what is sent from now on to a multiple of so many bytes; 0: do not.
-        self.connection.pad_units(multiple)
-
     def write(self, record: Bytes) -> None:
         self.check()
         self.transport.write(record)
@@ -207,21 +200,8 @@ class Driver(BaseStream, Generic[PeerT]):
         if data:
             self.transport.write(data)
 
-    def _begin_close(self) -> None:
-        if self.error is None:
-            self.connection.close()
-            self.flush()
-            self._end(ChannelClosed("the connection was closed"), linger=True)
-
-    async def _close(self) -> None:
-        # Close in order; wait for the peer's, but not for long.
-        self._begin_close()
-        while not self._socket_closed:
-            await self._changed()
-
     def abort(self, reason: str) -> None:
-        # Abort the connection at once, for example because the peer's grant was revoked.
-        # The peer sees a truncation.
+        # At once, for example because the peer's grant was revoked; the peer sees a truncation.
         self._end(ChannelClosed(reason))
         self.transport.abort()
 
@@ -279,32 +259,7 @@ class Driver(BaseStream, Generic[PeerT]):
             self._timer.cancel()
             self._timer = None
 
-
-_JOIN_LIMIT: Final = 64 * 1024
-_SMALL: Final = 32 * 1024  # below it joining beats a record of its own
-_BURST: Final = 1 / 3  # of the time a record took: a turn of the loop takes longer, on any machine
-
-
-class SecureStream(Driver[PeerT]):
-    """An authenticated connection, as `Driver` with what is sent."""
-
-    def __init__(
-        self,
-        connection: Connection[PeerT],
-        transport: Callable[[TransportOwner], ByteTransport],
-        address: str,
-        on_authenticated: Callable[[Self], None],
-        on_end: Callable[[Self, ChannelError], None],
-    ) -> None:
-        self._turn = asyncio.Lock()
-        self._queue: list[bytes] = []
-        self._queued = 0
-        self._flush_due = False
-        self._burst_until = 0.0
-        self._limit = connection.unit_limit
-        self._join = min(_JOIN_LIMIT, self._limit)
-        self._small = min(_SMALL, self._limit)
-        super().__init__(connection, transport, address, on_authenticated, on_end)
+    # -- sending
 
     async def send(self, *pieces: Bytes) -> None:
         """Send the pieces as one unit, after what is queued; waits while the peer lags.
@@ -318,10 +273,9 @@ class SecureStream(Driver[PeerT]):
             ChannelError: the connection has ended.
             LimitExceeded: the unit is too long; the connection is untouched.
         """
-        total = 0
+        size = 0
         for piece in pieces:
-            total += piece.nbytes if isinstance(piece, memoryview) else len(piece)
-        size = total
+            size += piece.nbytes if isinstance(piece, memoryview) else len(piece)
         free = self.error is None and self.transport.writable and not self._turn.locked()
         if free and size < self._small:
             self._send_small(pieces, size)
@@ -329,20 +283,15 @@ class SecureStream(Driver[PeerT]):
         async with self._turn:
             await self.drain()
             self._flush_queue()
-            await self._write(self.connection.seal_unit(*pieces, reuse=True))
-
-    async def _write(self, records: Iterator[Bytes]) -> None:
-        # Write each record as it is sealed: another one sealed meanwhile must come after it.
-        done = False
-        try:
-            for record in records:
-                self.write(record)
-                if not self.transport.writable:
-                    await self.drain()
-            done = True
-        finally:
-            if not done:
+            records = self.connection.seal_unit(*pieces, reuse=True)
+            try:
+                for record in records:  # written as it is sealed: one sealed meanwhile must come after it
+                    self.write(record)
+                    if not self.transport.writable:
+                        await self.drain()
+            except BaseException:
                 self.abort("a message was given up half-way")
+                raise
 
     def _send_small(self, pieces: tuple[Bytes, ...], size: int) -> None:
         if size == 0:
@@ -422,44 +371,39 @@ class SecureStream(Driver[PeerT]):
         return transport.writable
 
     def pad_units(self, multiple: int) -> None:
-        """As of `Driver`; what is queued leaves as it was to be sent."""
+        """Pad what is sent from now on, not what is queued, to a multiple of so many bytes; 0: do not."""
         if self.error is None and not self._turn.locked():
             with suppress(ChannelError):  # the connection has ended: its users get the error
                 self._flush_queue()
-        super().pad_units(multiple)
+        self.connection.pad_units(multiple)
 
     async def close(self) -> None:
-        """Send what is queued, then close in order."""
-        if self.error is None and not self._turn.locked():
-            self._flush_queue()
-        await self._close()
+        """Send what is queued, then close in order; wait for the peer's close, but not for long."""
+        self.close_soon()
+        while not self._socket_closed:
+            await self._changed()
 
     def close_soon(self) -> None:
         """As `close`, without waiting for the peer: it may keep its end open for seconds."""
         if self.error is None and not self._turn.locked():
             self._flush_queue()
-        self._begin_close()
+        if self.error is None:
+            self.connection.close()
+            self.flush()
+            self._end(ChannelClosed("the connection was closed"), linger=True)
 
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
             await self.close()
         else:
             self.abort("the user of the connection failed")
 
 
-class UnitSource(Protocol):
-    """Where the bytes come from."""
-
-    def receive(self) -> Awaitable[bytes]: ...
-
-
 async def next_messages(source: UnitSource, framing: Framing) -> list[bytes]:
-    """The messages that the next bytes complete, possibly none.
+    """The messages that the next bytes complete, possibly none; each must make progress.
 
     Raises:
         ChannelError: there are no more; or as of `Framing`.

@@ -1,14 +1,9 @@
-"""One non-blocking socket on a loop: bytes in, bytes out, nothing else.
+"""One non-blocking socket on a loop, and what every stream over one has: received units, back-pressure.
 
-Not an asyncio transport: those copy what the kernel does not take at once, twice for a large
-record, and cost more calls per message. Here a remainder is copied once, and the socket is read
-straight into the owner's buffer.
-
-What every stream on a loop has: received units, waiting for a change, back-pressure both ways.
-
-Reading pauses while the consumer lags, writers wait while the peer does. A unit is whatever the
-stream delivers: `SecureStream` what was sent together, the sidecar's `PlainStream` what arrived. It
-is a base class, since a second object would cost a call for each unit.
+Not an asyncio transport: those copy what the kernel does not take at once, twice for a large record, and cost
+more calls per message. Here a remainder is copied once, and the socket is read straight into the owner's
+buffer. A unit is whatever the stream delivers: `SecureStream` what was sent together, the sidecar's
+`PlainStream` what arrived.
 """
 
 import asyncio
@@ -20,27 +15,21 @@ from contextlib import suppress
 from typing import Final, NoReturn, Protocol
 
 from rossec.channel.records import Bytes
+from rossec.channel.tuning import HIGH_WATER, UNSENT
 from rossec.errors import ChannelError
-from rossec.net.limits import UNSENT
 
 _RESET_ON_CLOSE: Final = struct.pack("ii", 1, 0)
-_HIGH_WATER: Final = 64 * 1024  # bytes buffered here, above which a writer should wait
+_PAUSE_ABOVE: Final = 1024 * 1024  # bytes delivered and not taken
 
 
 class TransportOwner(Protocol):
     """Receives the events of the socket; names as in `asyncio.BufferedProtocol`."""
 
     def get_buffer(self) -> memoryview:
-        """The buffer for the next bytes.
-
-        Raises:
-            BlockingIOError: there is no room; the owner has paused reading.
-        """
+        """The buffer for the next bytes; raises BlockingIOError: no room, the owner has paused reading."""
         ...
 
-    def buffer_updated(self, count: int) -> None:
-        """So many bytes were written there."""
-        ...
+    def buffer_updated(self, count: int) -> None: ...
 
     def eof_received(self) -> bool | None: ...
 
@@ -52,10 +41,7 @@ class TransportOwner(Protocol):
 
 
 class ByteTransport(Protocol):
-    """What carries the bytes of one connection: `Transport`, or a link between sites.
-
-    `rossec.net.aio.stream.Driver` is given a function that makes it for its owner.
-    """
+    """What carries the bytes of one connection: `Transport`, or a link between sites."""
 
     @property
     def backlog(self) -> int: ...
@@ -63,22 +49,17 @@ class ByteTransport(Protocol):
     @property
     def closed(self) -> bool: ...
 
+    # This side's IP address, as the peer sees it unless there is NAT between; or empty.
     @property
-    def local_address(self) -> str:
-        # This side's IP address, as the peer sees it unless there is NAT between; or empty.
-        ...
+    def local_address(self) -> str: ...
 
     @property
-    def writable(self) -> bool:
-        # Whether a writer need not wait.
-        ...
+    def writable(self) -> bool: ...
 
     @property
     def reading(self) -> bool: ...
 
-    def resume_reading(self) -> None:
-        # Read whenever bytes arrive.
-        ...
+    def resume_reading(self) -> None: ...
 
     def pause_reading(self) -> None: ...
 
@@ -90,9 +71,7 @@ class ByteTransport(Protocol):
 
     def finish(self) -> None: ...
 
-    def abort(self) -> None:
-        # Close now; what was not sent is dropped.
-        ...
+    def abort(self) -> None: ...
 
 
 class Transport:
@@ -105,10 +84,10 @@ class Transport:
         "_loop",
         "_owner",
         "_pending",
-        "_reading",
         "_socket",
         "backlog",
         "closed",
+        "reading",
     )
 
     def __init__(self, sock: socket.socket, owner: TransportOwner) -> None:
@@ -121,14 +100,10 @@ class Transport:
         self._pending: deque[memoryview] | None = None  # None: an empty one has its price
         self.backlog = 0
         self.closed = False
-        self._closing = self._eof_due = self._reading = False
+        self._closing = self._eof_due = self.reading = False
 
     @property
     def local_address(self) -> str:
-        """This side's IP address, as the peer sees it unless there is NAT between.
-
-        Empty when the connection is gone.
-        """
         try:
             host: str = self._socket.getsockname()[0]
         except OSError:
@@ -137,25 +112,19 @@ class Transport:
 
     @property
     def writable(self) -> bool:
-        """Whether a writer need not wait."""
-        return self.backlog <= _HIGH_WATER
+        return self.backlog <= HIGH_WATER
 
     # -- reading
 
-    @property
-    def reading(self) -> bool:
-        return self._reading
-
     def resume_reading(self) -> None:
-        """Read whenever bytes arrive."""
-        if not (self._reading or self._closing or self.closed):
-            self._reading = True
+        if not (self.reading or self._closing or self.closed):
+            self.reading = True
             self._loop.add_reader(self._fd, self._readable)
 
     def pause_reading(self) -> None:
         """Leave arriving bytes in the kernel, whose flow control slows the peer."""
-        if self._reading:
-            self._reading = False
+        if self.reading:
+            self.reading = False
             self._loop.remove_reader(self._fd)
 
     def read_now(self) -> None:
@@ -280,13 +249,12 @@ class Transport:
         del self._owner  # no reference cycle with the owner
 
 
-_PAUSE_ABOVE: Final = 1024 * 1024  # bytes delivered and not taken
-
-
 class BaseStream:
     """Units received and not taken, and the waiters for a change of the connection.
 
-    A subclass calls `_deliver` and then `_notify`, sets `error` at the end, and wakes the waiters.
+    Reading pauses while the consumer lags, writers wait while the peer does. A base class, since a second
+    object would cost a call for each unit. A subclass calls `_deliver` and then `_notify`, sets `error` at
+    the end, and wakes the waiters.
     """
 
     transport: ByteTransport
@@ -340,24 +308,16 @@ class BaseStream:
     def on_ready(
         self, callback: Callable[[], None] | None, take: Callable[[bytes], bool] | None = None
     ) -> None:
-        """Call back whenever `next_unit` has a new result: instead of `receive`.
-
-        A unit that arrived alone may be offered to `take` first; if it returns true, it is not
-        queued. Neither may raise.
-        """
+        """Call back whenever `next_unit` has a new result: instead of `receive`. A unit that arrived alone
+        may be offered to `take` first; if it returns true, it is not queued. Neither may raise."""
         self._callback, self._take = callback, take
 
     @property
     def has_unit(self) -> bool:
-        """Whether `next_unit` would return a unit."""
         return self._units is not None
 
     def next_unit(self) -> bytes | None:
-        """Return the next unit if it has arrived.
-
-        Raises:
-            ChannelError: as `receive`.
-        """
+        """Return the next unit if it has arrived; raises ChannelError: as `receive`."""
         if self._units is None:
             self.check()
             return None
@@ -397,22 +357,18 @@ class BaseStream:
                 self._write_nowait = write_nowait
                 while self._is_forwarding():
                     await self._changed()
-                if self._forward_error is not None:
-                    self._raise_forward_error()
+                # Raise it once: kept here it would be part of a cycle with the frames it names.
+                error, self._forward_error = self._forward_error, None
+                try:
+                    if error is not None:
+                        raise error
+                finally:
+                    del error
                 await drain()
         finally:
             self._write_nowait = None
 
-    def _raise_forward_error(self) -> None:
-        # Raise it once: kept here it would be part of a cycle with the frames it names.
-        error, self._forward_error = self._forward_error, None
-        try:
-            if error is not None:
-                raise error
-        finally:
-            del error
-
-    def _is_forwarding(self) -> bool:
+    def _is_forwarding(self) -> bool:  # a method: it changes while `_changed` is awaited
         return self._write_nowait is not None and self.error is None
 
     def _changed(self) -> asyncio.Future[None]:
@@ -435,26 +391,17 @@ class BaseStream:
 
     @property
     def backlog(self) -> int:
-        """Bytes that were written and not sent yet."""
         return self.transport.backlog
 
     async def drain(self) -> None:
-        """Wait until the peer caught up.
-
-        Raises:
-            ChannelError: the connection ended meanwhile.
-        """
-        if not self.transport.writable:
-            while self.transport.backlog > 0 and self.error is None:
-                await self._changed()
-        self.check()
+        """Wait until the peer caught up; raises ChannelError: the connection ended meanwhile."""
+        if self.transport.writable:
+            self.check()
+        else:
+            await self.flushed()
 
     async def flushed(self) -> None:
-        """Wait until everything written was taken by what carries it.
-
-        Raises:
-            ChannelError: the connection ended meanwhile.
-        """
+        """Wait until everything written was taken by what carries it; raises as `drain`."""
         while self.transport.backlog > 0 and self.error is None:
             await self._changed()
         self.check()

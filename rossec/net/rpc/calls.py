@@ -1,19 +1,12 @@
-"""One connection on which calls are answered: from the unit to the answer within one callback.
+"""Calls over a secure stream, both sides: one at a time, as in HTTP/1.1 without pipelining.
 
-Both forms of a call (`rossec.ros.calls`) go to the same dispatcher.
-A call whose value is available at once costs no task switch, no timer and no turn of the loop;
-`run` awaits what takes time (an awaitable value, a peer that does not read). One call is answered
-in each turn of the loop, so that one peer with many calls cannot keep the others waiting. A long
-one is parsed and answered in the turns of its peer (`rossec.net.rpc.time_slices`), as is a short one when
-others of this pass of the loop took long, and one that is too long for what the peer has shown is
-answered with a fault, unparsed.
-
-Calls over a secure stream, both sides; the master and the node's slave API share it.
-
-A shell: what is sent is decided by `rossec.ros.calls` and `rossec.ros.calls`, XML-RPC
-over HTTP or the compact form; the peer's identity comes from the channel and is passed to the
-dispatcher with every call. One call at a time on one connection, as in HTTP/1.1 without pipelining;
-a request that has begun must end within a deadline.
+Both forms of a call (`rossec.ros.calls`: XML-RPC over HTTP, or compact) go to the same dispatcher, with the
+peer's identity from the channel. A call whose value is available at once costs no task switch, no timer and
+no turn of the loop; `run` awaits what takes time (an awaitable value, a peer that does not read). One call is
+answered in each turn of the loop, so that one peer with many calls cannot keep the others waiting. A long one
+is parsed and answered in the turns of its peer (`rossec.net.rpc.time_slices`), as is a short one when others
+of this pass took long, and one that is too long for what the peer has shown is answered with a fault,
+unparsed.
 """
 
 import asyncio
@@ -21,7 +14,7 @@ import contextlib
 import logging
 from collections.abc import Awaitable, Callable, Coroutine, Generator
 from time import monotonic
-from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Final, Generic, NamedTuple, Protocol, TypeAlias, TypeVar
 
 from rossec.errors import ChannelError, CompactRefused, HangUp, HttpRefused, RossecError, XmlRpcRefused
 from rossec.net.limits import UNSHOWN_UNIT
@@ -31,12 +24,13 @@ from rossec.ros.calls import CallClient, CallServer, body_of, value_in, value_st
 from rossec.ros.http import Oversized
 from rossec.ros.xmlrpc import BODY_LIMIT, FAULT_CODE, Encoded, Fault
 
+REQUEST_DEADLINE: Final = 10.0  # seconds from the first byte of a request to its last
+CALL_DEADLINE: Final = 10.0
 _CRASHED: Final = Fault(FAULT_CODE, "rossec: internal error")
 
 _log = logging.getLogger("rossec.net.callloop")
 PeerT = TypeVar("PeerT")
 PeerT_co = TypeVar("PeerT_co", covariant=True)
-PeerT_contra = TypeVar("PeerT_contra", contravariant=True)
 
 
 class _Message(NamedTuple):
@@ -47,24 +41,19 @@ class ServedStream(Protocol[PeerT_co]):
     @property
     def peer(self) -> PeerT_co: ...
 
+    # Call back, not at once, whenever `next_unit` has a new result.
+    # `take` may be offered a unit at once instead; it returns whether it took it.
     def on_ready(
         self, callback: Callable[[], None] | None, take: Callable[[bytes], bool] | None = None
-    ) -> None:
-        # Call back, not at once, whenever `next_unit` has a new result.
-        # `take` may be offered a unit at once instead; it returns whether it took it.
-        ...
+    ) -> None: ...
 
     @property
-    def has_unit(self) -> bool:
-        # Whether `next_unit` would return one.
-        ...
+    def has_unit(self) -> bool: ...  # whether `next_unit` would return one
 
     def next_unit(self) -> bytes | None: ...
 
     @property
-    def lags(self) -> bool:
-        # Whether the peer does not read what was sent.
-        ...
+    def lags(self) -> bool: ...  # whether the peer does not read what was sent
 
     def write_nowait(self, data: bytes) -> bool: ...
 
@@ -73,13 +62,9 @@ class ServedStream(Protocol[PeerT_co]):
     async def close(self) -> None: ...
 
 
-class Dispatch(Protocol[PeerT_contra]):
-    """Answers one call: returns the value or what to await for it, or raises `Fault`.
-
-    `HangUp` ends the connection.
-    """
-
-    def __call__(self, method: str, params: tuple[object, ...], peer: PeerT_contra, /) -> object: ...
+Dispatch: TypeAlias = Callable[[str, tuple[object, ...], PeerT], object]
+"""Answers one call: returns the value or what to await for it, or raises `Fault`; `HangUp` ends the
+connection."""
 
 
 class CallLoop(Generic[PeerT]):
@@ -143,18 +128,15 @@ class CallLoop(Generic[PeerT]):
                         self._answered()
                         self._loop.call_soon(self._ready)  # for units that arrived meanwhile, or the end
         finally:
-            self._close()
-
-    def _close(self) -> None:
-        self._ended = True
-        self._stream.on_ready(None)
-        self._cancel_deadline()
-        if self._job.done() and not self._job.cancelled() and self._job.exception() is None:
-            job = self._job.result()
-            if job is not None:  # it was not started
-                job.close()
-        if isinstance(self._value, Coroutine):  # perhaps it was not started
-            self._value.close()
+            self._ended = True
+            self._stream.on_ready(None)
+            self._cancel_deadline()
+            if self._job.done() and not self._job.cancelled() and self._job.exception() is None:
+                waiting = self._job.result()
+                if waiting is not None:  # it was not started
+                    waiting.close()
+            if isinstance(self._value, Coroutine):  # perhaps it was not started
+                self._value.close()
 
     # -- one call
 
@@ -317,10 +299,6 @@ def _failure(error: Exception) -> Fault:
     return _CRASHED
 
 
-REQUEST_DEADLINE: Final = 10.0  # seconds from the first byte of a request to its last
-CALL_DEADLINE: Final = 10.0
-
-
 class Stream(Protocol):
     async def send(self, *pieces: bytes) -> None: ...
 
@@ -369,11 +347,8 @@ async def serve_calls(
 
 
 class RpcClient:
-    """Calls methods of the peer at the other end of a stream, one at a time.
-
-    After a failed call (deadline, protocol error) the stream is closed: a late answer must not be
-    taken for the answer to the next call.
-    """
+    """Calls methods of the peer at the other end of a stream, one at a time. After a failed call (deadline,
+    protocol error) the stream is closed: a late answer must not be taken for the answer to the next call."""
 
     def __init__(
         self,
@@ -390,18 +365,13 @@ class RpcClient:
         self._limit = limit
         self._turn = asyncio.Lock()
         self._source = TurnOwner(self, self)
-        self._closed = False
-
-    @property
-    def closed(self) -> bool:
-        return self._closed
+        self.closed = False
 
     @property
     def is_compact(self) -> bool:
         return self._calls.is_compact
 
     async def call(self, method: str, *params: object) -> object:
-        """The value of the response."""
         answer = await self._answer(method, params)
         if isinstance(answer, Encoded) and len(answer.body) > AT_ONCE:
             return await of_loop().run(self._source, value_steps(answer, self._limit))
@@ -416,12 +386,12 @@ class RpcClient:
         return xmlrpc.value_of(await self.call(method, *params))
 
     async def close(self) -> None:
-        self._closed = True
+        self.closed = True
         await self._stream.close()
 
     async def _answer(self, method: str, params: tuple[object, ...]) -> object:
         async with self._turn:
-            if self._closed:
+            if self.closed:
                 raise CallFailed(f"{method}: the connection is closed")
             request = self._calls.request(method, params)
             if len(request) > BODY_LIMIT:
@@ -449,7 +419,7 @@ class RpcClient:
             raise CallFailed(f"{method}: no answer within {self._deadline:g} s") from error
         finally:
             if not complete:
-                self._closed = True
+                self.closed = True
                 with contextlib.suppress(RossecError):
                     await self._stream.close()
         return answer

@@ -1,14 +1,12 @@
 """Turns on one event loop: long work is done in steps, for one peer after another.
 
-A megabyte of a call takes some hundred milliseconds to parse, and the loop does nothing else
-meanwhile. So what is long is a generator that yields after each step (`rossec.ros.xmlrpc`,
-`rossec.ros.calls`, the queries of the master), and in each pass of the loop one turn of `TURN`
-seconds is given: to the group of peers that has used least, within it to each peer in rotation, and
-of one peer to one piece of work after the other. A group is a key, or a foreign domain, whose
-authority certifies any number of keys. So another peer's turn comes after one turn of each group at
-most, however much one group has begun. What is short, timers and what must be cut among it, is done
-in every pass. But a call that is short may take long to answer: all that are answered at once in a
-pass have one turn together, and the others wait for turns.
+A megabyte of a call takes some hundred milliseconds to parse, and the loop does nothing else meanwhile. So
+what is long is a generator that yields after each step, and in each pass of the loop one turn of `TURN`
+seconds is given: to the group of peers that has used least, within it to each peer in rotation, and of one
+peer to one piece of work after the other. A group is a key, or a foreign domain, whose authority certifies
+any number of keys. What is short, timers and what must be cut among it, is done in every pass. But a call
+that is short may take long to answer: all that are answered at once in a pass have one turn together, and the
+others wait for turns.
 """
 
 import asyncio
@@ -76,7 +74,12 @@ class Rotation:
         return group in self._used
 
     def take(self) -> _Work[Any]:
-        group = self._next_group()
+        if URGENT.group in self._groups:
+            group = URGENT.group
+        else:
+            used, least = self._used, self._least
+            group = min(self._groups, key=lambda each: used.get(each, least))
+            self._least = used.get(group, least)
         peers = self._groups.pop(group)
         peer = next(iter(peers))
         queue = peers.pop(peer)
@@ -86,14 +89,6 @@ class Rotation:
         if peers:
             self._groups[group] = peers
         return work
-
-    def _next_group(self) -> Hashable:
-        if URGENT.group in self._groups:
-            return URGENT.group
-        used, least = self._used, self._least
-        group = min(self._groups, key=lambda each: used.get(each, least))
-        self._least = used.get(group, least)
-        return group
 
     def forget_used(self) -> None:
         used = self._used if self._groups else {}
@@ -123,7 +118,7 @@ class LoopTurns:
         return result
 
     async def wait(self, source: TurnOwner) -> None:
-        await self.run(source, _nothing())
+        await self.run(source, (None for _ in ()))
 
     def has_time(self, source: Callable[[], TurnOwner]) -> bool:
         # Not if others wait who have used less than it has.
@@ -183,15 +178,10 @@ class LoopTurns:
             work.result.set_exception(error)
 
 
-def _nothing() -> Generator[None, None, None]:
-    yield from ()
-
-
 _shared: "WeakKeyDictionary[asyncio.AbstractEventLoop, LoopTurns]" = WeakKeyDictionary()
 
 
 def of_loop() -> LoopTurns:
-    """The turns of the running loop."""
     loop = asyncio.get_running_loop()
     turns = _shared.get(loop)
     if turns is None:

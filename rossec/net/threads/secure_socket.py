@@ -1,12 +1,7 @@
 """Secure connections for programs with threads: the socket methods that rospy uses.
 
-`SecureSocket` is a byte stream. It never waits with the core locked, and one thread writes at a
-time.
-
-Bytes between the core of a connection and its TCP socket, for programs with threads.
-
-The core is never locked while anything waits. One thread reads and one writes at a time; what the
-core queues meanwhile is written by the writing thread.
+`SecureSocket` is a byte stream over the core of a connection. The core is never locked while anything waits.
+One thread reads and one writes at a time; what the core queues meanwhile is written by the writing thread.
 """
 
 import select
@@ -18,7 +13,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from threading import Lock
-from typing import Any, Final, Generic, Self, cast
+from typing import Any, Final, Generic, Self
 
 from rossec import clock
 from rossec.channel.connection import Connection
@@ -28,6 +23,7 @@ from rossec.channel.negotiation import (
     Authenticated,
     Closed,
     ConnectionState,
+    Event,
     GrantsPresented,
     IdentityRenewed,
     Renewal,
@@ -41,9 +37,25 @@ from rossec.net.context import SecureContext, forget_in_children
 _MAX_WAIT: Final = 3600.0  # then check the clock again: the host's may be set
 SLICE: Final = struct.pack("ll", 5, 0)  # a struct timeval: how long the kernel waits in one go
 AT_ONCE: Final = socket.MSG_DONTWAIT
+PUMPED: Final = 16  # buffers in one go
 
 
-class Carrier(Generic[PeerT]):
+def _now() -> int:
+    return clock.now()
+
+
+class SecureSocket(Generic[PeerT]):
+    """A connection over a connected TCP socket, which it owns.
+
+    The handshake happens in `do_handshake`, or in the first `recv` or `sendall`. Two threads may
+    use it, one to receive and one to send.
+
+    Raises (every method that moves bytes):
+        TimeoutError, BlockingIOError: as sockets do. A `sendall` that could not finish ends the
+            connection: half a record cannot be taken back.
+        ChannelError: the connection cannot be made, or has ended; `recv` returns b"" after a close.
+    """
+
     def __init__(
         self, sock: socket.socket, core: Connection[PeerT], on_released: Callable[[], None] = lambda: None
     ) -> None:
@@ -61,13 +73,34 @@ class Carrier(Generic[PeerT]):
         self._on_renewal: Callable[[Renewal[PeerT]], None] | None = None
         self._error: ChannelError | None = None
         self._timers_run_at = -1
-        self._aborted = False
+        self._aborted = self._closed = False
         self._core_lock = Lock()
         self._reading = Lock()
         self._writing = Lock()
         forget_in_children(self)
         if core.streams is not None:
             core.streams.add(self)
+
+    @classmethod
+    def initiate(
+        cls,
+        sock: socket.socket,
+        context: SecureContext[PeerT],
+        protocol: WireProtocol = WireProtocol.TCPROS,
+        *,
+        to_itself: bool = False,
+        timeout: float | None = None,
+    ) -> Self:
+        """Authenticate within `timeout` seconds, over a connected socket; `to_itself`: it means itself."""
+        secure = cls(sock, context.initiator(protocol, to_itself=to_itself))
+        try:
+            secure.settimeout(timeout)
+            secure.do_handshake()
+            secure.settimeout(None)
+        except BaseException:
+            secure.close()
+            raise
+        return secure
 
     def abandon(self) -> None:
         # A lock that another thread held at the fork would never be released.
@@ -117,7 +150,7 @@ class Carrier(Generic[PeerT]):
             self._send_last(self._core.data_to_send())  # the peer may be gone
         return True
 
-    def _handle_events(self, events: Sequence[object]) -> None:
+    def _handle_events(self, events: Sequence[Event[PeerT]]) -> None:
         for event in events:
             if isinstance(event, UnitReceived):
                 self._units.append(event.data)
@@ -126,19 +159,16 @@ class Carrier(Generic[PeerT]):
                 self._release()
             elif isinstance(event, Closed):
                 self._fail(ChannelClosed("the peer closed the connection"))
+            elif isinstance(event, GrantsPresented):  # the newest counts, also before anybody listens
+                others = (each for each in self._renewed if not isinstance(each, GrantsPresented))
+                self._renewed = deque((*others, event))
             else:
-                self._take_renewal(cast("Renewal[PeerT]", event))
+                if isinstance(event, IdentityRenewed):
+                    self.peer = event.identity
+                if self._on_renewal is not None:
+                    self._renewed.append(event)
 
     # -- what is renewed
-
-    def _take_renewal(self, event: Renewal[PeerT]) -> None:
-        if isinstance(event, IdentityRenewed):
-            self.peer = event.identity
-        if isinstance(event, GrantsPresented):  # the newest counts, also before anybody listens
-            others = (each for each in self._renewed if not isinstance(each, GrantsPresented))
-            self._renewed = deque((*others, event))
-        elif self._on_renewal is not None:
-            self._renewed.append(event)
 
     def _tell_renewals(self) -> None:
         while self._on_renewal is not None and self._renewed:
@@ -167,11 +197,9 @@ class Carrier(Generic[PeerT]):
         if self.peer is None or not self._writing.acquire(blocking=False):
             return  # who writes just now sends it after that
         try:
-            with self._core_lock:
+            with suppress(ChannelError), self._core_lock:  # where it has ended, its users get the error
                 if self._core.has_data_to_send:
                     self._core.put_back(self._send_nowait(self._core.data_to_send()))
-        except ChannelError:
-            pass  # the connection has ended: its users get the error
         finally:
             self._writing.release()
 
@@ -201,16 +229,13 @@ class Carrier(Generic[PeerT]):
 
     # -- sending
 
-    def _write_small(self, pieces: tuple[Bytes, ...], end: float | None) -> bool:
-        if len(pieces) != 1 or not isinstance(pieces[0], bytes):
-            return False
-        with self._core_lock:
-            record = self._core.seal_small(pieces[0])
-        if record is not None:
-            self._write(record, end)
-        return record is not None
-
     def _write_unit(self, pieces: tuple[Bytes, ...], end: float | None) -> None:
+        if len(pieces) == 1 and isinstance(pieces[0], bytes):
+            with self._core_lock:
+                small = self._core.seal_small(pieces[0])
+            if small is not None:
+                self._write(small, end)
+                return
         with self._core_lock:
             records = self._core.seal_unit(*pieces, reuse=True)
         while True:
@@ -282,71 +307,19 @@ class Carrier(Generic[PeerT]):
         now = _now()
         if now == self._timers_run_at:
             return
-        if self._core.state is ConnectionState.WAIT_4:
-            self._take_in_confirmation(reading=reading)
+        # A connection that is only written to, or cached, has no reader: the confirmation is taken in here,
+        # unless another thread reads.
+        if self._core.state is ConnectionState.WAIT_4 and (reading or self._reading.acquire(blocking=False)):
+            try:
+                self._take_in(None, AT_ONCE)
+            finally:
+                if not reading:
+                    self._reading.release()
         with self._core_lock:
             self._call_core(self._core.tick, now)
         self._timers_run_at = now
 
-    def _take_in_confirmation(self, *, reading: bool) -> None:
-        # A connection that is only written to, or cached, has no reader.
-        if not reading and not self._reading.acquire(blocking=False):
-            return  # the reading thread takes it in
-        try:
-            self._take_in(None, AT_ONCE)
-        finally:
-            if not reading:
-                self._reading.release()
-
-
-def _now() -> int:
-    return clock.now()
-
-
-PUMPED: Final = 16  # buffers in one go
-
-
-class SecureSocket(Carrier[PeerT]):
-    """A connection over a connected TCP socket, which it owns.
-
-    The handshake happens in `do_handshake`, or in the first `recv` or `sendall`. Two threads may
-    use it, one to receive and one to send.
-
-    Raises (every method that moves bytes):
-        TimeoutError, BlockingIOError: as sockets do. A `sendall` that could not finish ends the
-            connection: half a record cannot be taken back.
-        ChannelError: the connection cannot be made, or has ended; `recv` returns b"" after a close.
-    """
-
-    def __init__(
-        self, sock: socket.socket, core: Connection[PeerT], on_released: Callable[[], None] = lambda: None
-    ) -> None:
-        super().__init__(sock, core, on_released)
-        self._closed = False
-
-    @classmethod
-    def initiate(
-        cls,
-        sock: socket.socket,
-        context: SecureContext[PeerT],
-        protocol: WireProtocol = WireProtocol.TCPROS,
-        *,
-        to_itself: bool = False,
-        timeout: float | None = None,
-    ) -> Self:
-        """Authenticate, within `timeout` in seconds, over a socket that was connected.
-
-        `to_itself`: this node means to reach itself.
-        """
-        secure = cls(sock, context.initiator(protocol, to_itself=to_itself))
-        try:
-            secure.settimeout(timeout)
-            secure.do_handshake()
-            secure.settimeout(None)
-        except BaseException:
-            secure.close()
-            raise
-        return secure
+    # -- for users
 
     def raise_unit_limit(self, limit: int | None = None) -> None:
         """Accept units of up to `limit`, or `ChannelLimits.unit`: the peer is authorized."""
@@ -371,8 +344,7 @@ class SecureSocket(Carrier[PeerT]):
     def recv(self, size: int) -> bytes:
         """Return 1 to `size` bytes; b"" after the peer's close."""
         with self._reading:
-            chunk = self._take(size)
-            return bytes(chunk)
+            return bytes(self._take(size))
 
     def recv_into(self, buffer: bytearray | memoryview, size: int = 0) -> int:
         """Receive into `buffer`; return how many bytes, 0 after the peer's close."""
@@ -403,10 +375,8 @@ class SecureSocket(Carrier[PeerT]):
                 self._units.clear()
 
     def run_timers(self) -> None:
-        """Handle key renewals of both sides while the connection is not used.
-
-        Never waits: where a thread reads or writes just now, that thread handles them.
-        """
+        """Handle key renewals of both sides while the connection is not used. Never waits: where a thread
+        reads or writes just now, that thread handles them."""
         if self._units or self.peer is None or not self._writing.acquire(blocking=False):
             return
         try:
@@ -439,7 +409,6 @@ class SecureSocket(Carrier[PeerT]):
         return unit
 
     def sendall(self, *pieces: Bytes) -> None:
-        """Send the pieces as one unit."""
         end = self._end()
         if self.peer is None:
             with self._reading:
@@ -447,15 +416,12 @@ class SecureSocket(Carrier[PeerT]):
         self._run_timers()
         with self._writing:
             self._raise_if_ended()
-            if not self._write_small(pieces, end):
-                self._write_unit(pieces, end)
+            self._write_unit(pieces, end)
         self._flush(end)
 
     def try_send(self, data: bytes) -> bool:
-        """Send a small unit where this needs no waiting; False: nothing was sent.
-
-        What the kernel did not take is `unsent`, and is sent before anything else.
-        """
+        """Send a small unit where this needs no waiting; False: nothing was sent. What the kernel did not
+        take is `unsent`, and is sent before anything else."""
         if self.peer is None or not self._writing.acquire(blocking=False):
             return False
         try:

@@ -5,6 +5,7 @@ import dataclasses
 import pytest
 
 from rossec.channel.connection import Connection
+from rossec.channel.edhoc.handshake import EdhocConfig
 from rossec.channel.edhoc.messages import encode_error
 from rossec.channel.negotiation import ConnectionState
 from rossec.channel.opening import REFUSAL, WireProtocol, tcpros_refusal
@@ -53,7 +54,7 @@ def test_a_bug_in_verify_ends_the_connection() -> None:
         raise ZeroDivisionError
 
     w = wire()
-    core = Connection[FakeIdentity].initiator(ALICE, broken, random=dice("x"), now=NOW)
+    core = Connection[FakeIdentity].initiator(EdhocConfig(ALICE, broken, dice("x")), now=NOW)
     w.right.give(bytes(core.data_to_send()))
     with pytest.raises(ZeroDivisionError):
         core.receive_data(w.right.take(), NOW)

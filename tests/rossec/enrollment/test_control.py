@@ -1,6 +1,7 @@
 import asyncio
 import os
 import socket
+import struct
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -92,7 +93,7 @@ async def test_a_malformed_request_gets_no_answer(tmp_path: Path, line: bytes) -
 
 async def test_another_user_gets_no_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The kernel says who calls; here it says that a stranger does."""
-    stranger = enroll._CREDENTIALS.pack(1, os.getuid() + 4711, 4711)
+    stranger = struct.pack("3i", 1, os.getuid() + 4711, 4711)
     monkeypatch.setattr("socket.socket.getsockopt", lambda *_: stranger)
     monkeypatch.setattr("asyncio.trsock.TransportSocket.getsockopt", lambda *_: stranger)
     async with serving(tmp_path, lambda _: {"secret": "digits"}):

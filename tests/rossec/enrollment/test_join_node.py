@@ -137,7 +137,7 @@ async def test_nobody_listens(home: JoinSite) -> None:
 
 
 async def test_a_silent_peer(home: JoinSite, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(join, "PATIENCE", 0.02)
+    monkeypatch.setattr(join, "CONNECT_PATIENCE", 0.02)
 
     left, tries = asyncio.Event(), []
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from rossec.net.limits import UNSENT
+from rossec.channel.tuning import UNSENT
 from rossec.participant import delivery
 from rossec.participant.delivery import LARGE, NO_WISHES, Wishes, deflated
 from tests.support.rosconnection import transport

@@ -40,4 +40,4 @@ def test_credentials_that_are_replaced_tell_the_connections_of_their_context() -
     made.open_streams.add(stream)
     own.current = Credentials(ALICE.signer, renewed(ALICE))
     assert stream.told == [renewed(ALICE)]
-    assert own.certificate == renewed(ALICE)[0]
+    assert own.current.certificate == renewed(ALICE)[0]

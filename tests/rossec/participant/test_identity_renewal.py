@@ -71,21 +71,21 @@ def test_an_identity_with_a_short_lifetime_is_requested_more_often(site: Site) -
 
 async def test_a_new_identity_is_on_the_disk_and_in_use(site: Site) -> None:
     home, credentials, asks = renewal(site)
-    before = credentials.certificate
+    before = credentials.current.certificate
 
     async def call(method: str, *params: Any) -> object:
         assert method == IDENTITY_METHOD
         return renew(site.authority, params[0], NOW)
 
     assert await renew_identity(call, asks, NOW)
-    assert credentials.certificate != before
+    assert credentials.current.certificate != before
     assert home.credentials().chain == credentials.current.chain
     assert home.identity(NOW).not_after > NOW + 10 * DAY
     assert home.identity(NOW).thumbprint == asks._identity.thumbprint
     assert not await renew_identity(call, asks, NOW)
-    assert not credentials.shared
-    assert len(credentials.sign(b"x")) == 64
-    assert credentials.id_cred == home.credentials().id_cred
+    assert not credentials.current.shared
+    assert len(credentials.current.signer.sign(b"x")) == 64
+    assert credentials.current.id_cred == home.credentials().id_cred
 
 
 async def test_a_request_with_a_lost_answer_is_repeated(site: Site) -> None:
@@ -98,18 +98,18 @@ async def test_a_request_with_a_lost_answer_is_repeated(site: Site) -> None:
 
 def test_an_identity_installed_by_an_operator_is_used(site: Site) -> None:
     home, credentials, asks = renewal(site)
-    before = credentials.certificate
+    before = credentials.current.certificate
     site._clock = lambda: NOW
     site.renew("/robot", LIFE)
     assert asks.request(NOW) is None
-    assert credentials.certificate == home.credentials().certificate != before
+    assert credentials.current.certificate == home.credentials().certificate != before
     assert asks.request(NOW + 13 * DAY) is None
     assert asks.request(NOW + 14 * DAY) is not None
 
 
 def test_an_identity_that_expires_earlier_is_not_used(site: Site) -> None:
     home, credentials, asks = renewal(site)
-    before = credentials.certificate
+    before = credentials.current.certificate
     site.renew("/robot", DAY)  # shorter, and expired by now
     assert asks.request(NOW) is not None
     site._clock = lambda: NOW
@@ -117,7 +117,7 @@ def test_an_identity_that_expires_earlier_is_not_used(site: Site) -> None:
     assert asks.request(NOW + IDENTITY_RETRY) is not None
     (home.path / "node.pem").unlink()
     assert asks.request(NOW + 2 * IDENTITY_RETRY) is not None
-    assert credentials.certificate == before
+    assert credentials.current.certificate == before
 
 
 @pytest.mark.parametrize("bundle", [b"garbage", b""])
@@ -125,11 +125,11 @@ async def test_a_malformed_identity_changes_nothing(
     site: Site, bundle: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
     home, credentials, asks = renewal(site)
-    before = (home.path / "node.pem").read_bytes(), credentials.certificate
+    before = (home.path / "node.pem").read_bytes(), credentials.current.certificate
 
     assert not await renew_identity(answering(bundle), asks, NOW)
     assert not await renew_identity(answering(bundle), asks, NOW + IDENTITY_RETRY)
-    assert ((home.path / "node.pem").read_bytes(), credentials.certificate) == before
+    assert ((home.path / "node.pem").read_bytes(), credentials.current.certificate) == before
     assert "the identity is not renewed" in caplog.text
     with pytest.raises(AnswerMalformed):
         asks.take(5, NOW)

@@ -48,6 +48,7 @@ class TraceCredential:
         self.certificate = value(f"CRED_{who} (Raw Value)")
         self.public_key = self._key.public_key()
         self.identity = TraceIdentity(self.public_key)
+        self.signer = self.current = self
 
     def sign(self, message: bytes) -> bytes:
         return self._key.sign(message)
@@ -56,7 +57,7 @@ class TraceCredential:
 def trace_config(own: str, secret: str) -> EdhocConfig[TraceIdentity]:
     credentials = [TraceCredential("I"), TraceCredential("R")]
     return EdhocConfig(
-        TraceCredential(own),
+        TraceCredential(own),  # type: ignore[arg-type]  # names no chain
         lambda chain, _: next(c.identity for c in credentials if c.certificate == chain[0]),
         lambda _: value(secret),
         suites=(0,),

@@ -10,6 +10,7 @@ from cryptography.hazmat.primitives.asymmetric.utils import decode_dss_signature
 
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import Credentials
+from rossec.channel.edhoc.handshake import EdhocConfig
 from rossec.channel.edhoc.suites import HYBRID, POST_QUANTUM, PRODUCTION, SUITES
 from rossec.channel.negotiation import ConnectionState
 from rossec.errors import HandshakeFailed
@@ -123,12 +124,10 @@ def verify(chain: tuple[bytes, ...], _: int) -> EdwardsPeer:
 
 
 def test_suite_4_from_the_opening_to_a_record() -> None:
-    left = Connection[EdwardsPeer].initiator(
-        edwards("a").credentials, verify, random=dice("a"), now=NOW, suites=(4,)
-    )
-    right = Connection[EdwardsPeer].responder(
-        edwards("b").credentials, verify, random=dice("b"), now=NOW, suites=(4,)
-    )
+    ours = EdhocConfig(edwards("a").credentials, verify, dice("a"), suites=(4,))
+    theirs = EdhocConfig(edwards("b").credentials, verify, dice("b"), suites=(4,))
+    left = Connection[EdwardsPeer].initiator(ours, now=NOW)
+    right = Connection[EdwardsPeer].responder(theirs, now=NOW)
     for _ in range(2):
         right.receive_data(left.data_to_send(), NOW)
         left.receive_data(right.data_to_send(), NOW)

@@ -56,7 +56,7 @@ async def test_a_master_that_has_really_ended_is_said_to_have(
         assert site.master is not None
         site.renew("/master", lifetime=1)
         own = site.enroll("/master").credentials()
-        site.master.context.credentials.current = own  # type: ignore[attr-defined]
+        site.master.context.credentials.current = own  # type: ignore[misc]
         await asyncio.sleep(2.1)
         code = await asyncio.to_thread(run, ["doctor", "/robot"], dict(site.environ))
         said = "".join(capsys.readouterr())

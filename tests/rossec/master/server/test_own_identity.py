@@ -26,18 +26,18 @@ class World:
         self.site = Site(root / "site", clock=lambda: self.now)
         self.home = self.site.enroll(MASTER, LIFE)
         self.own = OwnIdentity(self.home, NOW)
-        self.before = self.own.credentials.certificate
+        self.before = self.own.credentials.current.certificate
 
     def check(self, now: int) -> bool:
         """Whether the certificate has changed since the last call."""
         self.now = now
         self.own.check(now)
-        shown, self.before = self.own.credentials.certificate != self.before, self.shown
+        shown, self.before = self.own.credentials.current.certificate != self.before, self.shown
         return shown
 
     @property
     def shown(self) -> bytes:
-        return self.own.credentials.certificate
+        return self.own.credentials.current.certificate
 
 
 @pytest.fixture

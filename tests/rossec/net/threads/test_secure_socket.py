@@ -10,6 +10,7 @@ from functools import partial
 import pytest
 
 from rossec.channel.connection import Connection
+from rossec.channel.edhoc.handshake import EdhocConfig
 from rossec.channel.records import ChannelLimits
 from rossec.errors import ChannelClosed, ChannelError, ConnectionTruncated, IdentityRefused
 from rossec.net.threads.secure_socket import SecureSocket
@@ -201,7 +202,7 @@ def test_try_send_does_not_wait(listener: SecureListener[FakeIdentity]) -> None:
 
 def test_try_send_without_a_peer_sends_nothing(listener: SecureListener[FakeIdentity]) -> None:
     sock = socket.create_connection(listener.getsockname())
-    core = Connection[FakeIdentity].initiator(ALICE, live, random=secrets.token_bytes, now=0)
+    core = Connection[FakeIdentity].initiator(EdhocConfig(ALICE, live, secrets.token_bytes), now=0)
     with SecureSocket(sock, core) as secure:
         assert not secure.try_send(b"x")
 
