@@ -54,6 +54,17 @@ _STRANGERS: Final = 8  # datagrams of strangers in one turn: up to 0.2 ms each
 _BUFFER: Final = 4 << 20
 _RCVBUFFORCE: Final = 33  # socket(7): beyond the limit of the system, for who may
 
+SILENT: Final = 90_000.0  # seconds until a thing that sends nothing is gone (RFC 9176: 25 hours)
+UPDATE_PERIOD: Final = 60  # seconds between visits of a thing's node that wants for a grant
+CHECKED: Final = 16  # parts of the things: one of them is looked at each second
+WELL_KNOWN: Final = (".well-known", "core")
+_log = logging.getLogger("rossec.border")
+
+STATUS_FILE: Final = "border.status"
+STATUS_PERIOD: Final = 5.0  # seconds between two of them
+STATUS_OLD: Final = 20  # seconds after which nobody writes it any more
+MAX_STATUS: Final = 4 * 1024 * 1024
+
 
 class Server:
     """Serves things at one address.
@@ -172,13 +183,6 @@ class Server:
         self._timer = None
         self.endpoint.run_timers(self._loop.time())
         self._arm()
-
-
-SILENT: Final = 90_000.0  # seconds until a thing that sends nothing is gone (RFC 9176: 25 hours)
-UPDATE_PERIOD: Final = 60  # seconds between visits of a thing's node that wants for a grant
-CHECKED: Final = 16  # parts of the things: one of them is looked at each second
-WELL_KNOWN: Final = (".well-known", "core")
-_log = logging.getLogger("rossec.border")
 
 
 class BorderNode(Node):
@@ -411,12 +415,6 @@ class BorderRouter:
             while await self.node.prove():
                 pass
         self._news()
-
-
-STATUS_FILE: Final = "border.status"
-STATUS_PERIOD: Final = 5.0  # seconds between two of them
-STATUS_OLD: Final = 20  # seconds after which nobody writes it any more
-MAX_STATUS: Final = 4 * 1024 * 1024
 
 
 def describe_status(router: BorderRouter, now: int) -> dict[str, Any]:

@@ -41,6 +41,10 @@ from rossec.saved_statements import ThingFiles
 _NANOSECONDS: Final = 10**9  # of a second
 _log = logging.getLogger("rossec.border")
 
+CALL_DEADLINE: Final = 30.0
+
+Cancel = Callable[[], None]
+
 
 class ServedThing(NamedTuple):
     """A thing: what the authority says of it, and its secret (empty: it has a key)."""
@@ -161,11 +165,6 @@ class Roster:
             if self._refused.get(what) != reason:
                 _log.warning("%s: %s", what, reason)
         self._refused = refused
-
-
-CALL_DEADLINE: Final = 30.0
-
-Cancel = Callable[[], None]
 
 
 class Ask(Protocol):

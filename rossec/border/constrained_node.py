@@ -60,6 +60,13 @@ from rossec.ros.xmlrpc import Fault
 HALF_OPEN: Final = HalfOpen(512, 1024)  # of all ports: the master connects to each thing's node
 AT_A_TIME: Final = 8  # things that connect to the master at the same time
 
+IDLE: Final = 2.0  # seconds without a call until the connection is closed
+
+_log = logging.getLogger("rossec.border")
+
+_RENEWED_AFTER: Final = 2 / 3  # of the lifetime of an identity
+_RETRY: Final = 600  # seconds
+
 
 @dataclass(frozen=True, eq=False)
 class SharedIdentity:
@@ -86,11 +93,6 @@ class SharedIdentity:
     turns: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(AT_A_TIME))
     half_open: HalfOpenCount = field(default_factory=lambda: HalfOpenCount(HALF_OPEN))
     tasks: TaskSet = field(default_factory=TaskSet)
-
-
-IDLE: Final = 2.0  # seconds without a call until the connection is closed
-
-_log = logging.getLogger("rossec.border")
 
 
 class MasterVisits:
@@ -240,10 +242,6 @@ async def quietly(work: Awaitable[object], what: str) -> bool:
         _log.warning("%s: %s", what, error)
         return False
     return True
-
-
-_RENEWED_AFTER: Final = 2 / 3  # of the lifetime of an identity
-_RETRY: Final = 600  # seconds
 
 
 class ThingNode:

@@ -33,6 +33,15 @@ SOURCE_RATE: Final = 10.0  # handshakes a second, of one address and port
 SOURCE_BURST: Final = 10.0
 MAX_SOURCES: Final = 4096
 
+CAPACITY: Final = 1024
+REMEMBERED: Final = 4  # answers to the last requests of a thing, in case they are repeated
+
+RATE: Final = 50.0  # datagrams a second of one thing that are taken at once
+BURST: Final = 100.0
+OF_PORT: Final = 4  # datagrams of one port that wait
+OF_HOST: Final = 64
+OF_ALL: Final = 1024
+
 
 class Quota:
     """Messages of one thing: `take` says whether one more is within its rate.
@@ -103,10 +112,6 @@ def network_of(host: str) -> bytes:
     address = ip_address(host.partition("%")[0])
     mapped = address.ipv4_mapped if isinstance(address, IPv6Address) else address
     return address.packed[:8] if mapped is None else mapped.packed
-
-
-CAPACITY: Final = 1024
-REMEMBERED: Final = 4  # answers to the last requests of a thing, in case they are repeated
 
 
 class Conversation:
@@ -212,12 +217,6 @@ class Conversations:
             self._leave(found)
             self._ended(found)
 
-
-RATE: Final = 50.0  # datagrams a second of one thing that are taken at once
-BURST: Final = 100.0
-OF_PORT: Final = 4  # datagrams of one port that wait
-OF_HOST: Final = 64
-OF_ALL: Final = 1024
 
 _network_of = lru_cache(4096)(network_of)
 

@@ -46,6 +46,13 @@ RETRIES: Final = 7  # over half a minute: what tells the thing its context may b
 _NONE: Final = -2  # lower than the sequence number of any answer
 _SZX: Final = 6  # blocks of 1024 octets
 
+HANDSHAKE_PATH: Final = (".well-known", "edhoc")
+REGISTRATION_PATH: Final = ("rd",)
+HANDSHAKES: Final = 50.0  # begun a second, at most
+DERIVATIONS: Final = 200.0  # contexts derived anew a second, at most
+_MESSAGE_1: Final = b"\xf5"  # CBOR true, before message_1 (RFC 9528 appendix A.2)
+_ALONE: Final = 0x18  # from here on a connection identifier of one octet is no integer
+
 
 class Answer(NamedTuple):
     """What a thing answered: its code, the content format (None: not said), the body."""
@@ -277,14 +284,6 @@ def _put_block(message: Message, request: Request, number: int) -> None:
 def _answer(opened: Message, body: bytes) -> Answer:
     form = opened.opt.content_format
     return Answer(opened.code, None if form is None else int(form), body)
-
-
-HANDSHAKE_PATH: Final = (".well-known", "edhoc")
-REGISTRATION_PATH: Final = ("rd",)
-HANDSHAKES: Final = 50.0  # begun a second, at most
-DERIVATIONS: Final = 200.0  # contexts derived anew a second, at most
-_MESSAGE_1: Final = b"\xf5"  # CBOR true, before message_1 (RFC 9528 appendix A.2)
-_ALONE: Final = 0x18  # from here on a connection identifier of one octet is no integer
 
 
 class Served(Protocol):

@@ -63,6 +63,32 @@ __all__ = [
     "write",
 ]
 
+_SLACK: Final = 256
+
+ACK_TIMEOUT: Final = 2.0  # seconds; longer by up to a half, at random
+MAX_RETRANSMIT: Final = 4
+
+Address = tuple[Any, ...]
+Send = Callable[[bytes, Address], None]
+
+WINDOW: Final = 32
+SALT_SIZE: Final = 8
+KEY_SIZE: Final = 16
+MAX_ID: Final = 7  # octets of an ID: 6 less than a nonce has (RFC 8613 section 3.3)
+_ALGORITHM: Final = oscore.algorithms["AES-CCM-16-64-128"]
+_HASH: Final = oscore.hashfunctions["sha256"]
+_H: Final = 0x10  # flag: there is a kid context
+
+RequestId = Any
+
+NONCE_SIZE: Final = 8  # of ID1 and R3
+R2_SIZE: Final = 16  # milliseconds (6), random (2), tag (8)
+MAX_ID1: Final = 32
+LIFETIME: Final = 30_000  # milliseconds in which the thing answers R2
+BORDER_ID: Final = b""  # the border router's sender ID in contexts of a secret
+_SALT: Final = b""
+_TIME: Final = 6
+
 
 def read(data: bytes) -> Message:
     if not 4 <= len(data) <= MAX_DATAGRAM:
@@ -105,9 +131,6 @@ def refusal(code: Code) -> Message:
     return Message(code=code)
 
 
-_SLACK: Final = 256
-
-
 class Timers:
     def __init__(self) -> None:
         self._heap: list[tuple[float, int]] = []
@@ -141,13 +164,6 @@ class Timers:
         while (due := self.next_due) is not None and due <= now:
             _, number = heapq.heappop(self._heap)
             self._calls.pop(number)(now)
-
-
-ACK_TIMEOUT: Final = 2.0  # seconds; longer by up to a half, at random
-MAX_RETRANSMIT: Final = 4
-
-Address = tuple[Any, ...]
-Send = Callable[[bytes, Address], None]
 
 
 @dataclass(slots=True)
@@ -200,17 +216,6 @@ class Transmissions:
         found.pause *= 2
         found.timer = self._timers.at(now + found.pause, lambda at: self._again(key, at))
         self._send(found.data, key[0])
-
-
-WINDOW: Final = 32
-SALT_SIZE: Final = 8
-KEY_SIZE: Final = 16
-MAX_ID: Final = 7  # octets of an ID: 6 less than a nonce has (RFC 8613 section 3.3)
-_ALGORITHM: Final = oscore.algorithms["AES-CCM-16-64-128"]
-_HASH: Final = oscore.hashfunctions["sha256"]
-_H: Final = 0x10  # flag: there is a kid context
-
-RequestId = Any
 
 
 def _nothing() -> None: ...
@@ -304,15 +309,6 @@ def _strip_context(message: Message) -> None:
     if end > len(option):
         raise DatagramRefused("a kid context that ends early")
     message.opt.oscore = bytes((option[0] & ~_H,)) + option[1:at] + option[end:]
-
-
-NONCE_SIZE: Final = 8  # of ID1 and R3
-R2_SIZE: Final = 16  # milliseconds (6), random (2), tag (8)
-MAX_ID1: Final = 32
-LIFETIME: Final = 30_000  # milliseconds in which the thing answers R2
-BORDER_ID: Final = b""  # the border router's sender ID in contexts of a secret
-_SALT: Final = b""
-_TIME: Final = 6
 
 
 def wrapped(value: bytes) -> bytes:

@@ -37,6 +37,12 @@ _VALUE: Final = r'"[^"\\]*"|[^",;\s\\]*'
 _PARAMETER: Final = re.compile(rf';\s*([^,;="\s]+)(?:=({_VALUE}))?')
 _LINK: Final = re.compile(rf'\s*<([^<>"]*)>((?:;\s*[^,;="\s]+(?:=(?:{_VALUE}))?)*)\s*(?:,|\Z)')
 
+_COUNT: Final = struct.Struct("<I")
+_OCTETS: Final = frozenset({"uint8", "char"})
+_PAIRS: Final = frozenset({"time", "duration"})
+_FLOATS: Final = frozenset("fd")
+_BOOL: Final = PRIMITIVES["bool"]
+
 
 @dataclass(frozen=True, slots=True)
 class Resource:
@@ -131,13 +137,6 @@ def _check(found: list[Resource]) -> None:
         raise ThingLinksRefused("two resources of a thing have one name")
     if len({each.path for each in found}) != len(found):
         raise ThingLinksRefused("one resource of a thing is listed twice")
-
-
-_COUNT: Final = struct.Struct("<I")
-_OCTETS: Final = frozenset({"uint8", "char"})
-_PAIRS: Final = frozenset({"time", "duration"})
-_FLOATS: Final = frozenset("fd")
-_BOOL: Final = PRIMITIVES["bool"]
 
 
 def to_ros(body: bytes, form: int, layout: Layout) -> bytes:

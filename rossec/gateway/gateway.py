@@ -55,6 +55,12 @@ REFUSALS: Final = (HintedError, OSError, TimeoutError, Fault)
 QUEUE_SIZE: Final = 10
 _log = logging.getLogger("rossec.gateway")
 
+PERIOD: Final = 1.0  # seconds between two looks at what has to be served
+PAUSE: Final = 5.0  # seconds until a topic that failed, or a registration, is tried again
+WATCH_DEADLINE: Final = 15.0  # seconds; an answer is held back for five
+MAX_SKIPPED: Final = 100  # of those that the status names
+MAX_LOGGED: Final = 5  # topics at a time
+
 
 class Subscription(Protocol):
     async def close(self) -> None: ...
@@ -233,13 +239,6 @@ class ServedTopic:
         # A publisher of the origin could not be connected, or is connected no longer.
         if not self._subscribes_again and not self._stopped:
             self._note(error)
-
-
-PERIOD: Final = 1.0  # seconds between two looks at what has to be served
-PAUSE: Final = 5.0  # seconds until a topic that failed, or a registration, is tried again
-WATCH_DEADLINE: Final = 15.0  # seconds; an answer is held back for five
-MAX_SKIPPED: Final = 100  # of those that the status names
-MAX_LOGGED: Final = 5  # topics at a time
 
 
 class Obstacle(NamedTuple):

@@ -57,6 +57,13 @@ from rossec.ros.names import ANY_TYPE
 
 MAX_RULES: Final = 256
 
+MAX_TOPICS: Final = 1024
+BATCH: Final = 512  # facts or topics in one step
+
+LINGER: Final = 5.0  # seconds without a subscriber here until the origin is left
+FIRST_PAUSE: Final = 1.0  # seconds after a failure, doubled with each further one
+LONGEST_PAUSE: Final = 15.0
+
 
 @dataclass(frozen=True)
 class TopicRule:
@@ -108,10 +115,6 @@ def covering(rules: Sequence[TopicRule], alias: str) -> TopicRule | None:
     if is_in_gateway(name):
         of_label = (each for each in of_label if is_in_gateway(each.pattern))
     return next((each for each in of_label if pattern_covers(each.pattern, name)), None)
-
-
-MAX_TOPICS: Final = 1024
-BATCH: Final = 512  # facts or topics in one step
 
 
 class Candidate(NamedTuple):
@@ -232,11 +235,6 @@ def _digest(kind: Definition) -> bytes | str:
         return kind.layout.digest
     except (DefinitionRefused, ConnectionHeaderRefused):
         return kind.definition
-
-
-LINGER: Final = 5.0  # seconds without a subscriber here until the origin is left
-FIRST_PAUSE: Final = 1.0  # seconds after a failure, doubled with each further one
-LONGEST_PAUSE: Final = 15.0
 
 
 class Phase(Enum):

@@ -85,6 +85,21 @@ from rossec.ros import tcpros
 from rossec.ros.names import is_door, parse_uri
 from rossec.ros.tcpros import MESSAGE_LIMIT, FrameReader, Framing
 
+DEADLINE: Final = 5.0
+_LENGTH: Final = struct.Struct("<I")
+
+_RIGHTS: Final[dict[type, Right]] = {
+    TCPROSSub: Right.SUBSCRIBE,
+    TCPROSPub: Right.PUBLISH,
+    TCPROSServiceClient: Right.CALL,
+    TCPService: Right.PROVIDE,
+}
+_HINT_PLAIN: Final = "secure it, or name what it offers in allow_plain while you migrate"
+
+_FIRST_PAUSE: Final = 0.5
+_LONGEST_PAUSE: Final = 30.0
+_SLICE: Final = 0.5  # seconds between checks whether the subscriber is still in use
+
 
 def definition_of(kind: Any) -> Definition:
     return Definition(kind._type, kind._md5sum, kind._full_text)  # noqa: SLF001 - genpy's
@@ -107,10 +122,6 @@ def max_message_size(kind: Any) -> int:
 def max_unit_size(kind: Any) -> int:
     """The most bytes a unit with such messages may have."""
     return unit_limit(size_of(definition_of(kind)), MESSAGE_LIMIT)
-
-
-DEADLINE: Final = 5.0
-_LENGTH: Final = struct.Struct("<I")
 
 
 def receive(sock: RosSocket) -> dict[str, bytes]:
@@ -143,15 +154,6 @@ def refuse(sock: RosSocket, error: HintedError) -> None:
     sock.settimeout(DEADLINE)
     with suppress(HintedError, OSError):
         sock.send_unit(tcpros.error_header(f"rossec: {printable(error)}"))
-
-
-_RIGHTS: Final[dict[type, Right]] = {
-    TCPROSSub: Right.SUBSCRIBE,
-    TCPROSPub: Right.PUBLISH,
-    TCPROSServiceClient: Right.CALL,
-    TCPService: Right.PROVIDE,
-}
-_HINT_PLAIN: Final = "secure it, or name what it offers in allow_plain while you migrate"
 
 
 class Connections:
@@ -399,11 +401,6 @@ class ServiceProbe(RosSocket):
         except HintedError as error:
             self._process.reporter.warn(f"cannot call {shown(service)}", error)
             raise
-
-
-_FIRST_PAUSE: Final = 0.5
-_LONGEST_PAUSE: Final = 30.0
-_SLICE: Final = 0.5  # seconds between checks whether the subscriber is still in use
 
 
 class SubscriptionLoop:

@@ -41,6 +41,13 @@ from rossec.inprocess.sockets import RosSocket, bracketed, parse_rosrpc
 from rossec.inprocess.xmlrpc_calls import REQUEST, XmlRpcClient, XmlRpcServer
 from rossec.ros.names import parse_uri
 
+VERSIONS: Final = ("1.14", "1.15", "1.16", "1.17")
+_LATE: Final = "call rossec.secure() right after importing rospy, before anything else of it"
+
+_CALLER: Final = ("self", "request", "client_address")
+
+StartNode = Callable[..., Any]
+
 
 class ModuleProxy:
     def __init__(self, module: ModuleType, **replaced: object) -> None:
@@ -49,14 +56,6 @@ class ModuleProxy:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._module, name)
-
-
-VERSIONS: Final = ("1.14", "1.15", "1.16", "1.17")
-_LATE: Final = "call rossec.secure() right after importing rospy, before anything else of it"
-
-_CALLER: Final = ("self", "request", "client_address")
-
-StartNode = Callable[..., Any]
 
 
 class Hook(NamedTuple):

@@ -44,6 +44,14 @@ from rossec.ros.names import MASTER
 P = ParamSpec("P")
 R = TypeVar("R")
 
+_READ: Final = 256 * 1024
+_PREFIX: Final = 4
+DEADLINE: Final = 5.0
+
+CONNECT_TIMEOUT: Final = 10.0
+
+Stream = SecureSocket[Identity]
+
 
 def _locked(method: Callable[Concatenate[Access, P], R]) -> Callable[Concatenate["LockedAccess", P], R]:
     @wraps(method)
@@ -137,11 +145,6 @@ def now() -> int:
     return clock.now()
 
 
-_READ: Final = 256 * 1024
-_PREFIX: Final = 4
-DEADLINE: Final = 5.0
-
-
 class PlainStream:
     """What is used of a `SecureSocket`; the peer is not authenticated."""
 
@@ -226,11 +229,6 @@ def _peek_bytes(sock: socket.socket, size: int, end: float) -> bytes:
             time.sleep(0.005)  # the kernel cannot wait for more than has arrived
         data = peeked
     return bytes(data)
-
-
-CONNECT_TIMEOUT: Final = 10.0
-
-Stream = SecureSocket[Identity]
 
 
 class Connector:

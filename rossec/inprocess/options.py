@@ -26,6 +26,8 @@ from rossec.host.addresses import is_relayed
 _DOTS: Final = 2000  # tomllib takes square time and memory for the dots of one key
 _KEYS: Final = frozenset({"node", "allow_plain"})
 
+_HINT = "an entry is a topic's or a service's name, /name or /name@address"
+
 
 @dataclass(frozen=True)
 class Options:
@@ -105,9 +107,6 @@ def _checked_list(values: object) -> tuple[str, ...]:
     if not all(isinstance(value, str) and value for value in values):
         raise ConfigurationError("allow_plain holds something that is not text")
     return tuple(values)
-
-
-_HINT = "an entry is a topic's or a service's name, /name or /name@address"
 
 
 class PlainConnection:

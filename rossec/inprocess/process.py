@@ -64,6 +64,31 @@ REGISTRATIONS: Final[Mapping[str, object]] = {
 REFUSED: Final = "rossec: "
 _NODES: Final = 1024  # that were looked up
 
+REMEMBERED: Final = 512
+_BURST: Final = 30  # lines within PERIOD; unauthenticated peers must not fill a disk
+_SHARE: Final = 10  # of them about one peer, topic or address
+_FIRST: Final = 60  # beyond the burst: only the first line about each subject
+_PERIOD: Final = 10.0
+
+PEER_CONNECTIONS: Final = 64  # of one identity: one for each topic and service it uses here
+_TIMERS_PERIOD: Final = 1.0
+_FIRST_WAIT: Final = 5.0  # for the first connection to the master
+_RECONNECT_WAIT: Final = 2.0  # how long a call waits for a reconnection
+_CALL_DEADLINE: Final = 30.0
+
+_ENDED: Final = (
+    "the background loop of this process has ended, or is its parent's: a forked process has no"
+    " connections, so start it with subprocess, or multiprocessing's spawn"
+)
+
+_log = logging.getLogger("rossec.rospy")
+
+RosConnection: TypeAlias = AuthorizedConnection[RosSocket, Guard | None]
+_NAMELESS: Final = (
+    "call rospy.init_node first, or give the name it will have:"
+    " rossec.secure('name'), or __name:=name on the command line"
+)
+
 
 class Registrations:
     """The registrations of one node.
@@ -105,13 +130,6 @@ class Registrations:
 
     def is_node(self, address: tuple[str, int]) -> bool:
         return address in self._nodes
-
-
-REMEMBERED: Final = 512
-_BURST: Final = 30  # lines within PERIOD; unauthenticated peers must not fill a disk
-_SHARE: Final = 10  # of them about one peer, topic or address
-_FIRST: Final = 60  # beyond the burst: only the first line about each subject
-_PERIOD: Final = 10.0
 
 
 class Reporter:
@@ -188,20 +206,6 @@ class LogBridge(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         self._reporter.warn(record.getMessage())
-
-
-PEER_CONNECTIONS: Final = 64  # of one identity: one for each topic and service it uses here
-_TIMERS_PERIOD: Final = 1.0
-_FIRST_WAIT: Final = 5.0  # for the first connection to the master
-_RECONNECT_WAIT: Final = 2.0  # how long a call waits for a reconnection
-_CALL_DEADLINE: Final = 30.0
-
-_ENDED: Final = (
-    "the background loop of this process has ended, or is its parent's: a forked process has no"
-    " connections, so start it with subprocess, or multiprocessing's spawn"
-)
-
-_log = logging.getLogger("rossec.rospy")
 
 
 class BackgroundLoop:
@@ -342,13 +346,6 @@ class BackgroundLoop:
         # It unregisters this node at the master, which must not happen in the thread of this loop.
         Thread(target=self.on_crash, name="rossec end", daemon=True).start()
         self._stop.set()
-
-
-RosConnection: TypeAlias = AuthorizedConnection[RosSocket, Guard | None]
-_NAMELESS: Final = (
-    "call rospy.init_node first, or give the name it will have:"
-    " rossec.secure('name'), or __name:=name on the command line"
-)
 
 
 class SecuredProcess:

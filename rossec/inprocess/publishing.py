@@ -53,6 +53,29 @@ from rossec.participant.delivery import Deflatable, Latch, Sample, SharedDeflati
 
 _UNUSED: Final = 2  # references: the buffer's, and the argument of `getrefcount`
 
+LENGTH: Final = struct.Struct("<I")
+SEPARATE_UNIT: Final = 128 * 1024  # a longer message is sent as a separate unit
+_BATCH: Final = 256 * 1024  # a longer unit only adds latency
+_SMALL: Final = 16 * 1024  # the kernel has room for it, or is full
+PAUSE: Final = 0.001  # seconds; messages at shorter intervals are batched
+
+Pieces = bytes | tuple[Bytes, ...]
+"""A message with its length in front, whole or in parts."""
+
+_deflation: Final = SharedDeflation()  # publishing calls the queues of one message in a row
+
+_POOLED: Final = 16 * 1024 * 1024  # the memory of larger messages is freed at once
+
+_LATCH: Final = "rossec_latch"  # an attribute set on rospy's topics
+
+_FORKED: Final = (
+    "this process was forked from a running node, and nobody receives what it publishes"
+    " (hint: publish in the parent, or start another program with subprocess)"
+)
+
+Samples = Callable[[Guard], Iterable[Sample[bytes]]]  # what to try for a guard, until one passes
+_log = logging.getLogger("rossec.rospy")
+
 
 class BufferPool:
     """The last `count` buffers whose bytes were handed out; threads share it."""
@@ -72,16 +95,6 @@ class BufferPool:
                     return oldest
                 self._buffers.append(oldest)
         return BytesIO()
-
-
-LENGTH: Final = struct.Struct("<I")
-SEPARATE_UNIT: Final = 128 * 1024  # a longer message is sent as a separate unit
-_BATCH: Final = 256 * 1024  # a longer unit only adds latency
-_SMALL: Final = 16 * 1024  # the kernel has room for it, or is full
-PAUSE: Final = 0.001  # seconds; messages at shorter intervals are batched
-
-Pieces = bytes | tuple[Bytes, ...]
-"""A message with its length in front, whole or in parts."""
 
 
 class SendQueue:
@@ -276,9 +289,6 @@ def _filtered(transport: Any, data: bytes) -> Pieces:
     return pieces
 
 
-_deflation: Final = SharedDeflation()  # publishing calls the queues of one message in a row
-
-
 def queue_for(connection: Any, queue_size: int) -> SendQueue:
     wishes: Wishes = connection.socket.wishes
     if wishes:
@@ -328,17 +338,7 @@ def _content(data: Pieces) -> Sequence[Bytes]:
     return (memoryview(data)[LENGTH.size :],) if isinstance(data, bytes) else data[1:]
 
 
-_POOLED: Final = 16 * 1024 * 1024  # the memory of larger messages is freed at once
 _buffer_pool: Final = BufferPool(4)
-_LATCH: Final = "rossec_latch"  # an attribute set on rospy's topics
-
-_FORKED: Final = (
-    "this process was forked from a running node, and nobody receives what it publishes"
-    " (hint: publish in the parent, or start another program with subprocess)"
-)
-
-Samples = Callable[[Guard], Iterable[Sample[bytes]]]  # what to try for a guard, until one passes
-_log = logging.getLogger("rossec.rospy")
 
 
 class _ForkedNode:

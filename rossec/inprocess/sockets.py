@@ -46,6 +46,21 @@ from rossec.ros.tcpros import MESSAGE_LIMIT, PATIENCE, FrameReader, Framing
 
 ROSRPC: Final = "rosrpc://"
 
+_ENDED: Final = (errno.ECONNRESET, errno.EPIPE, errno.ENOTCONN)
+
+_OK: Final = b"\1"
+_LENGTH: Final = 4
+
+Pieces = tuple[Bytes, ...]
+
+_OUT_OF_RESOURCES: Final = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS)
+_READ_SIZE: Final = 256 * 1024
+_PUMP_EVERY: Final = 1.0  # seconds
+ACCEPT_PAUSE: Final = 1.0  # seconds, while the host is out of descriptors
+
+Received = TypeVar("Received")
+Admitted: TypeAlias = "AuthorizedConnection[RosSocket, Guard | None] | PlainConnection"
+
 
 def bracketed(uri: str) -> str:
     scheme, mark, rest = uri.partition("://")
@@ -77,9 +92,6 @@ def for_family(family: int, address: tuple[str, int]) -> tuple[str, int]:
     return (f"::ffff:{host}", port) if mapped else address
 
 
-_ENDED: Final = (errno.ECONNRESET, errno.EPIPE, errno.ENOTCONN)
-
-
 @contextmanager
 def resets() -> Iterator[None]:
     try:
@@ -96,12 +108,6 @@ def tried_again() -> Iterator[None]:
         if error.errno not in _ENDED:
             raise
         raise ConnectionAbortedError(errno.ECONNABORTED, str(error)) from error
-
-
-_OK: Final = b"\1"
-_LENGTH: Final = 4
-
-Pieces = tuple[Bytes, ...]
 
 
 class ServiceFilter(Protocol):
@@ -199,15 +205,6 @@ class ClientFilter:
             return (data,)
         request = memoryview(data)[_LENGTH:]
         return tuple(wire.framed(guard.request(request, self._now())))
-
-
-_OUT_OF_RESOURCES: Final = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS)
-_READ_SIZE: Final = 256 * 1024
-_PUMP_EVERY: Final = 1.0  # seconds
-ACCEPT_PAUSE: Final = 1.0  # seconds, while the host is out of descriptors
-
-Received = TypeVar("Received")
-Admitted: TypeAlias = "AuthorizedConnection[RosSocket, Guard | None] | PlainConnection"
 
 
 class SocketOwner(Protocol):

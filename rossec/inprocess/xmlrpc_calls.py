@@ -73,6 +73,10 @@ ResultT = TypeVar("ResultT")
 _parsing: Final = Lock()
 _PAUSE: Final = 0.001  # seconds between two steps, for the other threads
 
+REQUEST: Final = "_ServerProxy__request"  # every call of the library's proxies goes through it
+_MULTICALL: Final = "system.multicall"
+_WITH_SERVICE_URI: Final = ("registerService", "unregisterService")
+
 
 class PresentedGrants:
     grants: bytes | None = None
@@ -249,11 +253,6 @@ def receive_some(stream: Stream | PlainStream, end: float | None) -> bytes:
     if not data:
         raise ChannelClosed("the peer closed the connection")
     return bytes(data)
-
-
-REQUEST: Final = "_ServerProxy__request"  # every call of the library's proxies goes through it
-_MULTICALL: Final = "system.multicall"
-_WITH_SERVICE_URI: Final = ("registerService", "unregisterService")
 
 
 class XmlRpcClient:

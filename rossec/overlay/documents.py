@@ -42,6 +42,29 @@ from rossec.overlay.link_frames import BOX, is_mailbox, is_seat
 
 VERSION: Final = 1
 
+MAX_PEERS: Final = 64
+MAX_PEERS_FILE: Final = 64 * 1024
+_FORM: Final = "rossec-overlay"
+_BOX: Final = re.compile(r"[0-9a-f]{32}", re.ASCII)
+_HINT: Final = "it is written by `rossec relay card`, `add` and `remove`: use these"
+
+MAX_CARD: Final = 4 * 1024
+_RELAY_CARDS_FORM: Final = "rossec-relay-card"
+_RELAY_CARDS_HINT: Final = "ask for the file that `rossec relay card` wrote at the other site"
+
+MAX_SEAT_FILE: Final = 16 * 1024
+MAX_LOCATORS: Final = 16
+OPEN_SEAT: Final = "open"  # of everybody, at a router without seats
+_PASSWORD: Final = re.compile(r"[A-Za-z0-9_-]{22,128}", re.ASCII)
+_LOCATOR: Final = re.compile(
+    r"(?P<protocol>quic|tls|tcp)/"
+    r"(?P<host>\[[0-9A-Fa-f:.]{2,45}\]|[A-Za-z0-9]([A-Za-z0-9._-]{0,252}))"
+    r":(?P<port>[0-9]{1,5})",
+    re.ASCII,
+)
+_ROUTERS_FORM: Final = "rossec-seat"
+_AGAIN: Final = "ask the operator of the router for it again: rossec router seats show NAME"
+
 
 def read_document(data: bytes, form: str, keys: frozenset[str], *, limit: int, hint: str) -> dict[str, Any]:
     if len(data) > limit:
@@ -77,13 +100,6 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _refuse_constant(name: str) -> NoReturn:
     raise ValueError(f"{name} is not JSON")
-
-
-MAX_PEERS: Final = 64
-MAX_PEERS_FILE: Final = 64 * 1024
-_FORM: Final = "rossec-overlay"
-_BOX: Final = re.compile(r"[0-9a-f]{32}", re.ASCII)
-_HINT: Final = "it is written by `rossec relay card`, `add` and `remove`: use these"
 
 
 @dataclass(frozen=True)
@@ -203,11 +219,6 @@ def _peer(row: object, name: str) -> Peer:
     raise ConfigurationError(f"{name} has a peer that is not in form", _HINT)
 
 
-MAX_CARD: Final = 4 * 1024
-_RELAY_CARDS_FORM: Final = "rossec-relay-card"
-_RELAY_CARDS_HINT: Final = "ask for the file that `rossec relay card` wrote at the other site"
-
-
 @dataclass(frozen=True)
 class RelayCard:
     """What a card says.
@@ -245,20 +256,6 @@ class RelayCard:
 
     def write(self) -> str:
         return write_document(_RELAY_CARDS_FORM, asdict(self)).decode()
-
-
-MAX_SEAT_FILE: Final = 16 * 1024
-MAX_LOCATORS: Final = 16
-OPEN_SEAT: Final = "open"  # of everybody, at a router without seats
-_PASSWORD: Final = re.compile(r"[A-Za-z0-9_-]{22,128}", re.ASCII)
-_LOCATOR: Final = re.compile(
-    r"(?P<protocol>quic|tls|tcp)/"
-    r"(?P<host>\[[0-9A-Fa-f:.]{2,45}\]|[A-Za-z0-9]([A-Za-z0-9._-]{0,252}))"
-    r":(?P<port>[0-9]{1,5})",
-    re.ASCII,
-)
-_ROUTERS_FORM: Final = "rossec-seat"
-_AGAIN: Final = "ask the operator of the router for it again: rossec router seats show NAME"
 
 
 @dataclass(frozen=True)

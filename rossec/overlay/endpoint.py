@@ -42,6 +42,13 @@ from rossec.overlay.link import ENDED, Link, LinkStats
 from rossec.overlay.link_frames import BOX, LINK_ID, Kind, kind_of, link_of, mailbox, refusal
 from rossec.overlay.zenoh_carrier import Carrier
 
+STALLED: Final = 15.0  # seconds: half of what a link endures
+
+_log = logging.getLogger("rossec.overlay.endpoint")
+ADDRESS: Final = "a link"  # of the peer, in messages: keys of mailboxes are told to nobody
+OPENS_PER_SECOND: Final = 32
+PROTOCOL: Final = WireProtocol.HTTP
+
 
 class MailboxReader(Protocol):
     def close(self) -> None: ...
@@ -58,9 +65,6 @@ class FrameCarrier(Protocol):
     def subscribe(self, key: str, callback: Callable[[bytes], None]) -> MailboxReader: ...
 
     def reopen(self) -> None: ...
-
-
-STALLED: Final = 15.0  # seconds: half of what a link endures
 
 
 class LinkTransport:
@@ -300,12 +304,6 @@ def stats_of(stream: BaseStream) -> LinkStats:
     if not isinstance(stream.transport, LinkTransport):
         raise TypeError("this connection is not over a link")
     return stream.transport.link.stats
-
-
-_log = logging.getLogger("rossec.overlay.endpoint")
-ADDRESS: Final = "a link"  # of the peer, in messages: keys of mailboxes are told to nobody
-OPENS_PER_SECOND: Final = 32
-PROTOCOL: Final = WireProtocol.HTTP
 
 
 async def dial_link(

@@ -37,6 +37,15 @@ _NO_SEAT: Final = (
     "the routers' operator makes one: rossec router seats add NAME; here: rossec relay seat FILE"
 )
 
+DIRECTORY: Final = "router"  # below ROSSEC_HOME
+AUTHORITY_KEY: Final = "authority.key"
+AUTHORITY: Final = "authority.pem"
+SETTINGS: Final = "router.json"
+SEATS: Final = "seats.json"
+_LOCK: Final = "router.lock"
+_MAX_PEM: Final = 8 * 1024
+_PASSWORD: Final = 32  # random bytes
+
 
 class RelayFiles:
     """The files of the relay whose identity is in `home`."""
@@ -97,16 +106,6 @@ class RelayFiles:
         except FileNotFoundError:
             return ()
         return found.st_ino, found.st_mtime_ns, found.st_size
-
-
-DIRECTORY: Final = "router"  # below ROSSEC_HOME
-AUTHORITY_KEY: Final = "authority.key"
-AUTHORITY: Final = "authority.pem"
-SETTINGS: Final = "router.json"
-SEATS: Final = "seats.json"
-_LOCK: Final = "router.lock"
-_MAX_PEM: Final = 8 * 1024
-_PASSWORD: Final = 32  # random bytes
 
 
 class RouterHome:

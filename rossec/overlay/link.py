@@ -18,6 +18,9 @@ from rossec.overlay import link_frames as frames
 from rossec.overlay.link_frames import HEAD, MAX_FRAME, OPEN_SIZE, Frame, Kind
 from rossec.overlay.link_halves import FIRST_WINDOW, KEEPALIVE, LINGER, SILENCE, Receiver, Sender
 
+AMPLIFICATION: Final = 3
+_HIGH_WATER: Final = 64 * 1024  # bytes not sent yet, above which a writer should wait
+
 
 class LinkState(IntEnum):
     IDLE = auto()  # called from here, and nothing written yet
@@ -49,10 +52,6 @@ class LinkStats:
     sent: int
     received: int
     least_s: float = 0.0
-
-
-AMPLIFICATION: Final = 3
-_HIGH_WATER: Final = 64 * 1024  # bytes not sent yet, above which a writer should wait
 
 
 class Link:

@@ -27,6 +27,17 @@ BOX: Final = 16  # bytes
 _KEY: Final = re.compile(r"rossec/1/[a-z0-9]{1,32}/[0-9a-f]{32}")
 _SEAT: Final = re.compile(r"[a-z0-9]{1,32}")
 
+_HEAD: Final = Struct(">B16sQQQ")
+_RANGE: Final = Struct(">QQ")
+
+HEAD: Final = _HEAD.size
+MAX_BODY: Final = HEADER + MAX_PLAINTEXT + TAG  # a whole record
+MAX_FRAME: Final = HEAD + MAX_BODY
+LINK_ID: Final = 16
+OPEN_SIZE: Final = 600  # octets at least: three times that is room for EDHOC's message_2
+MAX_RANGES: Final = 32
+_LAST: Final = 1 << 62
+
 
 def is_seat(name: str) -> bool:
     return _SEAT.fullmatch(name) is not None
@@ -42,18 +53,6 @@ def mailbox(seat: str, box: bytes) -> str:
     if not is_mailbox(key):
         raise ValueError("not the key of a mailbox")
     return key
-
-
-_HEAD: Final = Struct(">B16sQQQ")
-_RANGE: Final = Struct(">QQ")
-
-HEAD: Final = _HEAD.size
-MAX_BODY: Final = HEADER + MAX_PLAINTEXT + TAG  # a whole record
-MAX_FRAME: Final = HEAD + MAX_BODY
-LINK_ID: Final = 16
-OPEN_SIZE: Final = 600  # octets at least: three times that is room for EDHOC's message_2
-MAX_RANGES: Final = 32
-_LAST: Final = 1 << 62
 
 
 class Kind(IntEnum):

@@ -39,6 +39,14 @@ LEAST_WAIT: Final = 0.2  # seconds
 MOST_WAIT: Final = 2.0
 _SILENCE_PART: Final = 8  # the next try comes after an eighth of the silence so far
 
+MOST_FRAMES: Final = 512  # on the way: small writes are joined meanwhile
+_CUT: Final = 16 * 1024  # a smaller piece waits for room, rather than be cut for what there is
+
+ACK_DELAY: Final = 0.005  # seconds: most answers leave within that, and acknowledge by themselves
+_ACK_FRAMES: Final = 16
+_ACK_BYTES: Final = 32 * 1024
+_MOST_KEPT: Final = 512  # frames beyond a gap
+
 
 class RoundTrip:
     """The smoothed and the shortest round trip, in seconds; 0 until one was measured."""
@@ -108,10 +116,6 @@ class CongestionWindow:
         if offset >= self._recovery:
             self._recovery = sent
             self.size = self._threshold = max(LEAST_WINDOW, self.size // 2)
-
-
-MOST_FRAMES: Final = 512  # on the way: small writes are joined meanwhile
-_CUT: Final = 16 * 1024  # a smaller piece waits for room, rather than be cut for what there is
 
 
 @dataclass(slots=True)
@@ -285,12 +289,6 @@ class Sender:
         for kept in (self._waiting, self._flight, self._losses):
             kept.clear()
         self.backlog = self._on_the_way = 0
-
-
-ACK_DELAY: Final = 0.005  # seconds: most answers leave within that, and acknowledge by themselves
-_ACK_FRAMES: Final = 16
-_ACK_BYTES: Final = 32 * 1024
-_MOST_KEPT: Final = 512  # frames beyond a gap
 
 
 class Receiver:

@@ -60,6 +60,12 @@ from rossec.ros.xmlrpc import Fault
 
 _log = logging.getLogger("rossec.overlay")
 
+OLD_MASTER: Final = 30.0  # seconds until a master that knows no relays is asked again
+_Failures: Final = (HintedError, OSError, TimeoutError)
+
+Dial = Callable[[], Awaitable[SecureStream[Identity]]]
+"""Connects with the master as the relay, for HTTP; who answers is checked here."""
+
 
 class RelayMember:
     """The identity of a relay, kept current at its own master.
@@ -190,13 +196,6 @@ class RelayMember:
         self._abort_links("the relay has failed")
         if not self._ended.done():
             self._ended.set_exception(error)
-
-
-OLD_MASTER: Final = 30.0  # seconds until a master that knows no relays is asked again
-_Failures: Final = (HintedError, OSError, TimeoutError)
-
-Dial = Callable[[], Awaitable[SecureStream[Identity]]]
-"""Connects with the master as the relay, for HTTP; who answers is checked here."""
 
 
 class DoorTable(Protocol):

@@ -44,6 +44,22 @@ _MAX_STREAM: Final = (1 << 32) - 1
 _UINT, _BYTES, _TEXT, _ARRAY = 0, 0x40, 0x60, 0x80
 _WIDTHS: Final = {24: (1, 24), 25: (2, 1 << 8), 26: (4, 1 << 16)}  # bytes, and least value
 
+_LENGTHS: Final = (4, 3, 3, 2, 2)  # items of a unit, by its verb
+
+FIRST: Final = 256 * 1024  # bytes
+MOST: Final = 4 * 1024 * 1024  # the window of a link
+FUND: Final = 32 * 1024 * 1024
+SHORTEST_ROUND: Final = 0.005  # seconds: two relays and two programs take turns
+
+STREAMS: Final = 256
+FOR_ONE_NAME: Final = STREAMS // 2
+YOUNG: Final = 32
+YOUNG_SECONDS: Final = 15.0
+# The caller counts longer: what it opened last may reach the other side after a router's failure.
+_CALLER_YOUNG_SECONDS: Final = YOUNG_SECONDS + 5.0
+_ANSWERS: Final = 2  # of a target: the second one follows message_3, which authenticates the caller
+LAST_STREAM: Final = (1 << 32) - 1
+
 
 class StreamTarget(NamedTuple):
     kind: str
@@ -64,7 +80,6 @@ class Verb(IntEnum):
 
 
 _DATA: Final = int(Verb.DATA)
-_LENGTHS: Final = (4, 3, 3, 2, 2)  # items of a unit, by its verb
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,12 +224,6 @@ class _Reader:
         return value
 
 
-FIRST: Final = 256 * 1024  # bytes
-MOST: Final = 4 * 1024 * 1024  # the window of a link
-FUND: Final = 32 * 1024 * 1024
-SHORTEST_ROUND: Final = 0.005  # seconds: two relays and two programs take turns
-
-
 class Fund:
     """Bytes that the windows of one link may have beyond their first ones."""
 
@@ -274,16 +283,6 @@ class ReceiveWindow:
 
     def close(self) -> None:
         self._resize(FIRST)
-
-
-STREAMS: Final = 256
-FOR_ONE_NAME: Final = STREAMS // 2
-YOUNG: Final = 32
-YOUNG_SECONDS: Final = 15.0
-# The caller counts longer: what it opened last may reach the other side after a router's failure.
-_CALLER_YOUNG_SECONDS: Final = YOUNG_SECONDS + 5.0
-_ANSWERS: Final = 2  # of a target: the second one follows message_3, which authenticates the caller
-LAST_STREAM: Final = (1 << 32) - 1
 
 
 class Role(Enum):

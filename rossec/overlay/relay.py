@@ -57,6 +57,17 @@ _log = logging.getLogger("rossec.overlay")
 DialPeer: TypeAlias = Callable[[Peer], Awaitable[SecureStream[Identity]]]
 """Makes a link to a peer, which is that peer and admitted. Raises a `HintedError` or `OSError`."""
 
+_SILENT: Final = "does its relay run, does it have the newest card of this one, and is a router in reach?"
+_ENDED: Final = (
+    "the other relay's log says why; it must trust this domain (there: rossec domain list) and have"
+    " this relay's card (there: rossec relay list)"
+)
+
+MAX_CALLED: Final = 2  # links that one peer has made: a new one, and one that it may have given up
+_PERIOD: Final = 1.0
+_audit = logging.getLogger("rossec.audit")
+_Serve: TypeAlias = Callable[[SecureStream[Identity]], Awaitable[None]]
+
 
 class LinkState(Enum):
     IDLE = "idle"
@@ -186,18 +197,6 @@ class PeerLink:
         finally:
             if self._stream is stream:
                 self._stream = self._streams = self._carrying = None
-
-
-_SILENT: Final = "does its relay run, does it have the newest card of this one, and is a router in reach?"
-_ENDED: Final = (
-    "the other relay's log says why; it must trust this domain (there: rossec domain list) and have"
-    " this relay's card (there: rossec relay list)"
-)
-
-MAX_CALLED: Final = 2  # links that one peer has made: a new one, and one that it may have given up
-_PERIOD: Final = 1.0
-_audit = logging.getLogger("rossec.audit")
-_Serve: TypeAlias = Callable[[SecureStream[Identity]], Awaitable[None]]
 
 
 class Closable(Protocol):

@@ -57,6 +57,35 @@ _FORWARD: Final = ("forward", "forward-declared")
 
 Entry = dict[str, Any]
 
+LEASE_MS: Final = 2000
+_WAIT_US: Final = 50_000
+_DROP: Final = "transport/link/tx/queue/congestion_control/drop/"
+
+COMMON: Final[dict[str, object]] = {
+    "listen/endpoints": [],
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "adminspace/enabled": False,
+    "timestamping/enabled": False,
+    "transport/shared_memory/enabled": False,
+    "transport/link/tx/lease": LEASE_MS,
+    "transport/unicast/open_timeout": 1000,
+    "transport/unicast/accept_timeout": 1000,
+    f"{_DROP}wait_before_drop": _WAIT_US,
+    f"{_DROP}max_wait_before_drop_fragments": _WAIT_US,
+    "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2},
+}
+"""Of routers and of relays."""
+
+LISTEN: Final = ("tls/[::]:7447",)
+MAX_SETTINGS_FILE: Final = 16 * 1024
+MAX_HOSTS: Final = 16
+_MESSAGE: Final = MAX_FRAME + 4096  # bytes, with Zenoh's own around a frame
+_SIZE_LIMIT: Final = {"flows": ["ingress"], "messages": ["put"], "key_exprs": ["**"], "size_limit": MAX_FRAME}
+_ROUTER_SETTINGS_FORM: Final = "rossec-router"
+_ROUTER_SETTINGS_HINT: Final = "remove the file, and start the router with --listen, --join and --host again"
+_LOCAL: Final = ("localhost", "127.0.0.1", "::1")
+
 
 @dataclass(frozen=True)
 class Seats:
@@ -191,27 +220,6 @@ def _policy(subject: str, *rules: str) -> Entry:
     return {"rules": list(rules), "subjects": [subject]}
 
 
-LEASE_MS: Final = 2000
-_WAIT_US: Final = 50_000
-_DROP: Final = "transport/link/tx/queue/congestion_control/drop/"
-
-COMMON: Final[dict[str, object]] = {
-    "listen/endpoints": [],
-    "scouting/multicast/enabled": False,
-    "scouting/gossip/enabled": False,
-    "adminspace/enabled": False,
-    "timestamping/enabled": False,
-    "transport/shared_memory/enabled": False,
-    "transport/link/tx/lease": LEASE_MS,
-    "transport/unicast/open_timeout": 1000,
-    "transport/unicast/accept_timeout": 1000,
-    f"{_DROP}wait_before_drop": _WAIT_US,
-    f"{_DROP}max_wait_before_drop_fragments": _WAIT_US,
-    "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2},
-}
-"""Of routers and of relays."""
-
-
 def client_settings(routers: Routers) -> dict[str, object]:
     """Of a relay's session: with one of the routers, another one when that fails.
 
@@ -232,16 +240,6 @@ def client_settings(routers: Routers) -> dict[str, object]:
         settings["transport/link/tls/root_ca_certificate_base64"] = root
         settings["transport/link/tls/verify_name_on_connect"] = True
     return settings
-
-
-LISTEN: Final = ("tls/[::]:7447",)
-MAX_SETTINGS_FILE: Final = 16 * 1024
-MAX_HOSTS: Final = 16
-_MESSAGE: Final = MAX_FRAME + 4096  # bytes, with Zenoh's own around a frame
-_SIZE_LIMIT: Final = {"flows": ["ingress"], "messages": ["put"], "key_exprs": ["**"], "size_limit": MAX_FRAME}
-_ROUTER_SETTINGS_FORM: Final = "rossec-router"
-_ROUTER_SETTINGS_HINT: Final = "remove the file, and start the router with --listen, --join and --host again"
-_LOCAL: Final = ("localhost", "127.0.0.1", "::1")
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,11 @@ _LEAF: Final = ROUTER_NAME
 _SERVER: Final = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH])
 _DAMAGED: Final = "put back a copy of the directory, or remove it and give out new seats"
 
+MAX_SHARE_FILE: Final = 2 * router_settings.MAX_SEATS_FILE
+_FORM: Final = "rossec-routers"
+_KEYS: Final = frozenset({"authority_key", "authority", "seats", "join"})
+_HINT: Final = "write it again, at the other router: rossec router share"
+
 
 @dataclass(frozen=True)
 class RouterAuthority:
@@ -162,12 +167,6 @@ def _usage(*, authority: bool) -> x509.KeyUsage:
         encipher_only=False,
         decipher_only=False,
     )
-
-
-MAX_SHARE_FILE: Final = 2 * router_settings.MAX_SEATS_FILE
-_FORM: Final = "rossec-routers"
-_KEYS: Final = frozenset({"authority_key", "authority", "seats", "join"})
-_HINT: Final = "write it again, at the other router: rossec router share"
 
 
 @dataclass(frozen=True)

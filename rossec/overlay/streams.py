@@ -49,6 +49,16 @@ _KEEPALIVE: Final = (
 )
 Found = TypeVar("Found")
 
+CONNECT_SECONDS: Final = 10.0  # to find and reach a target; also how long a connection waits for room
+MOST_WAITING: Final = 256  # connections that wait for room
+MOST_UNSENT: Final = 8 * 1024 * 1024  # twice a link's window: the peer reads nothing, but asks
+_CROWDED: Final = "it has too many streams"
+_FEWER: Final = (
+    f"a link carries {STREAMS} connections, {FOR_ONE_NAME} to one name and {YOUNG} new ones at a "
+    "time: nodes try again, or let one subscribe from there and publish for the others"
+)
+_log = logging.getLogger("rossec.overlay")
+
 
 class StreamEnd(Protocol):
     def buffer_for(self, stream: int) -> memoryview | None:
@@ -172,16 +182,6 @@ class Pump:
         self.over.set()
         self._changed.set()
 
-
-CONNECT_SECONDS: Final = 10.0  # to find and reach a target; also how long a connection waits for room
-MOST_WAITING: Final = 256  # connections that wait for room
-MOST_UNSENT: Final = 8 * 1024 * 1024  # twice a link's window: the peer reads nothing, but asks
-_CROWDED: Final = "it has too many streams"
-_FEWER: Final = (
-    f"a link carries {STREAMS} connections, {FOR_ONE_NAME} to one name and {YOUNG} new ones at a "
-    "time: nodes try again, or let one subscribe from there and publish for the others"
-)
-_log = logging.getLogger("rossec.overlay")
 
 Dial: TypeAlias = Callable[[StreamTarget, Pump], Awaitable[socket.socket]]
 """Connects to a target. Raises a `HintedError` or an `OSError`."""

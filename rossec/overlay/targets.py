@@ -43,6 +43,19 @@ _SERVICE: Final = ""  # as a node's name: of whichever node it is
 Place: TypeAlias = tuple[str, int]
 """Numeric address and port."""
 
+CONNECT_SECONDS: Final = 5.0
+HTTP: Final = opening_WireProtocol.HTTP
+TCPROS: Final = opening_WireProtocol.TCPROS
+_PROTOCOLS: Final = {MASTER: (HTTP,), NODE: (HTTP, TCPROS), SERVICE: (TCPROS,)}
+_LOOPBACK: Final = "127.0.0.1"
+_EVERY: Final = "0.0.0.0"  # noqa: S104 - dialled from `source` it would mean that
+
+Resolve: TypeAlias = Callable[[str, str, str], Awaitable[tuple[str, int]]]
+"""Host and port for a domain's label, a kind and a name: what the own master answers.
+
+Raises a `HintedError` where the master refuses, or cannot be asked.
+"""
+
 
 @dataclass(slots=True)
 class _Known:
@@ -125,14 +138,6 @@ class TopicPorts:
         self._check_peer(peer, clock.now())
 
 
-CONNECT_SECONDS: Final = 5.0
-HTTP: Final = opening_WireProtocol.HTTP
-TCPROS: Final = opening_WireProtocol.TCPROS
-_PROTOCOLS: Final = {MASTER: (HTTP,), NODE: (HTTP, TCPROS), SERVICE: (TCPROS,)}
-_LOOPBACK: Final = "127.0.0.1"
-_EVERY: Final = "0.0.0.0"  # noqa: S104 - dialled from `source` it would mean that
-
-
 class Peer(NamedTuple):
     """The relay at the other end of a link.
 
@@ -145,13 +150,6 @@ class Peer(NamedTuple):
     label: str
     domain: str
     name: str
-
-
-Resolve: TypeAlias = Callable[[str, str, str], Awaitable[tuple[str, int]]]
-"""Host and port for a domain's label, a kind and a name: what the own master answers.
-
-Raises a `HintedError` where the master refuses, or cannot be asked.
-"""
 
 
 class NodePorts(Protocol):

@@ -35,6 +35,13 @@ SLOW: Final = 0.02  # seconds
 CALM: Final = 1.0
 MOST_WAITING: Final = 4 * 1024 * 1024  # bytes, as one link may have on the way
 
+_log = logging.getLogger("rossec.overlay.carrier")
+_MOST_WAITING: Final = 16 * 1024 * 1024  # bytes for one subscription; a link sends at most 4 MiB
+_OVERHEAD: Final = 256  # bytes that a message costs beside its own
+_REOPEN_AFTER: Final = 1.0  # seconds between attempts
+_TURN_BYTES: Final = 1024 * 1024  # delivered, then other work of the loop has its turn
+_TURN_OVERHEAD: Final = 16 * 1024  # bytes that are opened in the time a message costs
+
 
 class SendQueue:
     def __init__(self, send: Callable[[str, bytes], None]) -> None:
@@ -73,14 +80,6 @@ class SendQueue:
         self._closed = True
         if self._thread is not None:
             self._thread.shutdown(wait=False, cancel_futures=True)
-
-
-_log = logging.getLogger("rossec.overlay.carrier")
-_MOST_WAITING: Final = 16 * 1024 * 1024  # bytes for one subscription; a link sends at most 4 MiB
-_OVERHEAD: Final = 256  # bytes that a message costs beside its own
-_REOPEN_AFTER: Final = 1.0  # seconds between attempts
-_TURN_BYTES: Final = 1024 * 1024  # delivered, then other work of the loop has its turn
-_TURN_OVERHEAD: Final = 16 * 1024  # bytes that are opened in the time a message costs
 
 
 def open_session(settings: Mapping[str, object]) -> "zenoh.Session":

@@ -36,6 +36,12 @@ PROC: Final = Path("/proc")
 _MAX_STAT: Final = 4096  # usually some 300 bytes
 _PARENT, _STARTED = 1, 19  # proc_pid_stat(5), counted from after the program's name
 
+TIME_SLICE: Final = 0.002  # seconds
+REMEMBERED: Final = 4096  # sockets
+
+_ALL: Final = 1  # the process that all others descend from
+_HINT: Final = "start it with `rossec run`; a program with capabilities needs `rossec sidecar`"
+
 
 class Process(NamedTuple):
     """One process; `started` is in clock ticks since boot."""
@@ -113,10 +119,6 @@ def socket_at(pid: int, descriptor: str) -> int | None:
     return int(target[8:-1]) if target.startswith("socket:[") else None
 
 
-TIME_SLICE: Final = 0.002  # seconds
-REMEMBERED: Final = 4096  # sockets
-
-
 class _SocketLocation(NamedTuple):
     process: Process
     descriptor: str
@@ -192,10 +194,6 @@ class SocketOwners:
                     yield socket_at(each.pid, name), location
         for location in later:
             yield socket_at(location.process.pid, location.descriptor), location
-
-
-_ALL: Final = 1  # the process that all others descend from
-_HINT: Final = "start it with `rossec run`; a program with capabilities needs `rossec sidecar`"
 
 
 class Callers:

@@ -34,21 +34,6 @@ Limits: TypeAlias = tuple[int, int]
 ENOUGH: Final = 1 << 16
 _WHICH: Final = resource.RLIMIT_NOFILE
 
-
-def raise_limit() -> Limits:
-    before = resource.getrlimit(_WHICH)
-    soft, hard = before
-    wanted = ENOUGH if hard == resource.RLIM_INFINITY else min(hard, ENOUGH)
-    if soft != resource.RLIM_INFINITY and soft < wanted:
-        with suppress(OSError, ValueError):  # a container may forbid it
-            resource.setrlimit(_WHICH, (wanted, hard))
-    return before
-
-
-def restore_limit(before: Limits) -> None:
-    resource.setrlimit(_WHICH, before)
-
-
 OUTSIDE: Final = "ROSSEC_OUTSIDE"
 """The variable in which a nested `rossec run` finds what the outer one replaced."""
 
@@ -79,6 +64,20 @@ _DEATH_SIGNAL: Final = 1  # PR_SET_PDEATHSIG
 LIBC: Final = ctypes.CDLL(None, use_errno=True)
 _SIGNAL: Final = struct.Struct("=Iii116x")  # signalfd_siginfo: number, errno, code; 128 bytes
 _BY_KERNEL: Final = 0x80  # SI_KERNEL
+
+
+def raise_limit() -> Limits:
+    before = resource.getrlimit(_WHICH)
+    soft, hard = before
+    wanted = ENOUGH if hard == resource.RLIM_INFINITY else min(hard, ENOUGH)
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        with suppress(OSError, ValueError):  # a container may forbid it
+            resource.setrlimit(_WHICH, (wanted, hard))
+    return before
+
+
+def restore_limit(before: Limits) -> None:
+    resource.setrlimit(_WHICH, before)
 
 
 def outer_environment(environ: Mapping[str, str]) -> dict[str, str]:

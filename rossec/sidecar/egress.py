@@ -55,6 +55,8 @@ SAID_FOR: Final = 3600.0
 _REMEMBERED: Final = 1024
 _LINE: Final = 2000  # characters
 
+HEADER_DEADLINE: Final = 15.0  # includes the handshake with the peer
+
 
 class Said(Generic[T]):
     """What was said within the last hour. Pure.
@@ -159,9 +161,6 @@ class RefusalLog:
             self._timer = None
         for line in self._missing.take():
             _log.warning("%s", printable(line, _LINE))
-
-
-HEADER_DEADLINE: Final = 15.0  # includes the handshake with the peer
 
 
 class Egress:

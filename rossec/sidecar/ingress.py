@@ -51,6 +51,12 @@ ACCEPT_LIMITS: Final = {
     WireProtocol.TCPROS: ChannelLimits(unit=MESSAGE_LIMIT + BODY_LIMIT, preauth_limit=PREAUTH_LIMIT),
 }
 
+HEADER_DEADLINE: Final = 15.0  # includes the handshake with the program
+_ENDED: Final = 64  # ports of ended programs that are kept bound: `rosnode cleanup` tries them
+
+_log = logging.getLogger("rossec.sidecar")
+PushHandler = Callable[[str, tuple[object, ...], Identity], None]
+
 
 class PeerConnector:
     def __init__(self, context: SecureContext[Identity], access: Access) -> None:
@@ -75,13 +81,6 @@ class PeerConnector:
         # The port is bound explicitly, so that the kernel reserves it while the server is suspended.
         bind = host if is_loopback(host) else None
         return bind_free_port(lambda port: serve(handler, bind, port, self._context, protocol))
-
-
-HEADER_DEADLINE: Final = 15.0  # includes the handshake with the program
-_ENDED: Final = 64  # ports of ended programs that are kept bound: `rosnode cleanup` tries them
-
-_log = logging.getLogger("rossec.sidecar")
-PushHandler = Callable[[str, tuple[object, ...], Identity], None]
 
 
 class Ingress:

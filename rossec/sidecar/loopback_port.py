@@ -38,6 +38,27 @@ _LARGE: Final = 512 * 1024  # two records of the channel: what a peer reads at a
 _LINGER: Final = 2.0
 _CLOSED: Final = "the program closed the connection"
 
+_BACKLOG: Final = 64
+_ATTEMPTS: Final = 16
+CONNECTIONS: Final = 256  # at a time and port; a program has one or two
+_IPV6: Final = "::1"
+_NAMES: Final = ("localhost", "ip6-localhost")  # those of Debian's /etc/hosts
+_WITHOUT_IPV4: Final = (
+    "this host has no 127.0.0.1: programs get the host name %s and ROS_IPV6=on; roscpp does not"
+    " start without 127.0.0.1 (ip address add 127.0.0.1/8 dev lo)"
+)
+PAUSE: Final = 1.0  # seconds, when this process is out of descriptors
+
+_log = logging.getLogger("rossec.sidecar")
+
+Bound = TypeVar("Bound")
+
+LIMIT: Final = 512  # each way; a process has 1024 descriptors by default
+
+KeyT = TypeVar("KeyT", bound=Hashable)
+
+_HINT: Final = "give some of the nodes an identity of their own"
+
 
 class PlainStream(BaseStream):
     """One connection; `peer` is a constant: a program has no identity of its own.
@@ -104,20 +125,7 @@ class PlainStream(BaseStream):
         self.transport.abort()
 
 
-_BACKLOG: Final = 64
-_ATTEMPTS: Final = 16
-CONNECTIONS: Final = 256  # at a time and port; a program has one or two
-_IPV6: Final = "::1"
-_NAMES: Final = ("localhost", "ip6-localhost")  # those of Debian's /etc/hosts
-_WITHOUT_IPV4: Final = (
-    "this host has no 127.0.0.1: programs get the host name %s and ROS_IPV6=on; roscpp does not"
-    " start without 127.0.0.1 (ip address add 127.0.0.1/8 dev lo)"
-)
-PAUSE: Final = 1.0  # seconds, when this process is out of descriptors
-
-_log = logging.getLogger("rossec.sidecar")
 Handler = Callable[[PlainStream], Awaitable[None]]
-Bound = TypeVar("Bound")
 
 
 class Admission(Protocol):
@@ -301,17 +309,12 @@ def free_port() -> int:
         return found
 
 
-LIMIT: Final = 512  # each way; a process has 1024 descriptors by default
-
-
 class PooledPort(Protocol):
     @property
     def connections(self) -> int: ...
 
 
-KeyT = TypeVar("KeyT", bound=Hashable)
 PortT = TypeVar("PortT", bound=PooledPort)
-_HINT: Final = "give some of the nodes an identity of their own"
 
 
 class PortPool(Generic[KeyT, PortT]):

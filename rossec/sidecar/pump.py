@@ -41,6 +41,8 @@ _LENGTH: Final = struct.Struct("<I")
 _log = logging.getLogger("rossec.sidecar")
 Buffer = bytes | bytearray | memoryview
 
+_LAGGING: Final = 64 * 1024  # bytes that wait, above which a peer lags
+
 
 async def split_header(end: PlainStream | SecureStream[Identity]) -> tuple[Fields, bytes]:
     """The connection header that `end` sends first, and the bytes that came after it."""
@@ -205,9 +207,6 @@ async def run_both(
     finally:
         program.abort()
         peer.abort("the other end was closed")
-
-
-_LAGGING: Final = 64 * 1024  # bytes that wait, above which a peer lags
 
 
 class WishSender:

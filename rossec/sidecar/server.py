@@ -61,6 +61,13 @@ from rossec.sidecar.loopback_port import LoopbackPort, PlainStream
 
 LIFETIME: Final = 5.0
 
+_PERIOD: Final = 1.0
+
+_log = logging.getLogger("rossec.sidecar")
+
+_TAKEN: Final = "is roscore or another sidecar running? choose another port with --port"
+LIMIT: Final = 256  # identities in use
+
 
 class ConnectionCache:
     def __init__(self) -> None:
@@ -87,11 +94,6 @@ class ConnectionCache:
         if self._clients.get(remote) is client:
             del self._clients[remote]
             await client.rpc.close()
-
-
-_PERIOD: Final = 1.0
-
-_log = logging.getLogger("rossec.sidecar")
 
 
 class Resubscriber:
@@ -286,10 +288,6 @@ class Agent:
         self._has_failed = True
         self._connections.close("a task of this identity has failed")
         self._membership.tasks.spawn(self.close(), f"{self.name}: closing after a failure")
-
-
-_TAKEN: Final = "is roscore or another sidecar running? choose another port with --port"
-LIMIT: Final = 256  # identities in use
 
 
 class Sidecar:

@@ -33,6 +33,10 @@ from rossec.errors import ConnectionHeaderRefused
 
 WINDOW: Final = 1  # whole seconds
 
+HolderT = TypeVar("HolderT", bound=Hashable)
+
+Rebuild: TypeAlias = Callable[[Decision], Guard | None]
+
 
 class MessageGuard(Protocol):
     """Filters the messages between a program and a peer: a guard, or one that handles copies."""
@@ -136,9 +140,6 @@ class CopyTracker:
                 group.last = None  # no connection will need it
 
 
-HolderT = TypeVar("HolderT", bound=Hashable)
-
-
 @dataclass(eq=False)
 class _ProgramMemory(Generic[HolderT]):
     name: str
@@ -190,9 +191,6 @@ class ProgramMemories(Generic[HolderT]):
     def _new(self) -> _ProgramMemory[HolderT]:
         self._memories.append(_ProgramMemory(""))
         return self._memories[-1]
-
-
-Rebuild: TypeAlias = Callable[[Decision], Guard | None]
 
 
 class Replacing:

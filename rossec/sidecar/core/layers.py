@@ -35,6 +35,10 @@ from rossec.participant.definitions import FindDefinition
 from rossec.participant.registrations import PublisherGrace, RegistrationTable
 from rossec.ros.names import DOOR_PATH, is_door, parse_uri
 
+_SCHEMES: Final = {WireProtocol.HTTP: "http", WireProtocol.TCPROS: "rosrpc"}
+
+Outcome = TypeVar("Outcome")
+
 
 class Loopback(NamedTuple):
     """The loopback address of programs and sidecar, and its host name in URIs."""
@@ -44,7 +48,6 @@ class Loopback(NamedTuple):
 
 
 LOOPBACK: Final = Loopback("127.0.0.1", "127.0.0.1")
-_SCHEMES: Final = {WireProtocol.HTTP: "http", WireProtocol.TCPROS: "rosrpc"}
 
 
 @dataclass(frozen=True)
@@ -309,7 +312,6 @@ class CommandDone:
 
 Event = Opened | Answered | PeerAuthenticated | RawResponse | HeaderArrived | NoAnswer | CommandDone
 
-Outcome = TypeVar("Outcome")
 Layer: TypeAlias = Generator[Command, Event, Outcome]
 
 

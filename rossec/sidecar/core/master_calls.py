@@ -62,6 +62,23 @@ from rossec.sidecar.core.layers import (
 MULTICALL: Final = "system.multicall"
 MULTICALL_LIMIT: Final = 4096
 
+SUBSCRIBE: Final = "registerSubscriber"
+REFUSED: Final = "rossec: "  # a status that begins so is not one of the stock master
+_DISPENSABLE: Final = {"registerPublisher": [], "registerService": 1}
+"""Registrations that succeed for a program that works without them, with their value."""
+
+_RIGHTS: Final = {
+    "registerPublisher": Right.PUBLISH,
+    SUBSCRIBE: Right.SUBSCRIBE,
+    "registerService": Right.PROVIDE,
+}
+
+Holds: TypeAlias = Callable[[Right, str], bool]
+"""Whether this identity has a right on a name now; without it the master would only refuse."""
+
+FIRST_DELAY: Final = 1.0
+MAX_DELAY: Final = 32.0
+
 
 class Result(Enum):
     PLAIN = "no address"
@@ -87,10 +104,6 @@ class CallRule:
     default: object = 0
 
 
-SUBSCRIBE: Final = "registerSubscriber"
-REFUSED: Final = "rossec: "  # a status that begins so is not one of the stock master
-_DISPENSABLE: Final = {"registerPublisher": [], "registerService": 1}
-"""Registrations that succeed for a program that works without them, with their value."""
 RULES: Final = {
     "registerPublisher": CallRule(api=3, result=Result.NODES, default=[]),
     SUBSCRIBE: CallRule(api=3, result=Result.NODES, default=[]),
@@ -307,17 +320,6 @@ def _not_covered(agent: AgentState, caller: str) -> str:
     return f"{told} start it with __name:={name.rpartition('/')[2]}, or with an identity of its own"
 
 
-_RIGHTS: Final = {
-    "registerPublisher": Right.PUBLISH,
-    SUBSCRIBE: Right.SUBSCRIBE,
-    "registerService": Right.PROVIDE,
-}
-
-
-Holds: TypeAlias = Callable[[Right, str], bool]
-"""Whether this identity has a right on a name now; without it the master would only refuse."""
-
-
 def restore(agent: AgentState, holds: Holds) -> Layer[None]:
     """Make every registration again with a restarted master, except those of dead programs.
 
@@ -401,10 +403,6 @@ def _is_gone(agent: AgentState, own_api: Endpoint, event: Event) -> Layer[bool]:
         yield Suspend(own_api)
         return True
     return False
-
-
-FIRST_DELAY: Final = 1.0
-MAX_DELAY: Final = 32.0
 
 
 class ResubscribeQueue:

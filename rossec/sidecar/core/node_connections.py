@@ -106,6 +106,10 @@ REQUEST_TOPIC: Final = "requestTopic"
 _INBOUND: Final = "i"
 _MAX_EGRESS_PORTS: Final = 64  # ports that one answer of a peer can open
 
+_CALLER = "callerid"
+_LONGEST_NAME = 255
+FindMemoryScope: TypeAlias = Callable[[str], MemoryScope]  # by the program's caller_id
+
 
 def handle_peer_call(
     agent: AgentState,
@@ -318,11 +322,6 @@ def _peer_bus_info(agent: AgentState, entries: list[object]) -> Layer[list[objec
             case _:
                 rewritten.append(entry)
     return rewritten
-
-
-_CALLER = "callerid"
-_LONGEST_NAME = 255
-FindMemoryScope: TypeAlias = Callable[[str], MemoryScope]  # by the program's caller_id
 
 
 def unrestricted(decision: Decision) -> None:
