@@ -296,9 +296,7 @@ class Served(Protocol):
 
 class Events(Protocol):
     def registered(self, conversation: Conversation) -> None: ...
-
     def left(self, name: str) -> None: ...
-
     def ended(self, conversation: Conversation) -> None: ...
 
 

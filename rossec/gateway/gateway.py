@@ -70,9 +70,7 @@ class RawTopics(Protocol):
     async def publish_raw(
         self, topic: str, type_name: str, on_demand: Any, *, queue_size: int
     ) -> RawPublisher: ...
-
     async def unpublish(self, publisher: Publisher) -> None: ...
-
     async def subscribe_raw(self, topic: str, receiver: RawReceiver, *, wishes: Wishes) -> Subscription: ...
 
 

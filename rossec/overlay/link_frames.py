@@ -1,17 +1,11 @@
-"""The frames of a link, docs/spec/overlay.md section 3: written, and read strictly. Pure.
+"""The frames of a link, written, and read strictly; keys of mailboxes. Pure. docs/spec/overlay.md section 3.
 
-```
-kind(1) link(16) offset(8) received(8) limit(8) body
-```
+    kind(1) link(16) offset(8) received(8) limit(8) body
 
 Every frame says how far the sender of it has received, and how far it may be sent to. Nothing in it
-is authenticated: the bytes that it carries are, inside. What is not in form is `LinkEnded`.
-
-Keys of mailboxes, `rossec/1/<seat>/<box>`. Pure.
-
-A seat is the router operator's name for a customer, a box 16 random bytes: no name, label, domain
-or topic is in a key. Whoever puts to a key that came from outside checks it here first: a key with
-a wildcard would be put to many mailboxes.
+is authenticated: the bytes that it carries are, inside. What is not in form is `LinkEnded`. A mailbox is
+`rossec/1/<seat>/<box>`: its key has no name, label, domain or topic in it. Whoever puts to a key that
+came from outside checks it here first: a key with a wildcard would be put to many mailboxes.
 """
 
 import re

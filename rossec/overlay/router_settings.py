@@ -1,23 +1,11 @@
-"""What a router is told by its operator, and Zenoh's settings that follow from it. Pure.
+"""What a router is told by its operator, its seats, and Zenoh's settings that follow from both. Pure.
 
-What was told is kept in the router's directory, for the seat files that name it. A router does not
-answer in Zenoh's administration, is found by no scouting, and keeps what is malformed or too large
-for a mailbox from everybody. Routers with seats join each other over TLS or QUIC alone: the side
-that connects knows by the certificate whom it joined, and would otherwise forward nothing.
-
-Seats at the routers of one operator: who may connect, and what each may do there. Pure.
-
-A seat may read the mailboxes below its own name and send to any mailbox; everything else is denied:
-reading others', asking which mailboxes exist, queries, presence, Zenoh's own administration. The
-routers know each other by a user that no seat can be called, and by their TLS authority: the side
-that connects is not told a user (`rossec.overlay.router_settings`).
-
-Settings of Zenoh sessions, as paths of its configuration and JSON values. Pure.
-
-The defaults of Zenoh are for one network of friends: it scouts by multicast, lists and reports
-itself, and passes large payloads through /dev/shm, around the network and its limits. What is here
-was measured; what for is in section 3.6 of docs/spec/overlay.md. A router that freezes is given up
-after the lease; a message that finds no room waits 50 ms, then it is dropped.
+Seats are the accounts at the routers of one operator. A seat may read the mailboxes below its own name
+and send to any mailbox; everything else is denied: reading others', asking which mailboxes exist,
+queries, presence, Zenoh's own administration. A router is found by no scouting, and keeps what is
+malformed or too large for a mailbox from everybody. Routers with seats join each other over TLS or QUIC
+alone: the side that connects is told no user, knows by the certificate whom it joined, and would
+otherwise forward nothing. What the settings are for is in section 3.6 of docs/spec/overlay.md.
 """
 
 import base64
@@ -89,18 +77,12 @@ _LOCAL: Final = ("localhost", "127.0.0.1", "::1")
 
 @dataclass(frozen=True)
 class Seats:
-    """The seats with their passwords.
-
-    Attributes:
-        router: the password by which the operator's routers join each other.
-        passwords: of each seat, by its name.
-    """
+    """The passwords of the seats, by name, and that by which the operator's routers join each other."""
 
     router: str = field(repr=False)
     passwords: Mapping[str, str] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
-        # Raise `ConfigurationError` unless all of it is in form.
         check_password(self.router)
         if len(self.passwords) > MAX_SEATS:
             raise ConfigurationError(f"at most {MAX_SEATS} seats", "remove what nobody uses")
@@ -160,11 +142,21 @@ class Seats:
             {"id": _ACCEPTED, "usernames": [ROUTER_USER]},
             {"id": _JOINED, "cert_common_names": [ROUTER_NAME]},
         ]
-        own = [rule for seat in self.names for rule in _own_rules(seat)]
+        rules = [_rule(_SEND, "ingress", "put", EVERY_MAILBOX)]
+        subjects: list[Entry] = []
+        policies: list[Entry] = []
+        for seat in self.names:
+            # What only this seat may: declare that it reads a mailbox of its own, and get what is there.
+            # Nothing allows that a declaration goes out to it: it would name a mailbox of another seat, or
+            # tell by a pattern whether there is one that begins so, and with that all digits of it in turn.
+            rules.append(_rule(f"read-{seat}", "ingress", "declare_subscriber", _mailboxes(seat)))
+            rules.append(_rule(f"get-{seat}", "egress", "put", _mailboxes(seat)))
+            subjects.append({"id": f"seat-{seat}", "usernames": [seat]})
+            policies.append(_policy(f"seat-{seat}", _SEND, f"read-{seat}", f"get-{seat}"))
         return _access_control(
-            [_rule(_SEND, "ingress", "put", EVERY_MAILBOX), *own, *_forwarding(EVERY_MAILBOX)],
-            [*({"id": _subject(seat), "usernames": [seat]} for seat in self.names), *routers],
-            [*map(_seat_policy, self.names), _policy(_ACCEPTED, *_FORWARD), _policy(_JOINED, *_FORWARD)],
+            [*rules, *_forwarding(EVERY_MAILBOX)],
+            [*subjects, *routers],
+            [*policies, _policy(_ACCEPTED, *_FORWARD), _policy(_JOINED, *_FORWARD)],
         )
 
 
@@ -184,20 +176,6 @@ def _access_control(rules: list[Entry], subjects: list[Entry], policies: list[En
     }
 
 
-def _own_rules(seat: str) -> list[Entry]:
-    # What only this seat may: declare that it reads a mailbox of its own, and get what is there.
-    # Nothing allows that a declaration goes out to it: it would name a mailbox of another seat, or tell by a
-    # pattern whether there is one that begins so, and with that all digits of it in turn.
-    return [
-        _rule(f"read-{seat}", "ingress", "declare_subscriber", _mailboxes(seat)),
-        _rule(f"get-{seat}", "egress", "put", _mailboxes(seat)),
-    ]
-
-
-def _seat_policy(seat: str) -> Entry:
-    return _policy(_subject(seat), _SEND, f"read-{seat}", f"get-{seat}")
-
-
 def _forwarding(keys: str) -> list[Entry]:
     put, declare = _FORWARD
     return [_rule(put, "both", "put", keys), _rule(declare, "both", "declare_subscriber", keys)]
@@ -205,10 +183,6 @@ def _forwarding(keys: str) -> list[Entry]:
 
 def _mailboxes(seat: str) -> str:
     return f"rossec/1/{seat}/*"
-
-
-def _subject(seat: str) -> str:
-    return f"seat-{seat}"
 
 
 def _rule(name: str, flow: str, message: str, keys: str) -> Entry:
@@ -244,20 +218,13 @@ def client_settings(routers: Routers) -> dict[str, object]:
 
 @dataclass(frozen=True)
 class RouterSettings:
-    """One router.
+    """What one router was told; kept in its directory, for the seat files that name it."""
 
-    Attributes:
-        hosts: names and addresses by which relays reach it.
-        listen: where it listens, `tls/[::]:7447`.
-        join: locators of other routers of the operator.
-    """
-
-    hosts: tuple[str, ...] = ()
+    hosts: tuple[str, ...] = ()  # names and addresses by which relays reach it
     listen: tuple[str, ...] = LISTEN
-    join: tuple[str, ...] = ()
+    join: tuple[str, ...] = ()  # locators of other routers of the operator
 
     def __post_init__(self) -> None:
-        """Raise `ConfigurationError` unless all of it is in form."""
         if not self.listen or max(map(len, (self.listen, self.join))) > MAX_LOCATORS:
             raise ConfigurationError(
                 f"a router listens at 1 to {MAX_LOCATORS} addresses, and joins as many at most"
@@ -276,7 +243,6 @@ class RouterSettings:
 
     @classmethod
     def read(cls, data: bytes) -> Self:
-        """The content of the file."""
         keys = frozenset(each.name for each in fields(cls))
         found = read_document(
             data, _ROUTER_SETTINGS_FORM, keys, limit=MAX_SETTINGS_FILE, hint=_ROUTER_SETTINGS_HINT
@@ -310,13 +276,14 @@ class RouterSettings:
 
     @property
     def own_locators(self) -> tuple[str, ...]:
-        return tuple(locator for each in self.listen for locator in self._reached(each))
-
-    def _reached(self, listened: str) -> list[str]:
-        protocol, host, port = check_locator(listened)
-        if not is_wildcard(host):
-            return [listened]
-        return [_locator(protocol, each, port) for each in self.hosts]
+        found: list[str] = []
+        for each in self.listen:
+            protocol, host, port = check_locator(each)
+            if is_wildcard(host):
+                found += [_locator(protocol, known, port) for known in self.hosts]
+            else:
+                found.append(each)
+        return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -339,14 +306,30 @@ def zenoh_settings(settings: RouterSettings, seats: Seats | None, files: RouterF
         "connect/exit_on_failure": False,
         "transport/link/rx/max_message_size": _MESSAGE,
         "low_pass_filter": [_SIZE_LIMIT],
-        **_tls(settings, files),
     }
+    if any(map(is_encrypted, (*settings.listen, *settings.join))):
+        found |= {
+            "transport/link/tls/root_ca_certificate": str(files.root_certificate),
+            "transport/link/tls/listen_private_key": str(files.key),
+            "transport/link/tls/listen_certificate": str(files.certificate),
+            "transport/link/tls/verify_name_on_connect": True,
+        }
     if seats is None:
         return {**found, "access_control": open_access_control()}
-    _check_joined(settings)
+    plain = [each for each in settings.join if not is_encrypted(each)]
+    if plain:
+        raise ConfigurationError(
+            f"a router with seats does not join {plain[0]}: nothing says who answers there",
+            "join it by tls/ or quic/",
+        )
+    # Customers and what they connect as routers are below; their routes are not the routers' own.
+    # Else one who connects as a router to two of them, and claims that the way is short, would be sent what
+    # they have for each other, which the access control then drops.
+    below = [{"modes": ["client", "peer"]}], [{"region_names": [seats.region], "negated": True}]
     return {
         **found,
-        **_regions(seats.region),
+        "region_name": seats.region,
+        "gateway": {"south": [{"filters": filters} for filters in below]},
         "access_control": seats.access_control(),
         "transport/auth/usrpwd/user": ROUTER_USER,
         "transport/auth/usrpwd/password": seats.router,
@@ -372,35 +355,6 @@ def is_wildcard(host: str) -> bool:
         return ipaddress.ip_address(host).is_unspecified
     except ValueError:
         return False
-
-
-def _tls(settings: RouterSettings, files: RouterFiles) -> dict[str, object]:
-    if not any(map(is_encrypted, (*settings.listen, *settings.join))):
-        return {}
-    return {
-        "transport/link/tls/root_ca_certificate": str(files.root_certificate),
-        "transport/link/tls/listen_private_key": str(files.key),
-        "transport/link/tls/listen_certificate": str(files.certificate),
-        "transport/link/tls/verify_name_on_connect": True,
-    }
-
-
-def _regions(own: str) -> dict[str, object]:
-    # Customers and what they connect as routers are below; their routes are not the routers' own.
-    # Else one who connects as a router to two of them, and claims that the way is short, would be sent what
-    # they have for each other, which the access control then drops.
-    below = [{"modes": ["client", "peer"]}], [{"region_names": [own], "negated": True}]
-    south = [{"filters": filters} for filters in below]
-    return {"region_name": own, "gateway": {"south": south}}
-
-
-def _check_joined(settings: RouterSettings) -> None:
-    plain = [each for each in settings.join if not is_encrypted(each)]
-    if plain:
-        raise ConfigurationError(
-            f"a router with seats does not join {plain[0]}: nothing says who answers there",
-            "join it by tls/ or quic/",
-        )
 
 
 def _locator(protocol: str, host: str, port: int) -> str:

@@ -1,15 +1,9 @@
 """The streams of one link at work: a `Mux` on a secure stream, a `Pump` for each connection.
 
-What arrives for a stream is written to its connection at once, and never waited for: a connection
-that lags gets no credit, and the others go on. While the link itself lags, connections are not
-read; afterwards each is read once, in the order in which they had to wait. What is malformed ends
-the link, and with it every connection it carried.
-
-One TCP connection of this site and its stream of a link: bytes both ways, ends as ends.
-
-No queue: the socket is read when the stream has credit and the link has room, straight into the
-buffer from which the unit is sealed. Bytes for a program that lags wait here, no more of them than
-the credit given. An end is passed on as an end, a broken connection as a broken one.
+What arrives for a stream is written to its connection at once, and never waited for: a connection that
+lags gets no credit, and the others go on. While the link itself lags, connections are not read;
+afterwards each is read once, in the order in which they had to wait. What is malformed ends the link,
+and with it every connection it carried.
 """
 
 import asyncio
@@ -61,22 +55,21 @@ _log = logging.getLogger("rossec.overlay")
 
 
 class StreamEnd(Protocol):
-    def buffer_for(self, stream: int) -> memoryview | None:
-        # Where to read bytes for the stream; None: not now, `Pump.resume` says when.
-        ...
-
+    def buffer_for(self, stream: int) -> memoryview | None: ...  # None: `Pump.resume` says when
     def send(self, stream: int, count: int) -> None: ...
-
-    def took(self, stream: int, count: int) -> None:
-        # The program took so many received bytes.
-        ...
-
+    def took(self, stream: int, count: int) -> None: ...  # so many received bytes, by the program
     def end(self, stream: int) -> bool: ...
-
     def reset(self, stream: int) -> None: ...
 
 
 class Pump:
+    """One TCP connection of this site and its stream of a link: bytes both ways, ends as ends.
+
+    No queue: the socket is read when the stream has credit and the link has room, straight into the
+    buffer from which the unit is sealed. Bytes for a program that lags wait here, no more of them than
+    the credit given. A broken connection is passed on as a broken one.
+    """
+
     def __init__(self, stream: int, end: StreamEnd) -> None:
         self._stream = stream
         self._end = end
@@ -101,7 +94,7 @@ class Pump:
         self._transport = Transport(sock, self)
         early, self._early = self._early, bytearray()
         if early:
-            self._write(early)
+            self._write(early, self._transport)
         if self._early_end:
             self._transport.write_eof()
         self._transport.resume_reading()
@@ -122,13 +115,11 @@ class Pump:
             self._early += payload
             self._changed.set()
         else:
-            self._write(payload)
+            self._write(payload, self._transport)
 
-    def _write(self, payload: Bytes) -> None:
-        transport = self._transport
-        if transport is not None:
-            transport.write(payload)
-            self._account(transport)
+    def _write(self, payload: Bytes, transport: Transport) -> None:
+        transport.write(payload)
+        self._account(transport)
 
     def _account(self, transport: Transport) -> None:
         taken = self._held - transport.backlog
@@ -150,7 +141,6 @@ class Pump:
             self._transport.read_now()
 
     def break_off(self) -> None:
-        # The stream is broken off: so is the connection.
         if self._transport is None:
             self.connection_lost()
         else:
@@ -189,22 +179,13 @@ Dial: TypeAlias = Callable[[StreamTarget, Pump], Awaitable[socket.socket]]
 
 class LinkStream(Protocol):
     @property
-    def backlog(self) -> int:
-        # Bytes that were written and not sent.
-        ...
-
+    def backlog(self) -> int: ...
     def on_ready(
         self, callback: Callable[[], None] | None, take: Callable[[bytes], bool] | None = None
     ) -> None: ...
-
     def next_unit(self) -> bytes | None: ...
-
     def write_nowait(self, data: Bytes) -> bool: ...
-
-    async def drain(self) -> None:
-        # Wait until the link does not lag.
-        ...
-
+    async def drain(self) -> None: ...
     def abort(self, reason: str) -> None: ...
 
 
@@ -217,10 +198,8 @@ class Streams:
 
     Args:
         link: authenticated; this is its only user.
-        role: whether this side made the link.
         peer: the label of the relay at the other end, for the log.
         dial: connects the called side to targets.
-        clock: monotonic, in seconds.
         round_trip: of the link when it is idle, in seconds; 0 if that is not known.
     """
 
@@ -353,21 +332,16 @@ class Streams:
             case Refused(_, target, reply):
                 delivery.warn(_log, delivery.REFUSED, str(target), self._peer, _CROWDED)
                 self._write(reply)
-            case _:
-                pump = self._pumps.get(event.stream)
-                if pump is not None:
-                    self._tell(pump, event)
-
-    def _tell(self, pump: Pump, event: Data | Credit | End | Reset) -> None:
-        match event:
-            case Data(_, payload):
+            case Data(stream, payload) if pump := self._pumps.get(stream):
                 pump.arrived(payload)
-            case Credit():
+            case Credit(stream) if pump := self._pumps.get(stream):
                 pump.resume()
-            case End(stream):
+            case End(stream) if pump := self._pumps.get(stream):
                 pump.ended(over=stream not in self._mux)
-            case Reset():
+            case Reset(stream) if pump := self._pumps.get(stream):
                 pump.break_off()
+            case _:  # its connection is over
+                pass
 
     def _add(self, number: int) -> Pump:
         self.idle_since = None
@@ -384,7 +358,7 @@ class Streams:
         return self._buffer[HEADROOM : HEADROOM + room] if room else None
 
     def send(self, stream: int, count: int) -> None:
-        # As of `StreamEnd`; the head is written in front of the payload, which is not copied.
+        # The head is written in front of the payload, which is not copied.
         head = self._mux.data(stream, count)
         begin = HEADROOM - len(head)
         self._buffer[begin:HEADROOM] = head
