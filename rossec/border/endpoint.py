@@ -4,12 +4,6 @@ Nothing is answered to a sender who proved nothing but a refusal without a reaso
 it asked for an acknowledgement. What authenticated things send is handled at once; handshakes, and
 attempts to derive a context anew, each have a budget of their own, so that a flood of one of them
 keeps out neither the other nor the things that are there.
-
-Requests of the border router to things: blocks (RFC 7959), observations (RFC 7641). Pure.
-
-Answers are matched by token, by the address of the thing and by OSCORE's binding to the request. An
-answer to an observation counts only if its sequence number is higher than that of the one before,
-whether or not it says that it is a notification: no tag covers that option.
 """
 
 from collections.abc import Callable
@@ -55,10 +49,8 @@ _ALONE: Final = 0x18  # from here on a connection identifier of one octet is no 
 
 
 class Answer(NamedTuple):
-    """What a thing answered: its code, the content format (None: not said), the body."""
-
     code: Code
-    format: int | None
+    format: int | None  # None: not said
     body: bytes
 
 
@@ -74,45 +66,29 @@ class Request:
     observe: bool = False
 
 
+@dataclass(slots=True, eq=False)
 class PendingRequest:
-    __slots__ = (
-        "conversation",
-        "deadline",
-        "identifier",
-        "mid",
-        "newest",
-        "on_answer",
-        "received",
-        "request",
-        "retry",
-        "sent",
-        "tag",
-        "token",
-        "tries",
-    )
-
-    def __init__(self, conversation: Conversation, request: Request, on_answer: OnAnswer) -> None:
-        self.conversation = conversation
-        self.request = request
-        self.on_answer = on_answer
-        self.token = b""
-        self.identifier: RequestId = None
-        self.mid = 0
-        self.sent = 0  # blocks of the body that were acknowledged
-        self.received: bytes | None = None  # blocks of the answer before this one
-        self.tag: bytes | None = None  # ETag of these blocks: all are of one state
-        self.newest = _NONE  # sequence number of the newest answer to an observation
-        self.deadline = self.retry = -1
-        self.tries = 0
+    conversation: Conversation
+    request: Request
+    on_answer: OnAnswer
+    token: bytes = b""
+    identifier: RequestId = None
+    mid: int = 0
+    sent: int = 0  # blocks of the body that were acknowledged
+    received: bytes | None = None  # blocks of the answer before this one
+    tag: bytes | None = None  # ETag of these blocks: all are of one state
+    newest: int = _NONE  # sequence number of the newest answer to an observation
+    deadline: int = -1
+    retry: int = -1
+    tries: int = 0
 
 
 class Requests:
-    """All requests under way.
+    """Requests to things that are under way: blocks (RFC 7959), observations (RFC 7641).
 
-    Args:
-        transmissions: sends, and repeats.
-        timers: of all things.
-        random: returns so many random octets.
+    Answers are matched by token, by the address of the thing and by OSCORE's binding to the request. An
+    answer to an observation counts only if its sequence number is higher than that of the one before,
+    whether or not it says that it is a notification: no tag covers that option.
     """
 
     def __init__(self, transmissions: Transmissions, timers: Timers, random: Callable[[int], bytes]) -> None:
@@ -150,8 +126,13 @@ class Requests:
         return found
 
     def take(self, exchange: PendingRequest, message: Message, now: float) -> None:
-        if message.opt.oscore is None:
-            self._unprotected(exchange, now)
+        may_ask_again = exchange.retry < 0 and exchange.newest == _NONE and exchange.tries < RETRIES
+        if message.opt.oscore is None and may_ask_again:
+            # A thing that just registered may not know its new context everywhere.
+            # Nobody has vouched for such an answer, so it ends nothing.
+            pause = RETRY * 2**exchange.tries
+            exchange.tries += 1
+            exchange.retry = self._timers.at(now + pause, lambda at: self._ask_again(exchange, at))
         opened, _ = exchange.conversation.context.open(message, exchange.identifier)
         self._transmissions.acknowledge(exchange.conversation.address, exchange.mid)
         if exchange.request.observe:
@@ -166,14 +147,6 @@ class Requests:
         else:
             self.cancel(exchange)
             self._answered(exchange, opened, now)
-
-    def _unprotected(self, exchange: PendingRequest, now: float) -> None:
-        # Ask again: a thing that just registered may not know its new context everywhere.
-        # Nobody has vouched for such an answer, so it ends nothing.
-        if exchange.retry < 0 and exchange.newest == _NONE and exchange.tries < RETRIES:
-            pause = RETRY * 2**exchange.tries
-            exchange.tries += 1
-            exchange.retry = self._timers.at(now + pause, lambda at: self._ask_again(exchange, at))
 
     def _ask_again(self, exchange: PendingRequest, now: float) -> None:
         self.cancel(exchange)
@@ -197,7 +170,11 @@ class Requests:
 
     def _answered(self, exchange: PendingRequest, opened: Message, now: float) -> None:
         if opened.code == codes.CONTINUE:
-            self._acknowledged_block(exchange, now)
+            exchange.sent += 1
+            if exchange.sent * MAX_BLOCK >= len(exchange.request.body):
+                self._fail(exchange, "it asks for more blocks than there are")
+            else:
+                self._send(exchange, now)
             return
         block = opened.opt.block2
         if opened.code.is_successful() and block is not None and block.more:
@@ -208,13 +185,6 @@ class Requests:
             self._fail(exchange, "the blocks of its answer do not fit together")
             return
         exchange.on_answer(_answer(opened, before + bytes(opened.payload)))
-
-    def _acknowledged_block(self, exchange: PendingRequest, now: float) -> None:
-        exchange.sent += 1
-        if exchange.sent * MAX_BLOCK >= len(exchange.request.body):
-            self._fail(exchange, "it asks for more blocks than there are")
-            return
-        self._send(exchange, now)
 
     def _next_block(self, exchange: PendingRequest, opened: Message, now: float) -> None:
         block, before = opened.opt.block2, exchange.received or b""
@@ -236,9 +206,15 @@ class Requests:
         if request.body:
             message.opt.content_format = request.format
             if wanted is None:
-                _put_block(message, request, exchange.sent)
+                begin, end = exchange.sent * MAX_BLOCK, (exchange.sent + 1) * MAX_BLOCK
+                message.payload = request.body[begin:end]
+                if len(request.body) > MAX_BLOCK:
+                    more = end < len(request.body)
+                    message.opt.block1 = BlockOption.BlockwiseTuple(exchange.sent, more, _SZX)
         sealed, exchange.identifier = conversation.context.seal(message)
-        exchange.token = sealed.token = self._new_token()
+        while (token := self._random(messages.TOKEN_SIZE)) in self._exchanges:
+            pass
+        exchange.token = sealed.token = token
         exchange.mid = sealed.mid = conversation.new_mid()
         sealed.mtype = messages.CON
         self._exchanges[exchange.token] = exchange
@@ -254,11 +230,6 @@ class Requests:
             lambda: self._fail(exchange, "it is out of reach"),
         )
 
-    def _new_token(self) -> bytes:
-        while (token := self._random(messages.TOKEN_SIZE)) in self._exchanges:
-            pass
-        return token
-
     def _fail(self, exchange: PendingRequest, reason: str) -> None:
         self.cancel(exchange)
         exchange.on_answer(ThingUnreachable(f"{exchange.conversation.name}: {reason}"))
@@ -272,15 +243,6 @@ def _continues(exchange: PendingRequest, opened: Message) -> bool:
     return bool(opened.opt.block2.start == len(before or b""))
 
 
-def _put_block(message: Message, request: Request, number: int) -> None:
-    body = request.body
-    begin = number * MAX_BLOCK
-    message.payload = body[begin : begin + MAX_BLOCK]
-    if len(body) > MAX_BLOCK:
-        more = begin + MAX_BLOCK < len(body)
-        message.opt.block1 = BlockOption.BlockwiseTuple(number, more, _SZX)
-
-
 def _answer(opened: Message, body: bytes) -> Answer:
     form = opened.opt.content_format
     return Answer(opened.code, None if form is None else int(form), body)
@@ -288,10 +250,7 @@ def _answer(opened: Message, body: bytes) -> Answer:
 
 class Served(Protocol):
     def by_key(self, kid: bytes) -> tuple[str, ThingKey] | None: ...
-
-    def by_secret(self, kid: bytes) -> tuple[str, bytes] | None:
-        # The thing with a secret that has this kid: its name, and the secret.
-        ...
+    def by_secret(self, kid: bytes) -> tuple[str, bytes] | None: ...  # the name, and the secret
 
 
 class Events(Protocol):
@@ -311,16 +270,7 @@ class Counts:
 
 
 class Endpoint:
-    """One border router.
-
-    Args:
-        own: its key for things.
-        served: which things it serves.
-        events: what is told of them.
-        send: sends a datagram.
-        random: returns so many random octets.
-        rand: a random number from 0 up to 1.
-    """
+    """One border router; `rand`: a random number from 0 up to 1."""
 
     def __init__(
         self,
@@ -353,9 +303,6 @@ class Endpoint:
             self._take(message, address, now)
         except ThingError:
             self.counts.refused += 1
-
-    def run_timers(self, now: float) -> None:
-        self.timers.run(now)
 
     def _take(self, message: Message, address: Address, now: float) -> None:
         mid = messages.number_of(message)
@@ -395,7 +342,7 @@ class Endpoint:
                 raise DatagramRefused("a request without protection")
         except ThingError:
             if message.mtype == messages.CON:
-                self._answer(message, messages.refusal(codes.UNAUTHORIZED), address)
+                self._answer(message, Message(code=codes.UNAUTHORIZED), address)
             raise
 
     # --- EDHOC (RFC 9528 appendix A.2)
@@ -414,7 +361,7 @@ class Endpoint:
         if message_2 is None:
             self._spend(self._handshake_budget, address, now)
             message_2 = self._handshakes.begin(payload[1:], address, now)
-            self._count(message_1=len(payload) - 1, message_2=len(message_2))
+            self.counts.octets.update(message_1=len(payload) - 1, message_2=len(message_2))
         self._answer(message, Message(code=codes.CHANGED, payload=message_2), address)
 
     def _finish(self, own_id: bytes, message_3: bytes, address: Address, now: float) -> Authenticated:
@@ -422,7 +369,7 @@ class Endpoint:
         served = self._served.by_key(found.key.kid)
         if served is None:
             raise ThingUnauthenticated("a thing that is not served any more")
-        self._count(message_3=len(message_3))
+        self.counts.octets["message_3"] = len(message_3)
         self.counts.handshakes += 1
         conversation = Conversation(served[0], found.context, address, self._number())
         conversation.seen = now
@@ -476,28 +423,16 @@ class Endpoint:
         if served is None:
             raise DatagramRefused("no thing with this kid")
         if not self._challenges.take(kid, value, now):
-            self._challenge(message, value, secret, kid, identifier, address, now)
+            value_2 = self._challenges.make(kid, now, self._random(2))
+            challenge = border_context(secret, kid, value_2 + value)
+            sealed, _ = challenge.seal(Message(code=codes.UNAUTHORIZED), identifier)
+            name_context(sealed, messages.wrapped(value_2))
+            self._answer(message, sealed, address)
             return
         self.counts.derivations += 1
         conversation = Conversation(name, context, address, self._number())
         self.conversations.add(conversation)
         self._serve(conversation, message, opened, identifier, address, now)
-
-    def _challenge(
-        self,
-        message: Message,
-        value: bytes,
-        secret: bytes,
-        kid: bytes,
-        identifier: RequestId,
-        address: Address,
-        now: float,
-    ) -> None:
-        value_2 = self._challenges.make(kid, now, self._random(2))
-        context = border_context(secret, kid, value_2 + value)
-        sealed, _ = context.seal(Message(code=codes.UNAUTHORIZED), identifier)
-        name_context(sealed, messages.wrapped(value_2))
-        self._answer(message, sealed, address)
 
     def _serve(
         self,
@@ -559,9 +494,6 @@ class Endpoint:
     def _ended(self, conversation: Conversation) -> None:
         self.requests.end(conversation)
         self._events.ended(conversation)
-
-    def _count(self, **octets: int) -> None:
-        self.counts.octets.update(octets)
 
 
 def _split_combined(payload: bytes) -> tuple[bytes, bytes]:
