@@ -1,16 +1,10 @@
 """Serves topics of other domains here: follows the graph of its master, a task for each topic.
 
-A shell around `selection` and `topic`. A failure of one topic ends its task, not the others: it is
-begun again after a pause. What the origin grants no longer is served no longer, at once; what the
-graph shows no longer, as soon as no publisher of it is connected: masters that lose sight of each
-other disturb no connection. The master may have ended the registrations of a gateway that did not
-answer for a while, so they are made again when the graph lacks them.
-
-One topic of another domain, served here: a publisher of its served name, fed by its origin.
-
-A shell around `states`, `sources` and `thinning`. However many are subscribed here, the origin has
-one subscriber. A refusal concerns this topic alone, and ends its subscription at the origin; the
-publisher here stays, so that the topic serves again by itself.
+A failure of one topic ends its task, not the others: it is begun again after a pause. What the origin
+grants no longer is served no longer, at once; what the graph shows no longer, as soon as no publisher
+of it is connected: masters that lose sight of each other disturb no connection. The master may have
+ended the registrations of a gateway that did not answer for a while, so they are made again when the
+graph lacks them.
 """
 
 import asyncio
@@ -75,21 +69,18 @@ class RawTopics(Protocol):
 
 
 class ServedTopic:
-    """Serves one topic until `stop`, or until its type changes.
+    """Serves one topic until `stop`, or until its type changes: a publisher here, fed by its origin.
 
-    Attributes:
-        candidate: what it serves.
-        problem: why nothing comes; empty: nothing is wrong.
-        messages, octets: how much was forwarded.
-        registered_at: since when it is registered, by the monotonic clock; None: it is not.
+    However many are subscribed here, the origin has one subscriber. A refusal concerns this topic
+    alone, and ends its subscription at the origin; the publisher here stays, so that the topic serves
+    again by itself.
     """
 
     def __init__(self, candidate: Candidate, topics: RawTopics) -> None:
         self.candidate: Final = candidate
-        self.problem = ""
-        self.messages = 0
-        self.octets = 0
-        self.registered_at: float | None = None
+        self.problem = ""  # why nothing comes
+        self.messages = self.octets = 0  # that were forwarded
+        self.registered_at: float | None = None  # by the monotonic clock
         self._topics = topics
         self._state = TopicState()
         self._sources = Sources()
@@ -150,14 +141,11 @@ class ServedTopic:
         else:
             for source, thinning in self._thinned.items():
                 self._forward(publisher, source, thinning.release(now))
-            await self._wait(now)
-
-    async def _wait(self, now: float) -> None:
-        dues = (self._state.due, *(each.due for each in self._thinned.values()))
-        due = min((each for each in dues if each is not None), default=None)
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(None if due is None else max(0.0, due - now)):
-                await self._wake.wait()
+            dues = (self._state.due, *(each.due for each in self._thinned.values()))
+            due = min((each for each in dues if each is not None), default=None)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(None if due is None else max(0.0, due - now)):
+                    await self._wake.wait()
 
     async def _subscribe(self) -> None:
         try:
@@ -253,17 +241,12 @@ class _Running:
 
 
 class Gateway:
-    """Serves, as `node`, what the rules say.
-
-    Attributes:
-        skipped: why a topic that a rule covers is not served, by its alias.
-        problem: why the graph of the master is not followed; empty: it is.
-    """
+    """Serves, as `node`, what the rules say."""
 
     def __init__(self, node: Node, rules: Sequence[TopicRule], most: int = MAX_TOPICS) -> None:
         self.rules: Final = tuple(rules)
-        self.skipped: dict[str, Obstacle] = {}
-        self.problem = "the master has not answered yet"
+        self.skipped: dict[str, Obstacle] = {}  # why what a rule covers is not served, by alias
+        self.problem = "the master has not answered yet"  # empty: its graph is followed
         self._node = node
         self._most = most
         self._view = GraphView()
@@ -337,19 +320,15 @@ class Gateway:
             over = [each.alias for each in able if each.alias not in kept]
             skipped |= dict.fromkeys(over, Obstacle(f"only {self._most} topics are served"))
         before, self.skipped = self.skipped, skipped
-        self._tell(before)
-        return found
-
-    def _tell(self, before: Mapping[str, Obstacle]) -> None:
         new = [alias for alias, each in self.skipped.items() if before.get(alias) != each]
         for alias in new[:MAX_LOGGED]:
             why, hint = self.skipped[alias]
             _log.warning("%s is not served: %s%s", shown(alias), why, f" ({hint})" * bool(hint))
         if len(new) > MAX_LOGGED:
             _log.warning("and %d more: rossec gateway status", len(new) - MAX_LOGGED)
+        return found
 
     def _obstacle(self, candidate: Candidate, now: float) -> Obstacle | None:
-        # Why a topic cannot be served now; None: it can.
         if missing := self._missing.get(candidate.alias):
             return missing
         others = self._observed.servers.get(candidate.served, frozenset()) - {self._node.name}

@@ -1,26 +1,14 @@
-"""TCPROS in rospy: connection headers of both sides, and the admission of peers.
+"""TCPROS in rospy: connection headers of both sides, the admission of peers, and a subscriber's loop.
 
-The header hooks serve services as well: rospy's protocol class determines which right
-each side has to prove.
-
-The message types this process reads with, as its genpy classes define them.
-
-Connection headers over a blocking secure socket: read whole, within a deadline and a limit.
-
-The field that holds grants is binary; rospy, which expects text, does not get it.
-
-`wait_for_service` in rospy: its probe needs the right of a client, and waits for the answer.
-
-Clients and providers go through the header hooks in `connections`; the probe has its own socket and
-writes its header itself. `rosservice` probes in the same way, and reads the answer.
-
-The subscriber's side of a topic: connected to a publisher for as long as the master names it.
+The header hooks serve services as well: rospy's protocol class determines which right each side has to
+prove. The field that holds grants is binary; rospy, which expects text, does not get it. Headers are
+read whole, within a deadline and a limit.
 """
 
 import socket
 import struct
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 from typing import Any, Final
@@ -106,7 +94,6 @@ def definition_of(kind: Any) -> Definition:
 
 
 def installed_definition(name: str) -> Definition | None:
-    """The definition of the installed class for the type `name`; None: there is none."""
     try:
         kind = genpy.message.get_message_class(name)
     except Exception:  # noqa: BLE001 - an import may fail in any way; then it is not installed
@@ -115,12 +102,10 @@ def installed_definition(name: str) -> Definition | None:
 
 
 def max_message_size(kind: Any) -> int:
-    """The most bytes a message of the class `kind` may have."""
     return message_limit(size_of(definition_of(kind)), MESSAGE_LIMIT)
 
 
 def max_unit_size(kind: Any) -> int:
-    """The most bytes a unit with such messages may have."""
     return unit_limit(size_of(definition_of(kind)), MESSAGE_LIMIT)
 
 
@@ -304,7 +289,10 @@ class Connections:
             handler = server.service_connection_handler
         else:
             decision = admit_subscriber(fields, sock.peer, access, now())
-            published = self._published(requested_topic(fields))
+            topic = requested_topic(fields)
+            published = get_topic_manager().get_publisher_impl(topic)
+            if published is None or published.closed:
+                raise ConnectionHeaderRefused(f"{self._local_identity.name} does not publish {topic}")
             kind = definition_of(published.data_class)
             wishes = carried_out(requested_wishes(fields), decision)
             sock.wishes = NO_WISHES if published.queue_size is None else wishes
@@ -356,12 +344,6 @@ class Connections:
         local_identity = self._local_identity
         return ServiceGuard(both, decision, local_identity.home.filter_key, memory_scope(local_identity.name))
 
-    def _published(self, topic: str) -> Any:
-        published = get_topic_manager().get_publisher_impl(topic)
-        if published is None or published.closed:
-            raise ConnectionHeaderRefused(f"{self._local_identity.name} does not publish {topic}")
-        return published
-
 
 def _granted_name(protocol: Any, peer: Identity, name: str) -> str:
     return granted_name(peer, name) if isinstance(protocol, TCPROSSub) else name
@@ -372,6 +354,12 @@ def _description(protocol: Any) -> str:
 
 
 class ServiceProbe(RosSocket):
+    """`wait_for_service` in rospy: it needs the right of a client, and waits for the answer.
+
+    Clients and providers go through the header hooks; the probe has its own socket and writes its
+    header itself. `rosservice` probes in the same way, and reads the answer.
+    """
+
     def __init__(self, process: SecuredProcess, sock: socket.socket) -> None:
         super().__init__(process, sock)
         self._process = process
@@ -404,6 +392,8 @@ class ServiceProbe(RosSocket):
 
 
 class SubscriptionLoop:
+    """The subscriber's side of a topic: connected to a publisher for as long as the master names it."""
+
     def __init__(self, process: SecuredProcess) -> None:
         self._process = process
 
@@ -457,7 +447,7 @@ class SubscriptionLoop:
                 message._connection_header = conn.header  # noqa: SLF001 - part of rospy's messages
             if conn.is_latched:
                 conn.latch = messages[-1]
-            callback(_until_aborted(messages, sock), conn)
+            callback((each for each in messages if not sock.aborted), conn)
 
     def _filter(
         self, connection: RosConnection | PlainConnection | None, messages: list[bytes]
@@ -490,7 +480,3 @@ class SubscriptionLoop:
                 return False
             time.sleep(min(_SLICE, max(0.0, end - time.monotonic())))
         return self._process.registrations.is_publisher(topic, uri)
-
-
-def _until_aborted(messages: list[Any], sock: RosSocket) -> Iterator[Any]:
-    return (message for message in messages if not sock.aborted)

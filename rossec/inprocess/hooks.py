@@ -3,8 +3,6 @@
 A hook names a module, an attribute path and the parameters its stock function must have: a rospy
 in which one of them differs is refused before anything is replaced. `check` repeats the check when
 the node starts, in case something was put back (attack F12).
-
-A module in which some names are replaced, for rospy.
 """
 
 import inspect
@@ -50,6 +48,8 @@ StartNode = Callable[..., Any]
 
 
 class ModuleProxy:
+    """A module in which some names are replaced, for rospy."""
+
     def __init__(self, module: ModuleType, **replaced: object) -> None:
         self._module = module
         self.__dict__.update(replaced)

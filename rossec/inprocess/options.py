@@ -2,12 +2,6 @@
 
 The file is TOML, with a table `[rospy]`: `$ROSSEC_CONFIG`, or `rossec.toml` in ROSSEC_HOME. An
 unknown key or an invalid value is refused: a misspelling must not open anything (F13).
-
-What may stay plain while a fleet migrates: named topics and services, nothing else. Pure.
-
-An entry is a name (`/chatter`), for any peer, or a name and an address, for one
-(`/chatter@192.168.1.7`). A plain connection is neither encrypted nor authenticated. It never takes
-the way of a relay: behind that loopback address is anyone.
 """
 
 import ipaddress
@@ -31,17 +25,8 @@ _HINT = "an entry is a topic's or a service's name, /name or /name@address"
 
 @dataclass(frozen=True)
 class Options:
-    """How a process is secured.
-
-    Attributes:
-        home: ROSSEC_HOME.
-        node: the name of the node, absolute or as given to `rospy.init_node`; None: as given
-            there.
-        allow_plain: what may stay plain while a fleet migrates (`rossec.inprocess.options`).
-    """
-
     home: Path
-    node: str | None = None
+    node: str | None = None  # absolute, or as given to `rospy.init_node`; None: as given there
     allow_plain: tuple[str, ...] = ()
 
 
@@ -58,7 +43,6 @@ def read(
     node: str | None = None,
     allow_plain: Sequence[str] | None = None,
 ) -> Options:
-    """The options from the arguments, the environment and the file's text."""
     table = _table(text) if text is not None else {}
     name = _first(node, environ.get("ROSSEC_NODE"), table.get("node"))
     plain = _first(allow_plain, _split(environ.get("ROSSEC_ALLOW_PLAIN")), table.get("allow_plain"))
@@ -117,7 +101,12 @@ class PlainConnection:
 
 
 class PlainPeers:
-    """The entries of `allow_plain`."""
+    """What may stay plain while a fleet migrates: named topics and services, nothing else.
+
+    An entry is a name (`/chatter`), for any peer, or a name and an address, for one
+    (`/chatter@192.168.1.7`). A plain connection is neither encrypted nor authenticated. It never takes
+    the way of a relay: behind that loopback address is anyone.
+    """
 
     def __init__(self, entries: Iterable[str] = ()) -> None:
         self.entries = tuple(entries)

@@ -1,13 +1,9 @@
-"""This node's own slave API; `rossec.participant.slave_api` authorizes each call.
-
-Calls are parsed by `rossec.ros`, within its limits, never by the standard library's server.
-
-The calls of rospy: to the master, over the background loop's session, and to nodes.
+"""XML-RPC of this process: its own slave API, and rospy's calls to the master and to nodes.
 
 Calls and answers are parsed by `rossec.ros`, within its limits, never by the standard library.
-Errors are those rospy handles: OSError. A slave call that needs a right is preceded by the grants
-that prove it (`rossec.participant.slave_api`). Proxies that a program makes itself, as rostest
-does, are secured if they lead to the master, or to a node that the master has named.
+`rossec.participant.slave_api` authorizes each call of a peer; a call from here that needs a right is
+preceded by the grants that prove it. Errors are those rospy handles: OSError. Proxies that a program
+makes itself, as rostest does, are secured if they lead to the master, or to a node that it has named.
 """
 
 import errno
@@ -159,7 +155,11 @@ class XmlRpcServer:
         self, server: Any, method: str, params: Params, peer: Identity, presented: PresentedGrants
     ) -> object:
         try:
-            self._check(method, peer)
+            try:
+                self._process.local_identity.access.check_peer(peer, now())
+            except RevocationsStale:
+                if method not in SIGNED_UPDATES:  # one of them ends it
+                    raise
             match method, params:
                 case names.PRESENT_GRANTS, (_, bytes() as grants):
                     presented.grants = grants
@@ -179,13 +179,6 @@ class XmlRpcServer:
         except Exception:  # noqa: BLE001 - no internals to a peer
             _log.exception("a call failed")
             return Fault(FAULT_CODE, "rossec: internal error")
-
-    def _check(self, method: str, peer: Identity) -> None:
-        try:
-            self._process.local_identity.access.check_peer(peer, now())
-        except RevocationsStale:
-            if method not in SIGNED_UPDATES:  # one of them ends it
-                raise
 
     def _is_master(self, peer: Identity) -> bool:
         return self._process.local_identity.access.is_master(peer)
@@ -247,7 +240,6 @@ def _next_request(calls: CallServer, stream: Stream | PlainStream, end: float | 
 
 
 def receive_some(stream: Stream | PlainStream, end: float | None) -> bytes:
-    """The unit that arrives next, until `end` at the latest; of a plain stream some bytes."""
     stream.settimeout(None if end is None else max(0.001, end - time.monotonic()))
     data = stream.receive_unit()
     if not data:

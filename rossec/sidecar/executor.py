@@ -86,20 +86,15 @@ class AgentServices(Protocol):
 
 
 class CommandExecutor:
-    """Executes commands for one connection.
-
-    Attributes:
-        program, stream: the TCPROS connection to a program or to a peer.
-        after_header: the bytes it sent after its header.
-    """
+    """Executes commands for one connection."""
 
     def __init__(self, services: AgentServices) -> None:
         self._services = services
         self._program_rpc: RpcClient | None = None
         self._peer_client: SlaveApiClient | None = None
-        self.program: PlainStream | None = None
-        self.stream: SecureStream[Identity] | None = None
-        self.after_header = b""
+        self.program: PlainStream | None = None  # the TCPROS connection to a program,
+        self.stream: SecureStream[Identity] | None = None  # or to a peer
+        self.after_header = b""  # the bytes it sent after its header
 
     async def run(self, layer: Layer[Outcome]) -> Outcome:
         try:
@@ -170,7 +165,9 @@ class CommandExecutor:
                 await self._rpc_to_program(local)
                 return CommandDone()
             case AuthenticatePeer(remote):
-                return PeerAuthenticated(await self._authenticate(remote))
+                is_http = remote.protocol is WireProtocol.HTTP
+                end = await (self._client_of_peer(remote, None) if is_http else self._stream_to(remote))
+                return PeerAuthenticated(end.peer)
             case ConnectProgram() | ConnectPeer():
                 return await self._connect(request)
             case _:
@@ -183,11 +180,6 @@ class CommandExecutor:
         await self._close_program_rpc()
         self.program = await self._connect_program(request.local)
         return await self._exchange_headers(self.program, None, request.fields)
-
-    async def _authenticate(self, remote: Endpoint) -> Identity:
-        if remote.protocol is WireProtocol.HTTP:
-            return (await self._client_of_peer(remote, None)).peer
-        return (await self._stream_to(remote)).peer
 
     async def _stream_to(self, remote: Endpoint) -> SecureStream[Identity]:
         if self.stream is None:

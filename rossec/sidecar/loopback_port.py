@@ -1,21 +1,9 @@
-"""A loopback port that keeps its number: open to allowed programs, or suspended.
+"""A loopback port that keeps its number: open to allowed programs, or suspended; its streams; pools of ports.
 
 A suspended port is bound but does not listen: the kernel refuses callers as for a dead node, and no
 other process gets the port (`rosnode ping` and `cleanup` rely on both). The address is 127.0.0.1 if
 there is one. Stock ROS cannot parse [::1] in a URI, so ::1 is used by a host name that resolves to
 it alone.
-
-A plain TCP connection with a program of this host: bytes as they come, with back-pressure.
-
-It has the methods of `SecureStream`, so that both kinds can be served and forwarded alike. Its
-buffer is small until a program fills it: fifty idle nodes must not cost fifty large buffers.
-
-A bounded pool with one port for each endpoint, or what else names where a port leads.
-
-An endpoint requested again gets the same port. When the pool is full, the least recently requested
-port without connections that may be evicted is closed. On the network that is only the port of a
-dead program: peers keep the address of a live one for any time. On loopback it is any port:
-programs look the port up before they connect.
 """
 
 import asyncio
@@ -24,7 +12,6 @@ import logging
 import socket
 from collections.abc import Awaitable, Callable, Hashable, Iterator
 from contextlib import suppress
-from functools import partial
 from typing import Final, Generic, Protocol, TypeVar
 
 from rossec.channel.records import Bytes
@@ -61,17 +48,17 @@ _HINT: Final = "give some of the nodes an identity of their own"
 
 
 class PlainStream(BaseStream):
-    """One connection; `peer` is a constant: a program has no identity of its own.
+    """A plain TCP connection with a program of this host: bytes as they come, with back-pressure.
 
-    Attributes:
-        socket: by which the kernel says whose the other end is.
+    It has the methods of `SecureStream`, so that both kinds can be served and forwarded alike. Its
+    buffer is small until a program fills it: fifty idle nodes must not cost fifty large buffers.
     """
 
     peer = "a program of this host"
 
     def __init__(self, sock: socket.socket) -> None:
         super().__init__()
-        self.socket: Final = sock
+        self.socket: Final = sock  # by which the kernel says whose the other end is
         self._buffer = memoryview(bytearray(_SMALL))
         self.transport = Transport(sock, self)
         self.transport.resume_reading()
@@ -132,11 +119,8 @@ class Admission(Protocol):
     """Where a port is, and who may connect: `Callers`, for programs of this host."""
 
     @property
-    def loopback(self) -> Loopback:
-        """The address of the port."""
-
-    async def check(self, sock: socket.socket) -> None:
-        """Return if the program at the other end may connect."""
+    def loopback(self) -> Loopback: ...
+    async def check(self, sock: socket.socket) -> None: ...
 
 
 class LocalPort:
@@ -159,7 +143,6 @@ class LocalPort:
         return len(self._tasks)
 
     def open(self) -> None:
-        """Listen."""
         if not self._is_open:
             self._is_open = True
             # Open connections may still use the port; a suspended port must not be bound by others.
@@ -223,15 +206,14 @@ class LocalPort:
 
 class LoopbackPort(LocalPort):
     def __init__(self, callers: Admission, handler: Handler, port: int = 0) -> None:
-        super().__init__(callers, partial(_attend_stream, handler), port)
+        async def attend(sock: socket.socket) -> None:
+            stream = PlainStream(sock)
+            try:
+                await handler(stream)
+            finally:
+                stream.abort()
 
-
-async def _attend_stream(handler: Handler, sock: socket.socket) -> None:
-    stream = PlainStream(sock)
-    try:
-        await handler(stream)
-    finally:
-        stream.abort()
+        super().__init__(callers, attend, port)
 
 
 def find_loopback() -> Loopback:
@@ -318,12 +300,12 @@ PortT = TypeVar("PortT", bound=PooledPort)
 
 
 class PortPool(Generic[KeyT, PortT]):
-    """Ports of one kind.
+    """A bounded pool with one port for each endpoint, or what else names where a port leads.
 
-    Args:
-        on_evict: called with the endpoint and its evicted port.
-        may_evict: whether the idle port for this endpoint may be evicted.
-        hint: what to do when the pool is full of ports in use.
+    An endpoint requested again gets the same port. When the pool is full, the least recently requested
+    port without connections that `may_evict` names is closed. On the network that is only the port of a
+    dead program: peers keep the address of a live one for any time. On loopback it is any port: programs
+    look the port up before they connect.
     """
 
     def __init__(

@@ -1,23 +1,8 @@
-"""The sidecar of a host or of one program: a master on loopback, and an agent for each identity.
+"""The sidecar of a host or of one program: a master on loopback, and an agent for each identity. A shell.
 
-A shell. The identity of a call follows from the caller_id, never from data of a peer: with
-`identity` it is always that one; otherwise each program uses the one enrolled for its name. The
-caller_id of roscpp's `NodeHandle::searchParam` is a namespace of its node: there it is the program.
-
-Connections to peers' slave APIs, cached briefly for the program that looked them up.
-
-A shell. A port is opened only if the peer answers; the program that then connects to the port
-reuses that connection.
-
-Publisher updates for the programs of one identity where no master sends one.
-
-A shell around `core.registrations`. Programs need not handle a topic whose connection ended and
-that they may subscribe to again, or publishers that a restarted master did not list again.
-
-One identity of the sidecar: assembles its parts and provides the agent services.
-
-A shell around `layers.AgentState`. `participant.membership` holds the master session, `ingress` and
-`egress` the ports; connections that expire or are revoked are cut. If a task fails, all are closed.
+The identity of a call follows from the caller_id, never from data of a peer: with `identity` it is
+always that one; otherwise each program uses the one enrolled for its name. The caller_id of roscpp's
+`NodeHandle::searchParam` is a namespace of its node: there it is the program.
 """
 
 import asyncio
@@ -70,6 +55,11 @@ LIMIT: Final = 256  # identities in use
 
 
 class ConnectionCache:
+    """Connections to peers' slave APIs, cached briefly for the program that looked them up.
+
+    A port is opened only if the peer answers; the program that then connects to it reuses that one.
+    """
+
     def __init__(self) -> None:
         self._clients: dict[Endpoint, SlaveApiClient] = {}
         self._tasks = TaskSet()
@@ -97,6 +87,12 @@ class ConnectionCache:
 
 
 class Resubscriber:
+    """Publisher updates for the programs of one identity where no master sends one.
+
+    Programs need not handle a topic whose connection ended and that they may subscribe to again, or
+    publishers that a restarted master did not list again.
+    """
+
     def __init__(self, services: AgentServices, agent: AgentState) -> None:
         self._services = services
         self._agent = agent
@@ -127,14 +123,11 @@ class Resubscriber:
 
 
 class Agent:
-    """Acts for the identity in `home`.
+    """Acts for the identity in `home`; if a task of it fails, all its connections are closed.
 
     Args:
-        settings: where the master is and how peers reach this host.
-        callers: the programs that may use it.
-        master_uri: the URI of the loopback master.
+        master_uri: of the loopback master.
         half_open: the unauthenticated connections at all ports of this process.
-        suites: cipher suites, offered and accepted, in order of preference.
         master_name: the certified name of the secured master.
     """
 
@@ -235,7 +228,7 @@ class Agent:
         self.state.access.check_peer(peer, clock.now())
 
     async def call_master(self, method: str, params: tuple[object, ...]) -> object:
-        # The master's answer; refusals are logged, since a program may not print them.
+        # Refusals are logged, since a program may not print them.
         answer = await self._membership.session.forward(method, *params)
         self._refusals.log("the master", method, answer, params)
         return answer
@@ -284,7 +277,6 @@ class Agent:
     def maintain(self) -> None: ...
 
     def crashed(self, _: BaseException) -> None:
-        # Close what would not be checked any more.
         self._has_failed = True
         self._connections.close("a task of this identity has failed")
         self._membership.tasks.spawn(self.close(), f"{self.name}: closing after a failure")
@@ -294,12 +286,9 @@ class Sidecar:
     """Serves the programs that `callers` allows.
 
     Args:
-        home: ROSSEC_HOME.
-        settings: where the secured master is, and how peers reach this host.
         identity: the name whose identity every program uses, if any.
         each: programs with their own identity use that instead.
         port: of the loopback master; 0 for any.
-        suites: cipher suites of the channel, offered and accepted.
         master_name: the certified name of the secured master.
     """
 

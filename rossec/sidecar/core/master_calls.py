@@ -1,18 +1,9 @@
-"""Calls of programs to their master, rewritten for the secured one. Pure layers.
+"""Calls of programs to their master, rewritten for the secured one, and made again later. Pure layers.
 
 The table says where a call carries an address: the program's slave API, its service, or one in the
 answer. A method that is not in it is not forwarded. Elements of a multicall are handled as single
-calls. Registrations are stored, to be made again later (`registrations`).
-
-The stored registrations of programs, made again, and publisher updates for them. Pure layers.
-
-For a restarted master, for topics whose connection ended, for rights that are new, and for
-publishers that the master did not name again within their grace period.
-
-Topics whose connection ended, and when to resubscribe. Pure.
-
-rospy drops a connection that ended until it gets a publisherUpdate; the sidecar sends one once it
-holds a grant again. The delay doubles while connections keep ending soon (exponential backoff).
+calls. Registrations are stored, to be made again: for a restarted master, for topics whose connection
+ended, for rights that are new, and for publishers that the master did not name again in time.
 """
 
 from collections.abc import Callable, Iterable
@@ -64,8 +55,8 @@ MULTICALL_LIMIT: Final = 4096
 
 SUBSCRIBE: Final = "registerSubscriber"
 REFUSED: Final = "rossec: "  # a status that begins so is not one of the stock master
+# Registrations that succeed for a program that works without them, with their value.
 _DISPENSABLE: Final = {"registerPublisher": [], "registerService": 1}
-"""Registrations that succeed for a program that works without them, with their value."""
 
 _RIGHTS: Final = {
     "registerPublisher": Right.PUBLISH,
@@ -90,18 +81,12 @@ class Result(Enum):
 
 @dataclass(frozen=True)
 class CallRule:
-    """Where one method carries addresses; indices count the caller_id as 0.
+    """Where one method carries addresses; indices count the caller_id as 0."""
 
-    Attributes:
-        api: the caller's slave API URI.
-        service: a service URI of the caller.
-        default: the value of a refusal, as of the stock master.
-    """
-
-    api: int | None = None
-    service: int | None = None
+    api: int | None = None  # the caller's slave API URI
+    service: int | None = None  # a service URI of the caller
     result: Result = Result.PLAIN
-    default: object = 0
+    default: object = 0  # the value of a refusal, as of the stock master
 
 
 RULES: Final = {
@@ -168,12 +153,19 @@ def _refusal(
         return refused
     caller = str(params[0])
     if method in REGISTERS and not agent.covers(caller):
-        return [-1, _not_covered(agent, caller), 0]
+        name = agent.identity.name
+        told = (
+            f"rossec: a program with the identity of {name} calls itself {printable(caller, 255)}:"
+            f" start it with __name:={name.rpartition('/')[2]}, or"
+        )
+        if caller.startswith(f"{name}_"):  # as programs do that may run several times
+            again = f"rossec node request {name} --anonymous"
+            return [-1, f"{told} enroll it for anonymous nodes too, with a key of its own: {again}", 0]
+        return [-1, f"{told} with an identity of its own", 0]
     return offer_refusal(method, resolve_params(method, params, caller))
 
 
 def rule_of(method: str) -> CallRule:
-    """The rule of a method."""
     rule = RULES.get(method)
     if rule is None:
         raise Fault(1, f"<class 'Exception'>:method \"{printable(method, 80)}\" is not supported")
@@ -199,25 +191,21 @@ def _search(caller: str, name: object, key: str) -> Layer[list[object]]:
     return not_found(key)
 
 
-def _multicall(agent: AgentState, params: tuple[object, ...]) -> Layer[object]:
-    calls = params[0] if len(params) == 1 else None
+def _multicall(agent: AgentState, given: tuple[object, ...]) -> Layer[object]:
+    calls = given[0] if len(given) == 1 else None
     if not isinstance(calls, list) or len(calls) > MULTICALL_LIMIT:
         raise Fault(1, f"rossec: a multicall is one list of at most {MULTICALL_LIMIT} calls")
     answers: list[object] = []
     for element in calls:
         try:
-            answers.append([(yield from _element(agent, element))])
+            match element:
+                case {"methodName": str() as method, "params": list() as params} if method != MULTICALL:
+                    answers.append([(yield from handle_call(agent, method, tuple(params)))])
+                case _:
+                    raise Fault(1, "rossec: a multicall element needs methodName and params")
         except Fault as fault:
             answers.append({"faultCode": fault.faultCode, "faultString": fault.faultString})
     return answers
-
-
-def _element(agent: AgentState, element: object) -> Layer[object]:
-    match element:
-        case {"methodName": str() as method, "params": list() as params} if method != MULTICALL:
-            return (yield from handle_call(agent, method, tuple(params)))
-        case _:
-            raise Fault(1, "rossec: a multicall element needs methodName and params")
 
 
 def _params_for_master(
@@ -292,7 +280,11 @@ def _answer_for_program(
             value = yield from agent.egress_uris(value, own_api)
         case Result.NODE:
             remote = parse_endpoint(value, WireProtocol.HTTP)
-            value = "" if remote is None else (yield from _node(agent, remote))
+            if remote is None:
+                value = ""
+            else:
+                own = agent.endpoints.program_at(remote)
+                value = yield from agent.egress_uri(remote, own, probe=True)
         case Result.SERVICE:
             remote = parse_endpoint(value, WireProtocol.TCPROS)
             value = "" if remote is None else (yield from agent.egress_uri(remote))
@@ -302,22 +294,6 @@ def _answer_for_program(
         case Result.PLAIN:
             pass
     return [code, status, value]
-
-
-def _node(agent: AgentState, remote: Endpoint) -> Layer[str]:
-    own_api = agent.endpoints.program_at(remote)
-    return (yield from agent.egress_uri(remote, own_api, probe=True))
-
-
-def _not_covered(agent: AgentState, caller: str) -> str:
-    name = agent.identity.name
-    told = f"rossec: a program with the identity of {name} calls itself {printable(caller, 255)}:"
-    if caller.startswith(f"{name}_"):  # as programs do that may run several times
-        return (
-            f"{told} start it with __name:={name.rpartition('/')[2]}, or enroll it for anonymous"
-            f" nodes too, with a key of its own: rossec node request {name} --anonymous"
-        )
-    return f"{told} start it with __name:={name.rpartition('/')[2]}, or with an identity of its own"
 
 
 def restore(agent: AgentState, holds: Holds) -> Layer[None]:
@@ -406,7 +382,11 @@ def _is_gone(agent: AgentState, own_api: Endpoint, event: Event) -> Layer[bool]:
 
 
 class ResubscribeQueue:
-    """The topics of one identity to resubscribe; times are seconds of one clock."""
+    """The topics of one identity to resubscribe; times are seconds of one clock.
+
+    rospy drops a connection that ended until it gets a publisherUpdate; the sidecar sends one once it
+    holds a grant again. The delay doubles while connections keep ending soon.
+    """
 
     def __init__(self) -> None:
         self._due: dict[str, float] = {}

@@ -1,22 +1,12 @@
-"""Calls between nodes: a peer's to a program's slave API, and a program's to a peer's. Pure layers.
+"""Between nodes: calls of slave APIs and TCPROS handshakes, of peers and programs. Pure layers.
 
-Both directions are default deny and drop UDPROS, which would bypass the channel (attack N10). A
-peer is authorized before the program is called. `requestTopic` is answered here, with the same port
-for every topic: the program is asked once an authorized peer connects to it (N5, `tcpros`). From a
-peer behind a relay's door only that it offers TCPROS counts: the topic is at the door, too.
-Answers are parsed and serialized again, and hold a value only if the code is 1: rospy takes any
-positive code for success, and stock parsers accept what ours refuses; a program would connect in
-plaintext to an address that the sidecar did not see. `getBusStats` is empty for peers: it would
-count what a grant withholds. Only an older peer's is forwarded unparsed: roscpp's is malformed, and
-it holds no address.
+Both directions are default deny and drop UDPROS, which would bypass the channel (attack N10). A peer is
+authorized before the program is called. Answers are parsed and serialized again, and hold a value only
+if the code is 1: rospy takes any positive code for success, and stock parsers accept what ours refuses;
+a program would connect in plaintext to an address that the sidecar did not see.
 
-The TCPROS handshake between a program and a peer, both directions. Pure layers.
-
-The header of one end is read once, authorized and sent to the other end, and its answer is
-authorized in turn; grants are added towards the network and removed towards the program, names of
-other origins are mapped (`remote_names`). A program
-is asked for its topic port only for an authorized subscriber. The result says how to handle the
-bytes that follow: a guard for restricted messages, otherwise none.
+A header is read once, authorized and sent to the other end, and its answer is authorized in turn; grants
+are added towards the network and removed towards the program, names of other origins are mapped.
 """
 
 from collections.abc import Callable, Mapping
@@ -101,6 +91,8 @@ from rossec.sidecar.core.layers import (
     topic_endpoint,
 )
 
+# Empty for peers: it would count what a grant withholds. A peer's is forwarded unparsed: roscpp's is
+# malformed, and it holds no address.
 _UNPARSED: Final = frozenset({"getBusStats"})
 REQUEST_TOPIC: Final = "requestTopic"
 _INBOUND: Final = "i"
@@ -131,8 +123,10 @@ def handle_peer_call(
         return answer
     if method in (REQUEST_TOPIC, PORTS):
         return (yield from _answer_with_port(agent, local, method))
-    named = (caller_here(peer, str(params[0])), *params[1:])
-    changed = yield from _params_for_program(agent, local, method, named)
+    changed = (caller_here(peer, str(params[0])), *params[1:])
+    if method == "publisherUpdate" and len(params) == 3:
+        followed = agent.followed_publishers(params[1], params[2])
+        changed = (*changed[:2], (yield from agent.egress_uris(followed, local)))
     event = yield CallProgram(local, method, changed)
     yield from _require_alive(agent, local, event)
     match event:
@@ -157,7 +151,7 @@ def _answer_at_once(peer: Identity, method: str, params: tuple[object, ...]) -> 
 
 
 def _answer_with_port(agent: AgentState, local: Endpoint, method: str) -> Layer[object]:
-    # Where its topics are, the same for every topic; a dead program does not answer.
+    # The same for every topic: the program is asked once an authorized peer connects there (N5).
     yield from _require_alive(agent, local, (yield Probe(local)))
     ingress = yield from agent.ingress_endpoint(topic_endpoint(local))
     if method == PORTS:
@@ -186,15 +180,6 @@ def _require_alive(agent: AgentState, local: Endpoint, event: Event) -> Layer[No
             agent.forget(local)
             yield Suspend(local)
         raise HangUp(event.reason)
-
-
-def _params_for_program(
-    agent: AgentState, local: Endpoint, method: str, params: tuple[object, ...]
-) -> Layer[tuple[object, ...]]:
-    if method == "publisherUpdate" and len(params) == 3:
-        followed = agent.followed_publishers(params[1], params[2])
-        return (*params[:2], (yield from agent.egress_uris(followed, local)))
-    return params
 
 
 def _invalid_request_topic(params: tuple[object, ...]) -> list[object] | None:
@@ -244,7 +229,7 @@ def handle_program_call(
         refused = _invalid_request_topic(params)
     if refused is not None:
         return refused
-    changed = (agent.identity.name, *params[1:])  # the peer may be foreign: without a tail
+    changed = (agent.identity.name, *params[1:])  # the peer may be foreign: no anonymous suffix
     if method == REQUEST_TOPIC:
         changed = yield from _request_for_peer(agent, remote, str(params[0]), str(params[1]))
     parse = method not in _UNPARSED
@@ -277,10 +262,13 @@ def _answer_for_program(
     agent: AgentState, remote: Endpoint, method: str, status: object, value: object
 ) -> Layer[object]:
     match method, value:
-        case "requestTopic", ["TCPROS", str() as host, int() as port] if (
-            host and 0 < port < 1 << 16
-        ) and not _leads_back(agent, remote, _topics_of(remote, host, port)):
-            topics = _topics_of(remote, host, port)
+        case "requestTopic", ["TCPROS", str() as host, int() as port] if host and 0 < port < 1 << 16:
+            # From a peer behind a relay's door only that it offers TCPROS counts: the topic is there, too.
+            host, port = (remote.host, remote.port) if remote.door else (host, port)
+            topics = Endpoint(WireProtocol.TCPROS, host, port)
+            program_at = agent.endpoints.program_at
+            if program_at(topics) is not None and program_at(remote) is None:  # it leads back
+                return [-1, NO_TRANSPORT, []]
             uri = yield from agent.egress_uri(topics)
             agent.endpoints.set_api(topics, remote)
             egress = parse_endpoint(uri, WireProtocol.TCPROS)
@@ -298,8 +286,9 @@ def _answer_for_program(
 
 
 def _topics_of(remote: Endpoint, host: str, port: int) -> Endpoint:
+    # From a peer behind a relay's door only that it offers TCPROS counts: the topic is at the door, too.
     if remote.door:
-        return Endpoint(WireProtocol.TCPROS, remote.host, remote.port)
+        host, port = remote.host, remote.port
     return Endpoint(WireProtocol.TCPROS, host, port)
 
 
@@ -325,31 +314,21 @@ def _peer_bus_info(agent: AgentState, entries: list[object]) -> Layer[list[objec
 
 
 def unrestricted(decision: Decision) -> None:
-    """No guard, where one cannot be: raises `RestrictionMismatch` for a restricted decision."""
+    # No guard, where one cannot be: raises `RestrictionMismatch` for a restricted decision.
     decision.require_unrestricted()
 
 
 @dataclass(frozen=True)
 class AdmittedConnection:
-    """A connection whose two ends may exchange messages.
+    """A connection whose two ends may exchange messages."""
 
-    Attributes:
-        answer: the header for the end that asked.
-        decision: the authorization of the peer; the connection ends with it.
-        guard: filters each message before it is forwarded; None: bytes are forwarded unchanged.
-        service: both directions carry data; else only from publisher to subscriber.
-        message_size: of every message to a program, if the size is fixed and known.
-        wishes: of a peer that subscribes.
-        rebuild: makes the guard for another decision of the same peer, right and name.
-    """
-
-    answer: Mapping[str, bytes]
-    decision: Decision
-    guard: Guard | None
-    service: bool
-    message_size: int | None = None
-    wishes: Wishes = NO_WISHES
-    rebuild: Callable[[Decision], Guard | None] = unrestricted
+    answer: Mapping[str, bytes]  # the header for the end that asked
+    decision: Decision  # of the peer; the connection ends with it
+    guard: Guard | None  # filters each message before it is forwarded; None: bytes pass unchanged
+    service: bool  # both directions carry data; else only from publisher to subscriber
+    message_size: int | None = None  # of every message to a program, if it is fixed and known
+    wishes: Wishes = NO_WISHES  # of a peer that subscribes
+    rebuild: Callable[[Decision], Guard | None] = unrestricted  # for another decision of the same peer
 
     @property
     def latching(self) -> bool:
