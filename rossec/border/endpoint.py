@@ -19,19 +19,6 @@ from ca.things.constrained_nodes import ThingKey
 from rossec.border import messages
 from rossec.border.conversations import MAX_BLOCK, MAX_BODY, Conversation, Conversations, Unauthenticated
 from rossec.border.handshakes import ID_SIZE, MAX_MESSAGE_3, Authenticated, Handshakes, StaticKey
-from rossec.border.messages import (
-    Address,
-    Challenges,
-    OscoreContext,
-    RequestId,
-    Send,
-    Timers,
-    Transmissions,
-    border_context,
-    name_context,
-    partial_iv,
-    unprotected,
-)
 from rossec.errors import DatagramRefused, ThingError, ThingUnauthenticated, ThingUnreachable
 
 DEADLINE: Final = 95.0  # seconds for one message and its answer; repeated for 62 to 93
@@ -72,7 +59,7 @@ class PendingRequest:
     request: Request
     on_answer: OnAnswer
     token: bytes = b""
-    identifier: RequestId = None
+    identifier: messages.RequestId = None
     mid: int = 0
     sent: int = 0  # blocks of the body that were acknowledged
     received: bytes | None = None  # blocks of the answer before this one
@@ -91,7 +78,9 @@ class Requests:
     whether or not it says that it is a notification: no tag covers that option.
     """
 
-    def __init__(self, transmissions: Transmissions, timers: Timers, random: Callable[[int], bytes]) -> None:
+    def __init__(
+        self, transmissions: messages.Transmissions, timers: messages.Timers, random: Callable[[int], bytes]
+    ) -> None:
         self._transmissions = transmissions
         self._timers = timers
         self._random = random
@@ -136,7 +125,7 @@ class Requests:
         opened, _ = exchange.conversation.context.open(message, exchange.identifier)
         self._transmissions.acknowledge(exchange.conversation.address, exchange.mid)
         if exchange.request.observe:
-            number = partial_iv(message)
+            number = messages.partial_iv(message)
             if number <= exchange.newest:
                 raise DatagramRefused("a notification that is older than the last one")
             exchange.newest = number
@@ -277,7 +266,7 @@ class Endpoint:
         own: StaticKey,
         served: Served,
         events: Events,
-        send: Send,
+        send: messages.Send,
         random: Callable[[int], bytes],
         rand: Callable[[], float],
     ) -> None:
@@ -285,18 +274,18 @@ class Endpoint:
         self._events = events
         self._send = send
         self._random = random
-        self.timers = Timers()
+        self.timers = messages.Timers()
         self.conversations = Conversations(self._ended)
         self.counts = Counts()
-        self._transmissions = Transmissions(send, self.timers, rand)
+        self._transmissions = messages.Transmissions(send, self.timers, rand)
         self.requests = Requests(self._transmissions, self.timers, random)
         self._handshakes = Handshakes(own, self._find_key, self._is_taken, random)
-        self._challenges = Challenges(random(16))
+        self._challenges = messages.Challenges(random(16))
         self._handshake_budget = Unauthenticated(HANDSHAKES)
         self._derivation_budget = Unauthenticated(DERIVATIONS)
-        self._decoy = OscoreContext(random(16), b"", b"\0", b"\1")
+        self._decoy = messages.OscoreContext(random(16), b"", b"\0", b"\1")
 
-    def receive(self, data: bytes, address: Address, now: float) -> None:
+    def receive(self, data: bytes, address: messages.Address, now: float) -> None:
         self.counts.datagrams += 1
         try:
             message = messages.read(data)
@@ -304,7 +293,7 @@ class Endpoint:
         except ThingError:
             self.counts.refused += 1
 
-    def _take(self, message: Message, address: Address, now: float) -> None:
+    def _take(self, message: Message, address: messages.Address, now: float) -> None:
         mid = messages.number_of(message)
         if message.mtype == messages.RST:
             return  # as if it was lost: see `transmissions`
@@ -318,7 +307,7 @@ class Endpoint:
         elif message.code.is_request() and message.mtype in {messages.CON, messages.NON}:
             self._take_request(message, address, now)
 
-    def _take_response(self, message: Message, address: Address, now: float) -> None:
+    def _take_response(self, message: Message, address: messages.Address, now: float) -> None:
         exchange = self.requests.find(message, address)
         if exchange is None:
             if message.mtype == messages.CON:
@@ -332,7 +321,7 @@ class Endpoint:
             self._send(messages.empty(messages.ACK, messages.number_of(message)), address)
         self.requests.take(exchange, message, now)
 
-    def _take_request(self, message: Message, address: Address, now: float) -> None:
+    def _take_request(self, message: Message, address: messages.Address, now: float) -> None:
         try:
             if message.opt.oscore is not None:
                 self._take_protected(message, address, now)
@@ -347,7 +336,7 @@ class Endpoint:
 
     # --- EDHOC (RFC 9528 appendix A.2)
 
-    def _take_handshake(self, message: Message, address: Address, now: float) -> None:
+    def _take_handshake(self, message: Message, address: messages.Address, now: float) -> None:
         payload = bytes(message.payload)
         if payload[:1] != _MESSAGE_1:
             head = bytes((0x40 | ID_SIZE,))
@@ -364,7 +353,9 @@ class Endpoint:
             self.counts.octets.update(message_1=len(payload) - 1, message_2=len(message_2))
         self._answer(message, Message(code=codes.CHANGED, payload=message_2), address)
 
-    def _finish(self, own_id: bytes, message_3: bytes, address: Address, now: float) -> Authenticated:
+    def _finish(
+        self, own_id: bytes, message_3: bytes, address: messages.Address, now: float
+    ) -> Authenticated:
         found = self._handshakes.finish(own_id, message_3, now)
         served = self._served.by_key(found.key.kid)
         if served is None:
@@ -378,8 +369,8 @@ class Endpoint:
 
     # --- protected requests
 
-    def _take_protected(self, message: Message, address: Address, now: float) -> None:
-        kid, kid_context = unprotected(message)
+    def _take_protected(self, message: Message, address: messages.Address, now: float) -> None:
+        kid, kid_context = messages.unprotected(message)
         conversation = self.conversations.find(kid)
         if conversation is not None and messages.is_in(conversation.context, kid_context):
             known = conversation.remembered(address, messages.number_of(message))
@@ -404,7 +395,7 @@ class Endpoint:
         self._serve(conversation, message, opened, identifier, address, now)
 
     def _take_derived(
-        self, message: Message, kid: bytes, kid_context: bytes, address: Address, now: float
+        self, message: Message, kid: bytes, kid_context: bytes, address: messages.Address, now: float
     ) -> None:
         # A request that names the context it is in (RFC 8613 appendix B.2).
         value = messages.unwrapped(kid_context)
@@ -418,15 +409,15 @@ class Endpoint:
         self._spend(self._derivation_budget, address, now)
         served = self._served.by_secret(kid)
         name, secret = ("", b"\0" * 16) if served is None else served
-        context = border_context(secret, kid, value)
+        context = messages.border_context(secret, kid, value)
         opened, identifier = context.open(message)
         if served is None:
             raise DatagramRefused("no thing with this kid")
         if not self._challenges.take(kid, value, now):
             value_2 = self._challenges.make(kid, now, self._random(2))
-            challenge = border_context(secret, kid, value_2 + value)
+            challenge = messages.border_context(secret, kid, value_2 + value)
             sealed, _ = challenge.seal(Message(code=codes.UNAUTHORIZED), identifier)
-            name_context(sealed, messages.wrapped(value_2))
+            messages.name_context(sealed, messages.wrapped(value_2))
             self._answer(message, sealed, address)
             return
         self.counts.derivations += 1
@@ -439,8 +430,8 @@ class Endpoint:
         conversation: Conversation,
         message: Message,
         opened: Message,
-        identifier: RequestId,
-        address: Address,
+        identifier: messages.RequestId,
+        address: messages.Address,
         now: float,
     ) -> None:
         conversation.seen = now
@@ -472,13 +463,15 @@ class Endpoint:
     def _number(self) -> int:
         return int.from_bytes(self._random(2))
 
-    def _answer(self, request: Message, response: Message, address: Address, mid: int | None = None) -> bytes:
+    def _answer(
+        self, request: Message, response: Message, address: messages.Address, mid: int | None = None
+    ) -> bytes:
         mid = self._number() if mid is None else mid  # a stranger learns nothing of others
         data = messages.write(messages.answer(request, response, mid))
         self._send(data, address)
         return data
 
-    def _spend(self, budget: Unauthenticated, address: Address, now: float) -> None:
+    def _spend(self, budget: Unauthenticated, address: messages.Address, now: float) -> None:
         if not budget.take(str(address[0]), int(address[1]), now):
             self.counts.over_budget += 1
             raise ThingUnauthenticated("more attempts than are looked at")

@@ -17,18 +17,7 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from rossec.errors import ConfigurationError
-from rossec.overlay.documents import (
-    MAX_LOCATORS,
-    OPEN_SEAT,
-    Routers,
-    check_locator,
-    check_password,
-    check_seat,
-    is_encrypted,
-    is_texts,
-    read_document,
-    write_document,
-)
+from rossec.overlay import documents
 from rossec.overlay.link_frames import MAX_FRAME
 
 MAX_SEATS_FILE: Final = 256 * 1024
@@ -83,15 +72,15 @@ class Seats:
     passwords: Mapping[str, str] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
-        check_password(self.router)
+        documents.check_password(self.router)
         if len(self.passwords) > MAX_SEATS:
             raise ConfigurationError(f"at most {MAX_SEATS} seats", "remove what nobody uses")
         for seat, password in self.passwords.items():
-            if check_seat(seat) == OPEN_SEAT:
+            if documents.check_seat(seat) == documents.OPEN_SEAT:
                 raise ConfigurationError(
-                    f"{OPEN_SEAT} is the seat at a router without seats", "give it another name"
+                    f"{documents.OPEN_SEAT} is the seat at a router without seats", "give it another name"
                 )
-            check_password(password)
+            documents.check_password(password)
 
     @property
     def region(self) -> str:
@@ -103,7 +92,9 @@ class Seats:
 
     @classmethod
     def read(cls, data: bytes) -> Self:
-        found = read_document(data, _FORM, frozenset({"router", "seats"}), limit=MAX_SEATS_FILE, hint=_HINT)
+        found = documents.read_document(
+            data, _FORM, frozenset({"router", "seats"}), limit=MAX_SEATS_FILE, hint=_HINT
+        )
         match found:
             case {"router": str() as router, "seats": dict() as seats} if all(
                 isinstance(each, str) for each in seats.values()
@@ -112,7 +103,7 @@ class Seats:
         raise ConfigurationError(f"the {_FORM} file has a value of another type", _HINT)
 
     def write(self) -> bytes:
-        return write_document(_FORM, {"router": self.router, "seats": dict(self.passwords)})
+        return documents.write_document(_FORM, {"router": self.router, "seats": dict(self.passwords)})
 
     def add(self, seat: str, password: str) -> Self:
         if seat in self.passwords:
@@ -162,7 +153,7 @@ class Seats:
 
 def open_access_control() -> Entry:
     return _access_control(
-        _forwarding(_mailboxes(OPEN_SEAT)), [{"id": "everybody"}], [_policy("everybody", *_FORWARD)]
+        _forwarding(_mailboxes(documents.OPEN_SEAT)), [{"id": "everybody"}], [_policy("everybody", *_FORWARD)]
     )
 
 
@@ -194,7 +185,7 @@ def _policy(subject: str, *rules: str) -> Entry:
     return {"rules": list(rules), "subjects": [subject]}
 
 
-def client_settings(routers: Routers) -> dict[str, object]:
+def client_settings(routers: documents.Routers) -> dict[str, object]:
     """Of a relay's session: with one of the routers, another one when that fails.
 
     It listens nowhere: no port of a site is open for it.
@@ -225,18 +216,18 @@ class RouterSettings:
     join: tuple[str, ...] = ()  # locators of other routers of the operator
 
     def __post_init__(self) -> None:
-        if not self.listen or max(map(len, (self.listen, self.join))) > MAX_LOCATORS:
+        if not self.listen or max(map(len, (self.listen, self.join))) > documents.MAX_LOCATORS:
             raise ConfigurationError(
-                f"a router listens at 1 to {MAX_LOCATORS} addresses, and joins as many at most"
+                f"a router listens at 1 to {documents.MAX_LOCATORS} addresses, and joins as many at most"
             )
         if len(self.hosts) > MAX_HOSTS:
             raise ConfigurationError(f"a router has at most {MAX_HOSTS} names and addresses")
         for locator in (*self.listen, *self.join):
-            check_locator(locator)
+            documents.check_locator(locator)
         for host in self.hosts:
-            check_locator(_locator("tls", host, 1))
+            documents.check_locator(_locator("tls", host, 1))
         for locator in self.join:
-            if is_wildcard(check_locator(locator)[1]):
+            if is_wildcard(documents.check_locator(locator)[1]):
                 raise ConfigurationError(
                     f"{locator} is no router to join", "give the address of another router"
                 )
@@ -244,22 +235,22 @@ class RouterSettings:
     @classmethod
     def read(cls, data: bytes) -> Self:
         keys = frozenset(each.name for each in fields(cls))
-        found = read_document(
+        found = documents.read_document(
             data, _ROUTER_SETTINGS_FORM, keys, limit=MAX_SETTINGS_FILE, hint=_ROUTER_SETTINGS_HINT
         )
-        if not all(map(is_texts, found.values())):
+        if not all(map(documents.is_texts, found.values())):
             raise ConfigurationError(
                 f"the {_ROUTER_SETTINGS_FORM} file has a value of another type", _ROUTER_SETTINGS_HINT
             )
         return cls(**{name: tuple(value) for name, value in found.items()})
 
     def write(self) -> bytes:
-        return write_document(_ROUTER_SETTINGS_FORM, asdict(self))
+        return documents.write_document(_ROUTER_SETTINGS_FORM, asdict(self))
 
     @property
     def certified(self) -> tuple[str, ...]:
         """What the router's certificate is for: its hosts, where it listens, and this host."""
-        addresses = (check_locator(each)[1] for each in self.listen)
+        addresses = (documents.check_locator(each)[1] for each in self.listen)
         named = (each for each in addresses if not is_wildcard(each))
         return tuple(dict.fromkeys((*self.hosts, *named, *_LOCAL)))
 
@@ -272,13 +263,13 @@ class RouterSettings:
                 "it is not known by which name relays reach this router",
                 "say it once: --host router.example.org, or an address",
             )
-        return tuple(dict.fromkeys((*own, *self.join)))[:MAX_LOCATORS]
+        return tuple(dict.fromkeys((*own, *self.join)))[: documents.MAX_LOCATORS]
 
     @property
     def own_locators(self) -> tuple[str, ...]:
         found: list[str] = []
         for each in self.listen:
-            protocol, host, port = check_locator(each)
+            protocol, host, port = documents.check_locator(each)
             if is_wildcard(host):
                 found += [_locator(protocol, known, port) for known in self.hosts]
             else:
@@ -307,7 +298,7 @@ def zenoh_settings(settings: RouterSettings, seats: Seats | None, files: RouterF
         "transport/link/rx/max_message_size": _MESSAGE,
         "low_pass_filter": [_SIZE_LIMIT],
     }
-    if any(map(is_encrypted, (*settings.listen, *settings.join))):
+    if any(map(documents.is_encrypted, (*settings.listen, *settings.join))):
         found |= {
             "transport/link/tls/root_ca_certificate": str(files.root_certificate),
             "transport/link/tls/listen_private_key": str(files.key),
@@ -316,7 +307,7 @@ def zenoh_settings(settings: RouterSettings, seats: Seats | None, files: RouterF
         }
     if seats is None:
         return {**found, "access_control": open_access_control()}
-    plain = [each for each in settings.join if not is_encrypted(each)]
+    plain = [each for each in settings.join if not documents.is_encrypted(each)]
     if plain:
         raise ConfigurationError(
             f"a router with seats does not join {plain[0]}: nothing says who answers there",

@@ -18,22 +18,7 @@ from rossec.channel.records import Bytes
 from rossec.errors import ChannelError, LinkCrowded, StreamRefused
 from rossec.host.runner import TaskSet
 from rossec.net.aio.transport import Transport
-from rossec.overlay.mux import (
-    FOR_ONE_NAME,
-    HEADROOM,
-    MAX_DATA,
-    STREAMS,
-    YOUNG,
-    Credit,
-    Data,
-    End,
-    Mux,
-    Opened,
-    Refused,
-    Reset,
-    Role,
-    StreamTarget,
-)
+from rossec.overlay import mux
 from rossec.participant import delivery
 
 _KEEPALIVE: Final = (
@@ -48,7 +33,7 @@ MOST_WAITING: Final = 256  # connections that wait for room
 MOST_UNSENT: Final = 8 * 1024 * 1024  # twice a link's window: the peer reads nothing, but asks
 _CROWDED: Final = "it has too many streams"
 _FEWER: Final = (
-    f"a link carries {STREAMS} connections, {FOR_ONE_NAME} to one name and {YOUNG} new ones at a "
+    f"a link carries {mux.STREAMS} connections, {mux.FOR_ONE_NAME} to one name and {mux.YOUNG} new ones at a "
     "time: nodes try again, or let one subscribe from there and publish for the others"
 )
 _log = logging.getLogger("rossec.overlay")
@@ -173,7 +158,7 @@ class Pump:
         self._changed.set()
 
 
-Dial: TypeAlias = Callable[[StreamTarget, Pump], Awaitable[socket.socket]]
+Dial: TypeAlias = Callable[[mux.StreamTarget, Pump], Awaitable[socket.socket]]
 """Connects to a target. Raises a `HintedError` or an `OSError`."""
 
 
@@ -189,7 +174,7 @@ class LinkStream(Protocol):
     def abort(self, reason: str) -> None: ...
 
 
-async def refuse_streams(target: StreamTarget, _pump: Pump) -> socket.socket:
+async def refuse_streams(target: mux.StreamTarget, _pump: Pump) -> socket.socket:
     raise StreamRefused(f"a stream to {target} where none is opened")
 
 
@@ -206,7 +191,7 @@ class Streams:
     def __init__(
         self,
         link: LinkStream,
-        role: Role,
+        role: mux.Role,
         peer: str,
         dial: Dial = refuse_streams,
         clock: Callable[[], float] = time.monotonic,
@@ -218,9 +203,9 @@ class Streams:
         self._dial = dial
         self._clock = clock
         self._round_trip = round_trip
-        self._mux = Mux(role)
+        self._mux = mux.Mux(role)
         self._pumps: dict[int, Pump] = {}
-        self._buffer = memoryview(bytearray(HEADROOM + MAX_DATA))
+        self._buffer = memoryview(bytearray(mux.HEADROOM + mux.MAX_DATA))
         self._waiting: dict[int, None] = {}  # read when the link has room, in this order
         self._draining = False
         self._openers: set[asyncio.Future[None]] = set()
@@ -250,7 +235,7 @@ class Streams:
 
     # -- the caller's side
 
-    async def carry(self, target: StreamTarget, sock: socket.socket) -> None:
+    async def carry(self, target: mux.StreamTarget, sock: socket.socket) -> None:
         try:
             async with asyncio.timeout(CONNECT_SECONDS):
                 await self._room_for(target)
@@ -270,7 +255,7 @@ class Streams:
         finally:
             pump.break_off()
 
-    async def _room_for(self, target: StreamTarget) -> None:
+    async def _room_for(self, target: mux.StreamTarget) -> None:
         if len(self._openers) >= MOST_WAITING:
             raise LinkCrowded(f"too many connections wait for {self._peer}", _FEWER)
         while not self._over.done() and self._mux.crowded(target, self._clock()):
@@ -290,7 +275,7 @@ class Streams:
 
     # -- the called side
 
-    async def _connect(self, number: int, pump: Pump, target: StreamTarget) -> None:
+    async def _connect(self, number: int, pump: Pump, target: mux.StreamTarget) -> None:
         try:
             async with asyncio.timeout(CONNECT_SECONDS):
                 sock = await self._dial(target, pump)
@@ -325,20 +310,20 @@ class Streams:
             self._wake_openers()
         return True
 
-    def _handle(self, event: Opened | Refused | Data | Credit | End | Reset) -> None:
+    def _handle(self, event: mux.Opened | mux.Refused | mux.Data | mux.Credit | mux.End | mux.Reset) -> None:
         match event:
-            case Opened(number, target):
+            case mux.Opened(number, target):
                 self._tasks.spawn(self._connect(number, self._add(number), target), str(target))
-            case Refused(_, target, reply):
+            case mux.Refused(_, target, reply):
                 delivery.warn(_log, delivery.REFUSED, str(target), self._peer, _CROWDED)
                 self._write(reply)
-            case Data(stream, payload) if pump := self._pumps.get(stream):
+            case mux.Data(stream, payload) if pump := self._pumps.get(stream):
                 pump.arrived(payload)
-            case Credit(stream) if pump := self._pumps.get(stream):
+            case mux.Credit(stream) if pump := self._pumps.get(stream):
                 pump.resume()
-            case End(stream) if pump := self._pumps.get(stream):
+            case mux.End(stream) if pump := self._pumps.get(stream):
                 pump.ended(over=stream not in self._mux)
-            case Reset(stream) if pump := self._pumps.get(stream):
+            case mux.Reset(stream) if pump := self._pumps.get(stream):
                 pump.break_off()
             case _:  # its connection is over
                 pass
@@ -354,15 +339,15 @@ class Streams:
         if self._draining:
             self._waiting[stream] = None
             return None
-        room = min(self._mux.credit(stream), MAX_DATA)
-        return self._buffer[HEADROOM : HEADROOM + room] if room else None
+        room = min(self._mux.credit(stream), mux.MAX_DATA)
+        return self._buffer[mux.HEADROOM : mux.HEADROOM + room] if room else None
 
     def send(self, stream: int, count: int) -> None:
         # The head is written in front of the payload, which is not copied.
         head = self._mux.data(stream, count)
-        begin = HEADROOM - len(head)
-        self._buffer[begin:HEADROOM] = head
-        self._write(self._buffer[begin : HEADROOM + count])
+        begin = mux.HEADROOM - len(head)
+        self._buffer[begin : mux.HEADROOM] = head
+        self._write(self._buffer[begin : mux.HEADROOM + count])
 
     def took(self, stream: int, count: int) -> None:
         self._write(self._mux.took(stream, count, self._clock(), self._round_trip()))

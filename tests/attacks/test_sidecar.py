@@ -257,6 +257,6 @@ async def test_a_failing_check_closes_the_connection(
         await robot.register("registerPublisher", "/word", "std_msgs/String")
         uris = await ear.register("registerSubscriber", "/word", "std_msgs/String")
         assert isinstance(uris, list)
-        monkeypatch.setattr(node_connections, "guard_for", crash)
+        monkeypatch.setattr("rossec.participant.definitions.guard_for", crash)
         with pytest.raises(Exception, match=r"closed|reset"):
             await ear.subscribe(uris[0], "/word")

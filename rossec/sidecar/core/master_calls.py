@@ -15,19 +15,8 @@ from grants.model import Right
 from grants.request import is_dispensable, missing_right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
+from rossec.participant import registrations
 from rossec.participant.handshakes import offer_refusal
-from rossec.participant.registrations import (
-    REGISTERS,
-    RELATIVE_NAME,
-    SEARCH,
-    UNREGISTERS,
-    Call,
-    not_found,
-    resolve_params,
-    search_places,
-    search_result,
-    searched_key,
-)
 from rossec.participant.slave_api import without_caller
 from rossec.peer_limits import printable
 from rossec.ros.names import MASTER
@@ -110,7 +99,7 @@ RULES: Final = {
     "setParam": CallRule(),
     "deleteParam": CallRule(),
     "hasParam": CallRule(default=False),
-    SEARCH: CallRule(),
+    registrations.SEARCH: CallRule(),
     "getParamNames": CallRule(default=[]),
 }
 
@@ -126,7 +115,7 @@ def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> L
     master_params = yield from _params_for_master(agent, method, rule, caller, params)
     if master_params is None:
         return [-1, "rossec: this address is not the program's own", 0]
-    key = None if master_params[0] == caller else searched_key(method, params)
+    key = None if master_params[0] == caller else registrations.searched_key(method, params)
     if key is None:
         answer = yield from _call_master(method, master_params)
     else:
@@ -134,9 +123,11 @@ def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> L
     if answer[0] == 1:
         _record_registration(agent, method, rule, params, master_params)
         if method == SUBSCRIBE:
-            answer[2] = agent.followed_publishers(master_params[RELATIVE_NAME[method]], answer[2])
+            answer[2] = agent.followed_publishers(
+                master_params[registrations.RELATIVE_NAME[method]], answer[2]
+            )
         return (yield from _answer_for_program(agent, rule, _own_api(rule, params), answer))
-    if method in REGISTERS and str(answer[1]).startswith(REFUSED):
+    if method in registrations.REGISTERS and str(answer[1]).startswith(REFUSED):
         _record_registration(agent, method, rule, params, master_params, refused=True)
         missing = missing_right(str(answer[1]))
         if method in _DISPENSABLE and missing and is_dispensable(missing.right, missing.own):
@@ -152,7 +143,7 @@ def _refusal(
     if refused is not None:
         return refused
     caller = str(params[0])
-    if method in REGISTERS and not agent.covers(caller):
+    if method in registrations.REGISTERS and not agent.covers(caller):
         name = agent.identity.name
         told = (
             f"rossec: a program with the identity of {name} calls itself {printable(caller, 255)}:"
@@ -162,7 +153,7 @@ def _refusal(
             again = f"rossec node request {name} --anonymous"
             return [-1, f"{told} enroll it for anonymous nodes too, with a key of its own: {again}", 0]
         return [-1, f"{told} with an identity of its own", 0]
-    return offer_refusal(method, resolve_params(method, params, caller))
+    return offer_refusal(method, registrations.resolve_params(method, params, caller))
 
 
 def rule_of(method: str) -> CallRule:
@@ -184,11 +175,13 @@ def _call_master(method: str, params: tuple[object, ...]) -> Layer[list[object]]
 
 def _search(caller: str, name: object, key: str) -> Layer[list[object]]:
     # Search from the namespace of `caller`; the master would search from that of `name`.
-    for candidate, found in search_places(caller, key):
-        answer = search_result((yield from _call_master(SEARCH, (name, candidate))), found)
+    for candidate, found in registrations.search_places(caller, key):
+        answer = registrations.search_result(
+            (yield from _call_master(registrations.SEARCH, (name, candidate))), found
+        )
         if answer is not None:
             return answer
-    return not_found(key)
+    return registrations.not_found(key)
 
 
 def _multicall(agent: AgentState, given: tuple[object, ...]) -> Layer[object]:
@@ -213,9 +206,11 @@ def _params_for_master(
 ) -> Layer[tuple[object, ...] | None]:
     # The parameters for the secured master; None: the address is not the program's own.
     name = caller
-    if method not in UNREGISTERS:  # `rosnode cleanup` names dead nodes; the master authorizes it
+    if (
+        method not in registrations.UNREGISTERS
+    ):  # `rosnode cleanup` names dead nodes; the master authorizes it
         name = agent.name_for(caller)
-    changed = list(params if name == caller else resolve_params(method, params, caller))
+    changed = list(params if name == caller else registrations.resolve_params(method, params, caller))
     changed[0] = name
     for index, protocol in ((rule.api, WireProtocol.HTTP), (rule.service, WireProtocol.TCPROS)):
         if index is None or index >= len(params):
@@ -228,7 +223,7 @@ def _params_for_master(
             return None
         changed[index] = address
     own_api = _own_api(rule, params)
-    if own_api is not None and method in REGISTERS:
+    if own_api is not None and method in registrations.REGISTERS:
         agent.endpoints.set_own_uri(own_api, str(params[rule.api or 0]))
         known = agent.programs.get(own_api)
         if known is None or known.name != caller:  # the port may have been reused
@@ -242,7 +237,7 @@ def _address(agent: AgentState, method: str, given: Endpoint) -> Layer[str | Non
     # unregisters may name that of a program that has ended, which another one has now.
     local = local_endpoint(given.protocol, given.port)
     remote = agent.endpoints.peer_at(local)
-    if method not in REGISTERS:
+    if method not in registrations.REGISTERS:
         return (remote or agent.endpoints.network_of(local)).uri
     return None if remote is not None else (yield from agent.ingress_endpoint(local)).uri
 
@@ -263,10 +258,10 @@ def _record_registration(
     refused: bool = False,
 ) -> None:
     own_api = _own_api(rule, params)
-    if method in REGISTERS and own_api is not None:
+    if method in registrations.REGISTERS and own_api is not None:
         program = agent.programs.setdefault(own_api, Program(str(params[0])))
         program.registrations.record(method, master_params, refused=refused)
-    elif method in UNREGISTERS:
+    elif method in registrations.UNREGISTERS:
         for program in agent.programs.values():
             program.registrations.record(method, master_params)
 
@@ -326,11 +321,11 @@ def rights_changed(agent: AgentState, holds: Holds) -> Layer[None]:
                 yield from _register_again(agent, own_api, method, params)
 
 
-def _allowed(calls: Iterable[Call], holds: Holds) -> list[Call]:
+def _allowed(calls: Iterable[registrations.Call], holds: Holds) -> list[registrations.Call]:
     return [
         (method, params)
         for method, params in calls
-        if method in _RIGHTS and holds(_RIGHTS[method], str(params[RELATIVE_NAME[method]]))
+        if method in _RIGHTS and holds(_RIGHTS[method], str(params[registrations.RELATIVE_NAME[method]]))
     ]
 
 
@@ -346,7 +341,7 @@ def _register_again(
             pass
     match event:
         case Answered(value=[1, _, value]) if method == SUBSCRIBE:
-            topic = str(params[RELATIVE_NAME[SUBSCRIBE]])
+            topic = str(params[registrations.RELATIVE_NAME[SUBSCRIBE]])
             publishers = agent.followed_publishers(topic, value)
             yield from _update_publishers(agent, own_api, topic, publishers)
         case NoAnswer(reason=reason):
