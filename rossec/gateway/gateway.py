@@ -301,7 +301,10 @@ class Gateway:
             if alias not in wanted and (alias in self.skipped or not each.topic.sources):
                 each.topic.stop()
         for alias in wanted.keys() - self._running.keys():
-            self._begin(wanted[alias])
+            topic = ServedTopic(wanted[alias], self._node.topics)
+            task = self._tasks.spawn(_serve(topic), f"gateway: {alias}")
+            task.add_done_callback(lambda _: self._changed.set())
+            self._running[alias] = _Running(topic, task)
         await self._restore_lost(now)
 
     async def _wanted(self, now: float) -> list[Candidate]:
@@ -363,12 +366,6 @@ class Gateway:
                 f"rossec grant sign {name} --publish '/gateway/{label}/**'",
             )
         return None
-
-    def _begin(self, candidate: Candidate) -> None:
-        topic = ServedTopic(candidate, self._node.topics)
-        task = self._tasks.spawn(_serve(topic), f"gateway: {candidate.alias}")
-        task.add_done_callback(lambda _: self._changed.set())
-        self._running[candidate.alias] = _Running(topic, task)
 
     async def _restore_lost(self, now: float) -> None:
         served = [each.topic for each in self._running.values()]

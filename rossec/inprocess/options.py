@@ -45,8 +45,19 @@ def read(
 ) -> Options:
     table = _table(text) if text is not None else {}
     name = _first(node, environ.get("ROSSEC_NODE"), table.get("node"))
-    plain = _first(allow_plain, _split(environ.get("ROSSEC_ALLOW_PLAIN")), table.get("allow_plain"))
-    return Options(rossec_home(environ), _checked_name(name), () if plain is None else _checked_list(plain))
+    if name is not None:
+        try:
+            check_name(str(name) if "/" in str(name) else f"/{name}")
+        except NameRefused as error:
+            raise ConfigurationError(f"{name!r} is not the name of a node: {error}", error.hint) from error
+    listed = environ.get("ROSSEC_ALLOW_PLAIN")
+    split = None if listed is None else [part.strip() for part in listed.split(",") if part.strip()]
+    plain = _first(allow_plain, split, table.get("allow_plain"), ())
+    if isinstance(plain, str) or not isinstance(plain, Sequence):
+        raise ConfigurationError("allow_plain is a list of names", 'allow_plain=["/topic"]')
+    if not all(isinstance(value, str) and value for value in plain):
+        raise ConfigurationError("allow_plain holds something that is not text")
+    return Options(rossec_home(environ), None if name is None else str(name), tuple(plain))
 
 
 def _table(text: str) -> Mapping[str, object]:
@@ -68,29 +79,6 @@ def _table(text: str) -> Mapping[str, object]:
 
 def _first(*values: object) -> object:
     return next((value for value in values if value is not None), None)
-
-
-def _split(text: str | None) -> list[str] | None:
-    return None if text is None else [part.strip() for part in text.split(",") if part.strip()]
-
-
-def _checked_name(name: object) -> str | None:
-    if name is None:
-        return None
-    text = str(name)
-    try:
-        check_name(text if "/" in text else f"/{text}")
-    except NameRefused as error:
-        raise ConfigurationError(f"{name!r} is not the name of a node: {error}", error.hint) from error
-    return text
-
-
-def _checked_list(values: object) -> tuple[str, ...]:
-    if isinstance(values, str) or not isinstance(values, Sequence):
-        raise ConfigurationError("allow_plain is a list of names", 'allow_plain=["/topic"]')
-    if not all(isinstance(value, str) and value for value in values):
-        raise ConfigurationError("allow_plain holds something that is not text")
-    return tuple(values)
 
 
 class PlainConnection:

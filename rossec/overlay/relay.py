@@ -60,6 +60,7 @@ _ENDED: Final = (
 MAX_CALLED: Final = 2  # links that one peer has made: a new one, and one that it may have given up
 _PERIOD: Final = 1.0
 _audit = logging.getLogger("rossec.audit")
+
 _Serve: TypeAlias = Callable[[SecureStream[Identity]], Awaitable[None]]
 
 
@@ -311,29 +312,25 @@ class Relay:
         await link.carry(door.target, sock)
 
     async def _dial(self, peer: Peer) -> SecureStream[Identity]:
-        self._check_admitted(peer)
-        stream = await self._network.dial(peer.mailbox)
-        self._admit(peer, stream)
-        return stream
-
-    def _check_admitted(self, peer: Peer) -> None:
         # Say before the handshake what would be less clear after it.
-        if not peer.domain:
-            return
-        listed = self._member.standing.anchors.listed(peer.domain)
-        if listed is None:
+        listed = self._member.standing.anchors.listed(peer.domain) if peer.domain else None
+        if peer.domain and listed is None:
             raise RelayRefused(
                 f"no trusted domain is called {peer.domain}",
                 "at this side's authority: rossec domain accept CARD",
             )
-        if not any(pattern_covers(pattern, peer.relay) for pattern in listed.entry.admitted):
+        admitted = () if listed is None else listed.entry.admitted
+        if listed is not None and not any(pattern_covers(pattern, peer.relay) for pattern in admitted):
             # The options that admit whom the list admits, and so its relays too, but nobody else.
-            nodes = [each for each in listed.entry.admitted if not is_master_name(each.replace("*", "x"))]
+            nodes = [each for each in admitted if not is_master_name(each.replace("*", "x"))]
             options = " ".join(f"--admit '{each}'" for each in nodes or [RELAY])
             raise RelayRefused(
                 f"{peer.shown} is not admitted: the domain was accepted before relays were",
                 f"at this side's authority: rossec domain limit {peer.domain} {options}",
             )
+        stream = await self._network.dial(peer.mailbox)
+        self._admit(peer, stream)
+        return stream
 
     def _admit(self, peer: Peer, stream: SecureStream[Identity]) -> None:
         try:

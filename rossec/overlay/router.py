@@ -9,7 +9,7 @@ finer levels it would name mailboxes.
 import asyncio
 import logging
 import threading
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from rossec.errors import ConfigurationError, OverlayUnavailable, RossecError
 from rossec.overlay.homes import RouterHome
@@ -22,12 +22,6 @@ _CERTIFICATE_PERIOD: Final = 24 * 3600.0  # seconds
 CLOSING: Final = 5.0  # seconds
 
 
-class Session(Protocol):
-    @property
-    def info(self) -> Any: ...
-    def close(self) -> Any: ...
-
-
 class Router:
     """One router, of the directory `home`; used on one loop. `is_open`: whoever reaches it may use it."""
 
@@ -37,7 +31,7 @@ class Router:
         self._is_open = is_open
         self._seats_version: tuple[int, ...] = ()
         self._certificate_due = 0.0
-        self._session: Session | None = None
+        self._session: Any = None
         self._joined = 0
 
     async def start(self) -> None:

@@ -330,7 +330,14 @@ class PortPool(Generic[KeyT, PortT]):
         port = self._ports.pop(endpoint, None)
         if port is None:
             if len(self._ports) >= self._limit:
-                self._evict()
+                for each, idle in self._ports.items():
+                    if idle.connections == 0 and self._may_evict(each):
+                        del self._ports[each]
+                        self._on_evict(each, idle)
+                        break
+                else:
+                    why = f"more than {self._limit} addresses in use in one process"
+                    raise ConfigurationError(why, self._hint)
             port = open_port()
         self._ports[endpoint] = port
         return port
@@ -340,14 +347,6 @@ class PortPool(Generic[KeyT, PortT]):
 
     def remove(self, endpoint: KeyT) -> PortT | None:
         return self._ports.pop(endpoint, None)
-
-    def _evict(self) -> None:
-        for endpoint, port in self._ports.items():
-            if port.connections == 0 and self._may_evict(endpoint):
-                del self._ports[endpoint]
-                self._on_evict(endpoint, port)
-                return
-        raise ConfigurationError(f"more than {self._limit} addresses in use in one process", self._hint)
 
     def __iter__(self) -> Iterator[PortT]:
         return iter(tuple(self._ports.values()))
