@@ -363,16 +363,13 @@ class XmlRpcClient:
                     return [1, status, REGISTRATIONS[method]]
             case _ if (reason := unheard_refusal(method, params, answer)) is not None:
                 self._process.reporter.warn(f"the master refuses {method}: {reason}")
-            case _ if shows_nothing(method, answer) and not self._may_see_all():
-                name = self._process.local_identity.identity.name
-                self._process.reporter.warn(f"{method}: {nothing_shown(name)}")
+            case _ if shows_nothing(method, answer):
+                own = self._process.local_identity
+                if not own.access.holds(Right.GRAPH, own.name, now()):
+                    self._process.reporter.warn(f"{method}: {nothing_shown(own.identity.name)}")
             case _:
                 pass
         return answer
-
-    def _may_see_all(self) -> bool:
-        identity = self._process.local_identity
-        return identity.access.holds(Right.GRAPH, identity.name, now())
 
     # -- other nodes
 

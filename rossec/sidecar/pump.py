@@ -80,7 +80,10 @@ async def subscribe(
     max_length: int = MESSAGE_LIMIT,
 ) -> None:
     """Forward a peer's messages to a subscribing program; a guard takes none above `max_length`."""
-    direction = incoming(peer, program, guard, initial, max_length)
+    if guard is None:
+        direction = to_program(peer, program, initial)
+    else:
+        direction = send_filtered(peer, program, guard, initial, max_length)
     await run_both(program, peer, direction, expect_no_data(program))
 
 
@@ -104,18 +107,6 @@ def outgoing(
     if isinstance(guard, SharedGuard):
         return send_filtered_nowait(program, peer, guard, initial)
     return send_filtered(program, peer, guard, initial)
-
-
-def incoming(
-    peer: SecureStream[Identity],
-    program: PlainStream,
-    guard: MessageGuard | None,
-    initial: bytes,
-    max_length: int = MESSAGE_LIMIT,
-) -> Coroutine[None, None, None]:
-    if guard is None:
-        return to_program(peer, program, initial)
-    return send_filtered(peer, program, guard, initial, max_length)
 
 
 async def send_filtered(

@@ -22,7 +22,6 @@ from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ConfigurationError, HangUp, PeerUnreachable
 from rossec.home import NodeHome
-from rossec.host.local_sockets import Holder
 from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureContext, SecureStream
 from rossec.net.limits import HalfOpen, HalfOpenCount
@@ -171,6 +170,11 @@ class Agent:
             self, self.state, self._connections, home.filter_key, self._resubscriber.on_topic_ended
         )
         self._cache = ConnectionCache()
+        # What it offers as `AgentServices`, beside the methods below.
+        self.open_ingress, self.suspend_ingress = self._ingress.open, self._ingress.suspend
+        self.leads_to = self._ingress.leads_to
+        self.open_egress, self.refuse_egress = self._egress.open, self._egress.refuse
+        self.cache_client, self.cached_client = self._cache.put, self._cache.take
         self._refusals = RefusalLog()
         self._has_failed = False
         self._start_lock = asyncio.Lock()
@@ -195,27 +199,6 @@ class Agent:
         await self._membership.close()
 
     # --- agent services
-
-    def open_ingress(self, local: Endpoint) -> int:
-        return self._ingress.open(local)
-
-    def suspend_ingress(self, local: Endpoint) -> None:
-        self._ingress.suspend(local)
-
-    def leads_to(self, local: Endpoint, listeners: list[Holder]) -> bool:
-        return self._ingress.leads_to(local, listeners)
-
-    def open_egress(self, remote: Endpoint) -> int:
-        return self._egress.open(remote)
-
-    def refuse_egress(self, remote: Endpoint) -> int:
-        return self._egress.refuse(remote)
-
-    def cache_client(self, remote: Endpoint, client: SlaveApiClient) -> None:
-        self._cache.put(remote, client)
-
-    def cached_client(self, remote: Endpoint) -> SlaveApiClient | None:
-        return self._cache.take(remote)
 
     async def dial(self, remote: Endpoint) -> SecureStream[Identity]:
         own_identity = self.state.endpoints.program_at(remote) is not None

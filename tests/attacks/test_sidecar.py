@@ -23,7 +23,6 @@ from rossec.net.aio.client import dial
 from rossec.net.limits import HalfOpen
 from rossec.net.rpc.calls import RpcClient
 from rossec.sidecar import executor
-from rossec.sidecar.core import node_connections
 from rossec.sidecar.core.layers import local_endpoint
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar
