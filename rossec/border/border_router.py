@@ -1,19 +1,10 @@
-"""The UDP socket of a border router, and the clock of its endpoint. A shell, with no logic.
+"""The border router: its UDP socket, its own node, the things it serves, and a ROS node for each. A shell.
 
-The port is bound without SO_REUSEPORT: nobody else on this host may take a part of its datagrams.
-What the network does not take is lost, as any datagram may be; things and router repeat. A lost
-datagram costs its thing seconds, so the socket is emptied before anything of a stranger is looked
-at, and strangers get a part of each turn (`intake`).
-
-The border router: its own node, the things it serves, and a ROS node for each of them.
-
-Only its own node has a session with the master. What that learns of revocations holds for all
-things at once: a thing whose statement or key is revoked ends here, with every connection of its
-node, as soon as the list arrives. A thing gets its node when it registers.
-
-What a border router that runs says of its things, in a file of its directory. No secrets.
-
-The file is written every few seconds, so an old one shows that the router does not run.
+Only its own node has a session with the master. What that learns of revocations holds for all things at
+once: a thing whose statement or key is revoked ends here, with every connection of its node, as soon as
+the list arrives. A thing gets its node when it registers. What a running router says of its things is
+in a file of its directory, without secrets; it is written every few seconds, so an old one shows that
+the router does not run.
 """
 
 import asyncio
@@ -54,16 +45,25 @@ _STRANGERS: Final = 8  # datagrams of strangers in one turn: up to 0.2 ms each
 _BUFFER: Final = 4 << 20
 _RCVBUFFORCE: Final = 33  # socket(7): beyond the limit of the system, for who may
 
+SILENT: Final = 90_000.0  # seconds until a thing that sends nothing is gone (RFC 9176: 25 hours)
+UPDATE_PERIOD: Final = 60  # seconds between visits of a thing's node that wants for a grant
+CHECKED: Final = 16  # parts of the things: one of them is looked at each second
+WELL_KNOWN: Final = (".well-known", "core")
+_log = logging.getLogger("rossec.border")
+
+STATUS_FILE: Final = "border.status"
+STATUS_PERIOD: Final = 5.0  # seconds between two of them
+STATUS_OLD: Final = 20  # seconds after which nobody writes it any more
+MAX_STATUS: Final = 4 * 1024 * 1024
+
 
 class Server:
-    """Serves things at one address.
+    """Serves things at one UDP address; `host`: `::` for everywhere, IPv4 as well.
 
-    Args:
-        own: the router's key for things.
-        served: which things it serves.
-        events: what is told of them.
-        host: where it listens; `::` for everywhere, IPv4 as well.
-        port: 0 for any.
+    The port is bound without SO_REUSEPORT: nobody else on this host may take a part of its datagrams.
+    What the network does not take is lost, as any datagram may be; things and router repeat. A lost
+    datagram costs its thing seconds, so the socket is emptied before anything of a stranger is looked
+    at, and strangers get a part of each turn (`Intake`).
     """
 
     def __init__(
@@ -102,11 +102,10 @@ class Server:
 
     @property
     def lost(self) -> int:
-        # How many datagrams were not looked at: too many of one port, host or thing, or in all.
         return self._intake.lost
 
     def request(self, name: str, request: Request, on_answer: OnAnswer) -> Callable[[], None] | None:
-        # Ask the thing `name`; returns what cancels it. None: it is not there.
+        # Returns what cancels it. None: the thing is not there.
         conversation = self.endpoint.conversations.of(name)
         if conversation is None:
             return None
@@ -170,15 +169,8 @@ class Server:
 
     def _due(self) -> None:
         self._timer = None
-        self.endpoint.run_timers(self._loop.time())
+        self.endpoint.timers.run(self._loop.time())
         self._arm()
-
-
-SILENT: Final = 90_000.0  # seconds until a thing that sends nothing is gone (RFC 9176: 25 hours)
-UPDATE_PERIOD: Final = 60  # seconds between visits of a thing's node that wants for a grant
-CHECKED: Final = 16  # parts of the things: one of them is looked at each second
-WELL_KNOWN: Final = (".well-known", "core")
-_log = logging.getLogger("rossec.border")
 
 
 class BorderNode(Node):
@@ -217,15 +209,6 @@ class BorderNode(Node):
 
 
 class BorderRouter:
-    """Serves things.
-
-    Args:
-        name: the node's name.
-        key: for the things.
-        environ: as for `Node`.
-        host, port: where it listens for things.
-    """
-
     def __init__(
         self, name: str, key: StaticKey, environ: Mapping[str, str], host: str, port: int = PORT
     ) -> None:
@@ -243,7 +226,6 @@ class BorderRouter:
         self._shared: SharedIdentity
 
     async def start(self) -> None:
-        """Open the session, then serve things."""
         node = self.node
         self.roster.reload()
         await node.__aenter__()
@@ -258,7 +240,6 @@ class BorderRouter:
         self.server = Server(self._key, self.roster, self, self._host, self._port)
 
     async def close(self) -> None:
-        """Close every node."""
         if hasattr(self, "server"):
             self.server.close()
         await self._tasks.close()
@@ -276,7 +257,6 @@ class BorderRouter:
     # --- events of the endpoint
 
     def registered(self, conversation: Conversation) -> None:
-        """Find out what the thing has."""
         name = conversation.name
         if name in self._attending:  # one at a time: a thing may say so ten times a second
             self._again.add(name)
@@ -289,7 +269,6 @@ class BorderRouter:
         self._end(name, "the thing has left")
 
     def ended(self, conversation: Conversation) -> None:
-        """Nothing is observed any more."""
         bridge = self.bridges.get(conversation.name)
         if bridge is not None:
             bridge.lost()
@@ -329,13 +308,10 @@ class BorderRouter:
         host, _ = self.node.topic_endpoint()
         node = ThingNode(NodeHome.of(self._root, name), self._shared, host)
         await node.start()
-        bridge = ThingBridge(node, credential, partial(self._ask, name), self._tasks)
+        bridge = ThingBridge(node, credential, partial(self.server.request, name), self._tasks)
         self.bridges[name] = bridge
         await node.update()
         return bridge
-
-    def _ask(self, name: str, request: Request, on_answer: Any) -> Callable[[], None] | None:
-        return self.server.request(name, request, on_answer)
 
     async def _links(self, name: str) -> bytes:
         future: asyncio.Future[Answer | ThingUnreachable] = asyncio.get_running_loop().create_future()
@@ -360,8 +336,15 @@ class BorderRouter:
             return
         if self.roster.reload():
             self._proved_for = b""
-        self._prove()
         now = clock.now()
+        data = self.node.revocations.data
+        if data != self._proved_for:
+            self._proved_for = data
+            for entry in self.roster.entries():
+                with contextlib.suppress(CAError):
+                    self.node.revocations.check(entry, now)
+            if self.node.revocations.unproved:
+                self._tasks.spawn(self._prove_all(), "proofs")
         for name, bridge in tuple(self.bridges.items()):
             if self.roster.is_served(name, bridge.credential):
                 bridge.node.maintain(now)
@@ -377,7 +360,6 @@ class BorderRouter:
                 self._tasks.spawn(bridge.update(), f"{bridge.node.name}: update")
 
     def _check_conversations(self) -> None:
-        # End those of things that are not served any more, or silent for very long.
         oldest = asyncio.get_running_loop().time() - SILENT
         for conversation in self.server.endpoint.conversations.all():
             statement = self.roster.statement(conversation.name)
@@ -394,29 +376,11 @@ class BorderRouter:
             bridge.node.cut(reason)
             self._tasks.spawn(bridge.close(reason), f"{name}: ended")
 
-    def _prove(self) -> None:
-        data = self.node.revocations.data
-        if data == self._proved_for:
-            return
-        self._proved_for = data
-        now = clock.now()
-        for entry in self.roster.entries():
-            with contextlib.suppress(CAError):
-                self.node.revocations.check(entry, now)
-        if self.node.revocations.unproved:
-            self._tasks.spawn(self._prove_all(), "proofs")
-
     async def _prove_all(self) -> None:
         with contextlib.suppress(HintedError, OSError, Fault):  # the session asks for the rest
             while await self.node.prove():
                 pass
         self._news()
-
-
-STATUS_FILE: Final = "border.status"
-STATUS_PERIOD: Final = 5.0  # seconds between two of them
-STATUS_OLD: Final = 20  # seconds after which nobody writes it any more
-MAX_STATUS: Final = 4 * 1024 * 1024
 
 
 def describe_status(router: BorderRouter, now: int) -> dict[str, Any]:

@@ -1,22 +1,15 @@
-"""One thing and its ROS node: resources become publishers, subscriptions and services.
+"""Which things a border router serves now, and the ROS node of each: resources become topics and services.
 
 A notification is published, a message is written by PUT (the newest, when the thing is slower), a
 call is a POST. Rights, filters and conditions are those of the node, as for every other node. What
 a thing sends that is no message of its type is dropped and counted.
-
-Which things a border router serves now: those of its statements that are valid and not revoked.
-
-What its directory holds is read again when that changes, and once a second right after. A thing is
-served by a statement that names this router's key (`saved_things` checks that), in time, and known
-not to be revoked; so is its credential, which the authority may revoke by itself. What is not known
-counts as no.
 """
 
 import asyncio
 import logging
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 from aiocoap.numbers import codes
 
@@ -41,21 +34,24 @@ from rossec.saved_statements import ThingFiles
 _NANOSECONDS: Final = 10**9  # of a second
 _log = logging.getLogger("rossec.border")
 
+CALL_DEADLINE: Final = 30.0
+
+Cancel = Callable[[], None]
+Ask = Callable[[Request, OnAnswer], Cancel | None]  # None: the thing is not there
+
 
 class ServedThing(NamedTuple):
-    """A thing: what the authority says of it, and its secret (empty: it has a key)."""
-
     statement: ThingStatement
-    secret: bytes
+    secret: bytes  # empty: it has a key
 
 
 class Roster:
-    """The things of one border router.
+    """The things of one border router: those of its statements that are valid and not revoked.
 
-    Args:
-        files: its statements and secrets.
-        revocations: of the authority.
-        clock: seconds since the epoch.
+    What its directory holds is read again when that changes, and once a second right after. A thing is
+    served by a statement that names this router's key (`saved_statements` checks that), in time, and
+    known not to be revoked; so is its credential, which the authority may revoke by itself. What is not
+    known counts as no.
     """
 
     def __init__(self, files: ThingFiles, revocations: Revocations, clock: Callable[[], int]) -> None:
@@ -95,11 +91,15 @@ class Roster:
         things: dict[str, ServedThing] = {}
         for statement in sorted(loaded.statements.values(), key=lambda each: each.not_before):
             try:
-                things[statement.name] = ServedThing(statement, self._secret(statement))
+                has_key = isinstance(statement.credential, ThingKey)
+                secret = b"" if has_key else self._files.secret_of(statement)
+                things[statement.name] = ServedThing(statement, secret)
             except (HintedError, OSError) as error:
                 refused[statement.name] = str(error)
-        self._log_refused(refused)
-        self._things = things
+        for what, reason in refused.items():
+            if self._refused.get(what) != reason:
+                _log.warning("%s: %s", what, reason)
+        self._refused, self._things = refused, things
         self._keys, self._secrets = {}, {}
         for name, (statement, secret) in things.items():
             kids = self._secrets if secret else self._keys
@@ -114,7 +114,6 @@ class Roster:
         return found.statement.name, found.statement.credential
 
     def by_secret(self, kid: bytes) -> tuple[str, bytes] | None:
-        # The thing with a secret that has this kid, if it is served.
         self.reload()
         found = self._usable(self._secrets, kid)
         return None if found is None else (found.statement.name, found.secret)
@@ -135,71 +134,20 @@ class Roster:
 
     def _usable(self, kids: dict[bytes, list[str]], kid: bytes) -> ServedThing | None:
         for name in reversed(kids.get(kid, [])):
-            found = self._things[name]
-            if self._is_usable(found):
+            found, now = self._things[name], self._clock()
+            try:
+                found.statement.check_time(now)
+                self._revocations.check(found.statement.id, now)
+                self._revocations.check(found.statement.credential.thumbprint, now)
+            except CAError as error:
+                _log.info("%s is not served: %s", name, error)
+            else:
                 return found
         return None
 
-    def _is_usable(self, found: ServedThing) -> bool:
-        now = self._clock()
-        try:
-            found.statement.check_time(now)
-            self._revocations.check(found.statement.id, now)
-            self._revocations.check(found.statement.credential.thumbprint, now)
-        except CAError as error:
-            _log.info("%s is not served: %s", found.statement.name, error)
-            return False
-        return True
-
-    def _secret(self, statement: ThingStatement) -> bytes:
-        if isinstance(statement.credential, ThingKey):
-            return b""
-        return self._files.secret_of(statement)
-
-    def _log_refused(self, refused: dict[str, str]) -> None:
-        for what, reason in refused.items():
-            if self._refused.get(what) != reason:
-                _log.warning("%s: %s", what, reason)
-        self._refused = refused
-
-
-CALL_DEADLINE: Final = 30.0
-
-Cancel = Callable[[], None]
-
-
-class Ask(Protocol):
-    def __call__(self, request: Request, on_answer: OnAnswer) -> Cancel | None:
-        # Send a request; returns what cancels it. None: the thing is not there.
-        ...
-
 
 class ThingBridge:
-    """One thing.
-
-    Args:
-        node: its ROS node.
-        ask: asks the thing.
-        tasks: of all things.
-
-    Attributes:
-        received, refused: messages of the thing that were published, and that were dropped.
-        resources: what it has, as it said last.
-    """
-
-    __slots__ = (
-        "_ask",
-        "_lock",
-        "_offered",
-        "_running",
-        "_seen",
-        "_tasks",
-        "credential",
-        "node",
-        "received",
-        "refused",
-        "resources",
-    )
+    """One thing and its ROS node; `tasks`: of all things."""
 
     def __init__(self, node: ThingNode, credential: bytes, ask: Ask, tasks: TaskSet) -> None:
         self.node: Final = node
@@ -210,8 +158,8 @@ class ThingBridge:
         self._offered: dict[Resource, Publisher | Subscriber | None] = {}
         self._running: dict[Resource, Cancel] = {}
         self._seen: set[Resource] = set()
-        self.resources: tuple[Resource, ...] = ()
-        self.received = self.refused = 0
+        self.resources: tuple[Resource, ...] = ()  # what it has, as it said last
+        self.received = self.refused = 0  # messages of the thing: published, dropped
 
     @property
     def offered(self) -> int:
@@ -247,7 +195,7 @@ class ThingBridge:
         self.observe()
 
     def observe(self) -> None:
-        # Observe what is published, unless notifications came since the last time.
+        # Not again what sent notifications since the last time.
         for resource, publisher in self._offered.items():
             if isinstance(publisher, Publisher) and resource not in self._seen:
                 self._cancel(resource)
@@ -304,8 +252,7 @@ class ThingBridge:
             return
         self._seen.add(resource)
         try:
-            message = _message(answer, resource, publisher.endpoint.type.layout)
-            publisher.publish_bytes(message)
+            publisher.publish_bytes(_message(answer, resource, publisher.endpoint.type.layout))
             self.received += 1
         except HintedError as error:
             self.refused += 1

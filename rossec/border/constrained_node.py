@@ -1,19 +1,9 @@
-"""What all identities of one border router share, so that a resting thing costs little.
+"""The ROS node that stands for one thing: its own identity, grants and ports, and little else.
 
-The trust anchor, the lists of domains and of revocations, limits and tasks are equal for all of
-them, and are held once. What belongs to one thing is its key, its certificate and its grants.
-
-Short visits of a thing's identity to its master: a resting thing holds no connection there.
-
-The border router itself has a session and receives what is signed and new; all identities of the
-process share that. A thing's own identity connects to register, to fetch and to renew its grants,
-and disconnects when nothing was called for a while. Registrations stay, as those of rospy do.
-
-The ROS node that stands for one thing: its own identity, grants and ports, and little else.
-
-It is put together from the parts of the built-in node. What differs is that it keeps no connection
-to the master (`master_visits`), shares what is equal with the other things (`shared`), and has no
-task while nothing happens.
+It is put together from the parts of the built-in node. What differs is that it keeps no connection to
+the master (`MasterVisits`), shares what is equal with the other things (`SharedIdentity`: the trust
+anchor, the lists of domains and of revocations, limits and tasks), and has no task while nothing
+happens. So a resting thing costs little.
 """
 
 import asyncio
@@ -60,64 +50,37 @@ from rossec.ros.xmlrpc import Fault
 HALF_OPEN: Final = HalfOpen(512, 1024)  # of all ports: the master connects to each thing's node
 AT_A_TIME: Final = 8  # things that connect to the master at the same time
 
-
-@dataclass(frozen=True, eq=False)
-class SharedIdentity:
-    """What is equal for all identities of this process.
-
-    Attributes:
-        standing: whose peers count, and what was revoked; kept current by the border router's node.
-        settings: where the master is, and how peers reach this host.
-        take_push: takes what the master pushes to any of the identities.
-        held_list: the signed revocation list.
-        persist: stores a revocation list, durably.
-        master: the certified name of the master.
-        turns: bounds how many of them connect to the master at a time.
-        tasks: of all of them; each ends soon.
-    """
-
-    standing: Standing
-    settings: Settings
-    take_push: Callable[[str, tuple[object, ...], Identity], None]
-    held_list: Callable[[], bytes]
-    persist: Callable[[bytes], None]
-    master: str = MASTER
-    suites: tuple[int, ...] = PRODUCTION
-    turns: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(AT_A_TIME))
-    half_open: HalfOpenCount = field(default_factory=lambda: HalfOpenCount(HALF_OPEN))
-    tasks: TaskSet = field(default_factory=TaskSet)
-
-
 IDLE: Final = 2.0  # seconds without a call until the connection is closed
 
 _log = logging.getLogger("rossec.border")
 
+_RENEWED_AFTER: Final = 2 / 3  # of the lifetime of an identity
+_RETRY: Final = 600  # seconds
+
+
+@dataclass(frozen=True, eq=False)
+class SharedIdentity:
+    """What is equal for all identities of this process."""
+
+    standing: Standing  # whose peers count, what was revoked; kept current by the border router's node
+    settings: Settings
+    take_push: Callable[[str, tuple[object, ...], Identity], None]  # from the master, to any identity
+    held_list: Callable[[], bytes]  # the signed revocation list
+    persist: Callable[[bytes], None]  # stores such a list, durably
+    master: str = MASTER
+    suites: tuple[int, ...] = PRODUCTION
+    turns: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(AT_A_TIME))
+    half_open: HalfOpenCount = field(default_factory=lambda: HalfOpenCount(HALF_OPEN))
+    tasks: TaskSet = field(default_factory=TaskSet)  # of all of them; each ends soon
+
 
 class MasterVisits:
-    """Calls of one identity to the master.
+    """Short visits of the thing `name` to its master: a resting thing holds no connection there.
 
-    Args:
-        name: of the thing, the `caller_id` of its calls.
-        dial: opens a secure stream to the master.
-        access: the grants of the thing; its revocation data is the border router's.
-        holder: the thumbprint of its key.
-        directory: the grants in its directory.
-        shared: what it shares with the other identities.
+    The border router itself has a session and receives what is signed and new. A thing's own identity
+    (`holder`: the thumbprint of its key) connects to register, to fetch and to renew its grants, and
+    disconnects when nothing was called for a while. Registrations stay, as those of rospy do.
     """
-
-    __slots__ = (
-        "_access",
-        "_client",
-        "_dial",
-        "_directory",
-        "_holder",
-        "_idle",
-        "_lock",
-        "_name",
-        "_renewals",
-        "_shared",
-        "_used",
-    )
 
     def __init__(
         self,
@@ -200,23 +163,20 @@ class MasterVisits:
             raise ConfigurationError(f"{shown(stream.peer.name)} answers at the master's address")
         client = RpcClient(stream)
         try:
-            await self._confirm(client, stream.peer)
+            held = digest(self._shared.held_list())
+            match await client.ask("rossec.revocationsSince", self._name, held):
+                case [bytes() as revocations, bytes() as timestamp]:
+                    self._access.update_revocations(
+                        revocations, timestamp, stream.peer, clock.now(), self._shared.persist
+                    )
+                case _:
+                    raise CAError(*NO_LIST)
             for batch in batches(self._access.current(clock.now())[:MAX_CALL]):
                 await client.ask(PRESENT_GRANTS, self._name, batch)
         except BaseException:
             await client.close()
             raise
         return client
-
-    async def _confirm(self, client: RpcClient, master: Identity) -> None:
-        answer = await client.ask("rossec.revocationsSince", self._name, digest(self._shared.held_list()))
-        match answer:
-            case [bytes() as revocations, bytes() as timestamp]:
-                self._access.update_revocations(
-                    revocations, timestamp, master, clock.now(), self._shared.persist
-                )
-            case _:
-                raise CAError(*NO_LIST)
 
     def _rest(self) -> None:
         if self._idle is not None:
@@ -242,40 +202,8 @@ async def quietly(work: Awaitable[object], what: str) -> bool:
     return True
 
 
-_RENEWED_AFTER: Final = 2 / 3  # of the lifetime of an identity
-_RETRY: Final = 600  # seconds
-
-
 class ThingNode:
-    """One node, of a thing.
-
-    Args:
-        home: its directory, with its key, its identity and its grants.
-        shared: what it shares with the other nodes of this process.
-        uri_host: the host that it registers.
-    """
-
-    __slots__ = (
-        "_connections",
-        "_context",
-        "_credentials",
-        "_directory",
-        "_failed",
-        "_grace",
-        "_grants_at",
-        "_home",
-        "_host",
-        "_listener",
-        "_not_after",
-        "_renew_at",
-        "_retry_at",
-        "_shared",
-        "_topics",
-        "_visits",
-        "closed",
-        "name",
-        "services",
-    )
+    """One node, of a thing; `host`: what it registers."""
 
     def __init__(self, home: NodeHome, shared: SharedIdentity, host: str) -> None:
         self.name: Final = home.name
@@ -291,7 +219,7 @@ class ThingNode:
         )
         own_addresses = OwnAddresses()
         dialer = Dialer(self.name, secure, access.check_peer, own_addresses)
-        self._connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(
+        self.connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(
             shared.standing, master=shared.master
         )
         self._directory = GrantDirectory(home, access)
@@ -300,20 +228,20 @@ class ThingNode:
             self.name, self._dial_master, access, identity.thumbprint, self._directory, shared
         )
         self._grace = PublisherGrace(clock.counter())
-        self._context = NodeContext(
+        self.context = NodeContext(
             self.name,
             access,
-            self._connections,
+            self.connections,
             self._visits.call,
             dialer,
             home.filter_key,
             memory_scope(self.name),
         )
-        self._topics = Topics(self._context, self._grace)
-        self.services = Services(self._context)
+        self._topics = Topics(self.context, self._grace)
+        self.services = Services(self.context)
         slave, topics = SlaveApi(self, shared.master), self._topics
         self._listener = Listener(
-            self._context, secure, topics.publishers, self.services, slave, own_addresses
+            self.context, secure, topics.publishers, self.services, slave, own_addresses
         )
 
     def _load(self, now: int) -> Identity:
@@ -331,23 +259,15 @@ class ThingNode:
         self._retry_at = 0
         return identity
 
-    @property
-    def connections(self) -> ConnectionTable[SecureStream[Identity]]:
-        return self._connections
-
-    @property
-    def context(self) -> NodeContext:
-        return self._context
-
     def cut(self, reason: str) -> None:
         self.closed = True
-        self._connections.close(reason)
+        self.connections.close(reason)
 
     async def start(self) -> None:
         self.take_grants()
         await self._listener.start(self._host)
-        self._context.uri = names.build_uri(self._host, self._listener.slave_port)
-        self._context.rosrpc = names.build_uri(*self.topic_endpoint(), scheme="rosrpc")
+        self.context.uri = names.build_uri(self._host, self._listener.slave_port)
+        self.context.rosrpc = names.build_uri(*self.topic_endpoint(), scheme="rosrpc")
 
     async def publish(self, topic: str, type_name: str) -> Publisher:
         endpoint = TopicEndpoint(topic, message_type(type_name))
@@ -388,13 +308,12 @@ class ThingNode:
         await self.services.restore()
 
     def is_due(self, now: int) -> bool:
-        # Whether something must be renewed, or grants are new: `update` is to be called.
         new = bool(self.take_grants())
         return new or self._failed or self._is_old(now) or self._visits.renewal_is_due(now)
 
     def maintain(self, now: int) -> None:
-        # Cut connections that must end; called every second, and when something is revoked.
-        self._connections.cut_ended(now)
+        # Called every second, and when something is revoked.
+        self.connections.cut_ended(now)
         self._topics.drop_expired_publishers()
 
     async def close(self, reason: str) -> None:
@@ -419,7 +338,7 @@ class ThingNode:
 
     async def _dial_master(self) -> SecureStream[Identity]:
         where = self._shared.settings
-        return await self._context.dialer.rpc(where.master_host, where.master_port)
+        return await self.context.dialer.rpc(where.master_host, where.master_port)
 
     # --- calls of the slave API (SlaveEvents) ---
 
@@ -446,7 +365,7 @@ class ThingNode:
     def describe(self) -> dict[str, object]:
         return {
             "getName": self.name,
-            "getUri": self._context.uri,
+            "getUri": self.context.uri,
             "getMasterUri": self._shared.settings.master_uri,
             "getPid": os.getpid(),
             "getBusStats": [[], [], []],

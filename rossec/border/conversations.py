@@ -1,17 +1,8 @@
-"""What a border router knows of each thing that is authenticated now. Pure.
+"""What a border router knows of each thing that is authenticated now, and who may ask how much. Pure.
 
 A thing has one conversation. A new one ends the former, as a thing that was restarted has forgotten
 it. At most `CAPACITY` are held, and the one that was quiet for longest makes room; whoever is not
 authenticated has none.
-
-How much one thing, and whoever is not authenticated yet, may ask of a border router. Pure.
-
-Datagrams of strangers until it is their turn. Pure.
-
-What comes from where an authenticated thing was last is taken at once, in front of everything here,
-up to several times the rate of a thing; more is lost, as the address may be forged. The rest
-waits: hosts take turns (of IPv6 networks of 64 bits), and of one host its ports, so that who sends
-much delays itself. Bounded in all and for each; what does not fit is lost, as any datagram may be.
 """
 
 from collections import OrderedDict, deque
@@ -32,6 +23,15 @@ MAX_BODY: Final = 16 * 1024  # octets, block by block
 SOURCE_RATE: Final = 10.0  # handshakes a second, of one address and port
 SOURCE_BURST: Final = 10.0
 MAX_SOURCES: Final = 4096
+
+CAPACITY: Final = 1024
+REMEMBERED: Final = 4  # answers to the last requests of a thing, in case they are repeated
+
+RATE: Final = 50.0  # datagrams a second of one thing that are taken at once
+BURST: Final = 100.0
+OF_PORT: Final = 4  # datagrams of one port that wait
+OF_HOST: Final = 64
+OF_ALL: Final = 1024
 
 
 class Quota:
@@ -67,9 +67,6 @@ class Unauthenticated:
     One port, one host (of IPv6 its network of 64 bits), all: who has many ports or addresses still
     leaves half to others. The most recent ones are remembered. A sender that forges addresses uses
     up what all have together; things that are authenticated already do not need it.
-
-    Args:
-        total: how many a second of all senders.
     """
 
     def __init__(self, total: float) -> None:
@@ -105,31 +102,20 @@ def network_of(host: str) -> bytes:
     return address.packed[:8] if mapped is None else mapped.packed
 
 
-CAPACITY: Final = 1024
-REMEMBERED: Final = 4  # answers to the last requests of a thing, in case they are repeated
-
-
 class Conversation:
-    """One thing: its context, where it is, what it may send.
-
-    Args:
-        mid: the message ID before the first; random, or whoever sees no datagram of this thing
-            could still end its requests by forged resets (RFC 7252 section 11.4).
-
-    Attributes:
-        name: of the thing.
-        tokens: of requests that it has not answered, and of observations.
-    """
+    """One thing: its context, where it is, what it may send."""
 
     __slots__ = ("_answers", "_mid", "address", "context", "name", "quota", "seen", "tokens")
 
     def __init__(self, name: str, context: OscoreContext, address: Address, mid: int = 0) -> None:
+        # The message ID before the first; random, or whoever sees no datagram of this thing could still end
+        # its requests by forged resets (RFC 7252 section 11.4).
         self._mid = mid
         self.name: Final = name
         self.context: Final = context
         self.address = address
         self.quota: Final = Quota()
-        self.tokens: set[bytes] = set()
+        self.tokens: set[bytes] = set()  # of requests without an answer yet, and of observations
         self.seen = 0.0
         self._answers: deque[tuple[Address, int, bytes]] | None = None
 
@@ -144,7 +130,7 @@ class Conversation:
         return self._mid
 
     def remember(self, address: Address, mid: int, answer: bytes) -> None:
-        # Keep an answer: a request that is repeated is not carried out again.
+        # A request that is repeated is not carried out again.
         if self._answers is None:
             self._answers = deque(maxlen=REMEMBERED)
         self._answers.append((address, mid, answer))
@@ -157,12 +143,6 @@ class Conversation:
 
 
 class Conversations:
-    """Those of all things.
-
-    Args:
-        ended: called with a conversation that is over.
-    """
-
     def __init__(self, ended: Callable[[Conversation], None]) -> None:
         self._ended = ended
         self._by_name: OrderedDict[str, Conversation] = OrderedDict()
@@ -213,12 +193,6 @@ class Conversations:
             self._ended(found)
 
 
-RATE: Final = 50.0  # datagrams a second of one thing that are taken at once
-BURST: Final = 100.0
-OF_PORT: Final = 4  # datagrams of one port that wait
-OF_HOST: Final = 64
-OF_ALL: Final = 1024
-
 _network_of = lru_cache(4096)(network_of)
 
 
@@ -250,6 +224,14 @@ class _Host:
 
 
 class Intake:
+    """Datagrams of strangers until it is their turn.
+
+    What comes from where an authenticated thing was last is taken at once, in front of everything here,
+    up to several times the rate of a thing; more is lost, as the address may be forged. The rest waits:
+    hosts take turns (of IPv6 networks of 64 bits), and of one host its ports, so that who sends much
+    delays itself. Bounded in all and for each; what does not fit is lost, as any datagram may be.
+    """
+
     def __init__(self) -> None:
         self._waiting: OrderedDict[bytes, _Host] = OrderedDict()
         self._things: OrderedDict[Address, TokenBucket] = OrderedDict()

@@ -4,12 +4,6 @@ Nothing is answered to a sender who proved nothing but a refusal without a reaso
 it asked for an acknowledgement. What authenticated things send is handled at once; handshakes, and
 attempts to derive a context anew, each have a budget of their own, so that a flood of one of them
 keeps out neither the other nor the things that are there.
-
-Requests of the border router to things: blocks (RFC 7959), observations (RFC 7641). Pure.
-
-Answers are matched by token, by the address of the thing and by OSCORE's binding to the request. An
-answer to an observation counts only if its sequence number is higher than that of the one before,
-whether or not it says that it is a notification: no tag covers that option.
 """
 
 from collections.abc import Callable
@@ -25,19 +19,6 @@ from ca.things.constrained_nodes import ThingKey
 from rossec.border import messages
 from rossec.border.conversations import MAX_BLOCK, MAX_BODY, Conversation, Conversations, Unauthenticated
 from rossec.border.handshakes import ID_SIZE, MAX_MESSAGE_3, Authenticated, Handshakes, StaticKey
-from rossec.border.messages import (
-    Address,
-    Challenges,
-    OscoreContext,
-    RequestId,
-    Send,
-    Timers,
-    Transmissions,
-    border_context,
-    name_context,
-    partial_iv,
-    unprotected,
-)
 from rossec.errors import DatagramRefused, ThingError, ThingUnauthenticated, ThingUnreachable
 
 DEADLINE: Final = 95.0  # seconds for one message and its answer; repeated for 62 to 93
@@ -46,12 +27,17 @@ RETRIES: Final = 7  # over half a minute: what tells the thing its context may b
 _NONE: Final = -2  # lower than the sequence number of any answer
 _SZX: Final = 6  # blocks of 1024 octets
 
+HANDSHAKE_PATH: Final = (".well-known", "edhoc")
+REGISTRATION_PATH: Final = ("rd",)
+HANDSHAKES: Final = 50.0  # begun a second, at most
+DERIVATIONS: Final = 200.0  # contexts derived anew a second, at most
+_MESSAGE_1: Final = b"\xf5"  # CBOR true, before message_1 (RFC 9528 appendix A.2)
+_ALONE: Final = 0x18  # from here on a connection identifier of one octet is no integer
+
 
 class Answer(NamedTuple):
-    """What a thing answered: its code, the content format (None: not said), the body."""
-
     code: Code
-    format: int | None
+    format: int | None  # None: not said
     body: bytes
 
 
@@ -67,48 +53,34 @@ class Request:
     observe: bool = False
 
 
+@dataclass(slots=True, eq=False)
 class PendingRequest:
-    __slots__ = (
-        "conversation",
-        "deadline",
-        "identifier",
-        "mid",
-        "newest",
-        "on_answer",
-        "received",
-        "request",
-        "retry",
-        "sent",
-        "tag",
-        "token",
-        "tries",
-    )
-
-    def __init__(self, conversation: Conversation, request: Request, on_answer: OnAnswer) -> None:
-        self.conversation = conversation
-        self.request = request
-        self.on_answer = on_answer
-        self.token = b""
-        self.identifier: RequestId = None
-        self.mid = 0
-        self.sent = 0  # blocks of the body that were acknowledged
-        self.received: bytes | None = None  # blocks of the answer before this one
-        self.tag: bytes | None = None  # ETag of these blocks: all are of one state
-        self.newest = _NONE  # sequence number of the newest answer to an observation
-        self.deadline = self.retry = -1
-        self.tries = 0
+    conversation: Conversation
+    request: Request
+    on_answer: OnAnswer
+    token: bytes = b""
+    identifier: messages.RequestId = None
+    mid: int = 0
+    sent: int = 0  # blocks of the body that were acknowledged
+    received: bytes | None = None  # blocks of the answer before this one
+    tag: bytes | None = None  # ETag of these blocks: all are of one state
+    newest: int = _NONE  # sequence number of the newest answer to an observation
+    deadline: int = -1
+    retry: int = -1
+    tries: int = 0
 
 
 class Requests:
-    """All requests under way.
+    """Requests to things that are under way: blocks (RFC 7959), observations (RFC 7641).
 
-    Args:
-        transmissions: sends, and repeats.
-        timers: of all things.
-        random: returns so many random octets.
+    Answers are matched by token, by the address of the thing and by OSCORE's binding to the request. An
+    answer to an observation counts only if its sequence number is higher than that of the one before,
+    whether or not it says that it is a notification: no tag covers that option.
     """
 
-    def __init__(self, transmissions: Transmissions, timers: Timers, random: Callable[[int], bytes]) -> None:
+    def __init__(
+        self, transmissions: messages.Transmissions, timers: messages.Timers, random: Callable[[int], bytes]
+    ) -> None:
         self._transmissions = transmissions
         self._timers = timers
         self._random = random
@@ -143,12 +115,17 @@ class Requests:
         return found
 
     def take(self, exchange: PendingRequest, message: Message, now: float) -> None:
-        if message.opt.oscore is None:
-            self._unprotected(exchange, now)
+        may_ask_again = exchange.retry < 0 and exchange.newest == _NONE and exchange.tries < RETRIES
+        if message.opt.oscore is None and may_ask_again:
+            # A thing that just registered may not know its new context everywhere.
+            # Nobody has vouched for such an answer, so it ends nothing.
+            pause = RETRY * 2**exchange.tries
+            exchange.tries += 1
+            exchange.retry = self._timers.at(now + pause, lambda at: self._ask_again(exchange, at))
         opened, _ = exchange.conversation.context.open(message, exchange.identifier)
         self._transmissions.acknowledge(exchange.conversation.address, exchange.mid)
         if exchange.request.observe:
-            number = partial_iv(message)
+            number = messages.partial_iv(message)
             if number <= exchange.newest:
                 raise DatagramRefused("a notification that is older than the last one")
             exchange.newest = number
@@ -159,14 +136,6 @@ class Requests:
         else:
             self.cancel(exchange)
             self._answered(exchange, opened, now)
-
-    def _unprotected(self, exchange: PendingRequest, now: float) -> None:
-        # Ask again: a thing that just registered may not know its new context everywhere.
-        # Nobody has vouched for such an answer, so it ends nothing.
-        if exchange.retry < 0 and exchange.newest == _NONE and exchange.tries < RETRIES:
-            pause = RETRY * 2**exchange.tries
-            exchange.tries += 1
-            exchange.retry = self._timers.at(now + pause, lambda at: self._ask_again(exchange, at))
 
     def _ask_again(self, exchange: PendingRequest, now: float) -> None:
         self.cancel(exchange)
@@ -190,7 +159,11 @@ class Requests:
 
     def _answered(self, exchange: PendingRequest, opened: Message, now: float) -> None:
         if opened.code == codes.CONTINUE:
-            self._acknowledged_block(exchange, now)
+            exchange.sent += 1
+            if exchange.sent * MAX_BLOCK >= len(exchange.request.body):
+                self._fail(exchange, "it asks for more blocks than there are")
+            else:
+                self._send(exchange, now)
             return
         block = opened.opt.block2
         if opened.code.is_successful() and block is not None and block.more:
@@ -201,13 +174,6 @@ class Requests:
             self._fail(exchange, "the blocks of its answer do not fit together")
             return
         exchange.on_answer(_answer(opened, before + bytes(opened.payload)))
-
-    def _acknowledged_block(self, exchange: PendingRequest, now: float) -> None:
-        exchange.sent += 1
-        if exchange.sent * MAX_BLOCK >= len(exchange.request.body):
-            self._fail(exchange, "it asks for more blocks than there are")
-            return
-        self._send(exchange, now)
 
     def _next_block(self, exchange: PendingRequest, opened: Message, now: float) -> None:
         block, before = opened.opt.block2, exchange.received or b""
@@ -229,9 +195,15 @@ class Requests:
         if request.body:
             message.opt.content_format = request.format
             if wanted is None:
-                _put_block(message, request, exchange.sent)
+                begin, end = exchange.sent * MAX_BLOCK, (exchange.sent + 1) * MAX_BLOCK
+                message.payload = request.body[begin:end]
+                if len(request.body) > MAX_BLOCK:
+                    more = end < len(request.body)
+                    message.opt.block1 = BlockOption.BlockwiseTuple(exchange.sent, more, _SZX)
         sealed, exchange.identifier = conversation.context.seal(message)
-        exchange.token = sealed.token = self._new_token()
+        while (token := self._random(messages.TOKEN_SIZE)) in self._exchanges:
+            pass
+        exchange.token = sealed.token = token
         exchange.mid = sealed.mid = conversation.new_mid()
         sealed.mtype = messages.CON
         self._exchanges[exchange.token] = exchange
@@ -247,11 +219,6 @@ class Requests:
             lambda: self._fail(exchange, "it is out of reach"),
         )
 
-    def _new_token(self) -> bytes:
-        while (token := self._random(messages.TOKEN_SIZE)) in self._exchanges:
-            pass
-        return token
-
     def _fail(self, exchange: PendingRequest, reason: str) -> None:
         self.cancel(exchange)
         exchange.on_answer(ThingUnreachable(f"{exchange.conversation.name}: {reason}"))
@@ -265,41 +232,19 @@ def _continues(exchange: PendingRequest, opened: Message) -> bool:
     return bool(opened.opt.block2.start == len(before or b""))
 
 
-def _put_block(message: Message, request: Request, number: int) -> None:
-    body = request.body
-    begin = number * MAX_BLOCK
-    message.payload = body[begin : begin + MAX_BLOCK]
-    if len(body) > MAX_BLOCK:
-        more = begin + MAX_BLOCK < len(body)
-        message.opt.block1 = BlockOption.BlockwiseTuple(number, more, _SZX)
-
-
 def _answer(opened: Message, body: bytes) -> Answer:
     form = opened.opt.content_format
     return Answer(opened.code, None if form is None else int(form), body)
 
 
-HANDSHAKE_PATH: Final = (".well-known", "edhoc")
-REGISTRATION_PATH: Final = ("rd",)
-HANDSHAKES: Final = 50.0  # begun a second, at most
-DERIVATIONS: Final = 200.0  # contexts derived anew a second, at most
-_MESSAGE_1: Final = b"\xf5"  # CBOR true, before message_1 (RFC 9528 appendix A.2)
-_ALONE: Final = 0x18  # from here on a connection identifier of one octet is no integer
-
-
 class Served(Protocol):
     def by_key(self, kid: bytes) -> tuple[str, ThingKey] | None: ...
-
-    def by_secret(self, kid: bytes) -> tuple[str, bytes] | None:
-        # The thing with a secret that has this kid: its name, and the secret.
-        ...
+    def by_secret(self, kid: bytes) -> tuple[str, bytes] | None: ...  # the name, and the secret
 
 
 class Events(Protocol):
     def registered(self, conversation: Conversation) -> None: ...
-
     def left(self, name: str) -> None: ...
-
     def ended(self, conversation: Conversation) -> None: ...
 
 
@@ -314,23 +259,14 @@ class Counts:
 
 
 class Endpoint:
-    """One border router.
-
-    Args:
-        own: its key for things.
-        served: which things it serves.
-        events: what is told of them.
-        send: sends a datagram.
-        random: returns so many random octets.
-        rand: a random number from 0 up to 1.
-    """
+    """One border router; `rand`: a random number from 0 up to 1."""
 
     def __init__(
         self,
         own: StaticKey,
         served: Served,
         events: Events,
-        send: Send,
+        send: messages.Send,
         random: Callable[[int], bytes],
         rand: Callable[[], float],
     ) -> None:
@@ -338,18 +274,18 @@ class Endpoint:
         self._events = events
         self._send = send
         self._random = random
-        self.timers = Timers()
+        self.timers = messages.Timers()
         self.conversations = Conversations(self._ended)
         self.counts = Counts()
-        self._transmissions = Transmissions(send, self.timers, rand)
+        self._transmissions = messages.Transmissions(send, self.timers, rand)
         self.requests = Requests(self._transmissions, self.timers, random)
         self._handshakes = Handshakes(own, self._find_key, self._is_taken, random)
-        self._challenges = Challenges(random(16))
+        self._challenges = messages.Challenges(random(16))
         self._handshake_budget = Unauthenticated(HANDSHAKES)
         self._derivation_budget = Unauthenticated(DERIVATIONS)
-        self._decoy = OscoreContext(random(16), b"", b"\0", b"\1")
+        self._decoy = messages.OscoreContext(random(16), b"", b"\0", b"\1")
 
-    def receive(self, data: bytes, address: Address, now: float) -> None:
+    def receive(self, data: bytes, address: messages.Address, now: float) -> None:
         self.counts.datagrams += 1
         try:
             message = messages.read(data)
@@ -357,10 +293,7 @@ class Endpoint:
         except ThingError:
             self.counts.refused += 1
 
-    def run_timers(self, now: float) -> None:
-        self.timers.run(now)
-
-    def _take(self, message: Message, address: Address, now: float) -> None:
+    def _take(self, message: Message, address: messages.Address, now: float) -> None:
         mid = messages.number_of(message)
         if message.mtype == messages.RST:
             return  # as if it was lost: see `transmissions`
@@ -374,7 +307,7 @@ class Endpoint:
         elif message.code.is_request() and message.mtype in {messages.CON, messages.NON}:
             self._take_request(message, address, now)
 
-    def _take_response(self, message: Message, address: Address, now: float) -> None:
+    def _take_response(self, message: Message, address: messages.Address, now: float) -> None:
         exchange = self.requests.find(message, address)
         if exchange is None:
             if message.mtype == messages.CON:
@@ -388,7 +321,7 @@ class Endpoint:
             self._send(messages.empty(messages.ACK, messages.number_of(message)), address)
         self.requests.take(exchange, message, now)
 
-    def _take_request(self, message: Message, address: Address, now: float) -> None:
+    def _take_request(self, message: Message, address: messages.Address, now: float) -> None:
         try:
             if message.opt.oscore is not None:
                 self._take_protected(message, address, now)
@@ -398,12 +331,12 @@ class Endpoint:
                 raise DatagramRefused("a request without protection")
         except ThingError:
             if message.mtype == messages.CON:
-                self._answer(message, messages.refusal(codes.UNAUTHORIZED), address)
+                self._answer(message, Message(code=codes.UNAUTHORIZED), address)
             raise
 
     # --- EDHOC (RFC 9528 appendix A.2)
 
-    def _take_handshake(self, message: Message, address: Address, now: float) -> None:
+    def _take_handshake(self, message: Message, address: messages.Address, now: float) -> None:
         payload = bytes(message.payload)
         if payload[:1] != _MESSAGE_1:
             head = bytes((0x40 | ID_SIZE,))
@@ -417,15 +350,17 @@ class Endpoint:
         if message_2 is None:
             self._spend(self._handshake_budget, address, now)
             message_2 = self._handshakes.begin(payload[1:], address, now)
-            self._count(message_1=len(payload) - 1, message_2=len(message_2))
+            self.counts.octets.update(message_1=len(payload) - 1, message_2=len(message_2))
         self._answer(message, Message(code=codes.CHANGED, payload=message_2), address)
 
-    def _finish(self, own_id: bytes, message_3: bytes, address: Address, now: float) -> Authenticated:
+    def _finish(
+        self, own_id: bytes, message_3: bytes, address: messages.Address, now: float
+    ) -> Authenticated:
         found = self._handshakes.finish(own_id, message_3, now)
         served = self._served.by_key(found.key.kid)
         if served is None:
             raise ThingUnauthenticated("a thing that is not served any more")
-        self._count(message_3=len(message_3))
+        self.counts.octets["message_3"] = len(message_3)
         self.counts.handshakes += 1
         conversation = Conversation(served[0], found.context, address, self._number())
         conversation.seen = now
@@ -434,8 +369,8 @@ class Endpoint:
 
     # --- protected requests
 
-    def _take_protected(self, message: Message, address: Address, now: float) -> None:
-        kid, kid_context = unprotected(message)
+    def _take_protected(self, message: Message, address: messages.Address, now: float) -> None:
+        kid, kid_context = messages.unprotected(message)
         conversation = self.conversations.find(kid)
         if conversation is not None and messages.is_in(conversation.context, kid_context):
             known = conversation.remembered(address, messages.number_of(message))
@@ -460,7 +395,7 @@ class Endpoint:
         self._serve(conversation, message, opened, identifier, address, now)
 
     def _take_derived(
-        self, message: Message, kid: bytes, kid_context: bytes, address: Address, now: float
+        self, message: Message, kid: bytes, kid_context: bytes, address: messages.Address, now: float
     ) -> None:
         # A request that names the context it is in (RFC 8613 appendix B.2).
         value = messages.unwrapped(kid_context)
@@ -474,41 +409,29 @@ class Endpoint:
         self._spend(self._derivation_budget, address, now)
         served = self._served.by_secret(kid)
         name, secret = ("", b"\0" * 16) if served is None else served
-        context = border_context(secret, kid, value)
+        context = messages.border_context(secret, kid, value)
         opened, identifier = context.open(message)
         if served is None:
             raise DatagramRefused("no thing with this kid")
         if not self._challenges.take(kid, value, now):
-            self._challenge(message, value, secret, kid, identifier, address, now)
+            value_2 = self._challenges.make(kid, now, self._random(2))
+            challenge = messages.border_context(secret, kid, value_2 + value)
+            sealed, _ = challenge.seal(Message(code=codes.UNAUTHORIZED), identifier)
+            messages.name_context(sealed, messages.wrapped(value_2))
+            self._answer(message, sealed, address)
             return
         self.counts.derivations += 1
         conversation = Conversation(name, context, address, self._number())
         self.conversations.add(conversation)
         self._serve(conversation, message, opened, identifier, address, now)
 
-    def _challenge(
-        self,
-        message: Message,
-        value: bytes,
-        secret: bytes,
-        kid: bytes,
-        identifier: RequestId,
-        address: Address,
-        now: float,
-    ) -> None:
-        value_2 = self._challenges.make(kid, now, self._random(2))
-        context = border_context(secret, kid, value_2 + value)
-        sealed, _ = context.seal(Message(code=codes.UNAUTHORIZED), identifier)
-        name_context(sealed, messages.wrapped(value_2))
-        self._answer(message, sealed, address)
-
     def _serve(
         self,
         conversation: Conversation,
         message: Message,
         opened: Message,
-        identifier: RequestId,
-        address: Address,
+        identifier: messages.RequestId,
+        address: messages.Address,
         now: float,
     ) -> None:
         conversation.seen = now
@@ -540,13 +463,15 @@ class Endpoint:
     def _number(self) -> int:
         return int.from_bytes(self._random(2))
 
-    def _answer(self, request: Message, response: Message, address: Address, mid: int | None = None) -> bytes:
+    def _answer(
+        self, request: Message, response: Message, address: messages.Address, mid: int | None = None
+    ) -> bytes:
         mid = self._number() if mid is None else mid  # a stranger learns nothing of others
         data = messages.write(messages.answer(request, response, mid))
         self._send(data, address)
         return data
 
-    def _spend(self, budget: Unauthenticated, address: Address, now: float) -> None:
+    def _spend(self, budget: Unauthenticated, address: messages.Address, now: float) -> None:
         if not budget.take(str(address[0]), int(address[1]), now):
             self.counts.over_budget += 1
             raise ThingUnauthenticated("more attempts than are looked at")
@@ -562,9 +487,6 @@ class Endpoint:
     def _ended(self, conversation: Conversation) -> None:
         self.requests.end(conversation)
         self._events.ended(conversation)
-
-    def _count(self, **octets: int) -> None:
-        self.counts.octets.update(octets)
 
 
 def _split_combined(payload: bytes) -> tuple[bytes, bytes]:

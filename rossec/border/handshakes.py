@@ -67,14 +67,7 @@ class StaticKey:
 
 
 class Handshakes:
-    """The handshakes under way.
-
-    Args:
-        own: the border router's key.
-        find: the key of the thing served here that has this kid.
-        is_taken: whether an ID is in use, by a context or by a thing with a secret.
-        random: returns so many random octets.
-    """
+    """The handshakes under way; `is_taken`: an ID is in use, by a context or by a thing with a secret."""
 
     def __init__(
         self, own: StaticKey, find: FindKey, is_taken: Callable[[bytes], bool], random: Callable[[int], bytes]
@@ -105,25 +98,33 @@ class Handshakes:
         except ValueError:
             raise ThingUnauthenticated("no key that is on the curve") from None
         responder = lakers.EdhocResponder(r=self._own.private, cred_r=self._own.credential.ccs)
-        peer_id, extensions = _guarded(responder.process_message_1, message_1)
+        raw_id, extensions = _guarded(responder.process_message_1, message_1)
+        peer_id = bytes(raw_id)
         _check_extensions(extensions)
-        own_id = self._new_id(bytes(peer_id))
+        for _ in range(_TRIES):
+            own_id = self._random(ID_SIZE)
+            if own_id != peer_id and own_id not in self._pending and not self._is_taken(own_id):
+                break
+        else:
+            raise ThingUnauthenticated("no free ID")
         message_2 = bytes(
             _guarded(responder.prepare_message_2, lakers.CredentialTransfer.ByReference, own_id, None)
         )
         self.expire(now)
         if len(self._pending) >= MAX_PENDING:
             self._drop(next(iter(self._pending)))
-        self._pending[own_id] = _Pending(
-            responder, bytes(peer_id), source, message_1, message_2, now + PENDING_FOR
-        )
+        self._pending[own_id] = _Pending(responder, peer_id, source, message_1, message_2, now + PENDING_FOR)
         self._answered[source, message_1] = own_id
         return message_2
 
     def finish(self, own_id: bytes, message_3: bytes, now: float) -> Authenticated:
         self.expire(now)
         pending = self._drop(own_id)
-        if pending is None or not _is_message_3(message_3):
+        try:  # one byte string and nothing after it: lakers does not look
+            is_message_3 = isinstance(decode(message_3, limit=MAX_MESSAGE_3), bytes)
+        except EncodingError:
+            is_message_3 = False
+        if pending is None or not is_message_3:
             raise ThingUnauthenticated("no such handshake, or no message_3")
         responder = pending.responder
         id_cred, extensions = _guarded(responder.parse_message_3, message_3)
@@ -142,7 +143,6 @@ class Handshakes:
         return Authenticated(key, context, message_4)
 
     def expire(self, now: float) -> None:
-        # Drop what was not finished in time.
         while self._pending and next(iter(self._pending.values())).until <= now:
             self._drop(next(iter(self._pending)))
 
@@ -151,21 +151,6 @@ class Handshakes:
         if pending is not None:
             self._answered.pop((pending.source, pending.message_1), None)
         return pending
-
-    def _new_id(self, peer_id: bytes) -> bytes:
-        for _ in range(_TRIES):
-            found = self._random(ID_SIZE)
-            if found != peer_id and found not in self._pending and not self._is_taken(found):
-                return found
-        raise ThingUnauthenticated("no free ID")
-
-
-def _is_message_3(data: bytes) -> bool:
-    # Whether it is one byte string and nothing after it: lakers does not look.
-    try:
-        return isinstance(decode(data, limit=MAX_MESSAGE_3), bytes)
-    except EncodingError:
-        return False
 
 
 def _kid(id_cred: bytes) -> bytes:

@@ -1,28 +1,8 @@
-"""CoAP messages as bytes (RFC 7252 section 3); aiocoap's codec behind a size limit.
+"""CoAP messages as bytes (RFC 7252 section 3), their repetition, and OSCORE contexts (RFC 8613). Pure.
 
-Whatever its decoder raises about foreign bytes is one error here. Nothing is sent or remembered.
-
-One list of what is due for all things of a border router: none has a task of its own. Pure.
-
-Confirmable messages until they are acknowledged (RFC 7252 section 4.2). Pure.
-
-A reset has four octets and nobody's signature, so it counts as not delivered: the message is sent
-again, and fails when nobody has acknowledged it after the last time.
-
-OSCORE contexts of things (RFC 8613), made of aiocoap's protection; one role or the other.
-
-A context seals requests and answers in both directions: a thing registers by a request, and the
-border router's requests to the thing use the same context with the same kid. A context lives in
-memory only. After a restart there is none, and a new one is derived from fresh random values, so no
-sequence number is ever used twice.
-
-OSCORE contexts of a thing with a secret of its own (RFC 8613 Appendix B.2). Pure.
-
-Neither side writes sequence numbers to a disk. After a restart of either, both contribute a random
-value to a new context: ID1 by the thing, R2 by the border router, R3 by the thing. R2 shows itself
-to be of this process and recent, so an attempt costs no memory. Only one that is newer than any
-that the thing has answered makes a new context, also when the former one was dropped: who repeats
-recorded requests changes nothing, and no context begins a second time with its nonces.
+aiocoap's codec behind a size limit: whatever its decoder raises about foreign bytes is one error here.
+Contexts live in memory only. After a restart of either side there is none, and a new one is derived
+from fresh random values, so no sequence number is ever used twice.
 """
 
 import heapq
@@ -33,7 +13,6 @@ from itertools import count
 from typing import Any, Final
 
 from aiocoap import Message, oscore
-from aiocoap.numbers.codes import Code
 from aiocoap.numbers.types import Type
 
 from ca.encoding import decode, encode
@@ -44,24 +23,32 @@ MAX_DATAGRAM: Final = 1280  # octets; IPv6's smallest MTU, more than a block of 
 TOKEN_SIZE: Final = 4
 CON, NON, ACK, RST = Type.CON, Type.NON, Type.ACK, Type.RST
 OBSERVE, DEREGISTER = 0, 1  # RFC 7641 section 2
-__all__ = [
-    "ACK",
-    "CON",
-    "DEREGISTER",
-    "MAX_DATAGRAM",
-    "NON",
-    "OBSERVE",
-    "RST",
-    "TOKEN_SIZE",
-    "Message",
-    "answer",
-    "empty",
-    "is_empty",
-    "number_of",
-    "read",
-    "refusal",
-    "write",
-]
+
+_SLACK: Final = 256
+
+ACK_TIMEOUT: Final = 2.0  # seconds; longer by up to a half, at random
+MAX_RETRANSMIT: Final = 4
+
+Address = tuple[Any, ...]
+Send = Callable[[bytes, Address], None]
+
+WINDOW: Final = 32
+SALT_SIZE: Final = 8
+KEY_SIZE: Final = 16
+MAX_ID: Final = 7  # octets of an ID: 6 less than a nonce has (RFC 8613 section 3.3)
+_ALGORITHM: Final = oscore.algorithms["AES-CCM-16-64-128"]
+_HASH: Final = oscore.hashfunctions["sha256"]
+_H: Final = 0x10  # flag: there is a kid context
+
+RequestId = Any
+
+NONCE_SIZE: Final = 8  # of ID1 and R3
+R2_SIZE: Final = 16  # milliseconds (6), random (2), tag (8)
+MAX_ID1: Final = 32
+LIFETIME: Final = 30_000  # milliseconds in which the thing answers R2
+BORDER_ID: Final = b""  # the border router's sender ID in contexts of a secret
+_SALT: Final = b""
+_TIME: Final = 6
 
 
 def read(data: bytes) -> Message:
@@ -76,7 +63,6 @@ def read(data: bytes) -> Message:
 
 
 def write(message: Message) -> bytes:
-    """A message as the bytes of a datagram."""
     data: bytes = message.encode()
     return data
 
@@ -101,14 +87,9 @@ def answer(request: Message, response: Message, mid: int) -> Message:
     return response
 
 
-def refusal(code: Code) -> Message:
-    return Message(code=code)
-
-
-_SLACK: Final = 256
-
-
 class Timers:
+    """One list of what is due for all things of a border router: none has a task of its own."""
+
     def __init__(self) -> None:
         self._heap: list[tuple[float, int]] = []
         self._calls: dict[int, Callable[[float], None]] = {}
@@ -119,7 +100,6 @@ class Timers:
 
     @property
     def next_due(self) -> float | None:
-        # When `run` has something to do next; None: never.
         while self._heap and self._heap[0][1] not in self._calls:
             heapq.heappop(self._heap)
         return self._heap[0][0] if self._heap else None
@@ -143,13 +123,6 @@ class Timers:
             self._calls.pop(number)(now)
 
 
-ACK_TIMEOUT: Final = 2.0  # seconds; longer by up to a half, at random
-MAX_RETRANSMIT: Final = 4
-
-Address = tuple[Any, ...]
-Send = Callable[[bytes, Address], None]
-
-
 @dataclass(slots=True)
 class _Transmission:
     data: bytes
@@ -160,12 +133,10 @@ class _Transmission:
 
 
 class Transmissions:
-    """What was sent and is not acknowledged.
+    """Confirmable messages until they are acknowledged (RFC 7252 section 4.2).
 
-    Args:
-        send: sends a datagram.
-        timers: of all things.
-        rand: a random number from 0 up to 1.
+    A reset has four octets and nobody's signature, so it counts as not delivered: the message is sent
+    again, and fails when nobody has acknowledged it after the last time.
     """
 
     def __init__(self, send: Send, timers: Timers, rand: Callable[[], float]) -> None:
@@ -202,34 +173,16 @@ class Transmissions:
         self._send(found.data, key[0])
 
 
-WINDOW: Final = 32
-SALT_SIZE: Final = 8
-KEY_SIZE: Final = 16
-MAX_ID: Final = 7  # octets of an ID: 6 less than a nonce has (RFC 8613 section 3.3)
-_ALGORITHM: Final = oscore.algorithms["AES-CCM-16-64-128"]
-_HASH: Final = oscore.hashfunctions["sha256"]
-_H: Final = 0x10  # flag: there is a kid context
-
-RequestId = Any
-
-
-def _nothing() -> None: ...
-
-
 class OscoreContext(oscore.CanProtect, oscore.CanUnprotect, oscore.SecurityContextUtils):  # type: ignore[misc]
-    """One context.
+    """One context, made of aiocoap's protection; `id_context`: if several are derived from one secret.
 
-    Args:
-        secret: the master secret.
-        salt: the master salt.
-        sender: the ID of this side.
-        recipient: the ID of the other side; another one.
-        id_context: of contexts that are derived several times from one secret.
+    It seals requests and answers in both directions: a thing registers by a request, and the border
+    router's requests to the thing use the same context with the same kid.
     """
 
+    # Not None: then what is repeated is decrypted before it is refused, as what is forged is. The
+    # window is always initialized, so nothing is compared with it.
     echo_recovery = b"unused"
-    """Not None: then what is repeated is decrypted before it is refused, as what is forged is. The
-    window is always initialized, so nothing is compared with it."""
 
     def __init__(
         self, secret: bytes, salt: bytes, sender: bytes, recipient: bytes, id_context: bytes | None = None
@@ -244,12 +197,11 @@ class OscoreContext(oscore.CanProtect, oscore.CanUnprotect, oscore.SecurityConte
         self.id_context = id_context
         self.derive_keys(salt, secret)
         self.sender_sequence_number = 0
-        self.recipient_replay_window = oscore.ReplayWindow(WINDOW, _nothing)
+        self.recipient_replay_window = oscore.ReplayWindow(WINDOW, lambda: None)
         self.recipient_replay_window.initialize_empty()
 
     def post_seqnoincrease(self) -> None:
-        # Nothing: a sequence number is of this process only.
-        ...
+        """Nothing: a sequence number is of this process only."""
 
     def seal(self, message: Message, request: RequestId = None) -> tuple[Message, RequestId]:
         sealed, identifier = self.protect(message, request, kid_context=False)
@@ -257,7 +209,14 @@ class OscoreContext(oscore.CanProtect, oscore.CanUnprotect, oscore.SecurityConte
 
     def open(self, message: Message, request: RequestId = None) -> tuple[Message, RequestId]:
         try:
-            _strip_context(message)  # whoever calls has chosen the context by it
+            # Without the kid context: whoever calls has chosen the context by it.
+            option: bytes = message.opt.oscore or b""
+            if option and option[0] & _H:
+                at = 1 + (option[0] & 0x07)
+                end = at + 1 + option[at]
+                if end > len(option):
+                    raise DatagramRefused("a kid context that ends early")
+                message.opt.oscore = bytes((option[0] & ~_H,)) + option[1:at] + option[end:]
             opened, identifier = self.unprotect(message, request)
         except Exception as error:  # noqa: BLE001 - its errors have no common base
             raise DatagramRefused(f"not protected by this key: {type(error).__name__}") from None
@@ -295,28 +254,7 @@ def name_context(message: Message, kid_context: bytes) -> None:
     message.opt.oscore = flags + option[1 : 1 + size] + length + kid_context + option[1 + size :]
 
 
-def _strip_context(message: Message) -> None:
-    option: bytes = message.opt.oscore or b""
-    if not option or not option[0] & _H:
-        return
-    at = 1 + (option[0] & 0x07)
-    end = at + 1 + option[at]
-    if end > len(option):
-        raise DatagramRefused("a kid context that ends early")
-    message.opt.oscore = bytes((option[0] & ~_H,)) + option[1:at] + option[end:]
-
-
-NONCE_SIZE: Final = 8  # of ID1 and R3
-R2_SIZE: Final = 16  # milliseconds (6), random (2), tag (8)
-MAX_ID1: Final = 32
-LIFETIME: Final = 30_000  # milliseconds in which the thing answers R2
-BORDER_ID: Final = b""  # the border router's sender ID in contexts of a secret
-_SALT: Final = b""
-_TIME: Final = 6
-
-
 def wrapped(value: bytes) -> bytes:
-    """A value as it is in a kid context: a CBOR byte string."""
     return encode(value)
 
 
@@ -339,13 +277,16 @@ def is_in(context: OscoreContext, kid_context: bytes | None) -> bool:
 
 @dataclass(frozen=True)
 class Challenges:
-    """Makes and recognizes R2.
+    """Makes and recognizes R2, for contexts of a thing with a secret of its own (RFC 8613 Appendix B.2).
 
-    Args:
-        key: 16 random octets of this process.
+    Neither side writes sequence numbers to a disk. After a restart of either, both contribute a random
+    value to a new context: ID1 by the thing, R2 by the border router, R3 by the thing. R2 shows itself
+    to be of this process and recent, so an attempt costs no memory. Only one that is newer than any
+    that the thing has answered makes a new context, also when the former one was dropped: who repeats
+    recorded requests changes nothing, and no context begins a second time with its nonces.
     """
 
-    key: bytes
+    key: bytes  # 16 random octets of this process
     _answered: dict[bytes, int] = field(default_factory=dict)  # by kids that proved their secret
 
     def make(self, kid: bytes, now: float, random: bytes) -> bytes:

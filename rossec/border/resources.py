@@ -1,15 +1,11 @@
-"""What a thing has: its list of resources (RFC 6690), as topics and services. Pure.
+"""What a thing has: its list of resources (RFC 6690), as topics and services, and their bodies. Pure.
 
-`</t>;rt="ros.pub";if="sensor_msgs/Temperature";title="~temperature";ct=60` is a topic that the
-thing publishes. A name that begins with `~` lies below the thing's own name; others are absolute.
-Whether it may have that name is not decided here: its grants say so.
-
-Bodies of resources to ROS messages and back, by the layout that filters use too. Pure.
-
-A body is a message as ROS serializes it, or one deterministic CBOR map with every field by name:
-numbers, text strings, byte strings for arrays of octets, arrays, maps for nested messages, `[secs,
-nsecs]` for times. Everything else is refused: a missing field as well as an unknown one, so that
-both sides mean the same.
+`</t>;rt="ros.pub";if="sensor_msgs/Temperature";title="~temperature";ct=60` is a topic that the thing
+publishes. A name that begins with `~` lies below the thing's own name; others are absolute. Whether it
+may have that name its grants say. A body is a message as ROS serializes it, or one deterministic CBOR
+map with every field by name: numbers, text strings, byte strings for arrays of octets, arrays, maps for
+nested messages, `[secs, nsecs]` for times. Everything else is refused: a missing field as well as an
+unknown one, so that both sides mean the same.
 """
 
 import re
@@ -37,24 +33,22 @@ _VALUE: Final = r'"[^"\\]*"|[^",;\s\\]*'
 _PARAMETER: Final = re.compile(rf';\s*([^,;="\s]+)(?:=({_VALUE}))?')
 _LINK: Final = re.compile(rf'\s*<([^<>"]*)>((?:;\s*[^,;="\s]+(?:=(?:{_VALUE}))?)*)\s*(?:,|\Z)')
 
+_COUNT: Final = struct.Struct("<I")
+_OCTETS: Final = frozenset({"uint8", "char"})
+_PAIRS: Final = frozenset({"time", "duration"})
+_FLOATS: Final = frozenset("fd")
+_BOOL: Final = PRIMITIVES["bool"]
+
 
 @dataclass(frozen=True, slots=True)
 class Resource:
-    """One resource of a thing.
+    """One resource of a thing."""
 
-    Args:
-        kind: `PUBLISHER`, `SUBSCRIBER` or `SERVICE`.
-        path: its segments.
-        type: the ROS type.
-        name: the topic or the service, absolute.
-        format: the content format of its bodies.
-    """
-
-    kind: str
+    kind: str  # `PUBLISHER`, `SUBSCRIBER` or `SERVICE`
     path: tuple[str, ...]
-    type: str
-    name: str
-    format: int
+    type: str  # of ROS
+    name: str  # of the topic or the service, absolute
+    format: int  # the content format of its bodies
 
 
 def read_links(data: bytes, thing: str) -> list[Resource]:
@@ -64,12 +58,6 @@ def read_links(data: bytes, thing: str) -> list[Resource]:
         text = data.decode("ascii")
     except UnicodeDecodeError:
         raise ThingLinksRefused("a list of resources that is not ASCII") from None
-    found = [each for each in (_resource(*link, thing) for link in _links(text)) if each]
-    _check(found)
-    return found
-
-
-def _links(text: str) -> list[tuple[str, str]]:
     links: list[tuple[str, str]] = []
     end = 0
     while end < len(text):
@@ -78,7 +66,14 @@ def _links(text: str) -> list[tuple[str, str]]:
             raise ThingLinksRefused(f"not a list of links at character {end}")
         links.append((match[1], match[2]))
         end = match.end()
-    return links
+    found = [each for each in (_resource(*link, thing) for link in links) if each]
+    if sum(each.kind == PUBLISHER for each in found) > MAX_OBSERVATIONS:
+        raise ThingLinksRefused(f"a thing publishes at most {MAX_OBSERVATIONS} topics")
+    if len({(each.kind, each.name) for each in found}) != len(found):
+        raise ThingLinksRefused("two resources of a thing have one name")
+    if len({each.path for each in found}) != len(found):
+        raise ThingLinksRefused("one resource of a thing is listed twice")
+    return found
 
 
 def _resource(target: str, parameters: str, thing: str) -> Resource | None:
@@ -93,58 +88,26 @@ def _resource(target: str, parameters: str, thing: str) -> Resource | None:
     type_name = values.get("if", "")
     if _TYPE.fullmatch(type_name) is None:
         raise ThingLinksRefused(f"{type_name!a} is not a ROS type", "package/Type")
-    return Resource(
-        kind,
-        _path(target),
-        type_name,
-        _name(values.get("title", ""), thing),
-        _format(values.get("ct", str(ROS_BODY))),
-    )
-
-
-def _path(target: str) -> tuple[str, ...]:
-    segments = tuple(target.removeprefix("/").split("/"))
-    good = all(_SEGMENT.fullmatch(each) and each not in {".", ".."} for each in segments)
+    path = tuple(target.removeprefix("/").split("/"))
+    good = all(_SEGMENT.fullmatch(each) and each not in {".", ".."} for each in path)
     if not target.startswith("/") or len(target) > MAX_PATH or not good:
         raise ThingLinksRefused(f"{target[:MAX_PATH]!a} is not the path of a resource")
-    return segments
-
-
-def _name(title: str, thing: str) -> str:
-    name = f"{thing}/{title[1:]}" if title.startswith("~") else title
+    title = values.get("title", "")
     try:
-        return check_name(name)
+        name = check_name(f"{thing}/{title[1:]}" if title.startswith("~") else title)
     except NameRefused as error:
         raise ThingLinksRefused(f"the name {title!a}: {error}", "~name, or /absolute") from None
-
-
-def _format(value: str) -> int:
-    if value not in {str(each) for each in FORMATS}:
-        raise ThingLinksRefused(f"content format {value!a}", f"{ROS_BODY} or {CBOR_BODY}")
-    return int(value)
-
-
-def _check(found: list[Resource]) -> None:
-    if sum(each.kind == PUBLISHER for each in found) > MAX_OBSERVATIONS:
-        raise ThingLinksRefused(f"a thing publishes at most {MAX_OBSERVATIONS} topics")
-    if len({(each.kind, each.name) for each in found}) != len(found):
-        raise ThingLinksRefused("two resources of a thing have one name")
-    if len({each.path for each in found}) != len(found):
-        raise ThingLinksRefused("one resource of a thing is listed twice")
-
-
-_COUNT: Final = struct.Struct("<I")
-_OCTETS: Final = frozenset({"uint8", "char"})
-_PAIRS: Final = frozenset({"time", "duration"})
-_FLOATS: Final = frozenset("fd")
-_BOOL: Final = PRIMITIVES["bool"]
+    form = values.get("ct", str(ROS_BODY))
+    if form not in {str(each) for each in FORMATS}:
+        raise ThingLinksRefused(f"content format {form!a}", f"{ROS_BODY} or {CBOR_BODY}")
+    return Resource(kind, path, type_name, name, int(form))
 
 
 def to_ros(body: bytes, form: int, layout: Layout) -> bytes:
     if len(body) > MAX_BODY:
         raise BodyRefused(f"a body of {len(body)} octets, at most {MAX_BODY}")
     if form != CBOR_BODY:
-        _check_whole(body, layout)
+        _read_whole(body, layout)
         return body
     try:
         value = decode(body, limit=MAX_BODY)
@@ -156,12 +119,8 @@ def to_ros(body: bytes, form: int, layout: Layout) -> bytes:
 
 
 def from_ros(message: bytes, form: int, layout: Layout) -> bytes:
-    if form != CBOR_BODY:
-        body = message
-        _check_whole(message, layout)
-    else:
-        value, end = _read(message, 0, layout.root)
-        _check_end(message, end, layout)
+    value, body = _read_whole(message, layout), message
+    if form == CBOR_BODY:
         try:
             body = encode(value)
         except EncodingError as error:
@@ -171,13 +130,11 @@ def from_ros(message: bytes, form: int, layout: Layout) -> bytes:
     return body
 
 
-def _check_whole(message: bytes, layout: Layout) -> None:
-    _check_end(message, _read(message, 0, layout.root)[1], layout)
-
-
-def _check_end(message: bytes, end: int, layout: Layout) -> None:
+def _read_whole(message: bytes, layout: Layout) -> Value:
+    value, end = _read(message, 0, layout.root)
     if end != len(message):
         raise BodyRefused(f"{len(message) - end} octets after one {layout.type_name}")
+    return value
 
 
 # --- from CBOR

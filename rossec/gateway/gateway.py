@@ -1,16 +1,10 @@
 """Serves topics of other domains here: follows the graph of its master, a task for each topic.
 
-A shell around `selection` and `topic`. A failure of one topic ends its task, not the others: it is
-begun again after a pause. What the origin grants no longer is served no longer, at once; what the
-graph shows no longer, as soon as no publisher of it is connected: masters that lose sight of each
-other disturb no connection. The master may have ended the registrations of a gateway that did not
-answer for a while, so they are made again when the graph lacks them.
-
-One topic of another domain, served here: a publisher of its served name, fed by its origin.
-
-A shell around `states`, `sources` and `thinning`. However many are subscribed here, the origin has
-one subscriber. A refusal concerns this topic alone, and ends its subscription at the origin; the
-publisher here stays, so that the topic serves again by itself.
+A failure of one topic ends its task, not the others: it is begun again after a pause. What the origin
+grants no longer is served no longer, at once; what the graph shows no longer, as soon as no publisher
+of it is connected: masters that lose sight of each other disturb no connection. The master may have
+ended the registrations of a gateway that did not answer for a while, so they are made again when the
+graph lacks them.
 """
 
 import asyncio
@@ -55,6 +49,12 @@ REFUSALS: Final = (HintedError, OSError, TimeoutError, Fault)
 QUEUE_SIZE: Final = 10
 _log = logging.getLogger("rossec.gateway")
 
+PERIOD: Final = 1.0  # seconds between two looks at what has to be served
+PAUSE: Final = 5.0  # seconds until a topic that failed, or a registration, is tried again
+WATCH_DEADLINE: Final = 15.0  # seconds; an answer is held back for five
+MAX_SKIPPED: Final = 100  # of those that the status names
+MAX_LOGGED: Final = 5  # topics at a time
+
 
 class Subscription(Protocol):
     async def close(self) -> None: ...
@@ -64,28 +64,23 @@ class RawTopics(Protocol):
     async def publish_raw(
         self, topic: str, type_name: str, on_demand: Any, *, queue_size: int
     ) -> RawPublisher: ...
-
     async def unpublish(self, publisher: Publisher) -> None: ...
-
     async def subscribe_raw(self, topic: str, receiver: RawReceiver, *, wishes: Wishes) -> Subscription: ...
 
 
 class ServedTopic:
-    """Serves one topic until `stop`, or until its type changes.
+    """Serves one topic until `stop`, or until its type changes: a publisher here, fed by its origin.
 
-    Attributes:
-        candidate: what it serves.
-        problem: why nothing comes; empty: nothing is wrong.
-        messages, octets: how much was forwarded.
-        registered_at: since when it is registered, by the monotonic clock; None: it is not.
+    However many are subscribed here, the origin has one subscriber. A refusal concerns this topic
+    alone, and ends its subscription at the origin; the publisher here stays, so that the topic serves
+    again by itself.
     """
 
     def __init__(self, candidate: Candidate, topics: RawTopics) -> None:
         self.candidate: Final = candidate
-        self.problem = ""
-        self.messages = 0
-        self.octets = 0
-        self.registered_at: float | None = None
+        self.problem = ""  # why nothing comes
+        self.messages = self.octets = 0  # that were forwarded
+        self.registered_at: float | None = None  # by the monotonic clock
         self._topics = topics
         self._state = TopicState()
         self._sources = Sources()
@@ -146,14 +141,11 @@ class ServedTopic:
         else:
             for source, thinning in self._thinned.items():
                 self._forward(publisher, source, thinning.release(now))
-            await self._wait(now)
-
-    async def _wait(self, now: float) -> None:
-        dues = (self._state.due, *(each.due for each in self._thinned.values()))
-        due = min((each for each in dues if each is not None), default=None)
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(None if due is None else max(0.0, due - now)):
-                await self._wake.wait()
+            dues = (self._state.due, *(each.due for each in self._thinned.values()))
+            due = min((each for each in dues if each is not None), default=None)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(None if due is None else max(0.0, due - now)):
+                    await self._wake.wait()
 
     async def _subscribe(self) -> None:
         try:
@@ -235,13 +227,6 @@ class ServedTopic:
             self._note(error)
 
 
-PERIOD: Final = 1.0  # seconds between two looks at what has to be served
-PAUSE: Final = 5.0  # seconds until a topic that failed, or a registration, is tried again
-WATCH_DEADLINE: Final = 15.0  # seconds; an answer is held back for five
-MAX_SKIPPED: Final = 100  # of those that the status names
-MAX_LOGGED: Final = 5  # topics at a time
-
-
 class Obstacle(NamedTuple):
     """Why a topic is not served, and what to do; the latter may be empty."""
 
@@ -256,17 +241,12 @@ class _Running:
 
 
 class Gateway:
-    """Serves, as `node`, what the rules say.
-
-    Attributes:
-        skipped: why a topic that a rule covers is not served, by its alias.
-        problem: why the graph of the master is not followed; empty: it is.
-    """
+    """Serves, as `node`, what the rules say."""
 
     def __init__(self, node: Node, rules: Sequence[TopicRule], most: int = MAX_TOPICS) -> None:
         self.rules: Final = tuple(rules)
-        self.skipped: dict[str, Obstacle] = {}
-        self.problem = "the master has not answered yet"
+        self.skipped: dict[str, Obstacle] = {}  # why what a rule covers is not served, by alias
+        self.problem = "the master has not answered yet"  # empty: its graph is followed
         self._node = node
         self._most = most
         self._view = GraphView()
@@ -321,7 +301,10 @@ class Gateway:
             if alias not in wanted and (alias in self.skipped or not each.topic.sources):
                 each.topic.stop()
         for alias in wanted.keys() - self._running.keys():
-            self._begin(wanted[alias])
+            topic = ServedTopic(wanted[alias], self._node.topics)
+            task = self._tasks.spawn(_serve(topic), f"gateway: {alias}")
+            task.add_done_callback(lambda _: self._changed.set())
+            self._running[alias] = _Running(topic, task)
         await self._restore_lost(now)
 
     async def _wanted(self, now: float) -> list[Candidate]:
@@ -340,19 +323,15 @@ class Gateway:
             over = [each.alias for each in able if each.alias not in kept]
             skipped |= dict.fromkeys(over, Obstacle(f"only {self._most} topics are served"))
         before, self.skipped = self.skipped, skipped
-        self._tell(before)
-        return found
-
-    def _tell(self, before: Mapping[str, Obstacle]) -> None:
         new = [alias for alias, each in self.skipped.items() if before.get(alias) != each]
         for alias in new[:MAX_LOGGED]:
             why, hint = self.skipped[alias]
             _log.warning("%s is not served: %s%s", shown(alias), why, f" ({hint})" * bool(hint))
         if len(new) > MAX_LOGGED:
             _log.warning("and %d more: rossec gateway status", len(new) - MAX_LOGGED)
+        return found
 
     def _obstacle(self, candidate: Candidate, now: float) -> Obstacle | None:
-        # Why a topic cannot be served now; None: it can.
         if missing := self._missing.get(candidate.alias):
             return missing
         others = self._observed.servers.get(candidate.served, frozenset()) - {self._node.name}
@@ -387,12 +366,6 @@ class Gateway:
                 f"rossec grant sign {name} --publish '/gateway/{label}/**'",
             )
         return None
-
-    def _begin(self, candidate: Candidate) -> None:
-        topic = ServedTopic(candidate, self._node.topics)
-        task = self._tasks.spawn(_serve(topic), f"gateway: {candidate.alias}")
-        task.add_done_callback(lambda _: self._changed.set())
-        self._running[candidate.alias] = _Running(topic, task)
 
     async def _restore_lost(self, now: float) -> None:
         served = [each.topic for each in self._running.values()]

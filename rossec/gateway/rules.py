@@ -1,36 +1,14 @@
-"""What a gateway shall serve: topics of another domain, and how they come over the line. Pure.
+"""What a gateway serves: rules, what of the graph they cover, the state of each topic. Pure.
 
 A rule is a pattern of the origin's own names. Of several that cover a topic the first one counts.
 What gateways of the origin serve is covered by patterns below `/gateway` alone: two domains whose
 gateways serve each other's `/**` would hand the same topics to and fro, under ever longer names.
-
-Which topics a gateway serves, from the graph of its master. Pure.
-
-A topic counts that has a publisher of its origin. There is room for a limited number, which is
-shared between the origins: one with many topics takes no room from the others. Within an origin
-what is served already comes first, so that a new topic replaces none. An origin may show tens of
-thousands of topics, and change them: what is done for each is done in steps, and messages pass
-between them.
-
-The publishers of one topic at its origin, and what their messages are. Pure.
-
-A topic has one type, and the definition of the first publisher counts. While a publisher of that
-type is connected, one of another type is refused, as every subscriber in ROS refuses it. When none
-is, the type has changed: what was said of it here is wrong, and the topic has to begin again.
-
-When a topic is subscribed at its origin, as a table. Pure.
-
-Only while somebody here is subscribed, and a little longer: a program that is started again, or
-one after the other, makes no new connection over the slow line each time.
-
-Messages of a latching publisher, thinned out so that the last one is delivered nevertheless.
-
-A sender that thins out by a wish of a rate (docs/decisions/0036) drops what is too much. Of a topic
-whose last message is its value it may drop the very last. So a gateway asks for no rate there, and
-holds back by itself: the newest that is too early is due as soon as the rate admits it. Pure.
+A topic counts that has a publisher of its origin. An origin may show tens of thousands of topics, and
+change them: what is done for each is done in steps, and messages pass between them.
 """
 
 from collections.abc import Collection, Generator, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple
@@ -57,6 +35,13 @@ from rossec.ros.names import ANY_TYPE
 
 MAX_RULES: Final = 256
 
+MAX_TOPICS: Final = 1024
+BATCH: Final = 512  # facts or topics in one step
+
+LINGER: Final = 5.0  # seconds without a subscriber here until the origin is left
+FIRST_PAUSE: Final = 1.0  # seconds after a failure, doubled with each further one
+LONGEST_PAUSE: Final = 15.0
+
 
 @dataclass(frozen=True)
 class TopicRule:
@@ -73,7 +58,9 @@ def rule(label: str, pattern: str, wishes: Wishes) -> TopicRule:
         check_label(label)
     except HintedError as error:
         raise ConfigurationError(str(error), "rossec domain list shows the labels") from error
-    own = _origins(label, pattern)
+    prefixes = (f"{label}:", f"/remote/{label}")
+    named = next((each for each in prefixes if pattern.startswith(f"{each}/")), "")
+    own = pattern.removeprefix(named)
     if own != pattern:
         raise ConfigurationError(
             f"{pattern[:255]!a} is a name here, not at its origin", f"--from {label} {own}"
@@ -91,13 +78,6 @@ def rule(label: str, pattern: str, wishes: Wishes) -> TopicRule:
     return TopicRule(label, pattern, wishes)
 
 
-def _origins(label: str, pattern: str) -> str:
-    for prefix in (f"{label}:", f"/remote/{label}"):
-        if pattern.startswith(f"{prefix}/"):
-            return pattern.removeprefix(prefix)
-    return pattern
-
-
 def covering(rules: Sequence[TopicRule], alias: str) -> TopicRule | None:
     """The first rule that covers a topic, by its alias; None: there is none."""
     found = split_alias(alias)
@@ -110,10 +90,6 @@ def covering(rules: Sequence[TopicRule], alias: str) -> TopicRule | None:
     return next((each for each in of_label if pattern_covers(each.pattern, name)), None)
 
 
-MAX_TOPICS: Final = 1024
-BATCH: Final = 512  # facts or topics in one step
-
-
 class Candidate(NamedTuple):
     alias: str
     served: str
@@ -122,15 +98,10 @@ class Candidate(NamedTuple):
 
 
 class Observed(NamedTuple):
-    """What the graph says of topics to serve.
+    """What the graph says of topics to serve."""
 
-    Args:
-        candidates: by alias.
-        servers: the gateways that are registered, by served name.
-    """
-
-    candidates: Mapping[str, Candidate]
-    servers: Mapping[str, frozenset[str]]
+    candidates: Mapping[str, Candidate]  # by alias
+    servers: Mapping[str, frozenset[str]]  # the gateways that are registered, by served name
 
 
 def observing(facts: Iterable[Fact], rules: Sequence[TopicRule]) -> Generator[None, None, Observed]:
@@ -148,9 +119,10 @@ def observing(facts: Iterable[Fact], rules: Sequence[TopicRule]) -> Generator[No
             yield
     candidates = dict[str, Candidate]()
     for count, alias in enumerate(sorted(published), 1):
-        found = _candidate(alias, rules, types.get(alias, ANY_TYPE))
-        if found is not None:
-            candidates[alias] = found
+        rule = covering(rules, alias)
+        if rule is not None:
+            with suppress(NameRefused):  # it would be longer than a name
+                candidates[alias] = Candidate(alias, served_name(alias), rule, types.get(alias, ANY_TYPE))
         if not count % BATCH:
             yield
     return Observed(candidates, servers)
@@ -164,19 +136,13 @@ def _is_of_its_origin(topic: str, node: str) -> bool:
     return one is not None and other is not None and one[0] == other[0]
 
 
-def _candidate(alias: str, rules: Sequence[TopicRule], type_name: str) -> Candidate | None:
-    rule = covering(rules, alias)
-    if rule is None:
-        return None
-    try:
-        return Candidate(alias, served_name(alias), rule, type_name)
-    except NameRefused:  # it would be longer than a name
-        return None
-
-
 def chosen(
     candidates: Iterable[Candidate], serving: Collection[str], most: int = MAX_TOPICS
 ) -> list[Candidate]:
+    """What there is room for, shared between the origins: one with many topics takes none from others.
+
+    Within an origin what is served already comes first, so that a new topic replaces none.
+    """
     by_label: dict[str, list[Candidate]] = {}
     for each in candidates:
         by_label.setdefault(each.rule.label, []).append(each)
@@ -195,6 +161,13 @@ class TypeChanged(ConnectionHeaderRefused):
 
 
 class Sources:
+    """The publishers of one topic at its origin.
+
+    A topic has one type, and the definition of the first publisher counts. While a publisher of that
+    type is connected, one of another type is refused, as every subscriber in ROS refuses it. When none
+    is, the type has changed: what was said of it here is wrong, and the topic has to begin again.
+    """
+
     def __init__(self) -> None:
         self.type: Definition | None = None
         self._connected: set[RawSource] = set()
@@ -234,11 +207,6 @@ def _digest(kind: Definition) -> bytes | str:
         return kind.definition
 
 
-LINGER: Final = 5.0  # seconds without a subscriber here until the origin is left
-FIRST_PAUSE: Final = 1.0  # seconds after a failure, doubled with each further one
-LONGEST_PAUSE: Final = 15.0
-
-
 class Phase(Enum):
     IDLE = "idle"  # nobody is subscribed here
     SUBSCRIBED = "subscribed"
@@ -275,26 +243,23 @@ _WANTED_IN: Final = frozenset({Phase.SUBSCRIBED, Phase.PAUSED})
 class TopicState:
     """Where one topic is in the table; times are of a monotonic clock.
 
-    Attributes:
-        phase: where it is.
-        due: when `step` has to be called at the latest; None: when something changes.
+    It is subscribed at its origin only while somebody here is, and a little longer: a program that is
+    started again, or one after the other, makes no new connection over the slow line each time.
     """
 
     def __init__(self) -> None:
         self.phase = Phase.IDLE
-        self.due: float | None = None
+        self.due: float | None = None  # when to call `step` at the latest; None: when something changes
         self._pause = FIRST_PAUSE
 
     def step(self, now: float, *, wanted: bool) -> Action:
-        event = self._event(now, wanted=wanted)
-        return Action.NOTHING if event is None else self._enter(event, now)
-
-    def _event(self, now: float, *, wanted: bool) -> Event | None:
         if wanted and self.phase not in _WANTED_IN:
-            return Event.WANTED
+            return self._enter(Event.WANTED, now)
         if not wanted and self.phase in _WANTED_IN:
-            return Event.UNWANTED
-        return Event.DUE if self.due is not None and now >= self.due else None
+            return self._enter(Event.UNWANTED, now)
+        if self.due is not None and now >= self.due:
+            return self._enter(Event.DUE, now)
+        return Action.NOTHING
 
     def failed(self, now: float) -> Action:
         action = self._enter(Event.FAILED, now)
@@ -314,7 +279,12 @@ class TopicState:
 
 
 class Thinning:
-    """Messages of one publisher, at most `rate` a second; times are of a monotonic clock."""
+    """Messages of one latching publisher, at most `rate` a second, and the last one all the same.
+
+    A sender that thins out by a wish of a rate (docs/decisions/0036) drops what is too much. Of a topic
+    whose last message is its value it may drop the very last. So a gateway asks for no rate there, and
+    holds back by itself: the newest that is too early is due as soon as the rate admits it.
+    """
 
     def __init__(self, rate: float) -> None:
         self._interval = 1 / rate

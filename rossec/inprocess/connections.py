@@ -1,26 +1,14 @@
-"""TCPROS in rospy: connection headers of both sides, and the admission of peers.
+"""TCPROS in rospy: connection headers of both sides, the admission of peers, and a subscriber's loop.
 
-The header hooks serve services as well: rospy's protocol class determines which right
-each side has to prove.
-
-The message types this process reads with, as its genpy classes define them.
-
-Connection headers over a blocking secure socket: read whole, within a deadline and a limit.
-
-The field that holds grants is binary; rospy, which expects text, does not get it.
-
-`wait_for_service` in rospy: its probe needs the right of a client, and waits for the answer.
-
-Clients and providers go through the header hooks in `connections`; the probe has its own socket and
-writes its header itself. `rosservice` probes in the same way, and reads the answer.
-
-The subscriber's side of a topic: connected to a publisher for as long as the master names it.
+The header hooks serve services as well: rospy's protocol class determines which right each side has to
+prove. The field that holds grants is binary; rospy, which expects text, does not get it. Headers are
+read whole, within a deadline and a limit.
 """
 
 import socket
 import struct
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 from typing import Any, Final
@@ -48,36 +36,9 @@ from rossec.inprocess.options import PlainConnection
 from rossec.inprocess.process import RosConnection, SecuredProcess
 from rossec.inprocess.sockets import ClientFilter, RosSocket, ServerFilter, tried_again
 from rossec.net.limits import message_limit, unit_limit
+from rossec.participant import definitions, delivery, handshakes
 from rossec.participant.access import FIELD, granted_name
 from rossec.participant.authorized import AuthorizedConnection, memory_scope
-from rossec.participant.definitions import (
-    Definition,
-    definition_fields,
-    from_header,
-    guard_for,
-    receiver_definition,
-    size_of,
-)
-from rossec.participant.delivery import (
-    NO_WISHES,
-    carried_out,
-    check_carried_out,
-    requested_wishes,
-    taken_wishes,
-)
-from rossec.participant.handshakes import (
-    ExpectedTopic,
-    admit_caller,
-    admit_provider,
-    admit_publisher,
-    admit_subscriber,
-    caller_proof,
-    fields_here,
-    fields_on_wire,
-    requested_service,
-    requested_topic,
-    text,
-)
 from rossec.participant.message_types import MessageType
 from rossec.participant.service_types import ServiceGuard, ServiceType
 from rossec.peer_limits import printable
@@ -85,13 +46,27 @@ from rossec.ros import tcpros
 from rossec.ros.names import is_door, parse_uri
 from rossec.ros.tcpros import MESSAGE_LIMIT, FrameReader, Framing
 
+DEADLINE: Final = 5.0
+_LENGTH: Final = struct.Struct("<I")
 
-def definition_of(kind: Any) -> Definition:
-    return Definition(kind._type, kind._md5sum, kind._full_text)  # noqa: SLF001 - genpy's
+_RIGHTS: Final[dict[type, Right]] = {
+    TCPROSSub: Right.SUBSCRIBE,
+    TCPROSPub: Right.PUBLISH,
+    TCPROSServiceClient: Right.CALL,
+    TCPService: Right.PROVIDE,
+}
+_HINT_PLAIN: Final = "secure it, or name what it offers in allow_plain while you migrate"
+
+_FIRST_PAUSE: Final = 0.5
+_LONGEST_PAUSE: Final = 30.0
+_SLICE: Final = 0.5  # seconds between checks whether the subscriber is still in use
 
 
-def installed_definition(name: str) -> Definition | None:
-    """The definition of the installed class for the type `name`; None: there is none."""
+def definition_of(kind: Any) -> definitions.Definition:
+    return definitions.Definition(kind._type, kind._md5sum, kind._full_text)  # noqa: SLF001 - genpy's
+
+
+def installed_definition(name: str) -> definitions.Definition | None:
     try:
         kind = genpy.message.get_message_class(name)
     except Exception:  # noqa: BLE001 - an import may fail in any way; then it is not installed
@@ -100,17 +75,11 @@ def installed_definition(name: str) -> Definition | None:
 
 
 def max_message_size(kind: Any) -> int:
-    """The most bytes a message of the class `kind` may have."""
-    return message_limit(size_of(definition_of(kind)), MESSAGE_LIMIT)
+    return message_limit(definitions.size_of(definition_of(kind)), MESSAGE_LIMIT)
 
 
 def max_unit_size(kind: Any) -> int:
-    """The most bytes a unit with such messages may have."""
-    return unit_limit(size_of(definition_of(kind)), MESSAGE_LIMIT)
-
-
-DEADLINE: Final = 5.0
-_LENGTH: Final = struct.Struct("<I")
+    return unit_limit(definitions.size_of(definition_of(kind)), MESSAGE_LIMIT)
 
 
 def receive(sock: RosSocket) -> dict[str, bytes]:
@@ -143,15 +112,6 @@ def refuse(sock: RosSocket, error: HintedError) -> None:
     sock.settimeout(DEADLINE)
     with suppress(HintedError, OSError):
         sock.send_unit(tcpros.error_header(f"rossec: {printable(error)}"))
-
-
-_RIGHTS: Final[dict[type, Right]] = {
-    TCPROSSub: Right.SUBSCRIBE,
-    TCPROSPub: Right.PUBLISH,
-    TCPROSServiceClient: Right.CALL,
-    TCPService: Right.PROVIDE,
-}
-_HINT_PLAIN: Final = "secure it, or name what it offers in allow_plain while you migrate"
 
 
 class Connections:
@@ -205,7 +165,7 @@ class Connections:
             connection = None
             if not sock.is_plain:
                 connection = self._admit_server(protocol, fields, sock)
-                fields = fields_here(fields, sock.peer, protocol.resolved_name)
+                fields = handshakes.fields_here(fields, sock.peer, protocol.resolved_name)
             transport._validate_header(for_rospy(fields))  # noqa: SLF001 - rospy's own
             if connection is not None:
                 self._process.add_connection(sock, connection)
@@ -220,7 +180,7 @@ class Connections:
         access, peer = self._local_identity.access, sock.peer
         name = _granted_name(protocol, peer, protocol.resolved_name)
         if isinstance(protocol, TCPROSServiceClient):
-            decision = admit_provider(fields, peer, name, access, now())
+            decision = handshakes.admit_provider(fields, peer, name, access, now())
             kind = protocol.service_class
             if decision.restrictions:
                 guard = self._service_guard(kind, decision)
@@ -228,24 +188,26 @@ class Connections:
             sock.raise_unit_limit(max_unit_size(kind._response_class))  # noqa: SLF001 - rospy's
             return AuthorizedConnection(sock, decision, None, partial(self._refilter, sock, kind))
         subscribed = definition_of(protocol.recv_data_class)
-        expected = ExpectedTopic(name, subscribed.name, subscribed.md5sum)
-        decision = admit_publisher(fields, peer, expected, access, now())
-        taken_wishes(fields, NO_WISHES)
-        claimed = from_header(fields)
+        expected = handshakes.ExpectedTopic(name, subscribed.name, subscribed.md5sum)
+        decision = handshakes.admit_publisher(fields, peer, expected, access, now())
+        delivery.taken_wishes(fields, delivery.NO_WISHES)
+        claimed = definitions.from_header(fields)
 
-        def kind_under(decision: Decision) -> Definition:
-            return receiver_definition(subscribed, claimed, decision, installed_definition)
+        def kind_under(decision: Decision) -> definitions.Definition:
+            return definitions.receiver_definition(subscribed, claimed, decision, installed_definition)
 
         def guard_under(decision: Decision) -> Guard | None:
             return self._guard_for(kind_under(decision), decision)
 
-        fields |= definition_fields(kind_under(decision), decision)
+        fields |= definitions.definition_fields(kind_under(decision), decision)
         sock.raise_unit_limit(max_unit_size(protocol.recv_data_class))
         return AuthorizedConnection(sock, decision, guard_under(decision), guard_under)
 
-    def _guard_for(self, kind: Definition, decision: Decision) -> Guard | None:
+    def _guard_for(self, kind: definitions.Definition, decision: Decision) -> Guard | None:
         local_identity = self._local_identity
-        return guard_for(kind, decision, local_identity.home.filter_key, memory_scope(local_identity.name))
+        return definitions.guard_for(
+            kind, decision, local_identity.home.filter_key, memory_scope(local_identity.name)
+        )
 
     def _init_error(self, protocol: Any, error: HintedError, sock: RosSocket) -> TransportInitError:
         if not sock.closed_locally:
@@ -296,25 +258,28 @@ class Connections:
     def _admit_caller(self, server: Any, sock: RosSocket, where: Any, fields: dict[str, bytes]) -> None:
         access = self._local_identity.access
         if "service" in fields:
-            decision = admit_caller(fields, sock.peer, access, now())
+            decision = handshakes.admit_caller(fields, sock.peer, access, now())
             connection: RosConnection = AuthorizedConnection(sock, decision, None)
-            self._filter_calls(requested_service(fields), sock, connection)
+            self._filter_calls(handshakes.requested_service(fields), sock, connection)
             handler = server.service_connection_handler
         else:
-            decision = admit_subscriber(fields, sock.peer, access, now())
-            published = self._published(requested_topic(fields))
+            decision = handshakes.admit_subscriber(fields, sock.peer, access, now())
+            topic = handshakes.requested_topic(fields)
+            published = get_topic_manager().get_publisher_impl(topic)
+            if published is None or published.closed:
+                raise ConnectionHeaderRefused(f"{self._local_identity.name} does not publish {topic}")
             kind = definition_of(published.data_class)
-            wishes = carried_out(requested_wishes(fields), decision)
-            sock.wishes = NO_WISHES if published.queue_size is None else wishes
+            wishes = delivery.carried_out(delivery.requested_wishes(fields), decision)
+            sock.wishes = delivery.NO_WISHES if published.queue_size is None else wishes
 
             def guard_under(decision: Decision) -> Guard | None:
-                check_carried_out(sock.wishes, decision)
+                delivery.check_carried_out(sock.wishes, decision)
                 return self._guard_for(kind, decision)
 
             connection = AuthorizedConnection(sock, decision, guard_under(decision), guard_under)
             handler = server.topic_connection_handler
         self._process.add_connection(sock, connection)
-        refusal = handler(sock, where, for_rospy(fields_here(fields, sock.peer)))
+        refusal = handler(sock, where, for_rospy(handshakes.fields_here(fields, sock.peer)))
         if refusal:
             raise ConnectionHeaderRefused(str(refusal), "both sides need the same version of the package")
 
@@ -354,12 +319,6 @@ class Connections:
         local_identity = self._local_identity
         return ServiceGuard(both, decision, local_identity.home.filter_key, memory_scope(local_identity.name))
 
-    def _published(self, topic: str) -> Any:
-        published = get_topic_manager().get_publisher_impl(topic)
-        if published is None or published.closed:
-            raise ConnectionHeaderRefused(f"{self._local_identity.name} does not publish {topic}")
-        return published
-
 
 def _granted_name(protocol: Any, peer: Identity, name: str) -> str:
     return granted_name(peer, name) if isinstance(protocol, TCPROSSub) else name
@@ -370,6 +329,12 @@ def _description(protocol: Any) -> str:
 
 
 class ServiceProbe(RosSocket):
+    """`wait_for_service` in rospy: it needs the right of a client, and waits for the answer.
+
+    Clients and providers go through the header hooks; the probe has its own socket and writes its
+    header itself. `rosservice` probes in the same way, and reads the answer.
+    """
+
     def __init__(self, process: SecuredProcess, sock: socket.socket) -> None:
         super().__init__(process, sock)
         self._process = process
@@ -384,29 +349,26 @@ class ServiceProbe(RosSocket):
     def sendall(self, data: Bytes) -> None:
         local_identity = self._process.local_identity
         fields = tcpros.decode(bytes(data)[4:])
-        service = text(fields, "service")
+        service = handshakes.text(fields, "service")
         if self.is_plain and self._process.allows_plain(service, self.getpeername()[0]):
             super().sendall(data)
             return
         try:
             local_identity.access.check_peer(self.peer, now())
-            proof = caller_proof(service, local_identity.access, now())
-            named = fields_on_wire(fields)
+            proof = handshakes.caller_proof(service, local_identity.access, now())
+            named = handshakes.fields_on_wire(fields)
             self.send_unit(tcpros.encode({**named, "callerid": local_identity.name_for(self.peer), **proof}))
             answer = receive(self)
-            admit_provider(answer, self.peer, service, local_identity.access, now())
-            self._answer = tcpros.encode(for_rospy(fields_here(answer, self.peer)))
+            handshakes.admit_provider(answer, self.peer, service, local_identity.access, now())
+            self._answer = tcpros.encode(for_rospy(handshakes.fields_here(answer, self.peer)))
         except HintedError as error:
             self._process.reporter.warn(f"cannot call {shown(service)}", error)
             raise
 
 
-_FIRST_PAUSE: Final = 0.5
-_LONGEST_PAUSE: Final = 30.0
-_SLICE: Final = 0.5  # seconds between checks whether the subscriber is still in use
-
-
 class SubscriptionLoop:
+    """The subscriber's side of a topic: connected to a publisher for as long as the master names it."""
+
     def __init__(self, process: SecuredProcess) -> None:
         self._process = process
 
@@ -460,7 +422,7 @@ class SubscriptionLoop:
                 message._connection_header = conn.header  # noqa: SLF001 - part of rospy's messages
             if conn.is_latched:
                 conn.latch = messages[-1]
-            callback(_until_aborted(messages, sock), conn)
+            callback((each for each in messages if not sock.aborted), conn)
 
     def _filter(
         self, connection: RosConnection | PlainConnection | None, messages: list[bytes]
@@ -493,7 +455,3 @@ class SubscriptionLoop:
                 return False
             time.sleep(min(_SLICE, max(0.0, end - time.monotonic())))
         return self._process.registrations.is_publisher(topic, uri)
-
-
-def _until_aborted(messages: list[Any], sock: RosSocket) -> Iterator[Any]:
-    return (message for message in messages if not sock.aborted)

@@ -3,8 +3,6 @@
 A hook names a module, an attribute path and the parameters its stock function must have: a rospy
 in which one of them differs is refused before anything is replaced. `check` repeats the check when
 the node starts, in case something was put back (attack F12).
-
-A module in which some names are replaced, for rospy.
 """
 
 import inspect
@@ -41,22 +39,23 @@ from rossec.inprocess.sockets import RosSocket, bracketed, parse_rosrpc
 from rossec.inprocess.xmlrpc_calls import REQUEST, XmlRpcClient, XmlRpcServer
 from rossec.ros.names import parse_uri
 
-
-class ModuleProxy:
-    def __init__(self, module: ModuleType, **replaced: object) -> None:
-        self._module = module
-        self.__dict__.update(replaced)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._module, name)
-
-
 VERSIONS: Final = ("1.14", "1.15", "1.16", "1.17")
 _LATE: Final = "call rossec.secure() right after importing rospy, before anything else of it"
 
 _CALLER: Final = ("self", "request", "client_address")
 
 StartNode = Callable[..., Any]
+
+
+class ModuleProxy:
+    """A module in which some names are replaced, for rospy."""
+
+    def __init__(self, module: ModuleType, **replaced: object) -> None:
+        self._module = module
+        self.__dict__.update(replaced)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._module, name)
 
 
 class Hook(NamedTuple):
@@ -92,24 +91,8 @@ def check_in_time() -> None:
 
 
 def hooks(process: SecuredProcess, start_node: StartNode) -> list[Hook]:
-    return [
-        *_connection_hooks(process),
-        *_topic_hooks(process),
-        *_xmlrpc_client_hooks(process),
-        *_wait_hooks(process),
-        *_node_hooks(process),
-        Hook(
-            rospy.impl.init,
-            "start_node",
-            start_node,
-            ("environ", "resolved_name", "master_uri", "port", "tcpros_port"),
-        ),
-    ]
-
-
-def _connection_hooks(process: SecuredProcess) -> list[Hook]:
-    transport = rospy.impl.tcpros_base.TCPROSTransport
-    connections = Connections(process)
+    base, pubsub, service = rospy.impl.tcpros_base, rospy.impl.tcpros_pubsub, rospy.impl.tcpros_service
+    connections, client, server = Connections(process), XmlRpcClient(process), XmlRpcServer(process)
 
     def make(family: int = socket.AF_INET, kind: int = socket.SOCK_STREAM) -> RosSocket:
         return RosSocket(process, socket.socket(family, kind))
@@ -121,51 +104,6 @@ def _connection_hooks(process: SecuredProcess) -> list[Hook]:
         except RuntimeError:  # out of threads: only this caller is dropped
             sock.close()
 
-    server = rospy.impl.tcpros_base.TCPROSServer
-    probes = ModuleProxy(socket, socket=_probes(process))
-    return [
-        Hook(rospy.impl.tcpros_base, "socket", ModuleProxy(socket, socket=make)),
-        Hook(rospy.impl.tcpros_service, "socket", probes),
-        Hook(server, "_tcp_server_callback", accepted, ("self", "sock", "client_addr")),
-        Hook(transport, "write_header", _as_function(connections.write_header), ("self",)),
-        Hook(transport, "read_header", _as_function(connections.read_header), ("self",)),
-        Hook(transport, "write_data", write_data, ("self", "data")),
-    ]
-
-
-def _topic_hooks(process: SecuredProcess) -> list[Hook]:
-    pubsub, queued = rospy.impl.tcpros_pubsub, ("self", "connection", "queue_size")
-    publisher = rospy.topics._PublisherImpl  # noqa: SLF001 - rospy's
-    return [
-        Hook(
-            pubsub,
-            "robust_connect_subscriber",
-            SubscriptionLoop(process).run,
-            ("conn", "dest_addr", "dest_port", "pub_uri", "receive_cb", "resolved_topic_name"),
-        ),
-        Hook(publisher, "publish", publish, ("self", "message", "connection_override")),
-        Hook(rospy.topics, "QueuedConnection", queue_for, queued),
-        Hook(pubsub, "QueuedConnection", queue_for, queued),
-    ]
-
-
-def _xmlrpc_client_hooks(process: SecuredProcess) -> list[Hook]:
-    client = XmlRpcClient(process)
-    proxy = client.proxy_class()
-    return [
-        Hook(rospy.core, "xmlrpcclient", ModuleProxy(xmlrpc.client, ServerProxy=proxy)),
-        Hook(rospy.core, "_LockedServerProxy", proxy, ("self", "args", "kwargs")),
-        Hook(rospy.impl.tcpros_pubsub, "ServerProxy", proxy),
-        Hook(rosgraph.masterapi, "ServerProxy", proxy),
-        Hook(rosgraph.impl.graph, "ServerProxy", proxy),
-        Hook(
-            xmlrpc.client.ServerProxy, REQUEST, _as_function(client.request), ("self", "methodname", "params")
-        ),
-    ]
-
-
-def _wait_hooks(process: SecuredProcess) -> list[Hook]:
-    service = rospy.impl.tcpros_service
     stock_wait = service.wait_for_service
 
     def wait_for_service(service: Any, timeout: Any = None) -> None:
@@ -178,26 +116,47 @@ def _wait_hooks(process: SecuredProcess) -> list[Hook]:
         except ConfigurationError as error:
             raise ParameterInvalid(str(error)) from error
 
-    return [
-        Hook(service, "wait_for_service", wait_for_service, ("service", "timeout")),
-        Hook(rospy, "wait_for_service", wait_for_service, ("service", "timeout")),
-        Hook(rospy.core, "parse_rosrpc_uri", parse_service_uri, ("uri",)),
-    ]
-
-
-def _node_hooks(process: SecuredProcess) -> list[Hook]:
-    api = rosgraph.xmlrpc.ThreadingXMLRPCServer
-    server = XmlRpcServer(process)
-
     def set_uri(node: Any, uri: str) -> None:
         node.uri = bracketed(uri)
         host, port = parse_uri(node.uri)
         process.listens(port, host)
 
+    proxy, proxies = client.proxy_class(), xmlrpc.client.ServerProxy
+    write_header, read_header = map(_as_function, (connections.write_header, connections.read_header))
+    verify_request, finish_request = map(_as_function, (server.verify_request, server.finish_request))
+    publisher = rospy.topics._PublisherImpl  # noqa: SLF001 - rospy's
+    subscribes = ("conn", "dest_addr", "dest_port", "pub_uri", "receive_cb", "resolved_topic_name")
+    starts = ("environ", "resolved_name", "master_uri", "port", "tcpros_port")
+    api, transport = rosgraph.xmlrpc.ThreadingXMLRPCServer, base.TCPROSTransport
     return [
-        Hook(api, "verify_request", _as_function(server.verify_request), _CALLER),
-        Hook(api, "finish_request", _as_function(server.finish_request), _CALLER),
+        # connections of topics and services
+        Hook(base, "socket", ModuleProxy(socket, socket=make)),
+        Hook(service, "socket", ModuleProxy(socket, socket=_probes(process))),
+        Hook(base.TCPROSServer, "_tcp_server_callback", accepted, ("self", "sock", "client_addr")),
+        Hook(transport, "write_header", write_header, ("self",)),
+        Hook(transport, "read_header", read_header, ("self",)),
+        Hook(transport, "write_data", write_data, ("self", "data")),
+        # topics
+        Hook(pubsub, "robust_connect_subscriber", SubscriptionLoop(process).run, subscribes),
+        Hook(publisher, "publish", publish, ("self", "message", "connection_override")),
+        Hook(rospy.topics, "QueuedConnection", queue_for, ("self", "connection", "queue_size")),
+        Hook(pubsub, "QueuedConnection", queue_for, ("self", "connection", "queue_size")),
+        # XML-RPC calls from here
+        Hook(rospy.core, "xmlrpcclient", ModuleProxy(xmlrpc.client, ServerProxy=proxy)),
+        Hook(rospy.core, "_LockedServerProxy", proxy, ("self", "args", "kwargs")),
+        Hook(pubsub, "ServerProxy", proxy),
+        Hook(rosgraph.masterapi, "ServerProxy", proxy),
+        Hook(rosgraph.impl.graph, "ServerProxy", proxy),
+        Hook(proxies, REQUEST, _as_function(client.request), ("self", "methodname", "params")),
+        # waiting for services
+        Hook(service, "wait_for_service", wait_for_service, ("service", "timeout")),
+        Hook(rospy, "wait_for_service", wait_for_service, ("service", "timeout")),
+        Hook(rospy.core, "parse_rosrpc_uri", parse_service_uri, ("uri",)),
+        # the node: its slave API, its URI, its start
+        Hook(api, "verify_request", verify_request, _CALLER),
+        Hook(api, "finish_request", finish_request, _CALLER),
         Hook(rosgraph.xmlrpc.XmlRpcNode, "set_uri", set_uri, ("self", "uri")),
+        Hook(rospy.impl.init, "start_node", start_node, starts),
     ]
 
 

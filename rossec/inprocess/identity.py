@@ -1,16 +1,8 @@
-"""The node that this process is: its identity, grants and revocation data; thread-safe.
+"""The node that this process is, thread-safe, and the connections it makes, both ways.
 
-One lock makes a list and its confirmation one step: between the two no revocation data would be
-fresh, and every peer that is checked would be refused.
-
-A plain connection that `allow_plain` names, with the interface of a secure one.
-
-Also here: reading what a caller sends first without consuming it, so that a caller that is not
-named continues with the handshake, which refuses it.
-
-Makes the secure connections of one process, both ways; `sockets` adapts them to rospy.
-
-What is renewed on a connection of rospy's; on a plain one there is nothing to renew.
+A plain connection that `allow_plain` names has the interface of a secure one. What a caller sends first
+is read without consuming it, so that a caller that is not named continues with the handshake, which
+refuses it.
 """
 
 import socket
@@ -44,6 +36,14 @@ from rossec.ros.names import MASTER
 P = ParamSpec("P")
 R = TypeVar("R")
 
+_READ: Final = 256 * 1024
+_PREFIX: Final = 4
+DEADLINE: Final = 5.0
+
+CONNECT_TIMEOUT: Final = 10.0
+
+Stream = SecureSocket[Identity]
+
 
 def _locked(method: Callable[Concatenate[Access, P], R]) -> Callable[Concatenate["LockedAccess", P], R]:
     @wraps(method)
@@ -58,7 +58,9 @@ def _locked(method: Callable[Concatenate[Access, P], R]) -> Callable[Concatenate
 class LockedAccess:
     """What this process uses of `Access`, one thread at a time.
 
-    Not a subclass: a method that is added to `Access` cannot be called here without the lock.
+    Not a subclass: a method that is added to `Access` cannot be called here without the lock. One lock
+    makes a list and its confirmation one step: between the two no revocation data would be fresh, and
+    every peer that is checked would be refused.
     """
 
     def __init__(self, access: Access) -> None:
@@ -95,13 +97,6 @@ class LockedAccess:
 
 
 class LocalIdentity(LoadedIdentity):
-    """The enrolled node that this process is.
-
-    Args:
-        home, name, master: as of `LoadedIdentity`, which raises the same errors.
-        suites: of its channels, by the post-quantum policy.
-    """
-
     def __init__(
         self, home: NodeHome, name: str, suites: tuple[int, ...] = PRODUCTION, master: str = MASTER
     ) -> None:
@@ -135,11 +130,6 @@ class LocalIdentity(LoadedIdentity):
 def now() -> int:
     """The host's clock, in seconds; never ROS time (attack M7)."""
     return clock.now()
-
-
-_READ: Final = 256 * 1024
-_PREFIX: Final = 4
-DEADLINE: Final = 5.0
 
 
 class PlainStream:
@@ -184,26 +174,19 @@ def peek(sock: socket.socket) -> bytes:
     """The first bytes of a plain caller, not consumed: a whole connection header, or the beginning
     of an HTTP request; empty for any other caller, and for one that sends nothing in time.
     """
+    end = time.monotonic() + DEADLINE
     try:
-        return _first(sock)
-    except OSError:
+        first = _peek_bytes(sock, _PREFIX, end)
+        verdict = classify_caller(first + b"\0" * 60)
+        if first in (b"POST", b"GET "):
+            return first
+        if not isinstance(verdict, PlainCaller) or verdict.drain > MAX_DRAIN:
+            return b""
+        return _peek_bytes(sock, min(verdict.drain, _PREFIX + tcpros.HEADER_LIMIT), end)
+    except (OSError, ProtocolViolation):
         return b""
     finally:
         sock.settimeout(None)
-
-
-def _first(sock: socket.socket) -> bytes:
-    end = time.monotonic() + DEADLINE
-    first = _peek_bytes(sock, _PREFIX, end)
-    try:
-        verdict = classify_caller(first + b"\0" * 60)
-    except ProtocolViolation:
-        return b""
-    if first in (b"POST", b"GET "):
-        return first
-    if not isinstance(verdict, PlainCaller) or verdict.drain > MAX_DRAIN:
-        return b""
-    return _peek_bytes(sock, min(verdict.drain, _PREFIX + tcpros.HEADER_LIMIT), end)
 
 
 def plain_fields(data: bytes) -> dict[str, bytes]:
@@ -226,11 +209,6 @@ def _peek_bytes(sock: socket.socket, size: int, end: float) -> bytes:
             time.sleep(0.005)  # the kernel cannot wait for more than has arrived
         data = peeked
     return bytes(data)
-
-
-CONNECT_TIMEOUT: Final = 10.0
-
-Stream = SecureSocket[Identity]
 
 
 class Connector:
@@ -273,6 +251,8 @@ class Connector:
 
 
 class Renewing:
+    """What is renewed on a connection of rospy's; on a plain one there is nothing to renew."""
+
     _stream: Stream | PlainStream | None = None
 
     def on_renewal(self, callback: Callable[[Renewal[Identity]], None]) -> None:

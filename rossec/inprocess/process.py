@@ -1,22 +1,9 @@
 """What the hooks of one process share: its identity, connections and background loop.
 
 Until the node has a name there is no identity, and no connection can be made: every hook that needs
-one raises. A call before `rospy.init_node` uses the name the node will have, if that is known.
-
-What the master answered rospy: what it has registered, the publishers and nodes it named last.
-
-Pure, thread-safe. A registration that the master refused is repeated when there is a new grant.
-
-Warnings for the developer: one for each cause, not for each retry.
-
-Lines are limited per ten seconds, and per subject: no peer can suppress the lines about others.
-Written by a thread of its own: `rospy.logwarn` publishes on /rosout and asks the master for a
-parameter, so it must never be called by the thread that speaks to the master, nor with a lock held.
-
-The background loop of a secured process: a thread with an asyncio loop.
-
-It runs the membership of the process, whose session with the master also carries rospy's calls. If
-it fails, no connection would be cut any more: then all are.
+one raises. A call before `rospy.init_node` uses the name the node will have, if that is known. The
+background loop, a thread, runs the membership of the process, whose session with the master also
+carries rospy's calls. If it fails, no connection would be cut any more: then all are.
 """
 
 import asyncio
@@ -64,18 +51,41 @@ REGISTRATIONS: Final[Mapping[str, object]] = {
 REFUSED: Final = "rossec: "
 _NODES: Final = 1024  # that were looked up
 
+REMEMBERED: Final = 512
+_BURST: Final = 30  # lines within PERIOD; unauthenticated peers must not fill a disk
+_SHARE: Final = 10  # of them about one peer, topic or address
+_FIRST: Final = 60  # beyond the burst: only the first line about each subject
+_PERIOD: Final = 10.0
+
+PEER_CONNECTIONS: Final = 64  # of one identity: one for each topic and service it uses here
+_TIMERS_PERIOD: Final = 1.0
+_FIRST_WAIT: Final = 5.0  # for the first connection to the master
+_RECONNECT_WAIT: Final = 2.0  # how long a call waits for a reconnection
+_CALL_DEADLINE: Final = 30.0
+
+_ENDED: Final = (
+    "the background loop of this process has ended, or is its parent's: a forked process has no"
+    " connections, so start it with subprocess, or multiprocessing's spawn"
+)
+
+_log = logging.getLogger("rossec.rospy")
+
+RosConnection: TypeAlias = AuthorizedConnection[RosSocket, Guard | None]
+_NAMELESS: Final = (
+    "call rospy.init_node first, or give the name it will have:"
+    " rossec.secure('name'), or __name:=name on the command line"
+)
+
 
 class Registrations:
-    """The registrations of one node.
+    """What the master answered rospy; thread-safe.
 
-    Attributes:
-        table: what is registered, or was refused.
-        publishers: those that the master names, by topic.
+    A registration that the master refused is repeated when there is a new grant.
     """
 
     def __init__(self, now: Callable[[], float]) -> None:
-        self.table = RegistrationTable()
-        self.publishers = PublisherGrace(now)
+        self.table = RegistrationTable()  # what is registered, or was refused
+        self.publishers = PublisherGrace(now)  # those that the master names, by topic
         self._nodes: dict[tuple[str, int], None] = {}
 
     def record(self, method: str, params: Sequence[object], answer: object) -> None:
@@ -107,14 +117,14 @@ class Registrations:
         return address in self._nodes
 
 
-REMEMBERED: Final = 512
-_BURST: Final = 30  # lines within PERIOD; unauthenticated peers must not fill a disk
-_SHARE: Final = 10  # of them about one peer, topic or address
-_FIRST: Final = 60  # beyond the burst: only the first line about each subject
-_PERIOD: Final = 10.0
-
-
 class Reporter:
+    """Warnings for the developer: one for each cause, not for each retry.
+
+    Lines are limited per ten seconds, and per subject: no peer can suppress the lines about others.
+    Written by a thread of its own: `rospy.logwarn` publishes on /rosout and asks the master for a
+    parameter, so it must never be called by the thread that speaks to the master, nor with a lock held.
+    """
+
     def __init__(self, write: Callable[[str], None]) -> None:
         self._write = write
         self._reported: OrderedDict[str, None] = OrderedDict()
@@ -128,7 +138,6 @@ class Reporter:
         self._thread: Thread | None = None
 
     def warn(self, what: str, why: Exception | None = None) -> None:
-        # Log `what`, the error `why` and its hint, unless that line was logged before.
         # The subject of the line is the text before the first colon of `what`.
         text = what if why is None else f"{what}: {why}"
         hint = why.hint if isinstance(why, HintedError) else ""
@@ -188,20 +197,6 @@ class LogBridge(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         self._reporter.warn(record.getMessage())
-
-
-PEER_CONNECTIONS: Final = 64  # of one identity: one for each topic and service it uses here
-_TIMERS_PERIOD: Final = 1.0
-_FIRST_WAIT: Final = 5.0  # for the first connection to the master
-_RECONNECT_WAIT: Final = 2.0  # how long a call waits for a reconnection
-_CALL_DEADLINE: Final = 30.0
-
-_ENDED: Final = (
-    "the background loop of this process has ended, or is its parent's: a forked process has no"
-    " connections, so start it with subprocess, or multiprocessing's spawn"
-)
-
-_log = logging.getLogger("rossec.rospy")
 
 
 class BackgroundLoop:
@@ -344,13 +339,6 @@ class BackgroundLoop:
         self._stop.set()
 
 
-RosConnection: TypeAlias = AuthorizedConnection[RosSocket, Guard | None]
-_NAMELESS: Final = (
-    "call rospy.init_node first, or give the name it will have:"
-    " rossec.secure('name'), or __name:=name on the command line"
-)
-
-
 class SecuredProcess:
     def __init__(self, reporter: Reporter, plain: PlainPeers = PlainPeers()) -> None:  # noqa: B008 - constant
         self.reporter = reporter
@@ -358,14 +346,11 @@ class SecuredProcess:
         self.own_addresses = OwnAddresses()
         self._begun: tuple[LocalIdentity, Connector, Registrations, BackgroundLoop] | None = None
         self._begin_lock = RLock()
-        self.begin_early: Callable[[], None] = lambda: None
-        """Calls `begin` if the name that the node will have is known."""
+        self.begin_early: Callable[[], None] = lambda: None  # `begin`, if the node's name is known
 
     def begin(self, local_identity: LocalIdentity, master: tuple[str, int]) -> None:
-        connector, registrations = (
-            Connector(local_identity, self.own_addresses),
-            Registrations(clock.counter()),
-        )
+        connector = Connector(local_identity, self.own_addresses)
+        registrations = Registrations(clock.counter())
         background_loop = BackgroundLoop(local_identity, registrations, master)
         self._begun = local_identity, connector, registrations, background_loop
         background_loop.start()
@@ -380,7 +365,9 @@ class SecuredProcess:
                 if self._begun is None:
                     self.begin_early()
         if self._begun is None:
-            raise _with_hint(ConfigurationError("this program has no name yet", _NAMELESS))
+            error = ConfigurationError("this program has no name yet", _NAMELESS)
+            error.add_note(f"hint: {error.hint}")
+            raise error
         return self._begun
 
     def require_name(self) -> None:
@@ -442,8 +429,3 @@ class SecuredProcess:
         if isinstance(error, PlainPeer):  # rospy does not try again
             return ConnectionError(f"rossec: {error}")
         return ConnectionAbortedError(errno.ECONNABORTED, f"rossec: {error}")  # rospy tries again
-
-
-def _with_hint(error: ConfigurationError) -> ConfigurationError:
-    error.add_note(f"hint: {error.hint}")
-    return error

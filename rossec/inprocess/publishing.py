@@ -1,22 +1,10 @@
-"""Publishing from rospy: one serialization, one filtered copy per distinct filter.
+"""Publishing from rospy: one serialization, one filtered copy per distinct filter, and the send queues.
 
 `publish` does what `rospy.topics._PublisherImpl.publish` does, and between serializing and sending
 applies each connection's guard. A connection that was not authorized gets nothing. A new subscriber
 of a latching topic gets the message as it was published, not as the program changed it since.
-
-Reuses the memory of large messages once their bytes are no longer referenced.
-
-New pages for a message cost the publisher about as much as encrypting it.
-
-Sending over rospy's connections: queued messages are sent as one unit.
-
-`SendQueue` replaces rospy's `QueuedConnection`; `write_data` is for connections without a queue.
-
-Sending to a subscriber with wishes: thinned out, the newest only, deflated.
-
-What comes here has passed the guard. The sending thread takes a message when those before it are
-with the kernel, which takes no more than it can send soon; only then the message is deflated.
-Without a queue (`queue_size=None`) a publisher waits for each subscriber: no wish is taken then.
+`SendQueue` replaces rospy's `QueuedConnection`: queued messages are sent as one unit; `write_data` is
+for connections without a queue.
 """
 
 import logging
@@ -24,7 +12,7 @@ import socket
 import struct
 import time
 from collections import deque
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from contextlib import suppress
 from io import BytesIO
 from sys import getrefcount
@@ -53,9 +41,34 @@ from rossec.participant.delivery import Deflatable, Latch, Sample, SharedDeflati
 
 _UNUSED: Final = 2  # references: the buffer's, and the argument of `getrefcount`
 
+LENGTH: Final = struct.Struct("<I")
+SEPARATE_UNIT: Final = 128 * 1024  # a longer message is sent as a separate unit
+_BATCH: Final = 256 * 1024  # a longer unit only adds latency
+_SMALL: Final = 16 * 1024  # the kernel has room for it, or is full
+PAUSE: Final = 0.001  # seconds; messages at shorter intervals are batched
+
+Pieces = bytes | tuple[Bytes, ...]  # a message with its length in front, whole or in parts
+
+_deflation: Final = SharedDeflation()  # publishing calls the queues of one message in a row
+
+_POOLED: Final = 16 * 1024 * 1024  # the memory of larger messages is freed at once
+
+_LATCH: Final = "rossec_latch"  # an attribute set on rospy's topics
+
+_FORKED: Final = (
+    "this process was forked from a running node, and nobody receives what it publishes"
+    " (hint: publish in the parent, or start another program with subprocess)"
+)
+
+Samples = Callable[[Guard], Iterable[Sample[bytes]]]  # what to try for a guard, until one passes
+_log = logging.getLogger("rossec.rospy")
+
 
 class BufferPool:
-    """The last `count` buffers whose bytes were handed out; threads share it."""
+    """The last `count` buffers whose bytes were handed out; threads share it.
+
+    New pages for a large message cost the publisher about as much as encrypting it.
+    """
 
     def __init__(self, count: int) -> None:
         self._buffers: deque[BytesIO] = deque(maxlen=count)
@@ -72,16 +85,6 @@ class BufferPool:
                     return oldest
                 self._buffers.append(oldest)
         return BytesIO()
-
-
-LENGTH: Final = struct.Struct("<I")
-SEPARATE_UNIT: Final = 128 * 1024  # a longer message is sent as a separate unit
-_BATCH: Final = 256 * 1024  # a longer unit only adds latency
-_SMALL: Final = 16 * 1024  # the kernel has room for it, or is full
-PAUSE: Final = 0.001  # seconds; messages at shorter intervals are batched
-
-Pieces = bytes | tuple[Bytes, ...]
-"""A message with its length in front, whole or in parts."""
 
 
 class SendQueue:
@@ -103,10 +106,6 @@ class SendQueue:
         self._connection.set_cleanup_callback(self._closed)
         self._thread = Thread(target=self._run, name="rossec send queue")
         self._thread.start()
-
-    @property
-    def socket(self) -> Any:
-        return self._connection.socket
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
@@ -131,7 +130,6 @@ class SendQueue:
         return True
 
     def _send_now(self, data: Pieces) -> bool:
-        # Whether `data` was sent directly: the queue is empty, and sending does not block.
         if not isinstance(data, bytes) or len(data) > _SMALL:
             return False
         try:
@@ -154,7 +152,11 @@ class SendQueue:
     def _run(self) -> None:
         while not self._connection.done:
             with self._filled:
-                self._wait()
+                self._idle = True  # set before the queue is checked, for what is queued just after
+                while not self._queue and not self._connection.done:
+                    self._filled.wait()
+                    self._idle = True
+                self._idle = False
             try:
                 self._send_waiting()
             except Exception as error:  # noqa: BLE001 - as rospy: the publisher's next call raises it
@@ -165,13 +167,6 @@ class SendQueue:
     def _send_waiting(self) -> None:
         for batch in _batches(self._queue):
             write(self._connection, batch)
-
-    def _wait(self) -> None:
-        self._idle = True  # set before the queue is checked, for a message that is queued just after
-        while not self._queue and not self._connection.done:
-            self._filled.wait()
-            self._idle = True
-        self._idle = False
 
 
 def _size(message: Pieces) -> int:
@@ -196,8 +191,19 @@ def _batches(queue: deque[Pieces]) -> Iterator[list[Pieces]]:
 def write(transport: Any, messages: list[Pieces]) -> None:
     """Send messages as one unit over a transport of rospy's."""
     sock = _socket(transport)
+    pieces: list[Bytes] = []
+    for each in messages:
+        pieces += [each] if isinstance(each, bytes) else each
     try:
-        transport.stat_bytes += _send(sock, messages)
+        match messages:
+            case [bytes() as message] if len(message) > SEPARATE_UNIT:  # its receiver need not copy it then
+                sock.send_unit(message[: LENGTH.size])
+                sock.send_unit(memoryview(message)[LENGTH.size :])
+            case [_, _, *_] if all(isinstance(each, bytes) for each in messages):
+                sock.send_unit(b"".join(pieces))
+            case _:
+                sock.send_unit(*pieces)
+        transport.stat_bytes += sum(map(len, pieces))
     except (HintedError, OSError) as error:
         raise _ended(transport, error) from error
     transport.stat_num_msg += len(messages)
@@ -223,28 +229,6 @@ def _socket(transport: Any) -> RosSocket:
 def _ended(transport: Any, error: Exception) -> TransportTerminated:
     transport.close()
     return TransportTerminated(str(error))
-
-
-def _send(sock: RosSocket, messages: list[Pieces]) -> int:
-    # Its receiver need not copy it then.
-    match messages:
-        case [bytes() as message] if len(message) > SEPARATE_UNIT:
-            sock.send_unit(message[: LENGTH.size])
-            sock.send_unit(memoryview(message)[LENGTH.size :])
-            return len(message)
-        case _:
-            pieces = _flat(messages)
-            sock.send_unit(*pieces)
-            return sum(map(len, pieces))
-
-
-def _flat(messages: list[Pieces]) -> list[Bytes]:
-    if len(messages) > 1 and all(isinstance(message, bytes) for message in messages):
-        return [b"".join(messages)]  # type: ignore[arg-type]  # all are bytes
-    flat: list[Bytes] = []
-    for message in messages:
-        flat += [message] if isinstance(message, bytes) else message
-    return flat
 
 
 def write_data(transport: Any, data: Pieces) -> bool:
@@ -276,9 +260,6 @@ def _filtered(transport: Any, data: bytes) -> Pieces:
     return pieces
 
 
-_deflation: Final = SharedDeflation()  # publishing calls the queues of one message in a row
-
-
 def queue_for(connection: Any, queue_size: int) -> SendQueue:
     wishes: Wishes = connection.socket.wishes
     if wishes:
@@ -287,6 +268,13 @@ def queue_for(connection: Any, queue_size: int) -> SendQueue:
 
 
 class WishQueue(SendQueue):
+    """For a subscriber with wishes: thinned out, the newest only, deflated.
+
+    What comes here has passed the guard. The sending thread takes a message when those before it are
+    with the kernel, which takes no more than it can send soon; only then the message is deflated.
+    Without a queue (`queue_size=None`) a publisher waits for each subscriber: no wish is taken then.
+    """
+
     def __init__(self, connection: Any, queue_size: int, wishes: Wishes) -> None:
         size = 1 if wishes.newest else queue_size
         self._waiting: deque[Deflatable] = deque(maxlen=size if size > 0 else None)
@@ -297,13 +285,13 @@ class WishQueue(SendQueue):
         super().__init__(connection, 1)
 
     def write_data(self, data: Pieces) -> bool:
-        # Queue a message, unless the rate takes it away.
         if self._error is not None:
             error, self._error = self._error, None
             raise error
         if self._rate is not None and not self._rate.admits(time.monotonic()):
             return True
-        self._waiting.append(_deflation.of(_content(data), data))
+        content = (memoryview(data)[LENGTH.size :],) if isinstance(data, bytes) else data[1:]
+        self._waiting.append(_deflation.of(content, data))
         self._queue.append(())  # there is something: the thread looks here, and takes from there
         if self._idle:
             with self._filled:
@@ -324,21 +312,7 @@ class WishQueue(SendQueue):
         return LENGTH.pack(len(content)), content
 
 
-def _content(data: Pieces) -> Sequence[Bytes]:
-    return (memoryview(data)[LENGTH.size :],) if isinstance(data, bytes) else data[1:]
-
-
-_POOLED: Final = 16 * 1024 * 1024  # the memory of larger messages is freed at once
 _buffer_pool: Final = BufferPool(4)
-_LATCH: Final = "rossec_latch"  # an attribute set on rospy's topics
-
-_FORKED: Final = (
-    "this process was forked from a running node, and nobody receives what it publishes"
-    " (hint: publish in the parent, or start another program with subprocess)"
-)
-
-Samples = Callable[[Guard], Iterable[Sample[bytes]]]  # what to try for a guard, until one passes
-_log = logging.getLogger("rossec.rospy")
 
 
 class _ForkedNode:
@@ -381,9 +355,9 @@ def publish(topic: Any, message: Any, connection_override: Any = None) -> bool |
             return None
         raise ROSException("topic was closed during publish()") from None
     if connection_override is None:
-        dead = _publishing_send(topic, sample, topic.connections)
+        dead = _send(topic, sample, topic.connections)
     else:
-        dead = _publishing_send(topic, sample, [connection_override], latch)
+        dead = _send(topic, sample, [connection_override], latch)
     for transport in dead:
         with suppress(Exception):  # as rospy: a dead connection is dropped
             transport.close()
@@ -432,7 +406,7 @@ def _serialized(topic: Any, message: Any) -> bytes:
             buffer.truncate(0)
 
 
-def _publishing_send(
+def _send(
     topic: Any, sample: Sample[bytes], transports: Iterable[Any], new_subscriber: Latch[bytes] | None = None
 ) -> list[Any]:
     samples: Samples = (lambda _: (sample,)) if new_subscriber is None else new_subscriber.candidates

@@ -32,34 +32,26 @@ def ask(right: str, name: str, *, why: str, wait: float = 0.0) -> bool:
         wait: how long to wait for the answer; 0: do not wait.
     """
     local_identity = secured().local_identity
-    wanted = _right(right)
+    try:
+        wanted = Right[right.upper().replace("-", "_")]
+    except KeyError:
+        known = ", ".join(one.label for one in Right)
+        raise ConfigurationError(f"there is no right {right!r}", f"rights are {known}") from None
     if not local_identity.access.holds(wanted, name, now()):
-        _check_own(wanted, name, local_identity.name)
+        if is_alias(name) and wanted is not Right.GRAPH:
+            # Only the origin's authority gives rights on its names, and it takes no request from here.
+            served = possible_names(name)[1:] if wanted is Right.SUBSCRIBE else ()
+            raise ConfigurationError(
+                f"rights on {shown(name)} are given by the authority of that domain",
+                f"there: rossec grant sign LABEL:{local_identity.name} --{wanted.label} {origin_of(name)}"
+                " --certificate FILE"
+                + "".join(f"; or ask for {each}, if a gateway here serves it" for each in served),
+            )
         _send(local_identity, wanted, name, why)
     end = time.monotonic() + wait
     while not (held := local_identity.access.holds(wanted, name, now())) and time.monotonic() < end:
         time.sleep(_POLL_INTERVAL)
     return held
-
-
-def _right(label: str) -> Right:
-    try:
-        return Right[label.upper().replace("-", "_")]
-    except KeyError:
-        known = ", ".join(one.label for one in Right)
-        raise ConfigurationError(f"there is no right {label!r}", f"rights are {known}") from None
-
-
-def _check_own(right: Right, name: str, own: str) -> None:
-    # Only the origin's authority gives rights on its names, and it takes no request from here.
-    if is_alias(name) and right is not Right.GRAPH:
-        served = possible_names(name)[1:] if right is Right.SUBSCRIBE else ()
-        raise ConfigurationError(
-            f"rights on {shown(name)} are given by the authority of that domain",
-            f"there: rossec grant sign LABEL:{own} --{right.label} {origin_of(name)}"
-            " --certificate FILE"
-            + "".join(f"; or ask for {each}, if a gateway here serves it" for each in served),
-        )
 
 
 def _send(local_identity: LocalIdentity, right: Right, name: str, why: str) -> None:

@@ -11,6 +11,7 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, Final, NoReturn
 
 from ca.errors import HintedError
@@ -111,10 +112,8 @@ class _Secured:
         self.hooks.hook_tools(self.process)
         uri = importlib.import_module("rosgraph").get_master_uri()
         self.process.begin(local_identity, parse_uri(uri, "ROS_MASTER_URI"))
-        warn_of_own_address(own_address(os.environ), os.environ, self._warn_of_address)
-
-    def _warn_of_address(self, error: HintedError) -> None:
-        self.reporter.warn("the address of this node", error)
+        warn = partial(self.reporter.warn, "the address of this node")
+        warn_of_own_address(own_address(os.environ), os.environ, warn)
 
     def _publishers_changed(self, topic: str, uris: list[str]) -> None:
         registration = self._rospy.impl.registration

@@ -1,22 +1,11 @@
-"""The socket that rospy gets in place of `socket.socket`.
+"""The socket that rospy gets in place of `socket.socket`, and the filter of service calls on it.
 
 `fileno` is the kernel's: rospy only polls it for a hang-up. Nothing can be read or written around
 the channel, which sends no plain bytes. The handshake is in the first read, never in `accept` (N8).
-
-Addresses as stock rospy has them: IPv6 without brackets, sockets of one family. Pure.
-
-Errors of sockets as rospy takes them. No state.
-
-rospy tries a publisher again after ECONNABORTED, a timeout or a network that is gone, and gives it
-up after any other error of a socket: after a reset, too. But one that accepts and resets is not
-gone, as at the door of a relay while the other site is out of reach.
-
-Filters the calls of a service on a connection of rospy's: whole frames, each authorized.
-
-Pure. rospy reads and writes bytes; here a request is one frame, bounded before it is buffered, and
-forwarded only while the caller's right lasts. Where a grant restricts the right, requests and
-responses are filtered as in the built-in node (`rossec.participant.service_types`): what is not
-allowed never reaches the program, and the other side gets the reason.
+A call is one frame, bounded before it is buffered, and forwarded only while the caller's right lasts.
+Where a grant restricts the right, requests and responses are filtered as in the built-in node
+(`rossec.participant.service_types`): what is not allowed never reaches the program, and the other side
+gets the reason.
 """
 
 import errno
@@ -45,6 +34,21 @@ from rossec.ros import tcpros as wire
 from rossec.ros.tcpros import MESSAGE_LIMIT, PATIENCE, FrameReader, Framing
 
 ROSRPC: Final = "rosrpc://"
+
+_ENDED: Final = (errno.ECONNRESET, errno.EPIPE, errno.ENOTCONN)
+
+_OK: Final = b"\1"
+_LENGTH: Final = 4
+
+Pieces = tuple[Bytes, ...]
+
+_OUT_OF_RESOURCES: Final = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS)
+_READ_SIZE: Final = 256 * 1024
+_PUMP_EVERY: Final = 1.0  # seconds
+ACCEPT_PAUSE: Final = 1.0  # seconds, while the host is out of descriptors
+
+Received = TypeVar("Received")
+Admitted: TypeAlias = "AuthorizedConnection[RosSocket, Guard | None] | PlainConnection"
 
 
 def bracketed(uri: str) -> str:
@@ -77,9 +81,6 @@ def for_family(family: int, address: tuple[str, int]) -> tuple[str, int]:
     return (f"::ffff:{host}", port) if mapped else address
 
 
-_ENDED: Final = (errno.ECONNRESET, errno.EPIPE, errno.ENOTCONN)
-
-
 @contextmanager
 def resets() -> Iterator[None]:
     try:
@@ -88,6 +89,9 @@ def resets() -> Iterator[None]:
         raise ConnectionResetError(errno.ECONNRESET, f"rossec: {error}") from error
 
 
+# rospy tries a publisher again after ECONNABORTED, a timeout or a network that is gone, and gives it
+# up after any other error of a socket: after a reset, too. But one that accepts and resets is not
+# gone, as at the door of a relay while the other site is out of reach.
 @contextmanager
 def tried_again() -> Iterator[None]:
     try:
@@ -98,31 +102,16 @@ def tried_again() -> Iterator[None]:
         raise ConnectionAbortedError(errno.ECONNABORTED, str(error)) from error
 
 
-_OK: Final = b"\1"
-_LENGTH: Final = 4
-
-Pieces = tuple[Bytes, ...]
-
-
 class ServiceFilter(Protocol):
     framing: Framing
 
     def incoming(self, data: bytes) -> tuple[bytes, Pieces]: ...
-
     def replace_guard(self, guard: ServiceGuard | None) -> None: ...
-
     def outgoing(self, data: bytes) -> Pieces: ...
 
 
 class ServerFilter:
-    """The provider's side.
-
-    Args:
-        check: raises when the connection must be closed now.
-        guard: applies the restrictions of its grant; None: there are none.
-        on_refusal: called with the error for each refusal.
-        limit: the most bytes a request may have.
-    """
+    """The provider's side; `check` raises when the connection must be closed now."""
 
     def __init__(
         self,
@@ -201,51 +190,28 @@ class ClientFilter:
         return tuple(wire.framed(guard.request(request, self._now())))
 
 
-_OUT_OF_RESOURCES: Final = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS)
-_READ_SIZE: Final = 256 * 1024
-_PUMP_EVERY: Final = 1.0  # seconds
-ACCEPT_PAUSE: Final = 1.0  # seconds, while the host is out of descriptors
-
-Received = TypeVar("Received")
-Admitted: TypeAlias = "AuthorizedConnection[RosSocket, Guard | None] | PlainConnection"
-
-
 class SocketOwner(Protocol):
     @property
     def connector(self) -> Connector: ...
-
     def connection_closed(self, sock: "RosSocket") -> None: ...
-
     def listens(self, port: int) -> None: ...
-
     @property
     def plain(self) -> PlainPeers: ...
-
-    def connect_error(self, address: tuple[str, int], error: ChannelError) -> Exception:
-        # The exception to raise if a connection cannot be secured.
-        ...
+    def connect_error(self, address: tuple[str, int], error: ChannelError) -> Exception: ...
 
 
 class RosSocket(Renewing):
-    """A socket of rospy's: listening, or one secure connection.
-
-    Attributes:
-        connection: the admitted connection; None before the peer is admitted.
-        aborted: its right has ended; what had arrived before is discarded.
-        closed_locally: closed by this side; later failures are not reported.
-        service_filter: filters the calls of a service.
-        wishes: what a subscriber is promised of how it is sent messages.
-    """
+    """A socket of rospy's: listening, or one secure connection."""
 
     def __init__(self, owner: SocketOwner, sock: socket.socket, stream: Stream | None = None) -> None:
         self._owner = owner
         self._socket = sock
         self._stream: Stream | PlainStream | None = stream
-        self.connection: Admitted | None = None
-        self.aborted = False
-        self.closed_locally = False
+        self.connection: Admitted | None = None  # after the peer is admitted
+        self.aborted = False  # its right has ended; what had arrived before is discarded
+        self.closed_locally = False  # later failures are not reported
         self.service_filter: ServiceFilter | None = None
-        self.wishes = NO_WISHES
+        self.wishes = NO_WISHES  # what a subscriber is promised of how it is sent messages
         self._ready = memoryview(b"")
         self._pump_at = 0.0
 
@@ -272,13 +238,11 @@ class RosSocket(Renewing):
             self._stream.raise_unit_limit(limit)
 
     def pad_units(self, multiple: int) -> None:
-        # Pad what is sent from now on to a multiple of so many bytes; 0: do not.
         if isinstance(self._stream, SecureSocket):
             self._stream.pad_units(multiple)
 
     @property
     def is_plain(self) -> bool:
-        # Whether the connection is not secured.
         return isinstance(self._stream, PlainStream)
 
     def peek(self) -> bytes:
@@ -354,7 +318,6 @@ class RosSocket(Renewing):
         return bytes(part)
 
     def receive_before_deadline(self, framing: Framing, receive: Callable[[], Received]) -> Received:
-        # What `receive` returns; a message that has begun must make progress meanwhile.
         while framing.incomplete and self.gettimeout() is None:
             self.settimeout(PATIENCE)
             try:
@@ -386,7 +349,6 @@ class RosSocket(Renewing):
         self._pump_soon(stream)
 
     def try_send(self, data: bytes) -> bool:
-        # Send a small unit if that does not block; False: nothing was sent.
         stream = self._stream
         if time.monotonic() >= self._pump_at or not isinstance(stream, SecureSocket):
             return False

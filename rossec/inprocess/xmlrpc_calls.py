@@ -1,13 +1,9 @@
-"""This node's own slave API; `rossec.participant.slave_api` authorizes each call.
-
-Calls are parsed by `rossec.ros`, within its limits, never by the standard library's server.
-
-The calls of rospy: to the master, over the background loop's session, and to nodes.
+"""XML-RPC of this process: its own slave API, and rospy's calls to the master and to nodes.
 
 Calls and answers are parsed by `rossec.ros`, within its limits, never by the standard library.
-Errors are those rospy handles: OSError. A slave call that needs a right is preceded by the grants
-that prove it (`rossec.participant.slave_api`). Proxies that a program makes itself, as rostest
-does, are secured if they lead to the master, or to a node that the master has named.
+`rossec.participant.slave_api` authorizes each call of a peer; a call from here that needs a right is
+preceded by the grants that prove it. Errors are those rospy handles: OSError. Proxies that a program
+makes itself, as rostest does, are secured if they lead to the master, or to a node that it has named.
 """
 
 import errno
@@ -72,6 +68,10 @@ Params = tuple[Any, ...]
 ResultT = TypeVar("ResultT")
 _parsing: Final = Lock()
 _PAUSE: Final = 0.001  # seconds between two steps, for the other threads
+
+REQUEST: Final = "_ServerProxy__request"  # every call of the library's proxies goes through it
+_MULTICALL: Final = "system.multicall"
+_WITH_SERVICE_URI: Final = ("registerService", "unregisterService")
 
 
 class PresentedGrants:
@@ -155,7 +155,11 @@ class XmlRpcServer:
         self, server: Any, method: str, params: Params, peer: Identity, presented: PresentedGrants
     ) -> object:
         try:
-            self._check(method, peer)
+            try:
+                self._process.local_identity.access.check_peer(peer, now())
+            except RevocationsStale:
+                if method not in SIGNED_UPDATES:  # one of them ends it
+                    raise
             match method, params:
                 case names.PRESENT_GRANTS, (_, bytes() as grants):
                     presented.grants = grants
@@ -175,13 +179,6 @@ class XmlRpcServer:
         except Exception:  # noqa: BLE001 - no internals to a peer
             _log.exception("a call failed")
             return Fault(FAULT_CODE, "rossec: internal error")
-
-    def _check(self, method: str, peer: Identity) -> None:
-        try:
-            self._process.local_identity.access.check_peer(peer, now())
-        except RevocationsStale:
-            if method not in SIGNED_UPDATES:  # one of them ends it
-                raise
 
     def _is_master(self, peer: Identity) -> bool:
         return self._process.local_identity.access.is_master(peer)
@@ -243,17 +240,11 @@ def _next_request(calls: CallServer, stream: Stream | PlainStream, end: float | 
 
 
 def receive_some(stream: Stream | PlainStream, end: float | None) -> bytes:
-    """The unit that arrives next, until `end` at the latest; of a plain stream some bytes."""
     stream.settimeout(None if end is None else max(0.001, end - time.monotonic()))
     data = stream.receive_unit()
     if not data:
         raise ChannelClosed("the peer closed the connection")
     return bytes(data)
-
-
-REQUEST: Final = "_ServerProxy__request"  # every call of the library's proxies goes through it
-_MULTICALL: Final = "system.multicall"
-_WITH_SERVICE_URI: Final = ("registerService", "unregisterService")
 
 
 class XmlRpcClient:
@@ -372,16 +363,13 @@ class XmlRpcClient:
                     return [1, status, REGISTRATIONS[method]]
             case _ if (reason := unheard_refusal(method, params, answer)) is not None:
                 self._process.reporter.warn(f"the master refuses {method}: {reason}")
-            case _ if shows_nothing(method, answer) and not self._may_see_all():
-                name = self._process.local_identity.identity.name
-                self._process.reporter.warn(f"{method}: {nothing_shown(name)}")
+            case _ if shows_nothing(method, answer):
+                own = self._process.local_identity
+                if not own.access.holds(Right.GRAPH, own.name, now()):
+                    self._process.reporter.warn(f"{method}: {nothing_shown(own.identity.name)}")
             case _:
                 pass
         return answer
-
-    def _may_see_all(self) -> bool:
-        identity = self._process.local_identity
-        return identity.access.holds(Right.GRAPH, identity.name, now())
 
     # -- other nodes
 

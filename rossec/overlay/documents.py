@@ -1,29 +1,8 @@
-"""JSON files of relays and routers: one object that names its form, with exactly these keys. Pure.
+"""The JSON files of relays and routers: a relay's peers, its card, and the seat file. Pure.
 
-A file of another kind is told from a damaged one, so that the message says what was mistaken. A key
-that occurs twice, `NaN` and anything nested without end are refused (RFC 8259 section 4 leaves the
-first to each reader).
-
-The relays of other sites that a relay exchanges cards with, and its file of them. Pure.
-
-A label is what a peer is called here. For each peer there is a mailbox of its own, told to nobody
-else, so that each peer is cut alone. A link that arrives in it must come from that peer's domain
-and relay, and a link to that peer must be answered by it (docs/spec/overlay.md).
-
-A relay's card: what one relay's operator hands to another's, to link their sites. Pure.
-
-JSON with the trust domain, the relay's name, and the key of the mailbox that the other one shall
-send to. It is not signed: the peer proves by its certificate who it is, and a forged card only
-leads to a mailbox where that proof fails. Whoever reads a card can send to that mailbox, and no
-more, so it is handed to its receiver alone. Routers are not in it: each site has its own.
-
-Which routers carry a site's links, and its seat there: the seat file. Pure.
-
-`rossec router seats add` writes it, the operator of the routers hands it to the site, and `rossec
-relay seat` keeps it. It is JSON, with a password in it: whoever has the file has the seat. A
-locator is `protocol/host:port` and nothing more: what Zenoh takes behind a `?` or `#` would change
-the settings of the session. Routers behind TLS are verified by `root_certificate` alone, never by
-the authorities of the web.
+Each is one object that names its form, with exactly these keys. A file of another kind is told from a
+damaged one, so that the message says what was mistaken. A key that occurs twice, `NaN` and anything
+nested without end are refused (RFC 8259 section 4 leaves the first to each reader).
 """
 
 import json
@@ -41,6 +20,30 @@ from rossec.errors import ConfigurationError, RelayRefused
 from rossec.overlay.link_frames import BOX, is_mailbox, is_seat
 
 VERSION: Final = 1
+
+MAX_PEERS: Final = 64
+MAX_PEERS_FILE: Final = 64 * 1024
+_FORM: Final = "rossec-overlay"
+_BOX: Final = re.compile(r"[0-9a-f]{32}", re.ASCII)
+_HINT: Final = "it is written by `rossec relay card`, `add` and `remove`: use these"
+
+MAX_CARD: Final = 4 * 1024
+_RELAY_CARDS_FORM: Final = "rossec-relay-card"
+_RELAY_CARDS_HINT: Final = "ask for the file that `rossec relay card` wrote at the other site"
+
+MAX_SEAT_FILE: Final = 16 * 1024
+MAX_LOCATORS: Final = 16
+OPEN_SEAT: Final = "open"  # of everybody, at a router without seats
+_PASSWORD: Final = re.compile(r"[A-Za-z0-9_-]{22,128}", re.ASCII)
+# Nothing more: what Zenoh takes behind a `?` or `#` would change the settings of the session.
+_LOCATOR: Final = re.compile(
+    r"(?P<protocol>quic|tls|tcp)/"
+    r"(?P<host>\[[0-9A-Fa-f:.]{2,45}\]|[A-Za-z0-9]([A-Za-z0-9._-]{0,252}))"
+    r":(?P<port>[0-9]{1,5})",
+    re.ASCII,
+)
+_ROUTERS_FORM: Final = "rossec-seat"
+_AGAIN: Final = "ask the operator of the router for it again: rossec router seats show NAME"
 
 
 def read_document(data: bytes, form: str, keys: frozenset[str], *, limit: int, hint: str) -> dict[str, Any]:
@@ -79,31 +82,20 @@ def _refuse_constant(name: str) -> NoReturn:
     raise ValueError(f"{name} is not JSON")
 
 
-MAX_PEERS: Final = 64
-MAX_PEERS_FILE: Final = 64 * 1024
-_FORM: Final = "rossec-overlay"
-_BOX: Final = re.compile(r"[0-9a-f]{32}", re.ASCII)
-_HINT: Final = "it is written by `rossec relay card`, `add` and `remove`: use these"
-
-
 @dataclass(frozen=True)
 class Peer:
-    """A relay of another site.
+    """A relay of another site, as `label`.
 
-    Args:
-        label: what it is called here.
-        box: of the own mailbox that is told to it alone, hexadecimal.
-        domain: the label of its foreign domain; empty: the own one; None: its card is not here,
-            and nobody has said it.
-        relay: the name it is certified for; empty: its card is not here.
-        mailbox: the key of its mailbox for this relay; empty likewise.
+    For each peer there is a mailbox of its own, told to nobody else, so that each peer is cut alone. A
+    link that arrives in it must come from that peer's domain and relay, and a link to that peer must be
+    answered by it (docs/spec/overlay.md). Without its card, `relay` and `mailbox` are empty.
     """
 
     label: str
-    box: str = field(repr=False)
-    domain: str | None = None
-    relay: str = ""
-    mailbox: str = field(default="", repr=False)
+    box: str = field(repr=False)  # of the own mailbox that is told to it alone, hexadecimal
+    domain: str | None = None  # label of its foreign domain; empty: the own one; None: nobody has said it
+    relay: str = ""  # the name it is certified for
+    mailbox: str = field(default="", repr=False)  # the key of its mailbox for this relay
 
     def __post_init__(self) -> None:
         try:
@@ -148,29 +140,25 @@ class Peer:
             )
 
 
-Peers = Mapping[str, Peer]
-"""Peers by label."""
+Peers = Mapping[str, Peer]  # by label
 
 
 def checked_peers(peers: Iterable[Peer]) -> dict[str, Peer]:
     found: dict[str, Peer] = {}
     for each in peers:
         for other in found.values():
-            _check_apart(each, other)
+            if each.label == other.label:
+                raise ConfigurationError(f"two peers are called {each.label}", "give each its own label")
+            same_relay = each.is_complete and (each.domain, each.relay) == (other.domain, other.relay)
+            same_mailbox = each.is_complete and each.mailbox == other.mailbox
+            if same_relay or each.box == other.box or same_mailbox:
+                raise ConfigurationError(
+                    f"{other.label} and {each.label} are one relay", f"rossec relay remove {other.label}"
+                )
         found[each.label] = each
     if len(found) > MAX_PEERS:
         raise ConfigurationError(f"at most {MAX_PEERS} peers of a relay", "run another relay")
     return found
-
-
-def _check_apart(one: Peer, other: Peer) -> None:
-    if one.label == other.label:
-        raise ConfigurationError(f"two peers are called {one.label}", "give each its own label")
-    same_relay = one.is_complete and (one.domain, one.relay) == (other.domain, other.relay)
-    if same_relay or one.box == other.box or (one.is_complete and one.mailbox == other.mailbox):
-        raise ConfigurationError(
-            f"{other.label} and {one.label} are one relay", f"rossec relay remove {other.label}"
-        )
 
 
 def read_peers(data: bytes, name: str) -> dict[str, Peer]:
@@ -203,24 +191,18 @@ def _peer(row: object, name: str) -> Peer:
     raise ConfigurationError(f"{name} has a peer that is not in form", _HINT)
 
 
-MAX_CARD: Final = 4 * 1024
-_RELAY_CARDS_FORM: Final = "rossec-relay-card"
-_RELAY_CARDS_HINT: Final = "ask for the file that `rossec relay card` wrote at the other site"
-
-
 @dataclass(frozen=True)
 class RelayCard:
-    """What a card says.
+    """What one relay's operator hands to another's, to link their sites.
 
-    Args:
-        domain: the trust domain of the relay, as its authority has named it.
-        relay: the name it is certified for.
-        mailbox: the key of its mailbox for the receiver of the card.
+    It is not signed: the peer proves by its certificate who it is, and a forged card only leads to a
+    mailbox where that proof fails. Whoever reads a card can send to that mailbox, and no more, so it is
+    handed to its receiver alone. Routers are not in it: each site has its own.
     """
 
-    domain: str
+    domain: str  # the trust domain of the relay, as its authority has named it
     relay: str
-    mailbox: str = field(repr=False)
+    mailbox: str = field(repr=False)  # the key of its mailbox for the receiver of the card
 
     def __post_init__(self) -> None:
         try:
@@ -232,7 +214,6 @@ class RelayCard:
 
     @classmethod
     def read(cls, data: bytes) -> Self:
-        """Read a card; a closed schema."""
         keys = frozenset(each.name for each in fields(cls))
         refused = RelayRefused("this is not the card of a relay", _RELAY_CARDS_HINT)
         try:
@@ -247,38 +228,21 @@ class RelayCard:
         return write_document(_RELAY_CARDS_FORM, asdict(self)).decode()
 
 
-MAX_SEAT_FILE: Final = 16 * 1024
-MAX_LOCATORS: Final = 16
-OPEN_SEAT: Final = "open"  # of everybody, at a router without seats
-_PASSWORD: Final = re.compile(r"[A-Za-z0-9_-]{22,128}", re.ASCII)
-_LOCATOR: Final = re.compile(
-    r"(?P<protocol>quic|tls|tcp)/"
-    r"(?P<host>\[[0-9A-Fa-f:.]{2,45}\]|[A-Za-z0-9]([A-Za-z0-9._-]{0,252}))"
-    r":(?P<port>[0-9]{1,5})",
-    re.ASCII,
-)
-_ROUTERS_FORM: Final = "rossec-seat"
-_AGAIN: Final = "ask the operator of the router for it again: rossec router seats show NAME"
-
-
 @dataclass(frozen=True)
 class Routers:
-    """The routers of a site.
+    """Which routers carry a site's links, and its seat there: the seat file.
 
-    Attributes:
-        locators: where they listen: `tls/router.example.org:7447`; any of them will do.
-        seat: name of the customer, a part of its keys (`rossec.overlay.link_frames`).
-        password: of the seat; empty at a router that is open to all.
-        root_certificate: PEM, of the authority that certified the routers; empty without TLS.
+    `rossec router seats add` writes it, the operator of the routers hands it to the site, and `rossec
+    relay seat` keeps it. Whoever has the file has the seat. Routers behind TLS are verified by
+    `root_certificate` alone, never by the authorities of the web.
     """
 
-    locators: tuple[str, ...]
-    seat: str
-    password: str = field(default="", repr=False)
-    root_certificate: str = field(default="", repr=False)
+    locators: tuple[str, ...]  # where they listen: any of them will do
+    seat: str  # name of the customer, a part of its keys (`rossec.overlay.link_frames`)
+    password: str = field(default="", repr=False)  # empty at a router that is open to all
+    root_certificate: str = field(default="", repr=False)  # PEM; empty without TLS
 
     def __post_init__(self) -> None:
-        """Raise `ConfigurationError` unless all of it is in form."""
         if not 0 < len(self.locators) <= MAX_LOCATORS:
             raise ConfigurationError(f"a seat names 1 to {MAX_LOCATORS} routers", _AGAIN)
         for each in self.locators:
@@ -286,18 +250,19 @@ class Routers:
         check_seat(self.seat)
         if self.seat != OPEN_SEAT or self.password:
             check_password(self.password)
-        _check_root(self.root_certificate, needed=any(map(is_encrypted, self.locators)))
+        if not self.root_certificate and not any(map(is_encrypted, self.locators)):
+            return
+        try:
+            (_certificate,) = x509.load_pem_x509_certificates(self.root_certificate.encode())
+        except ValueError:
+            raise ConfigurationError(
+                "a seat at a router with TLS needs the certificate of its authority", _AGAIN
+            ) from None
 
     @classmethod
     def read(cls, data: bytes) -> Self:
-        """The content of a seat file."""
-        found = read_document(
-            data,
-            _ROUTERS_FORM,
-            frozenset(each.name for each in fields(cls)),
-            limit=MAX_SEAT_FILE,
-            hint=_AGAIN,
-        )
+        keys = frozenset(each.name for each in fields(cls))
+        found = read_document(data, _ROUTERS_FORM, keys, limit=MAX_SEAT_FILE, hint=_AGAIN)
         locators = found.pop("locators")
         if not is_texts(locators) or not is_texts(list(found.values())):
             raise ConfigurationError("the seat file has a value of another type", _AGAIN)
@@ -308,7 +273,6 @@ class Routers:
 
 
 def check_seat(seat: str) -> str:
-    """`seat`, if it is the name of one."""
     if not is_seat(seat):
         raise ConfigurationError(
             f"{seat[:40]!a} is not the name of a seat", "at most 32 of the characters a-z and 0-9"
@@ -334,14 +298,3 @@ def check_locator(locator: str) -> tuple[str, str, int]:
 
 def is_encrypted(locator: str) -> bool:
     return not locator.startswith("tcp/")
-
-
-def _check_root(pem: str, *, needed: bool) -> None:
-    if not pem and not needed:
-        return
-    try:
-        (_certificate,) = x509.load_pem_x509_certificates(pem.encode())
-    except ValueError:
-        raise ConfigurationError(
-            "a seat at a router with TLS needs the certificate of its authority", _AGAIN
-        ) from None

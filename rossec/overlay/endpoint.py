@@ -3,17 +3,6 @@
 Anybody who learned the key of a mailbox may put to it, and may name any mailbox for the answer. So
 of OPENs only so many a second are looked at, the handshakes of a mailbox are limited as those of an
 address are, and a peer that is not authenticated is sent three times what it sent, at most.
-
-What a link needs of whatever carries its frames; `zenoh_carrier.Carrier` is the real one.
-
-A link as the transport of a secure stream: `net.aio.transport.Transport`, without a socket.
-
-What the owner does not read is not told to the link as consumed, so its window closes and the peer
-waits, as a kernel's would. An end is the link's END, an abort its RESET. When nothing at all came
-from the routers for a while, though an answer is due, the session with them is at fault: it is
-replaced before the link gives up.
-
-The routers as a relay uses them: links to mailboxes, and mailboxes that are read. A shell.
 """
 
 import asyncio
@@ -30,8 +19,6 @@ from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import Bytes
 from rossec.errors import LinkEnded
-from rossec.net.aio import SecureContext as aio_SecureContext
-from rossec.net.aio import SecureStream as aio_SecureStream
 from rossec.net.aio.client import authenticate
 from rossec.net.aio.server import AcceptedStreams, Handler
 from rossec.net.aio.stream import SecureStream
@@ -41,6 +28,13 @@ from rossec.overlay.documents import Routers
 from rossec.overlay.link import ENDED, Link, LinkStats
 from rossec.overlay.link_frames import BOX, LINK_ID, Kind, kind_of, link_of, mailbox, refusal
 from rossec.overlay.zenoh_carrier import Carrier
+
+STALLED: Final = 15.0  # seconds: half of what a link endures
+
+_log = logging.getLogger("rossec.overlay.endpoint")
+ADDRESS: Final = "a link"  # of the peer, in messages: keys of mailboxes are told to nobody
+OPENS_PER_SECOND: Final = 32
+PROTOCOL: Final = WireProtocol.HTTP
 
 
 class MailboxReader(Protocol):
@@ -56,41 +50,15 @@ class FrameCarrier(Protocol):
         ...
 
     def subscribe(self, key: str, callback: Callable[[bytes], None]) -> MailboxReader: ...
-
     def reopen(self) -> None: ...
 
 
-STALLED: Final = 15.0  # seconds: half of what a link endures
-
-
 class LinkTransport:
-    """The link of one connection; it starts when its owner first writes.
+    """The link of one connection as its transport (`net.aio.transport`); starts at the first write.
 
-    Args:
-        link: opened or accepted.
-        key: the mailbox of the peer.
-        carrier: takes the frames.
-        on_closed: called once, when no frame is wanted any more.
-        owner: of the bytes.
+    What the owner does not read is not told to the link as consumed, so its window closes and the
+    peer waits, as a kernel's would. `on_closed` is called once, when no frame is wanted any more.
     """
-
-    __slots__ = (
-        "_arrived",
-        "_carrier",
-        "_ending",
-        "_flush_due",
-        "_key",
-        "_lagging",
-        "_loop",
-        "_on_closed",
-        "_owner",
-        "_reading",
-        "_timer",
-        "closed",
-        "link",
-        "local_address",
-        "reason",
-    )
 
     def __init__(
         self,
@@ -102,8 +70,7 @@ class LinkTransport:
     ) -> None:
         self.link = link
         self.local_address = ""  # nobody who comes by a link is near
-        self.reason: LinkEnded | None = None
-        """Why the link ended, if not in order."""
+        self.reason: LinkEnded | None = None  # why the link ended, if not in order
         self.closed = False
         self._key = key
         self._carrier = carrier
@@ -151,14 +118,6 @@ class LinkTransport:
             self._owner.resume_writing()
         self._settle()
 
-    def _send(self) -> None:
-        link, put = self.link, self._carrier.put
-        for frame in link.frames_to_send(self._loop.time()):
-            put(self._key, frame)
-        deadline = link.deadline()
-        if deadline is not None and (self._timer is None or deadline < self._timer.when()):
-            self._arm(deadline)
-
     def _settle(self) -> None:
         if self.closed:
             return
@@ -171,6 +130,16 @@ class LinkTransport:
         elif link.state in ENDED:
             self._close()
 
+    def _send(self) -> None:
+        link, put = self.link, self._carrier.put
+        for frame in link.frames_to_send(self._loop.time()):
+            put(self._key, frame)
+        deadline = link.deadline()
+        if deadline is not None and (self._timer is None or deadline < self._timer.when()):
+            if self._timer is not None:
+                self._timer.cancel()
+            self._timer = self._loop.call_at(deadline, self._on_timer)
+
     # -- reading
 
     @property
@@ -178,7 +147,6 @@ class LinkTransport:
         return self._reading
 
     def resume_reading(self) -> None:
-        # Read whenever bytes arrive, and those that wait.
         if not (self._reading or self._ending or self.closed):
             self._reading = True
             if self._arrived or self.link.peer_ended:
@@ -213,8 +181,7 @@ class LinkTransport:
     # -- writing
 
     def limit_unsent(self) -> None:
-        # Nothing to do: what the link's window does not take waits in `backlog`.
-        ...
+        """Nothing to do: what the link's window does not take waits in `backlog`."""
 
     @property
     def backlog(self) -> int:
@@ -222,7 +189,6 @@ class LinkTransport:
 
     @property
     def writable(self) -> bool:
-        # Whether a writer need not wait.
         return self.link.writable
 
     def write(self, data: Bytes) -> None:
@@ -245,7 +211,6 @@ class LinkTransport:
         self.write_eof()
 
     def abort(self) -> None:
-        # End the link now; what was not sent is dropped, and the peer is told.
         if self.closed:
             return
         if self.link.state not in ENDED:
@@ -271,11 +236,6 @@ class LinkTransport:
 
     # -- time
 
-    def _arm(self, deadline: float) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-        self._timer = self._loop.call_at(deadline, self._on_timer)
-
     def _on_timer(self) -> None:
         self._timer = None
         now = self._loop.time()
@@ -285,6 +245,7 @@ class LinkTransport:
             self._break(error)
             return
         since = self.link.silent_since
+        # Nothing at all came from the routers: the session with them is at fault, not the link.
         if since is not None and now - max(since, self._carrier.heard_at) > STALLED:
             self._carrier.reopen()
         self._flush()
@@ -302,12 +263,6 @@ def stats_of(stream: BaseStream) -> LinkStats:
     return stream.transport.link.stats
 
 
-_log = logging.getLogger("rossec.overlay.endpoint")
-ADDRESS: Final = "a link"  # of the peer, in messages: keys of mailboxes are told to nobody
-OPENS_PER_SECOND: Final = 32
-PROTOCOL: Final = WireProtocol.HTTP
-
-
 async def dial_link(
     carrier: FrameCarrier, key: str, seat: str, context: SecureContext[PeerT]
 ) -> SecureStream[PeerT]:
@@ -315,49 +270,36 @@ async def dial_link(
 
     Certificates are sent whole: a link is dialled seldom, and lasts.
     """
-    caller = _Caller(carrier, key, mailbox(seat, secrets.token_bytes(BOX)))
+    reply_key = mailbox(seat, secrets.token_bytes(BOX))
+    link = Link.open(secrets.token_bytes(LINK_ID), reply_key, _now())
+    transport: LinkTransport | None = None
+
+    def receive(frame: bytes) -> None:
+        if transport is not None and link_of(frame) == link.link_id:
+            transport.frame_received(frame)
+
+    def make(owner: TransportOwner) -> LinkTransport:
+        nonlocal transport
+        transport = LinkTransport(link, key, carrier, reader.close, owner)
+        return transport
+
+    reader = carrier.subscribe(reply_key, receive)
     try:
-        waiting = authenticate(context.initiator(PROTOCOL), caller.make, ADDRESS)
+        waiting = authenticate(context.initiator(PROTOCOL), make, ADDRESS)
     except BaseException:
-        caller.close()
+        reader.close()
         raise
     stream = await waiting
-    if caller.transport is not None:
-        caller.transport.validated()
+    if isinstance(stream.transport, LinkTransport):
+        stream.transport.validated()
     return stream
-
-
-class _Caller:
-    def __init__(self, carrier: FrameCarrier, key: str, reply_key: str) -> None:
-        self._carrier = carrier
-        self._key = key
-        self._link = Link.open(secrets.token_bytes(LINK_ID), reply_key, _now())
-        self.transport: LinkTransport | None = None
-        self._reader = carrier.subscribe(reply_key, self._receive)
-
-    def make(self, owner: TransportOwner) -> LinkTransport:
-        self.transport = LinkTransport(self._link, self._key, self._carrier, self.close, owner)
-        return self.transport
-
-    def _receive(self, frame: bytes) -> None:
-        if self.transport is not None and link_of(frame) == self._link.link_id:
-            self.transport.frame_received(frame)
-
-    def close(self) -> None:
-        self._reader.close()
 
 
 class LinkListener(AcceptedStreams[PeerT]):
     """A mailbox in which links arrive; `handler` runs once for each authenticated peer.
 
-    The link ends when the handler returns. Who the peer is, is for the handler to judge.
-
-    Args:
-        carrier: the own session with the routers.
-        key: the mailbox.
-        context: as for `rossec.net.aio.serve`; its limits of half-open connections hold.
-        handler: of one authenticated connection.
-        address: of the peers, in messages and in those limits: which mailbox they came by.
+    The link ends when the handler returns. Who the peer is, is for the handler to judge. `address`
+    is that of the peers, in messages and in the context's limits: which mailbox they came by.
     """
 
     def __init__(
@@ -383,17 +325,12 @@ class LinkListener(AcceptedStreams[PeerT]):
         transport = self._links.get(link_id)
         if transport is not None:
             transport.frame_received(frame)
-        elif kind_of(frame) in {Kind.OPEN, Kind.PROBE} and self._may_look():
+        elif kind_of(frame) in {Kind.OPEN, Kind.PROBE} and self._looks.refill(_now()) >= 1:
+            self._looks.tokens -= 1
             if kind_of(frame) == Kind.OPEN:
                 self._open(frame)
             elif (answer := refusal(frame)) is not None:
                 self._carrier.put(*answer)
-
-    def _may_look(self) -> bool:
-        if self._looks.refill(_now()) < 1:
-            return False
-        self._looks.tokens -= 1
-        return True
 
     def _open(self, frame: bytes) -> None:
         try:
@@ -429,7 +366,7 @@ def _now() -> float:
 class RouterNetwork:
     """A carrier and the identity whose links it carries."""
 
-    def __init__(self, carrier: Carrier, routers: Routers, context: aio_SecureContext[Identity]) -> None:
+    def __init__(self, carrier: Carrier, routers: Routers, context: SecureContext[Identity]) -> None:
         self.seat: Final = routers.seat
         self._carrier = carrier
         self._context = context
@@ -438,12 +375,11 @@ class RouterNetwork:
     def router(self) -> str:
         return self._carrier.router
 
-    async def dial(self, mailbox: str) -> aio_SecureStream[Identity]:
-        """A link to whoever reads this mailbox."""
+    async def dial(self, mailbox: str) -> SecureStream[Identity]:
         return await dial_link(self._carrier, mailbox, self.seat, self._context)
 
     def listen(
-        self, mailbox: str, serve: Callable[[aio_SecureStream[Identity]], Awaitable[None]], label: str
+        self, mailbox: str, serve: Callable[[SecureStream[Identity]], Awaitable[None]], label: str
     ) -> LinkListener[Identity]:
         """Call `serve` with each authenticated link that arrives in this mailbox.
 

@@ -1,13 +1,9 @@
-"""Doors: local ports of the relay, each of which stands for one target at a peer's site.
+"""Forwarded ports of a relay ("doors"), each of which stands for one target at a peer's site.
 
-A door on loopback admits the programs of allowed users, as a sidecar's port does; one on a network
-address admits everybody, who gets no further than the handshake of the far node, but can hold up
-new connections of others. The pool is bounded, and the least recently requested door without
-connections is given up for a new one.
-
-The doors of a relay as its masters want them: one door for a target, whoever wants it.
-
-A shell between `master_link`, which says what a master wants, and `doors`, the ports themselves.
+A port on loopback admits the programs of allowed users, as a sidecar's port does; one on a network
+address admits everybody, who gets no further than the handshake of the far node, but can hold up new
+connections of others. The pool is bounded, and the least recently requested port without connections is
+given up for a new one. There is one for a target, whichever masters want it.
 """
 
 import asyncio
@@ -21,7 +17,6 @@ from ca.errors import HintedError
 from rossec.errors import LinkCrowded, RelayRefused
 from rossec.host.runner import TaskSet
 from rossec.master.state.forwarded_ports import Door, Target, Way
-from rossec.overlay import mux
 from rossec.overlay.mux import StreamTarget
 from rossec.participant import delivery
 from rossec.sidecar.core.layers import Loopback
@@ -52,13 +47,7 @@ class OpenDoors:
 
 
 class Doors:
-    """All doors of a relay.
-
-    Args:
-        admission: where doors are, and who may use them: `Callers` or `OpenDoors`.
-        carry: what happens to a connection.
-        on_given_up: called with a door that had to make room for another one.
-    """
+    """All doors of a relay; `on_given_up`: of one that had to make room for another one."""
 
     def __init__(
         self,
@@ -79,7 +68,10 @@ class Doors:
         return iter(self._pool.keys())
 
     def open(self, door: PeerTarget) -> tuple[str, int]:
-        port = self._pool.get_or_open(door, partial(self._make, door))
+        def make() -> LocalPort:
+            return LocalPort(self._admission, partial(self._attend, door))
+
+        port = self._pool.get_or_open(door, make)
         port.open()
         return self._admission.loopback.host, port.port
 
@@ -93,10 +85,8 @@ class Doors:
 
     def close_peer(self, peer: str) -> None:
         for door in tuple(self):
-            if door.peer == peer:
-                port = self._pool.remove(door)
-                if port is not None:
-                    self._end(port)
+            if door.peer == peer and (port := self._pool.remove(door)) is not None:
+                self._end(port)
 
     async def close_all(self) -> None:
         ports = {*self._pool, *self._leaving, *self._ending}
@@ -104,9 +94,6 @@ class Doors:
             self._pool.remove(door)
         await asyncio.gather(*(port.close() for port in ports))
         await self._tasks.close()
-
-    def _make(self, door: PeerTarget) -> LocalPort:
-        return LocalPort(self._admission, partial(self._attend, door))
 
     async def _attend(self, door: PeerTarget, sock: socket.socket) -> None:
         try:
@@ -139,12 +126,7 @@ class Doors:
 
 
 class DoorTable:
-    """Which masters want a door.
-
-    Args:
-        admission, carry: as of `Doors`.
-        ways: how each peer is reached, by its label; what is not there is no peer.
-    """
+    """Which masters want a door; `ways`: how each peer is reached, what is not there is no peer."""
 
     def __init__(
         self, admission: Admission, carry: Carry, ways: Callable[[], Mapping[str, Way]], limit: int = LIMIT
@@ -191,4 +173,4 @@ class DoorTable:
 
 
 def _door(target: Target) -> PeerTarget:
-    return PeerTarget(target.peer, mux.StreamTarget(target.kind, target.name))
+    return PeerTarget(target.peer, StreamTarget(target.kind, target.name))

@@ -1,14 +1,10 @@
-"""The files in a relay's home: `overlay.json`, its peers, and `seat.json`, its routers. A shell.
+"""The files in a relay's home, and in a router's directory. A shell.
 
-Both are for the relay's user alone (0600): a mailbox is told only in a card, and whoever has the
-seat's password has the seat. They are written under the directory's lock and replaced whole; a
-running relay reads the peers again when they have changed.
-
-A router's directory: its TLS authority, its certificate, its seats, what it was told. A shell.
-
-The authority's key and the seats are the operator's, and the same in the directories of all their
-routers; the certificate and its key are this router's. Everything secret is 0600 and made with
-O_EXCL. What Zenoh reads by itself (`users`) is written again from the seats at each start.
+A relay has `overlay.json`, its peers, and `seat.json`, its routers. A router has its TLS authority, its
+certificate, its seats and what it was told; the authority's key and the seats are the operator's, and
+the same at all their routers. Everything secret is 0600: a mailbox is told only in a card, and whoever
+has the seat's password has the seat. Files are written under the directory's lock and replaced whole,
+keys are made with O_EXCL. What Zenoh reads by itself (`users`) is written again at each start.
 """
 
 import os
@@ -26,7 +22,6 @@ from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.host.local_sockets import process_lock
 from rossec.overlay import documents, router_settings
-from rossec.overlay import documents as peer_lists
 from rossec.overlay.documents import OPEN_SEAT, Peer, Peers, Routers, is_encrypted
 from rossec.overlay.router_settings import RouterFiles, RouterSettings, Seats
 from rossec.overlay.router_tls import RouterAuthority, Share, key_pem
@@ -36,6 +31,15 @@ RELAY_SEAT: Final = "seat.json"
 _NO_SEAT: Final = (
     "the routers' operator makes one: rossec router seats add NAME; here: rossec relay seat FILE"
 )
+
+DIRECTORY: Final = "router"  # below ROSSEC_HOME
+AUTHORITY_KEY: Final = "authority.key"
+AUTHORITY: Final = "authority.pem"
+SETTINGS: Final = "router.json"
+SEATS: Final = "seats.json"
+_LOCK: Final = "router.lock"
+_MAX_PEM: Final = 8 * 1024
+_PASSWORD: Final = 32  # random bytes
 
 
 class RelayFiles:
@@ -49,7 +53,7 @@ class RelayFiles:
 
     def peers(self) -> Peers:
         """The peers as of now; the file is read only when it has changed."""
-        version = self._version()
+        version = _version(self._peers)
         if version != self._read[0]:
             self._read = version, self._load()
         return self._read[1]
@@ -60,14 +64,13 @@ class RelayFiles:
         with files.locked_directory(self.home.path):
             found = self._load()
             edit(found)
-            files.replace(self._peers, peer_lists.write_peers(peer_lists.checked_peers(found.values())))
+            files.replace(self._peers, documents.write_peers(documents.checked_peers(found.values())))
 
     @property
     def has_seat(self) -> bool:
         return self._seat.exists()
 
     def routers(self) -> Routers:
-        """The routers, and the seat there."""
         missing = ConfigurationError(f"{self.home.name} has no seat at a router", _NO_SEAT)
         return Routers.read(files.read_own(self._seat, documents.MAX_SEAT_FILE, missing))
 
@@ -88,30 +91,11 @@ class RelayFiles:
         if not self._peers.exists():
             return {}
         missing = ConfigurationError(f"there is no {self._peers}")
-        data = files.read_own(self._peers, peer_lists.MAX_PEERS_FILE, missing)
-        return peer_lists.read_peers(data, str(self._peers))
-
-    def _version(self) -> tuple[int, ...]:
-        try:
-            found = self._peers.stat()
-        except FileNotFoundError:
-            return ()
-        return found.st_ino, found.st_mtime_ns, found.st_size
-
-
-DIRECTORY: Final = "router"  # below ROSSEC_HOME
-AUTHORITY_KEY: Final = "authority.key"
-AUTHORITY: Final = "authority.pem"
-SETTINGS: Final = "router.json"
-SEATS: Final = "seats.json"
-_LOCK: Final = "router.lock"
-_MAX_PEM: Final = 8 * 1024
-_PASSWORD: Final = 32  # random bytes
+        data = files.read_own(self._peers, documents.MAX_PEERS_FILE, missing)
+        return documents.read_peers(data, str(self._peers))
 
 
 class RouterHome:
-    """The directory `path`."""
-
     def __init__(self, path: Path) -> None:
         self.path = path
         self.files = RouterFiles(
@@ -126,7 +110,8 @@ class RouterHome:
         files.make_private_directory(self.path)
         with files.locked_directory(self.path):
             if not (self.path / AUTHORITY_KEY).exists():
-                self.write_authority(_new_authority())
+                key = ec.generate_private_key(ec.SECP256R1())
+                self.write_authority(RouterAuthority.create(key, now=clock.now(), serial=_serial()))
             if not (self.path / SEATS).exists():
                 files.create(self.path / SEATS, Seats(new_password()).write())
 
@@ -138,7 +123,6 @@ class RouterHome:
         return process_lock(self.path / _LOCK, busy)
 
     def authority(self) -> RouterAuthority:
-        """The TLS authority of the operator's routers."""
         key = self._private(AUTHORITY_KEY, _MAX_PEM)
         pem = files.read_own(self.path / AUTHORITY, _MAX_PEM, self._missing(AUTHORITY))
         return RouterAuthority.load(key, pem)
@@ -148,7 +132,6 @@ class RouterHome:
         files.create(self.path / AUTHORITY_KEY, key_pem(authority.key))
 
     def seats(self) -> Seats:
-        """The seats as of now."""
         return Seats.read(self._private(SEATS, router_settings.MAX_SEATS_FILE))
 
     def change_seats(self, change: Callable[[Seats], Seats]) -> Seats:
@@ -184,7 +167,6 @@ class RouterHome:
         return Routers(locators, seat, password, root)
 
     def share(self) -> Share:
-        """What another router of the operator needs."""
         return Share(self.authority(), self.seats(), self.settings().locators)
 
     def take(self, share: Share) -> None:
@@ -202,10 +184,10 @@ class RouterHome:
         own = self.settings().own_locators
         self.tell(join=tuple(each for each in share.join if each not in own))
 
-    def write_for_zenoh(self, settings: RouterSettings, seats_: Seats | None) -> None:
+    def write_for_zenoh(self, settings: RouterSettings, seats: Seats | None) -> None:
         """Bring the files that Zenoh reads up to date: users, and a certificate that is not old."""
-        if seats_ is not None:
-            files.replace(self.files.users, seats_.dictionary())
+        if seats is not None:
+            files.replace(self.files.users, seats.dictionary())
         authority, hosts, now = self.authority(), settings.certified, clock.now()
         if self.files.key.exists() and self.files.certificate.exists():
             found = files.read(self.files.certificate, _MAX_PEM)
@@ -218,9 +200,7 @@ class RouterHome:
         files.replace(self.files.certificate, made, 0o644)
 
     def seats_version(self) -> tuple[int, ...]:
-        """Another value whenever the file of seats is another one."""
-        found = (self.path / SEATS).stat()
-        return found.st_ino, found.st_mtime_ns, found.st_size
+        return _version(self.path / SEATS)
 
     def _private(self, name: str, limit: int) -> bytes:
         path = self.path / name
@@ -241,9 +221,13 @@ def new_password() -> str:
     return secrets.token_urlsafe(_PASSWORD)
 
 
-def _new_authority() -> RouterAuthority:
-    key = ec.generate_private_key(ec.SECP256R1())
-    return RouterAuthority.create(key, now=clock.now(), serial=_serial())
+def _version(path: Path) -> tuple[int, ...]:
+    # Another value whenever it is another file.
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        return ()
+    return found.st_ino, found.st_mtime_ns, found.st_size
 
 
 def _serial() -> int:

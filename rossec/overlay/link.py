@@ -4,8 +4,6 @@
 call `tick` at `deadline`. Nothing here is authenticated: the bytes inside are. So the side that was
 called sends at most three times what it received until `validated` (a forged reply key must not
 amplify), and routers, who see the identifier of a link, can end it, as they could by dropping.
-
-The states of a link, what changes them, and what a link tells of itself. Pure.
 """
 
 from dataclasses import dataclass
@@ -17,6 +15,9 @@ from rossec.errors import LinkEnded
 from rossec.overlay import link_frames as frames
 from rossec.overlay.link_frames import HEAD, MAX_FRAME, OPEN_SIZE, Frame, Kind
 from rossec.overlay.link_halves import FIRST_WINDOW, KEEPALIVE, LINGER, SILENCE, Receiver, Sender
+
+AMPLIFICATION: Final = 3
+_HIGH_WATER: Final = 64 * 1024  # bytes not sent yet, above which a writer should wait
 
 
 class LinkState(IntEnum):
@@ -51,10 +52,6 @@ class LinkStats:
     least_s: float = 0.0
 
 
-AMPLIFICATION: Final = 3
-_HIGH_WATER: Final = 64 * 1024  # bytes not sent yet, above which a writer should wait
-
-
 class Link:
     def __init__(self, link_id: bytes, reply_key: str, now: float, *, opener: bool) -> None:
         if len(link_id) != frames.LINK_ID:
@@ -69,7 +66,7 @@ class Link:
         self._sender = Sender()
         self._receiver = Receiver()
         self._began = now
-        self._silent_since: float | None = None  # since when an answer is missing
+        self.silent_since: float | None = None  # since when an answer is missing
         self._probe_at: float | None = None
         self._end_offset: int | None = None  # of this side's END, when it was sent
         self._end_at: float | None = None  # when the last acknowledgements are given up
@@ -118,19 +115,16 @@ class Link:
         elif kind == Kind.ACK:
             self._sender.seen(frame.offset, frames.read_ranges(frame), now)
         elif kind == Kind.OPEN:
-            found = self._reopened(frame, now)
+            reply_key, body = frames.split_return_address(frame.body)
+            if self._opener or frame.offset != 0 or reply_key != self.reply_key:
+                raise LinkEnded("another OPEN for a link that is open")
+            found = self._receiver.data(0, body, now)
         elif kind == Kind.PROBE:
             self._receiver.probed(frame.offset, now)
         else:
             self._receiver.end(frame.offset, now)
         self._settle(progress, now)
         return found
-
-    def _reopened(self, frame: Frame, now: float) -> list[Bytes]:
-        reply_key, body = frames.split_return_address(frame.body)
-        if self._opener or frame.offset != 0 or reply_key != self.reply_key:
-            raise LinkEnded("another OPEN for a link that is open")
-        return self._receiver.data(0, body, now)
 
     def consumed(self, count: int, now: float) -> None:
         if self.state not in ENDED:
@@ -167,8 +161,8 @@ class Link:
         frame = frames.joined(self._head(kind, sender.next), pieces)
         sender.sent(frame, size, now)
         self._put(frame)
-        if self._silent_since is None:
-            self._silent_since = now
+        if self.silent_since is None:
+            self.silent_since = now
             self._probe_at = now + sender.round_trip.wait
 
     def _head(self, kind: Kind, offset: int) -> bytes:
@@ -187,12 +181,10 @@ class Link:
 
     @property
     def writable(self) -> bool:
-        # Whether a writer need not wait.
         return self._sender.backlog <= _HIGH_WATER
 
     @property
     def backlog(self) -> int:
-        # Bytes that were written and not sent for the first time.
         return self._sender.backlog
 
     def frames_to_send(self, now: float) -> list[bytes]:
@@ -261,7 +253,7 @@ class Link:
         self.state = state
         self._sender.forget()
         self._receiver.forget()
-        self._probe_at = self._end_at = self._silent_since = None
+        self._probe_at = self._end_at = self.silent_since = None
 
     # -- time
 
@@ -277,19 +269,18 @@ class Link:
                 self._end_at = now + LINGER
         if sender.in_flight and not progress:
             return
-        self._silent_since = now if sender.in_flight else None
+        self.silent_since = now if sender.in_flight else None
         asks = sender.waiting or (self._opener and not self._validated)
         self._probe_at = now + (sender.round_trip.wait if asks else KEEPALIVE)
 
     def deadline(self) -> float | None:
-        # When to call `tick` at the latest; None: never.
         if self.state in ENDED:
             return None
         times = (self._over_at(), self._probe_at, self._receiver.ack_at, self._end_at)
         return min((at for at in times if at is not None), default=None)
 
     def _over_at(self) -> float | None:
-        since = self._silent_since
+        since = self.silent_since
         if not self._validated and (since is None or self._began < since):
             since = self._began
         return None if since is None or self.state is LinkState.IDLE else since + SILENCE
@@ -310,9 +301,9 @@ class Link:
             self._probe(now)
 
     def _probe(self, now: float) -> None:
-        if self._silent_since is None:
-            self._silent_since = now
-        silence = now - self._silent_since
+        if self.silent_since is None:
+            self.silent_since = now
+        silence = now - self.silent_since
         self._probe_at = now + self._sender.round_trip.again(silence)
         if self.state is LinkState.OPENING:
             self._put(self._sender.repeat_first(now))
@@ -327,13 +318,7 @@ class Link:
     # -- measured
 
     @property
-    def silent_since(self) -> float | None:
-        # Since when an answer is missing; None: none is.
-        return self._silent_since
-
-    @property
     def stats(self) -> LinkStats:
-        # What was measured so far.
         sender = self._sender
         trip, received = sender.round_trip, self._receiver.expected
         return LinkStats(trip.srtt_s, sender.retransmissions, sender.next, received, trip.least_s)

@@ -1,17 +1,11 @@
-"""The frames of a link, docs/spec/overlay.md section 3: written, and read strictly. Pure.
+"""The frames of a link, written, and read strictly; keys of mailboxes. Pure. docs/spec/overlay.md section 3.
 
-```
-kind(1) link(16) offset(8) received(8) limit(8) body
-```
+    kind(1) link(16) offset(8) received(8) limit(8) body
 
 Every frame says how far the sender of it has received, and how far it may be sent to. Nothing in it
-is authenticated: the bytes that it carries are, inside. What is not in form is `LinkEnded`.
-
-Keys of mailboxes, `rossec/1/<seat>/<box>`. Pure.
-
-A seat is the router operator's name for a customer, a box 16 random bytes: no name, label, domain
-or topic is in a key. Whoever puts to a key that came from outside checks it here first: a key with
-a wildcard would be put to many mailboxes.
+is authenticated: the bytes that it carries are, inside. What is not in form is `LinkEnded`. A mailbox is
+`rossec/1/<seat>/<box>`: its key has no name, label, domain or topic in it. Whoever puts to a key that
+came from outside checks it here first: a key with a wildcard would be put to many mailboxes.
 """
 
 import re
@@ -26,6 +20,17 @@ from rossec.errors import LinkEnded
 BOX: Final = 16  # bytes
 _KEY: Final = re.compile(r"rossec/1/[a-z0-9]{1,32}/[0-9a-f]{32}")
 _SEAT: Final = re.compile(r"[a-z0-9]{1,32}")
+
+_HEAD: Final = Struct(">B16sQQQ")
+_RANGE: Final = Struct(">QQ")
+
+HEAD: Final = _HEAD.size
+MAX_BODY: Final = HEADER + MAX_PLAINTEXT + TAG  # a whole record
+MAX_FRAME: Final = HEAD + MAX_BODY
+LINK_ID: Final = 16
+OPEN_SIZE: Final = 600  # octets at least: three times that is room for EDHOC's message_2
+MAX_RANGES: Final = 32
+_LAST: Final = 1 << 62
 
 
 def is_seat(name: str) -> bool:
@@ -42,18 +47,6 @@ def mailbox(seat: str, box: bytes) -> str:
     if not is_mailbox(key):
         raise ValueError("not the key of a mailbox")
     return key
-
-
-_HEAD: Final = Struct(">B16sQQQ")
-_RANGE: Final = Struct(">QQ")
-
-HEAD: Final = _HEAD.size
-MAX_BODY: Final = HEADER + MAX_PLAINTEXT + TAG  # a whole record
-MAX_FRAME: Final = HEAD + MAX_BODY
-LINK_ID: Final = 16
-OPEN_SIZE: Final = 600  # octets at least: three times that is room for EDHOC's message_2
-MAX_RANGES: Final = 32
-_LAST: Final = 1 << 62
 
 
 class Kind(IntEnum):

@@ -1,26 +1,16 @@
-"""Round trips of a link, how much may be on the way, and when an answer is overdue. Pure.
+"""The two halves of a link, and its timing: what may be on the way, what is overdue. Pure.
 
-The congestion window doubles each round trip until something is lost, then grows by 64 KiB; a loss
-halves it, once for all that was on the way then: routers drop what they cannot queue. Before that,
-the kernel and routers queue megabytes, behind which every other stream of the link would wait for
-seconds on a slow line: so a round trip that grew by `QUEUE` shrinks the window too (as LEDBAT,
-RFC 6817).
-
-The sending half of a link: what waits, what is on the way, what was lost. Pure.
-
-A frame stays here, as it was sent, until it is acknowledged. It is lost when the peer saw what was
-sent after it, and not it: routers keep the order. So only what is missing is sent again, and a
-frame is never cut anew. Nothing passes the limit that the peer told, and the congestion window.
-
-The receiving half of a link: bytes in order, and what the peer is told of them. Pure.
-
-What comes beyond a gap is kept, within the limit that the peer was told, and only from a peer that
-is authenticated. The limit moves with what the application took, so a slow one closes it.
+A sent frame stays here, as it was sent, until it is acknowledged. It is lost when the peer saw what was
+sent after it, and not it: routers keep the order. So only what is missing is sent again, and a frame is
+never cut anew. Nothing passes the limit that the peer told, and the congestion window. What comes
+beyond a gap is kept, within the limit that the peer was told, and only from a peer that is
+authenticated. The limit moves with what the application took, so a slow one closes it.
 """
 
 from bisect import bisect_left
 from collections import deque
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Final
 
 from rossec.channel.records import Bytes
@@ -39,11 +29,17 @@ LEAST_WAIT: Final = 0.2  # seconds
 MOST_WAIT: Final = 2.0
 _SILENCE_PART: Final = 8  # the next try comes after an eighth of the silence so far
 
+MOST_FRAMES: Final = 512  # on the way: small writes are joined meanwhile
+_CUT: Final = 16 * 1024  # a smaller piece waits for room, rather than be cut for what there is
+
+ACK_DELAY: Final = 0.005  # seconds: most answers leave within that, and acknowledge by themselves
+_ACK_FRAMES: Final = 16
+_ACK_BYTES: Final = 32 * 1024
+_MOST_KEPT: Final = 512  # frames beyond a gap
+
 
 class RoundTrip:
     """The smoothed and the shortest round trip, in seconds; 0 until one was measured."""
-
-    __slots__ = ("least_s", "srtt_s")
 
     def __init__(self) -> None:
         self.srtt_s = 0.0
@@ -77,9 +73,13 @@ class RoundTrip:
 
 
 class CongestionWindow:
-    """How many bytes may be on the way."""
+    """How many bytes may be on the way.
 
-    __slots__ = ("_delayed", "_recovery", "_threshold", "size")
+    It doubles each round trip until something is lost, then grows by 64 KiB; a loss halves it, once for
+    all that was on the way then: routers drop what they cannot queue. Before that, the kernel and routers
+    queue megabytes, behind which every other stream of the link would wait for seconds on a slow line:
+    so a round trip that grew by `QUEUE` shrinks the window too (as LEDBAT, RFC 6817).
+    """
 
     def __init__(self) -> None:
         self.size = FIRST_WINDOW
@@ -90,7 +90,10 @@ class CongestionWindow:
     def acknowledged(self, count: int, on_the_way: int, queued_s: float = 0.0) -> None:
         # So many bytes arrived, of so many that were on the way, after waiting in queues.
         if queued_s > QUEUE:
-            self._shrink(count)
+            self._delayed += count
+            if self._delayed >= self.size:
+                self._delayed = 0
+                self.size = self._threshold = max(LEAST_WINDOW, self.size - self.size // 4)
             return
         if on_the_way < self.size // 2:  # the writer is slower than the window
             return
@@ -98,20 +101,10 @@ class CongestionWindow:
             count = min(count, STEP * count // self.size)
         self.size = min(MOST_WINDOW, self.size + count)
 
-    def _shrink(self, count: int) -> None:
-        self._delayed += count
-        if self._delayed >= self.size:
-            self._delayed = 0
-            self.size = self._threshold = max(LEAST_WINDOW, self.size - self.size // 4)
-
     def lost(self, offset: int, sent: int) -> None:
         if offset >= self._recovery:
             self._recovery = sent
             self.size = self._threshold = max(LEAST_WINDOW, self.size // 2)
-
-
-MOST_FRAMES: Final = 512  # on the way: small writes are joined meanwhile
-_CUT: Final = 16 * 1024  # a smaller piece waits for room, rather than be cut for what there is
 
 
 @dataclass(slots=True)
@@ -128,22 +121,6 @@ class Sent:
 
 
 class Sender:
-    """Bytes to send, in order."""
-
-    __slots__ = (
-        "_flight",
-        "_losses",
-        "_on_the_way",
-        "_waiting",
-        "backlog",
-        "base",
-        "limit",
-        "next",
-        "retransmissions",
-        "round_trip",
-        "window",
-    )
-
     def __init__(self) -> None:
         self._waiting: deque[Bytes] = deque()
         self._flight: deque[Sent] = deque()
@@ -158,7 +135,6 @@ class Sender:
 
     @property
     def in_flight(self) -> bool:
-        # Whether something is not acknowledged.
         return bool(self._flight)
 
     @property
@@ -168,7 +144,6 @@ class Sender:
     # -- what may be sent
 
     def room(self) -> int:
-        # How many bytes may be sent now that were not sent yet.
         if len(self._flight) >= MOST_FRAMES or self._losses:
             return 0
         return max(0, min(self.limit - self.next, self.window.size - self._on_the_way))
@@ -254,8 +229,16 @@ class Sender:
 
     def seen(self, seen: int, ranges: list[tuple[int, int]], now: float) -> None:
         # Everything below `seen` that did not arrive is lost; `ranges` arrived beyond a gap.
-        if ranges:
-            self._mark_arrived(ranges)
+        at = 0
+        for sent in self._flight if ranges else ():
+            while at < len(ranges) and ranges[at][1] < sent.end:
+                at += 1
+            if at == len(ranges):
+                break
+            if not sent.arrived and ranges[at][0] <= sent.offset:
+                sent.arrived = True
+                if not sent.lost:
+                    self._on_the_way -= sent.end - sent.offset
         if len(ranges) == MAX_RANGES:  # what is beyond the last may have arrived: nobody says
             seen = min(seen, ranges[-1][1])
         repeat = self.round_trip.repeat
@@ -269,48 +252,13 @@ class Sender:
             self._losses.append(sent)
             self.window.lost(sent.offset, self.next)
 
-    def _mark_arrived(self, ranges: list[tuple[int, int]]) -> None:
-        at = 0
-        for sent in self._flight:
-            while at < len(ranges) and ranges[at][1] < sent.end:
-                at += 1
-            if at == len(ranges):
-                return
-            if not sent.arrived and ranges[at][0] <= sent.offset:
-                sent.arrived = True
-                if not sent.lost:
-                    self._on_the_way -= sent.end - sent.offset
-
     def forget(self) -> None:
         for kept in (self._waiting, self._flight, self._losses):
             kept.clear()
         self.backlog = self._on_the_way = 0
 
 
-ACK_DELAY: Final = 0.005  # seconds: most answers leave within that, and acknowledge by themselves
-_ACK_FRAMES: Final = 16
-_ACK_BYTES: Final = 32 * 1024
-_MOST_KEPT: Final = 512  # frames beyond a gap
-
-
 class Receiver:
-    """Bytes received, in order."""
-
-    __slots__ = (
-        "_asked",
-        "_consumed",
-        "_kept",
-        "_told_limit",
-        "_unacknowledged",
-        "_unacknowledged_bytes",
-        "_window",
-        "ack_at",
-        "ended",
-        "expected",
-        "limit",
-        "seen",
-    )
-
     def __init__(self) -> None:
         self._kept: list[tuple[int, memoryview]] = []  # by offset, without overlaps
         self._consumed = 0
@@ -337,37 +285,18 @@ class Receiver:
         self.seen = max(self.seen, end)
         if offset == self.expected and not self._kept:
             self.expected = end
-            self._count(len(body), now)
+            # Acknowledge at once from so much on; what is less waits for an answer to go with.
+            self._unacknowledged += 1
+            self._unacknowledged_bytes += len(body)
+            if self._unacknowledged >= _ACK_FRAMES or self._unacknowledged_bytes >= _ACK_BYTES:
+                self.ack_at = now
+            elif self.ack_at is None:
+                self.ack_at = now + ACK_DELAY
             return [body]
         self._ask(now)
         if offset > self.expected:
             self._keep(offset, end, body)
             return []
-        return self._deliver(offset, body)
-
-    def _ask(self, now: float) -> None:
-        self._asked, self.ack_at = True, now
-
-    def _count(self, size: int, now: float) -> None:
-        # Acknowledge at once from so much on; what is less waits for an answer to go with.
-        self._unacknowledged += 1
-        self._unacknowledged_bytes += size
-        if self._unacknowledged >= _ACK_FRAMES or self._unacknowledged_bytes >= _ACK_BYTES:
-            self.ack_at = now
-        elif self.ack_at is None:
-            self.ack_at = now + ACK_DELAY
-
-    def _keep(self, offset: int, end: int, body: memoryview) -> None:
-        kept = self._kept
-        if self._window == FIRST_WINDOW or len(kept) >= _MOST_KEPT:
-            return
-        at = bisect_left(kept, offset, key=_first)
-        before = at > 0 and kept[at - 1][0] + len(kept[at - 1][1]) > offset
-        after = at < len(kept) and kept[at][0] < end
-        if not (before or after):
-            kept.insert(at, (offset, body))
-
-    def _deliver(self, offset: int, body: memoryview) -> list[Bytes]:
         found: list[Bytes] = []
         used = 0
         for first, piece in [(offset, body), *self._kept]:
@@ -380,6 +309,19 @@ class Receiver:
                 self.expected += len(new)
         del self._kept[: max(0, used - 1)]
         return found
+
+    def _ask(self, now: float) -> None:
+        self._asked, self.ack_at = True, now
+
+    def _keep(self, offset: int, end: int, body: memoryview) -> None:
+        kept = self._kept
+        if self._window == FIRST_WINDOW or len(kept) >= _MOST_KEPT:
+            return
+        at = bisect_left(kept, offset, key=itemgetter(0))
+        before = at > 0 and kept[at - 1][0] + len(kept[at - 1][1]) > offset
+        after = at < len(kept) and kept[at][0] < end
+        if not (before or after):
+            kept.insert(at, (offset, body))
 
     def end(self, offset: int, now: float) -> None:
         # The peer's stream ends at `offset`; noted only when all before it is here.
@@ -401,7 +343,6 @@ class Receiver:
         self._ask(now)
 
     def consumed(self, count: int, now: float) -> None:
-        # The application took so many bytes.
         self._consumed += count
         if self._consumed > self.expected:
             raise ValueError("more was consumed than was received")
@@ -428,7 +369,3 @@ class Receiver:
     def forget(self) -> None:
         self._kept.clear()
         self.ack_at = None
-
-
-def _first(entry: tuple[int, memoryview]) -> int:
-    return entry[0]

@@ -1,19 +1,9 @@
-"""The masters of a relay's site: its own, and those of the domain that follow each other in a mesh.
+"""The masters of a relay's site, and the relay as a node of its own domain. A shell.
 
-A shell. The own master names the others; each says which doors it wants, and where targets that are
-registered at it are.
-
-The relay as a node of its own domain: its identity, and whom it may have links with. A shell.
-
-As every form of a node it keeps a session with its master, so that lists of domains, revocations
-and a renewed certificate arrive. It registers nothing and has no slave API: the master's answer to
-a call that waits (`rossec.relayDoors`) is the sign that lists may have changed, and it asks for
-them then (`refresh`). Every link is in its table of connections, which cuts it.
-
-A relay and one master of its site: which doors to open, and where targets are. A shell.
-
-The master is polled, so it needs no address of the relay. Only this master decides where a target
-is: what a relay of another site asks for is answered from its registrations, or refused.
+The own master names the others, which follow each other in a mesh; each says which forwarded ports it
+wants, and where targets that are registered at it are. It is polled, so it needs no address of the
+relay, and only it decides where a target is: what a relay of another site asks for is answered from
+its registrations, or refused.
 """
 
 import asyncio
@@ -42,7 +32,6 @@ from rossec.errors import (
 )
 from rossec.home import NodeHome
 from rossec.host.runner import TaskSet
-from rossec.master.state.forwarded_ports import MASTER as TARGET_MASTER
 from rossec.master.state.forwarded_ports import Door, Target, Way
 from rossec.master.state.registry import is_connectable
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
@@ -60,17 +49,20 @@ from rossec.ros.xmlrpc import Fault
 
 _log = logging.getLogger("rossec.overlay")
 
+OLD_MASTER: Final = 30.0  # seconds until a master that knows no relays is asked again
+_Failures: Final = (HintedError, OSError, TimeoutError)
+
+Dial = Callable[[], Awaitable[SecureStream[Identity]]]
+"""Connects with the master as the relay, for HTTP; who answers is checked here."""
+
 
 class RelayMember:
-    """The identity of a relay, kept current at its own master.
+    """The identity of the relay that is certified as `name`, kept current at its own master.
 
-    Args:
-        name: the relay's certified name.
-        environ: where ROS_MASTER_URI, ROSSEC_MASTER, ROSSEC_HOME and so on are read from.
-
-    Attributes:
-        context: for connections with masters and nodes.
-        link_context: for links: certificates are sent by value, as links are made rarely.
+    As every form of a node it keeps a session with its master, so that lists of domains, revocations
+    and a renewed certificate arrive. It registers nothing and has no slave API: the master's answer
+    to a call that waits (`rossec.relayDoors`) is the sign that lists may have changed, and it asks
+    for them then (`refresh`). Every link is in its table of connections, which cuts it.
     """
 
     def __init__(self, name: str, environ: Mapping[str, str]) -> None:
@@ -88,7 +80,7 @@ class RelayMember:
         self.context: Final = SecureContext(
             loaded.live_credentials, verify, suites=suites, known=KnownCertificates(), renews=Identity.renews
         )
-        self.link_context: Final = SecureContext(
+        self.link_context: Final = SecureContext(  # certificates by value, as links are made rarely
             loaded.live_credentials, verify, suites=suites, renews=Identity.renews
         )
         self._connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(
@@ -192,22 +184,10 @@ class RelayMember:
             self._ended.set_exception(error)
 
 
-OLD_MASTER: Final = 30.0  # seconds until a master that knows no relays is asked again
-_Failures: Final = (HintedError, OSError, TimeoutError)
-
-Dial = Callable[[], Awaitable[SecureStream[Identity]]]
-"""Connects with the master as the relay, for HTTP; who answers is checked here."""
-
-
 class DoorTable(Protocol):
     async def open(self, target: Target, master: str) -> Door: ...
-
     def release(self, target: Target, master: str) -> None: ...
-
-    def take_dropped(self, master: str) -> Collection[Target]:
-        # What `master` wants and was closed since the last call, as its peer was removed.
-        ...
-
+    def take_dropped(self, master: str) -> Collection[Target]: ...  # what it wants, of peers that went
     def ways(self) -> Mapping[str, Way]: ...
 
 
@@ -218,12 +198,7 @@ class MasterLink:
         name: the name it is certified for.
         relay: the relay's own name.
         instance: random, of this run of the relay.
-        dial: connects with the master.
-        doors: those of the relay.
         on_masters: called with the masters that this one says shall be polled too.
-
-    Attributes:
-        error: why the master is not polled now; empty: it is.
     """
 
     def __init__(
@@ -236,7 +211,7 @@ class MasterLink:
         on_masters: Callable[[Mapping[str, str]], None],
     ) -> None:
         self.name: Final = name
-        self.error = ""
+        self.error = ""  # why the master is not polled now; empty: it is
         self._relay = relay
         self._instance = instance
         self._dial = dial
@@ -276,19 +251,16 @@ class MasterLink:
     async def _ask(self, domain: str, kind: str, name: str) -> object:
         for _ in range(2):  # the master ends a connection that was silent for long
             kept = self._asking
-            client = await self._client()
+            async with self._turn:
+                if self._asking is None or self._asking.closed:
+                    self._asking = RpcClient(await self._connected())
+                client = self._asking
             try:
                 return await client.ask(RELAY_TARGET, self._relay, domain, kind, name)
             except RossecError:
                 if client is not kept or not client.closed:
                     raise
         raise CallFailed(f"{self.name} ends every connection")
-
-    async def _client(self) -> RpcClient:
-        async with self._turn:
-            if self._asking is None or self._asking.closed:
-                self._asking = RpcClient(await self._connected())
-            return self._asking
 
     async def _connected(self) -> SecureStream[Identity]:
         stream = await self._dial()
@@ -348,13 +320,7 @@ class MasterLink:
 
 
 class OwnMasters:
-    """The links of a relay to masters of its own domain.
-
-    Args:
-        member: the relay's identity.
-        instance: random, of this run of the relay.
-        doors: those of the relay.
-    """
+    """The links of a relay to masters of its own domain; `instance`: random, of this run of it."""
 
     def __init__(self, member: RelayMember, instance: str, doors: DoorTable) -> None:
         self._member = member
@@ -368,10 +334,10 @@ class OwnMasters:
         self._failed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     def start(self) -> None:
-        dial = self._member.dial_master
-        own = self._member.master
+        member = self._member
         self._tasks.spawn(self._refresh(), "asking for lists")
-        self._begin(MasterLink(own, self._member.name, self._instance, dial, self._doors, self._answered))
+        dial = member.dial_master
+        self._begin(MasterLink(member.master, member.name, self._instance, dial, self._doors, self._answered))
 
     async def wait_failed(self) -> None:
         await asyncio.shield(self._failed)
@@ -383,7 +349,7 @@ class OwnMasters:
         self._failed.cancel()
 
     async def target(self, domain: str, kind: str, name: str) -> tuple[str, int]:
-        if kind == TARGET_MASTER:
+        if kind == MASTER:
             links = [self._links[name]] if name in self._links else []
         else:
             links = list(self._links.values())
@@ -398,7 +364,6 @@ class OwnMasters:
         raise refusal
 
     def status(self) -> dict[str, str]:
-        # Why each master is not polled, by its name; empty: it is.
         return {name: link.error for name, link in self._links.items()}
 
     def _begin(self, link: MasterLink) -> None:
@@ -426,11 +391,11 @@ class OwnMasters:
         for name, uri in named.items():
             if name not in self._uris:
                 self._uris[name] = uri
-                self._begin(self._link_to(name, uri))
-
-    def _link_to(self, name: str, uri: str) -> MasterLink:
-        dial = partial(self._dial, uri)
-        return MasterLink(name, self._member.name, self._instance, dial, self._doors, _ignore)
+                dial = partial(self._dial, uri)
+                link = MasterLink(
+                    name, self._member.name, self._instance, dial, self._doors, lambda _masters: None
+                )
+                self._begin(link)  # only the own master says which others there are
 
     async def _dial(self, uri: str) -> SecureStream[Identity]:
         address = parse_uri(uri, "the master's URI")
@@ -441,8 +406,3 @@ class OwnMasters:
             stream.abort("the master's identity is revoked or cannot be checked")
             raise
         return stream
-
-
-def _ignore(_masters: Mapping[str, str]) -> None:
-    # Only the own master says which others there are.
-    ...

@@ -1,23 +1,10 @@
-"""The streams of one link between two relays: numbers, credit, limits. Pure.
+"""The streams of one link between two relays: numbers, credit, limits, and their units as bytes. Pure.
 
 Only the relay that made the link opens streams; it numbers them 0, 1, 2, ... and no number is used
-again. Each direction of a stream has its own credit, so that no stream fills the link's memory and
-a slow one stops itself alone. What a relay may not do ends the link; what it may do too often is
-refused for that stream. Specification: docs/spec/overlay.md.
-
-Units of the stream multiplexer between two relays, as bytes. Pure.
-
-A unit is a deterministic CBOR array `[stream, verb, ...]` (docs/spec/overlay.md); what arrives at
-once is a sequence of them (RFC 8742). They are read by hand, not by `cbor2`: a payload is a view of
-what arrived and is never copied. Whatever has another form is refused, and the link with it.
-
-How much a peer may send in one direction of a stream before it is taken. Pure.
-
-A window begins small and grows while the program takes half of it within a round trip and lets
-nothing wait (as TCP's receive buffer, "dynamic right-sizing"): then the window is what limits it.
-It is measured by the round trip of an idle way, so that a window does not grow by the queue that it
-makes. A program that lags gets no credit until its window has shrunk again. What windows have
-beyond the first one comes out of a fund that the link's streams share.
+again. Each direction of a stream has its own credit, so that no stream fills the link's memory and a
+slow one stops itself alone. What a relay may not do ends the link; what it may do too often is refused
+for that stream. A unit is a deterministic CBOR array `[stream, verb, ...]`; what arrives at once is a
+sequence of them (RFC 8742). Specification: docs/spec/overlay.md.
 """
 
 from collections import Counter
@@ -44,6 +31,22 @@ _MAX_STREAM: Final = (1 << 32) - 1
 _UINT, _BYTES, _TEXT, _ARRAY = 0, 0x40, 0x60, 0x80
 _WIDTHS: Final = {24: (1, 24), 25: (2, 1 << 8), 26: (4, 1 << 16)}  # bytes, and least value
 
+_LENGTHS: Final = (4, 3, 3, 2, 2)  # items of a unit, by its verb
+
+FIRST: Final = 256 * 1024  # bytes
+MOST: Final = 4 * 1024 * 1024  # the window of a link
+FUND: Final = 32 * 1024 * 1024
+SHORTEST_ROUND: Final = 0.005  # seconds: two relays and two programs take turns
+
+STREAMS: Final = 256
+FOR_ONE_NAME: Final = STREAMS // 2
+YOUNG: Final = 32
+YOUNG_SECONDS: Final = 15.0
+# The caller counts longer: what it opened last may reach the other side after a router's failure.
+_CALLER_YOUNG_SECONDS: Final = YOUNG_SECONDS + 5.0
+_ANSWERS: Final = 2  # of a target: the second one follows message_3, which authenticates the caller
+LAST_STREAM: Final = (1 << 32) - 1
+
 
 class StreamTarget(NamedTuple):
     kind: str
@@ -54,8 +57,6 @@ class StreamTarget(NamedTuple):
 
 
 class Verb(IntEnum):
-    """What a unit is about."""
-
     OPEN = 0
     DATA = 1
     CREDIT = 2
@@ -64,7 +65,6 @@ class Verb(IntEnum):
 
 
 _DATA: Final = int(Verb.DATA)
-_LENGTHS: Final = (4, 3, 3, 2, 2)  # items of a unit, by its verb
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,16 +75,12 @@ class Open:
 
 @dataclass(slots=True)  # one for each unit: frozen ones take three times as long to make
 class Data:
-    """Bytes of a stream; a view of what arrived."""
-
     stream: int
-    payload: memoryview
+    payload: memoryview  # of what arrived
 
 
 @dataclass(frozen=True, slots=True)
 class Credit:
-    """So many bytes more may be sent."""
-
     stream: int
     amount: int
 
@@ -135,7 +131,7 @@ def read_units(data: Bytes) -> list[Unit]:
         raise StreamRefused(f"{len(data)} bytes of units where at most {MAX_SEQUENCE} are allowed")
     reader = _Reader(memoryview(data))
     units: list[Unit] = []
-    while not reader.at_end:
+    while reader.at < reader.size:
         units.append(_read_unit(reader))
     return units
 
@@ -152,67 +148,51 @@ def _read_unit(reader: "_Reader") -> Unit:
         case Verb.CREDIT:
             return Credit(stream, reader.head(_UINT, _MAX_STREAM, 1))
         case Verb.OPEN:
-            return Open(stream, _read_target(reader))
+            kind = KINDS[reader.head(_UINT, len(KINDS) - 1)]
+            raw = bytes(reader.take(reader.head(_TEXT, MAX_NAME)))
+            try:
+                return Open(stream, StreamTarget(kind, check_name(raw.decode("ascii"))))
+            except (UnicodeDecodeError, NameRefused) as error:
+                raise StreamRefused(f"a stream to {raw!r}, which is not a name") from error
         case Verb.END:
             return End(stream)
         case _:
             return Reset(stream)
 
 
-def _read_target(reader: "_Reader") -> StreamTarget:
-    kind = KINDS[reader.head(_UINT, len(KINDS) - 1)]
-    raw = bytes(reader.take(reader.head(_TEXT, MAX_NAME)))
-    try:
-        return StreamTarget(kind, check_name(raw.decode("ascii")))
-    except (UnicodeDecodeError, NameRefused) as error:
-        raise StreamRefused(f"a stream to {raw!r}, which is not a name") from error
-
-
 class _Reader:
-    __slots__ = ("_at", "_data", "_size")
+    # By hand, not by `cbor2`: a payload is a view of what arrived and is never copied.
+
+    __slots__ = ("_data", "at", "size")
 
     def __init__(self, data: memoryview) -> None:
         self._data = data
-        self._size = len(data)
-        self._at = 0
-
-    @property
-    def at_end(self) -> bool:
-        return self._at == self._size
+        self.size = len(data)
+        self.at = 0
 
     def take(self, length: int) -> memoryview:
-        begin = self._at
+        begin = self.at
         end = begin + length
-        if end > self._size:
+        if end > self.size:
             raise StreamRefused("a unit that ends too early")
-        self._at = end
+        self.at = end
         return self._data[begin:end]
 
     def head(self, major: int, most: int, least: int = 0) -> int:
-        if self._at >= self._size:
+        if self.at >= self.size:
             raise StreamRefused("a unit that ends too early")
-        value = self._data[self._at] ^ major
-        self._at += 1
+        value = self._data[self.at] ^ major
+        self.at += 1
         if value >= 24:
-            value = self._long(value)
+            width, shortest = _WIDTHS.get(value, (0, 0))
+            if not width:
+                raise StreamRefused("a unit with an item of another type or size")
+            value = int.from_bytes(self.take(width))
+            if value < shortest:
+                raise StreamRefused("a unit whose numbers are not in their shortest form")
         if not least <= value <= most:
             raise StreamRefused(f"a unit with {value} where {least} to {most} are allowed")
         return value
-
-    def _long(self, info: int) -> int:
-        width, least = _WIDTHS.get(info, (0, 0))
-        if not width:
-            raise StreamRefused("a unit with an item of another type or size")
-        value = int.from_bytes(self.take(width))
-        if value < least:
-            raise StreamRefused("a unit whose numbers are not in their shortest form")
-        return value
-
-
-FIRST: Final = 256 * 1024  # bytes
-MOST: Final = 4 * 1024 * 1024  # the window of a link
-FUND: Final = 32 * 1024 * 1024
-SHORTEST_ROUND: Final = 0.005  # seconds: two relays and two programs take turns
 
 
 class Fund:
@@ -227,7 +207,9 @@ class Fund:
 class ReceiveWindow:
     """One direction of a stream at its receiver; `allowed`: what the peer may still send.
 
-    `allowed` and `held` (bytes that arrived and were not taken) are never more than `size`.
+    `allowed` and `held` (bytes that arrived and were not taken) are never more than `size`. It grows
+    while the program takes half of it within a round trip and lets nothing wait (as TCP's "dynamic
+    right-sizing"). Measured by the round trip of an idle way: the queue that it makes must not widen it.
     """
 
     __slots__ = ("_began", "_fund", "_taken", "allowed", "held", "size")
@@ -240,7 +222,6 @@ class ReceiveWindow:
         self._taken = 0
 
     def arrived(self, length: int) -> None:
-        # The peer sent so many of the bytes it may send.
         self.allowed -= length
         self.held += length
 
@@ -249,24 +230,20 @@ class ReceiveWindow:
             raise ValueError("more was taken than arrived")
         self.held -= count
         self._taken += count
-        if round_trip_s > 0:
-            self._adapt(now, max(round_trip_s, SHORTEST_ROUND))
+        round_s = max(round_trip_s, SHORTEST_ROUND)
+        elapsed = now - self._began
+        if round_trip_s > 0 and elapsed >= round_s:
+            wanted = int(2 * self._taken * round_s / elapsed)
+            self._began, self._taken = now, 0
+            if self.held > self.size // 2:  # a program that lags gets no credit until it has shrunk
+                self._resize(max(FIRST, self.size // 2, self.allowed + self.held))
+            elif wanted > self.size and self.held == 0:
+                self._resize(min(wanted, 2 * self.size, MOST, self.size + self._fund.left))
         credit = self.size - self.allowed - self.held
         if credit < self.size // 4:
             return 0
         self.allowed += credit
         return credit
-
-    def _adapt(self, now: float, round_s: float) -> None:
-        elapsed = now - self._began
-        if elapsed < round_s:
-            return
-        wanted = int(2 * self._taken * round_s / elapsed)
-        self._began, self._taken = now, 0
-        if self.held > self.size // 2:
-            self._resize(max(FIRST, self.size // 2, self.allowed + self.held))
-        elif wanted > self.size and self.held == 0:
-            self._resize(min(wanted, 2 * self.size, MOST, self.size + self._fund.left))
 
     def _resize(self, size: int) -> None:
         self._fund.left -= size - self.size
@@ -274,16 +251,6 @@ class ReceiveWindow:
 
     def close(self) -> None:
         self._resize(FIRST)
-
-
-STREAMS: Final = 256
-FOR_ONE_NAME: Final = STREAMS // 2
-YOUNG: Final = 32
-YOUNG_SECONDS: Final = 15.0
-# The caller counts longer: what it opened last may reach the other side after a router's failure.
-_CALLER_YOUNG_SECONDS: Final = YOUNG_SECONDS + 5.0
-_ANSWERS: Final = 2  # of a target: the second one follows message_3, which authenticates the caller
-LAST_STREAM: Final = (1 << 32) - 1
 
 
 class Role(Enum):
@@ -371,17 +338,12 @@ class Mux:
             return f"{STREAMS} streams are open"
         if self._for_name[target] >= FOR_ONE_NAME:
             return f"{FOR_ONE_NAME} streams to it are open"
-        new = len(self._abandoned) + self._young_since(now - self._young_seconds)
-        return f"{YOUNG} streams are new" if new >= YOUNG else ""
-
-    def _young_since(self, since: float) -> int:
-        # Streams that were opened after `since` and are not in use yet, up to `YOUNG`.
-        young = 0
+        young = len(self._abandoned)  # and those that are not in use yet
         for each in reversed(self._streams.values()):  # the newest first
-            if each.opened <= since or young >= YOUNG:
+            if each.opened <= now - self._young_seconds or young >= YOUNG:
                 break
             young += each.answers < _ANSWERS
-        return young
+        return f"{YOUNG} streams are new" if young >= YOUNG else ""
 
     def connected(self, stream: int) -> None:
         # Until then one that is over counts as new: a peer that opens streams and breaks them off at once
@@ -442,21 +404,21 @@ class Mux:
     # -- receiving
 
     def receive(self, data: Bytes, now: float) -> list[Event]:
-        events = []
-        for unit in read_units(data):
-            event = self._receive(unit, now)
-            if event is not None:
-                events.append(event)
-        return events
+        events = (
+            self._opened(unit, now) if isinstance(unit, Open) else self._heard(unit)
+            for unit in read_units(data)
+        )
+        return [event for event in events if event is not None]
 
-    def _receive(self, unit: Unit, now: float) -> Event | None:
-        if isinstance(unit, Open):
-            if self._caller or unit.stream != self._next:
-                raise StreamRefused(f"stream {unit.stream} is opened, which is not its turn")
-            if self.crowded(unit.target, now):
-                self._next += 1
-                return Refused(unit.stream, unit.target, reset_unit(unit.stream))
-            return Opened(self._add(unit.target, now), unit.target)
+    def _opened(self, unit: Open, now: float) -> Event:
+        if self._caller or unit.stream != self._next:
+            raise StreamRefused(f"stream {unit.stream} is opened, which is not its turn")
+        if self.crowded(unit.target, now):
+            self._next += 1
+            return Refused(unit.stream, unit.target, reset_unit(unit.stream))
+        return Opened(self._add(unit.target, now), unit.target)
+
+    def _heard(self, unit: Data | Credit | End | Reset) -> Event | None:
         found = self._streams.get(unit.stream)
         if found is None:
             if unit.stream >= self._next:
@@ -464,28 +426,22 @@ class Mux:
             return None  # on its way when the stream was broken off here
         match unit:
             case Data():
-                self._arrived(found, unit)
+                length = len(unit.payload)
+                if found.phase is Phase.ENDED_THERE:
+                    raise StreamRefused(f"bytes in stream {unit.stream} after its end")
+                if length > found.window.allowed:
+                    raise StreamRefused(f"{length} bytes in stream {unit.stream} beyond its credit")
+                found.window.arrived(length)
+                found.spoke(to_target=not self._caller)
             case Credit():
-                self._credited(found, unit)
+                if found.may_send + unit.amount > MOST:
+                    raise StreamRefused(f"credit for stream {unit.stream} beyond {MOST} bytes")
+                found.may_send += unit.amount
             case End():
                 self._end(unit.stream, found, Side.THERE)
             case Reset():
                 self._remove(unit.stream)
         return unit
-
-    def _arrived(self, found: _Stream, unit: Data) -> None:
-        length = len(unit.payload)
-        if found.phase is Phase.ENDED_THERE:
-            raise StreamRefused(f"bytes in stream {unit.stream} after its end")
-        if length > found.window.allowed:
-            raise StreamRefused(f"{length} bytes in stream {unit.stream} beyond its credit")
-        found.window.arrived(length)
-        found.spoke(to_target=not self._caller)
-
-    def _credited(self, found: _Stream, unit: Credit) -> None:
-        if found.may_send + unit.amount > MOST:
-            raise StreamRefused(f"credit for stream {unit.stream} beyond {MOST} bytes")
-        found.may_send += unit.amount
 
     def _end(self, stream: int, found: _Stream, side: Side) -> None:
         if (found.phase, side) not in _AFTER_END:
@@ -501,7 +457,6 @@ class Mux:
         found.window.close()
         if found.connecting:
             self._abandoned.add(stream)
-        target = found.target
-        self._for_name[target] -= 1
-        if not self._for_name[target]:
-            del self._for_name[target]
+        self._for_name[found.target] -= 1
+        if not self._for_name[found.target]:
+            del self._for_name[found.target]

@@ -1,13 +1,8 @@
-"""The relay of a site: what its parts are, and who of them knows whom. A shell.
+"""The relay of a site: what its parts are, who of them knows whom, and the link to each peer. A shell.
 
-Doors lead connections of this site into the link to their peer; links that peers make lead to what
-the masters of this site show. Masters say which doors there are. A peer is cut when its card is
-removed here, its domain is trusted no more, or its identity is revoked.
-
-The link that a relay makes to one peer, while doors to it are used. A shell.
-
-It is dialled when the first connection needs it and kept while it carries any, and a while longer.
-A failure is told at once to those who ask soon after: nodes try again by themselves.
+Forwarded ports lead connections of this site into the link to their peer; links that peers make lead
+to what the masters of this site show. Masters say which ports there are. A peer is cut when its card
+is removed here, its domain is trusted no more, or its identity is revoked.
 """
 
 import asyncio
@@ -22,7 +17,6 @@ from functools import partial
 from typing import Any, Final, Protocol, TypeAlias
 
 from ca.certificates import Identity
-from ca.domains.trust import ForeignDomain
 from ca.errors import HintedError
 from ca.names import RELAY, is_master_name, pattern_covers, shown
 from rossec.errors import (
@@ -57,6 +51,18 @@ _log = logging.getLogger("rossec.overlay")
 DialPeer: TypeAlias = Callable[[Peer], Awaitable[SecureStream[Identity]]]
 """Makes a link to a peer, which is that peer and admitted. Raises a `HintedError` or `OSError`."""
 
+_SILENT: Final = "does its relay run, does it have the newest card of this one, and is a router in reach?"
+_ENDED: Final = (
+    "the other relay's log says why; it must trust this domain (there: rossec domain list) and have"
+    " this relay's card (there: rossec relay list)"
+)
+
+MAX_CALLED: Final = 2  # links that one peer has made: a new one, and one that it may have given up
+_PERIOD: Final = 1.0
+_audit = logging.getLogger("rossec.audit")
+
+_Serve: TypeAlias = Callable[[SecureStream[Identity]], Awaitable[None]]
+
 
 class LinkState(Enum):
     IDLE = "idle"
@@ -66,24 +72,19 @@ class LinkState(Enum):
 
 
 class PeerLink:
-    """The link to `peer`.
+    """The link that is made to `peer`, while connections to it are wanted.
 
-    Args:
-        peer: its card is here.
-        dial: makes a link.
-        clock: monotonic, in seconds.
-
-    Attributes:
-        error, hint: why there is no link, though one was wanted; else empty.
+    It is dialled when the first connection needs it and kept while it carries any, and a while longer.
+    A failure is told at once to those who ask soon after: nodes try again by themselves.
     """
 
     def __init__(self, peer: Peer, dial: DialPeer, clock: Callable[[], float] = time.monotonic) -> None:
         self.peer: Final = peer
-        self.error = self.hint = ""
+        self.error = self.hint = ""  # why there is no link, though one was wanted
         self._dial = dial
         self._clock = clock
         self._tasks = TaskSet()
-        self._stream: SecureStream[Identity] | None = None
+        self.stream: SecureStream[Identity] | None = None
         self._streams: Streams | None = None
         self._carrying: asyncio.Task[None] | None = None
         self._dialling: asyncio.Task[Streams | RelayRefused] | None = None
@@ -100,10 +101,6 @@ class PeerLink:
         return LinkState.FAILED if self.error else LinkState.IDLE
 
     @property
-    def stream(self) -> SecureStream[Identity] | None:
-        return self._stream
-
-    @property
     def carried(self) -> int:
         return 0 if self._streams is None else len(self._streams)
 
@@ -116,7 +113,6 @@ class PeerLink:
         await streams.carry(target, sock)
 
     def tick(self) -> None:
-        # Close a link that was not used for long; called once in a second.
         since = None if self._streams is None else self._streams.idle_since
         if since is not None and self._clock() - since > IDLE_FOR and self._carrying is not None:
             self._settle()
@@ -152,7 +148,7 @@ class PeerLink:
         self.error = self.hint = ""
         self._not_before = 0.0
         streams = Streams(stream, Role.CALLER, self.peer.label, round_trip=partial(idle_round_trip, stream))
-        self._stream, self._streams = stream, streams
+        self.stream, self._streams = stream, streams
         self._carrying = self._tasks.spawn(self._run(stream, streams), f"to {self.peer.label}")
         _log.info("link to %s", self.peer.label)
         return streams
@@ -176,28 +172,16 @@ class PeerLink:
         try:
             await streams.run()
         except (HandshakeFailed, PeerRefused) as error:  # whoever is called judges last
-            if self._stream is stream:
+            if self.stream is stream:
                 self._failed(str(error), _ENDED)
         except (ChannelError, StreamRefused) as error:
             _log.warning("the link to %s ended: %s", self.peer.label, printable(error))
-            if self._stream is stream:
+            if self.stream is stream:
                 self.error, self.hint = printable(error), _ENDED
                 self._settle()
         finally:
-            if self._stream is stream:
-                self._stream = self._streams = self._carrying = None
-
-
-_SILENT: Final = "does its relay run, does it have the newest card of this one, and is a router in reach?"
-_ENDED: Final = (
-    "the other relay's log says why; it must trust this domain (there: rossec domain list) and have"
-    " this relay's card (there: rossec relay list)"
-)
-
-MAX_CALLED: Final = 2  # links that one peer has made: a new one, and one that it may have given up
-_PERIOD: Final = 1.0
-_audit = logging.getLogger("rossec.audit")
-_Serve: TypeAlias = Callable[[SecureStream[Identity]], Awaitable[None]]
+            if self.stream is stream:
+                self.stream = self._streams = self._carrying = None
 
 
 class Closable(Protocol):
@@ -207,24 +191,14 @@ class Closable(Protocol):
 class LinkNetwork(Protocol):
     @property
     def router(self) -> str: ...
-
     @property
     def seat(self) -> str: ...
-
     async def dial(self, mailbox: str) -> SecureStream[Identity]: ...
-
     def listen(self, mailbox: str, serve: _Serve, label: str) -> Closable: ...
 
 
 class Relay:
-    """One relay, from `run` to its end.
-
-    Args:
-        member: its identity.
-        network: the routers.
-        admission: where doors are, and who may use them.
-        read_peers: the peers as of now.
-    """
+    """One relay, from `run` to its end; `admission`: where forwarded ports are, and for whom."""
 
     def __init__(
         self, member: RelayMember, network: LinkNetwork, admission: Admission, read_peers: Callable[[], Peers]
@@ -273,18 +247,14 @@ class Relay:
         router = self._network.router
         while True:
             await asyncio.sleep(_PERIOD)
-            router = self._note_router(router)
+            before, router = router, self._network.router
+            if router and router != before:
+                _log.warning("router %s is in use now", router)
+            elif router != before:
+                _log.warning("no router takes the seat %s any more; links wait", self._network.seat)
             await self._take_peers()
             for link in self._links.values():
                 link.tick()
-
-    def _note_router(self, before: str) -> str:
-        router = self._network.router
-        if router and router != before:
-            _log.warning("router %s is in use now", router)
-        elif router != before:
-            _log.warning("no router takes the seat %s any more; links wait", self._network.seat)
-        return router
 
     # -- peers
 
@@ -300,18 +270,15 @@ class Relay:
         for label in [label for label, peer in self._peers.items() if found.get(label) != peer]:
             await self._drop(label)
         for label in found.keys() - self._peers.keys():
-            self._add(found[label])
-
-    def _add(self, peer: Peer) -> None:
-        key = mailbox(self._network.seat, bytes.fromhex(peer.box))
-        try:
-            serve = partial(self._serve, peer)
-            self._mailboxes[peer.label] = self._network.listen(key, serve, peer.label)
-        except OverlayUnavailable as error:  # tried again in a second
-            _log.warning("%s: %s", peer.label, error)
-            return
-        self._peers[peer.label] = peer
-        self._links[peer.label] = PeerLink(peer, self._dial)
+            peer = found[label]
+            key = mailbox(self._network.seat, bytes.fromhex(peer.box))
+            try:
+                self._mailboxes[label] = self._network.listen(key, partial(self._serve, peer), label)
+            except OverlayUnavailable as error:  # tried again in a second
+                _log.warning("%s: %s", label, error)
+                continue
+            self._peers[label] = peer
+            self._links[label] = PeerLink(peer, self._dial)
 
     async def _drop(self, label: str) -> None:
         del self._peers[label]
@@ -345,26 +312,25 @@ class Relay:
         await link.carry(door.target, sock)
 
     async def _dial(self, peer: Peer) -> SecureStream[Identity]:
-        self._check_admitted(peer)
-        stream = await self._network.dial(peer.mailbox)
-        self._admit(peer, stream)
-        return stream
-
-    def _check_admitted(self, peer: Peer) -> None:
         # Say before the handshake what would be less clear after it.
-        if not peer.domain:
-            return
-        listed = self._member.standing.anchors.listed(peer.domain)
-        if listed is None:
+        listed = self._member.standing.anchors.listed(peer.domain) if peer.domain else None
+        if peer.domain and listed is None:
             raise RelayRefused(
                 f"no trusted domain is called {peer.domain}",
                 "at this side's authority: rossec domain accept CARD",
             )
-        if not any(pattern_covers(pattern, peer.relay) for pattern in listed.entry.admitted):
+        admitted = () if listed is None else listed.entry.admitted
+        if listed is not None and not any(pattern_covers(pattern, peer.relay) for pattern in admitted):
+            # The options that admit whom the list admits, and so its relays too, but nobody else.
+            nodes = [each for each in admitted if not is_master_name(each.replace("*", "x"))]
+            options = " ".join(f"--admit '{each}'" for each in nodes or [RELAY])
             raise RelayRefused(
                 f"{peer.shown} is not admitted: the domain was accepted before relays were",
-                f"at this side's authority: rossec domain limit {peer.domain} {_admit(listed.entry)}",
+                f"at this side's authority: rossec domain limit {peer.domain} {options}",
             )
+        stream = await self._network.dial(peer.mailbox)
+        self._admit(peer, stream)
+        return stream
 
     def _admit(self, peer: Peer, stream: SecureStream[Identity]) -> None:
         try:
@@ -381,7 +347,7 @@ class Relay:
             where = f"the mailbox for {peer.label}"
             delivery.warn(_audit, delivery.REFUSED, where, shown(stream.peer.name), error)
             return
-        remote = RemoteRelay(peer.label, peer.domain or "", peer.name)
+        remote = RemoteRelay(peer.domain or "", peer.name)
         dial = partial(self._connect, stream.peer, self._targets.dial_for(remote))
         round_trip = partial(idle_round_trip, stream)
         streams = Streams(stream, Role.CALLED, peer.label, dial, round_trip=round_trip)
@@ -405,39 +371,30 @@ class Relay:
     # -- for people
 
     def status(self) -> dict[str, Any]:
-        """The relay for people and programs."""
         return {
             "relay": self._member.name,
             "domain": self._member.identity.domain,
             "seat": self._network.seat,
             "router": self._network.router,
             "masters": self._masters.status(),
-            "peers": [self._peer_status(label) for label in sorted(self._links)],
+            "peers": [
+                {
+                    "label": label,
+                    "relay": link.peer.shown,
+                    **self._way(link)._asdict(),
+                    "called": len(self._called.get(label, [])),
+                    "error": link.error,
+                    "hint": link.hint,
+                }
+                for label, link in sorted(self._links.items())
+            ],
             "doors": len(self._table),
             "problem": self._problem,
         }
 
-    def _peer_status(self, label: str) -> dict[str, Any]:
-        link = self._links[label]
-        called = self._called.get(label, [])
-        return {
-            "label": label,
-            "relay": link.peer.shown,
-            **self._way(link)._asdict(),
-            "called": len(called),
-            "error": link.error,
-            "hint": link.hint,
-        }
-
-
-def _admit(entry: ForeignDomain) -> str:
-    # The options that admit whom the list admits, and so its relays too, but nobody else.
-    nodes = [each for each in entry.admitted if not is_master_name(each.replace("*", "x"))]
-    return " ".join(f"--admit '{each}'" for each in nodes or [RELAY])
-
 
 def measured(stream: SecureStream[Identity]) -> tuple[float, int]:
-    """Round trip in milliseconds, and retransmissions of a link."""
+    # Round trip in milliseconds, and retransmissions of a link.
     link = getattr(stream.transport, "link", None)
     if link is None:  # it has ended, or is none of the overlay
         return 0.0, 0

@@ -9,7 +9,7 @@ finer levels it would name mailboxes.
 import asyncio
 import logging
 import threading
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from rossec.errors import ConfigurationError, OverlayUnavailable, RossecError
 from rossec.overlay.homes import RouterHome
@@ -22,21 +22,8 @@ _CERTIFICATE_PERIOD: Final = 24 * 3600.0  # seconds
 CLOSING: Final = 5.0  # seconds
 
 
-class Session(Protocol):
-    @property
-    def info(self) -> Any: ...
-
-    def close(self) -> Any: ...
-
-
 class Router:
-    """One router, of the directory `home`; used on one loop.
-
-    Args:
-        home: prepared.
-        settings: what it was told.
-        is_open: it has no seats, whoever reaches it may use it.
-    """
+    """One router, of the directory `home`; used on one loop. `is_open`: whoever reaches it may use it."""
 
     def __init__(self, home: RouterHome, settings: RouterSettings, *, is_open: bool) -> None:
         self._home = home
@@ -44,11 +31,10 @@ class Router:
         self._is_open = is_open
         self._seats_version: tuple[int, ...] = ()
         self._certificate_due = 0.0
-        self._session: Session | None = None
+        self._session: Any = None
         self._joined = 0
 
     async def start(self) -> None:
-        """Listen."""
         self._seats_version = self._home.seats_version()
         await self._begin(seats_of(self._home, is_open=self._is_open))
 
@@ -94,21 +80,17 @@ class Router:
     async def _take_over(self) -> None:
         # Begin anew if seats changed, if the certificate may be old, or if it is not listening.
         due = asyncio.get_running_loop().time() >= self._certificate_due
-        if self._session is not None and not due and not self._seats_changed():
-            return
-        seats = self._seats_now()  # if they are damaged, the old ones stay in force
+        if self._session is not None and not due:
+            version = self._home.seats_version()
+            changed, self._seats_version = version != self._seats_version, version
+            if not changed:
+                return
+        seats: Seats | None = self._home.seats()  # if they are damaged, the old ones stay in force
+        if self._is_open:
+            seats = seats_of(self._home, is_open=True)
         await self.close()
         await self._begin(seats)
         _log.info("the router began anew, with the seats and the certificate of now")
-
-    def _seats_now(self) -> Seats | None:
-        seats = self._home.seats()
-        return seats_of(self._home, is_open=True) if self._is_open else seats
-
-    def _seats_changed(self) -> bool:
-        version = self._home.seats_version()
-        changed, self._seats_version = version != self._seats_version, version
-        return changed
 
 
 def seats_of(home: RouterHome, *, is_open: bool) -> Seats | None:

@@ -1,23 +1,11 @@
-"""What a router is told by its operator, and Zenoh's settings that follow from it. Pure.
+"""What a router is told by its operator, its seats, and Zenoh's settings that follow from both. Pure.
 
-What was told is kept in the router's directory, for the seat files that name it. A router does not
-answer in Zenoh's administration, is found by no scouting, and keeps what is malformed or too large
-for a mailbox from everybody. Routers with seats join each other over TLS or QUIC alone: the side
-that connects knows by the certificate whom it joined, and would otherwise forward nothing.
-
-Seats at the routers of one operator: who may connect, and what each may do there. Pure.
-
-A seat may read the mailboxes below its own name and send to any mailbox; everything else is denied:
-reading others', asking which mailboxes exist, queries, presence, Zenoh's own administration. The
-routers know each other by a user that no seat can be called, and by their TLS authority: the side
-that connects is not told a user (`rossec.overlay.router_settings`).
-
-Settings of Zenoh sessions, as paths of its configuration and JSON values. Pure.
-
-The defaults of Zenoh are for one network of friends: it scouts by multicast, lists and reports
-itself, and passes large payloads through /dev/shm, around the network and its limits. What is here
-was measured; what for is in section 3.6 of docs/spec/overlay.md. A router that freezes is given up
-after the lease; a message that finds no room waits 50 ms, then it is dropped.
+Seats are the accounts at the routers of one operator. A seat may read the mailboxes below its own name
+and send to any mailbox; everything else is denied: reading others', asking which mailboxes exist,
+queries, presence, Zenoh's own administration. A router is found by no scouting, and keeps what is
+malformed or too large for a mailbox from everybody. Routers with seats join each other over TLS or QUIC
+alone: the side that connects is told no user, knows by the certificate whom it joined, and would
+otherwise forward nothing. What the settings are for is in section 3.6 of docs/spec/overlay.md.
 """
 
 import base64
@@ -29,18 +17,7 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from rossec.errors import ConfigurationError
-from rossec.overlay.documents import (
-    MAX_LOCATORS,
-    OPEN_SEAT,
-    Routers,
-    check_locator,
-    check_password,
-    check_seat,
-    is_encrypted,
-    is_texts,
-    read_document,
-    write_document,
-)
+from rossec.overlay import documents
 from rossec.overlay.link_frames import MAX_FRAME
 
 MAX_SEATS_FILE: Final = 256 * 1024
@@ -57,30 +34,53 @@ _FORWARD: Final = ("forward", "forward-declared")
 
 Entry = dict[str, Any]
 
+LEASE_MS: Final = 2000
+_WAIT_US: Final = 50_000
+_DROP: Final = "transport/link/tx/queue/congestion_control/drop/"
+
+COMMON: Final[dict[str, object]] = {
+    "listen/endpoints": [],
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "adminspace/enabled": False,
+    "timestamping/enabled": False,
+    "transport/shared_memory/enabled": False,
+    "transport/link/tx/lease": LEASE_MS,
+    "transport/unicast/open_timeout": 1000,
+    "transport/unicast/accept_timeout": 1000,
+    f"{_DROP}wait_before_drop": _WAIT_US,
+    f"{_DROP}max_wait_before_drop_fragments": _WAIT_US,
+    "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2},
+}
+"""Of routers and of relays."""
+
+LISTEN: Final = ("tls/[::]:7447",)
+MAX_SETTINGS_FILE: Final = 16 * 1024
+MAX_HOSTS: Final = 16
+_MESSAGE: Final = MAX_FRAME + 4096  # bytes, with Zenoh's own around a frame
+_SIZE_LIMIT: Final = {"flows": ["ingress"], "messages": ["put"], "key_exprs": ["**"], "size_limit": MAX_FRAME}
+_ROUTER_SETTINGS_FORM: Final = "rossec-router"
+_ROUTER_SETTINGS_HINT: Final = "remove the file, and start the router with --listen, --join and --host again"
+_LOCAL: Final = ("localhost", "127.0.0.1", "::1")
+
 
 @dataclass(frozen=True)
 class Seats:
-    """The seats with their passwords.
-
-    Attributes:
-        router: the password by which the operator's routers join each other.
-        passwords: of each seat, by its name.
-    """
+    """The passwords of the seats, by name, and that by which the operator's routers join each other."""
 
     router: str = field(repr=False)
     passwords: Mapping[str, str] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
-        # Raise `ConfigurationError` unless all of it is in form.
-        check_password(self.router)
+        documents.check_password(self.router)
         if len(self.passwords) > MAX_SEATS:
             raise ConfigurationError(f"at most {MAX_SEATS} seats", "remove what nobody uses")
         for seat, password in self.passwords.items():
-            if check_seat(seat) == OPEN_SEAT:
+            if documents.check_seat(seat) == documents.OPEN_SEAT:
                 raise ConfigurationError(
-                    f"{OPEN_SEAT} is the seat at a router without seats", "give it another name"
+                    f"{documents.OPEN_SEAT} is the seat at a router without seats", "give it another name"
                 )
-            check_password(password)
+            documents.check_password(password)
 
     @property
     def region(self) -> str:
@@ -92,7 +92,9 @@ class Seats:
 
     @classmethod
     def read(cls, data: bytes) -> Self:
-        found = read_document(data, _FORM, frozenset({"router", "seats"}), limit=MAX_SEATS_FILE, hint=_HINT)
+        found = documents.read_document(
+            data, _FORM, frozenset({"router", "seats"}), limit=MAX_SEATS_FILE, hint=_HINT
+        )
         match found:
             case {"router": str() as router, "seats": dict() as seats} if all(
                 isinstance(each, str) for each in seats.values()
@@ -101,7 +103,7 @@ class Seats:
         raise ConfigurationError(f"the {_FORM} file has a value of another type", _HINT)
 
     def write(self) -> bytes:
-        return write_document(_FORM, {"router": self.router, "seats": dict(self.passwords)})
+        return documents.write_document(_FORM, {"router": self.router, "seats": dict(self.passwords)})
 
     def add(self, seat: str, password: str) -> Self:
         if seat in self.passwords:
@@ -131,17 +133,27 @@ class Seats:
             {"id": _ACCEPTED, "usernames": [ROUTER_USER]},
             {"id": _JOINED, "cert_common_names": [ROUTER_NAME]},
         ]
-        own = [rule for seat in self.names for rule in _own_rules(seat)]
+        rules = [_rule(_SEND, "ingress", "put", EVERY_MAILBOX)]
+        subjects: list[Entry] = []
+        policies: list[Entry] = []
+        for seat in self.names:
+            # What only this seat may: declare that it reads a mailbox of its own, and get what is there.
+            # Nothing allows that a declaration goes out to it: it would name a mailbox of another seat, or
+            # tell by a pattern whether there is one that begins so, and with that all digits of it in turn.
+            rules.append(_rule(f"read-{seat}", "ingress", "declare_subscriber", _mailboxes(seat)))
+            rules.append(_rule(f"get-{seat}", "egress", "put", _mailboxes(seat)))
+            subjects.append({"id": f"seat-{seat}", "usernames": [seat]})
+            policies.append(_policy(f"seat-{seat}", _SEND, f"read-{seat}", f"get-{seat}"))
         return _access_control(
-            [_rule(_SEND, "ingress", "put", EVERY_MAILBOX), *own, *_forwarding(EVERY_MAILBOX)],
-            [*({"id": _subject(seat), "usernames": [seat]} for seat in self.names), *routers],
-            [*map(_seat_policy, self.names), _policy(_ACCEPTED, *_FORWARD), _policy(_JOINED, *_FORWARD)],
+            [*rules, *_forwarding(EVERY_MAILBOX)],
+            [*subjects, *routers],
+            [*policies, _policy(_ACCEPTED, *_FORWARD), _policy(_JOINED, *_FORWARD)],
         )
 
 
 def open_access_control() -> Entry:
     return _access_control(
-        _forwarding(_mailboxes(OPEN_SEAT)), [{"id": "everybody"}], [_policy("everybody", *_FORWARD)]
+        _forwarding(_mailboxes(documents.OPEN_SEAT)), [{"id": "everybody"}], [_policy("everybody", *_FORWARD)]
     )
 
 
@@ -155,20 +167,6 @@ def _access_control(rules: list[Entry], subjects: list[Entry], policies: list[En
     }
 
 
-def _own_rules(seat: str) -> list[Entry]:
-    # What only this seat may: declare that it reads a mailbox of its own, and get what is there.
-    # Nothing allows that a declaration goes out to it: it would name a mailbox of another seat, or tell by a
-    # pattern whether there is one that begins so, and with that all digits of it in turn.
-    return [
-        _rule(f"read-{seat}", "ingress", "declare_subscriber", _mailboxes(seat)),
-        _rule(f"get-{seat}", "egress", "put", _mailboxes(seat)),
-    ]
-
-
-def _seat_policy(seat: str) -> Entry:
-    return _policy(_subject(seat), _SEND, f"read-{seat}", f"get-{seat}")
-
-
 def _forwarding(keys: str) -> list[Entry]:
     put, declare = _FORWARD
     return [_rule(put, "both", "put", keys), _rule(declare, "both", "declare_subscriber", keys)]
@@ -176,10 +174,6 @@ def _forwarding(keys: str) -> list[Entry]:
 
 def _mailboxes(seat: str) -> str:
     return f"rossec/1/{seat}/*"
-
-
-def _subject(seat: str) -> str:
-    return f"seat-{seat}"
 
 
 def _rule(name: str, flow: str, message: str, keys: str) -> Entry:
@@ -191,28 +185,7 @@ def _policy(subject: str, *rules: str) -> Entry:
     return {"rules": list(rules), "subjects": [subject]}
 
 
-LEASE_MS: Final = 2000
-_WAIT_US: Final = 50_000
-_DROP: Final = "transport/link/tx/queue/congestion_control/drop/"
-
-COMMON: Final[dict[str, object]] = {
-    "listen/endpoints": [],
-    "scouting/multicast/enabled": False,
-    "scouting/gossip/enabled": False,
-    "adminspace/enabled": False,
-    "timestamping/enabled": False,
-    "transport/shared_memory/enabled": False,
-    "transport/link/tx/lease": LEASE_MS,
-    "transport/unicast/open_timeout": 1000,
-    "transport/unicast/accept_timeout": 1000,
-    f"{_DROP}wait_before_drop": _WAIT_US,
-    f"{_DROP}max_wait_before_drop_fragments": _WAIT_US,
-    "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2},
-}
-"""Of routers and of relays."""
-
-
-def client_settings(routers: Routers) -> dict[str, object]:
+def client_settings(routers: documents.Routers) -> dict[str, object]:
     """Of a relay's session: with one of the routers, another one when that fails.
 
     It listens nowhere: no port of a site is open for it.
@@ -234,68 +207,50 @@ def client_settings(routers: Routers) -> dict[str, object]:
     return settings
 
 
-LISTEN: Final = ("tls/[::]:7447",)
-MAX_SETTINGS_FILE: Final = 16 * 1024
-MAX_HOSTS: Final = 16
-_MESSAGE: Final = MAX_FRAME + 4096  # bytes, with Zenoh's own around a frame
-_SIZE_LIMIT: Final = {"flows": ["ingress"], "messages": ["put"], "key_exprs": ["**"], "size_limit": MAX_FRAME}
-_ROUTER_SETTINGS_FORM: Final = "rossec-router"
-_ROUTER_SETTINGS_HINT: Final = "remove the file, and start the router with --listen, --join and --host again"
-_LOCAL: Final = ("localhost", "127.0.0.1", "::1")
-
-
 @dataclass(frozen=True)
 class RouterSettings:
-    """One router.
+    """What one router was told; kept in its directory, for the seat files that name it."""
 
-    Attributes:
-        hosts: names and addresses by which relays reach it.
-        listen: where it listens, `tls/[::]:7447`.
-        join: locators of other routers of the operator.
-    """
-
-    hosts: tuple[str, ...] = ()
+    hosts: tuple[str, ...] = ()  # names and addresses by which relays reach it
     listen: tuple[str, ...] = LISTEN
-    join: tuple[str, ...] = ()
+    join: tuple[str, ...] = ()  # locators of other routers of the operator
 
     def __post_init__(self) -> None:
-        """Raise `ConfigurationError` unless all of it is in form."""
-        if not self.listen or max(map(len, (self.listen, self.join))) > MAX_LOCATORS:
+        if not self.listen or max(map(len, (self.listen, self.join))) > documents.MAX_LOCATORS:
             raise ConfigurationError(
-                f"a router listens at 1 to {MAX_LOCATORS} addresses, and joins as many at most"
+                f"a router listens at 1 to {documents.MAX_LOCATORS} addresses, and joins as many at most"
             )
         if len(self.hosts) > MAX_HOSTS:
             raise ConfigurationError(f"a router has at most {MAX_HOSTS} names and addresses")
         for locator in (*self.listen, *self.join):
-            check_locator(locator)
+            documents.check_locator(locator)
         for host in self.hosts:
-            check_locator(_locator("tls", host, 1))
+            documents.check_locator(_locator("tls", host, 1))
         for locator in self.join:
-            if is_wildcard(check_locator(locator)[1]):
+            if is_wildcard(documents.check_locator(locator)[1]):
                 raise ConfigurationError(
                     f"{locator} is no router to join", "give the address of another router"
                 )
 
     @classmethod
     def read(cls, data: bytes) -> Self:
-        """The content of the file."""
         keys = frozenset(each.name for each in fields(cls))
-        found = read_document(
+        found = documents.read_document(
             data, _ROUTER_SETTINGS_FORM, keys, limit=MAX_SETTINGS_FILE, hint=_ROUTER_SETTINGS_HINT
         )
-        if not all(map(is_texts, found.values())):
+        if not all(map(documents.is_texts, found.values())):
             raise ConfigurationError(
                 f"the {_ROUTER_SETTINGS_FORM} file has a value of another type", _ROUTER_SETTINGS_HINT
             )
         return cls(**{name: tuple(value) for name, value in found.items()})
 
     def write(self) -> bytes:
-        return write_document(_ROUTER_SETTINGS_FORM, asdict(self))
+        return documents.write_document(_ROUTER_SETTINGS_FORM, asdict(self))
 
     @property
     def certified(self) -> tuple[str, ...]:
         """What the router's certificate is for: its hosts, where it listens, and this host."""
-        addresses = (check_locator(each)[1] for each in self.listen)
+        addresses = (documents.check_locator(each)[1] for each in self.listen)
         named = (each for each in addresses if not is_wildcard(each))
         return tuple(dict.fromkeys((*self.hosts, *named, *_LOCAL)))
 
@@ -308,17 +263,18 @@ class RouterSettings:
                 "it is not known by which name relays reach this router",
                 "say it once: --host router.example.org, or an address",
             )
-        return tuple(dict.fromkeys((*own, *self.join)))[:MAX_LOCATORS]
+        return tuple(dict.fromkeys((*own, *self.join)))[: documents.MAX_LOCATORS]
 
     @property
     def own_locators(self) -> tuple[str, ...]:
-        return tuple(locator for each in self.listen for locator in self._reached(each))
-
-    def _reached(self, listened: str) -> list[str]:
-        protocol, host, port = check_locator(listened)
-        if not is_wildcard(host):
-            return [listened]
-        return [_locator(protocol, each, port) for each in self.hosts]
+        found: list[str] = []
+        for each in self.listen:
+            protocol, host, port = documents.check_locator(each)
+            if is_wildcard(host):
+                found += [_locator(protocol, known, port) for known in self.hosts]
+            else:
+                found.append(each)
+        return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -341,14 +297,30 @@ def zenoh_settings(settings: RouterSettings, seats: Seats | None, files: RouterF
         "connect/exit_on_failure": False,
         "transport/link/rx/max_message_size": _MESSAGE,
         "low_pass_filter": [_SIZE_LIMIT],
-        **_tls(settings, files),
     }
+    if any(map(documents.is_encrypted, (*settings.listen, *settings.join))):
+        found |= {
+            "transport/link/tls/root_ca_certificate": str(files.root_certificate),
+            "transport/link/tls/listen_private_key": str(files.key),
+            "transport/link/tls/listen_certificate": str(files.certificate),
+            "transport/link/tls/verify_name_on_connect": True,
+        }
     if seats is None:
         return {**found, "access_control": open_access_control()}
-    _check_joined(settings)
+    plain = [each for each in settings.join if not documents.is_encrypted(each)]
+    if plain:
+        raise ConfigurationError(
+            f"a router with seats does not join {plain[0]}: nothing says who answers there",
+            "join it by tls/ or quic/",
+        )
+    # Customers and what they connect as routers are below; their routes are not the routers' own.
+    # Else one who connects as a router to two of them, and claims that the way is short, would be sent what
+    # they have for each other, which the access control then drops.
+    below = [{"modes": ["client", "peer"]}], [{"region_names": [seats.region], "negated": True}]
     return {
         **found,
-        **_regions(seats.region),
+        "region_name": seats.region,
+        "gateway": {"south": [{"filters": filters} for filters in below]},
         "access_control": seats.access_control(),
         "transport/auth/usrpwd/user": ROUTER_USER,
         "transport/auth/usrpwd/password": seats.router,
@@ -374,35 +346,6 @@ def is_wildcard(host: str) -> bool:
         return ipaddress.ip_address(host).is_unspecified
     except ValueError:
         return False
-
-
-def _tls(settings: RouterSettings, files: RouterFiles) -> dict[str, object]:
-    if not any(map(is_encrypted, (*settings.listen, *settings.join))):
-        return {}
-    return {
-        "transport/link/tls/root_ca_certificate": str(files.root_certificate),
-        "transport/link/tls/listen_private_key": str(files.key),
-        "transport/link/tls/listen_certificate": str(files.certificate),
-        "transport/link/tls/verify_name_on_connect": True,
-    }
-
-
-def _regions(own: str) -> dict[str, object]:
-    # Customers and what they connect as routers are below; their routes are not the routers' own.
-    # Else one who connects as a router to two of them, and claims that the way is short, would be sent what
-    # they have for each other, which the access control then drops.
-    below = [{"modes": ["client", "peer"]}], [{"region_names": [own], "negated": True}]
-    south = [{"filters": filters} for filters in below]
-    return {"region_name": own, "gateway": {"south": south}}
-
-
-def _check_joined(settings: RouterSettings) -> None:
-    plain = [each for each in settings.join if not is_encrypted(each)]
-    if plain:
-        raise ConfigurationError(
-            f"a router with seats does not join {plain[0]}: nothing says who answers there",
-            "join it by tls/ or quic/",
-        )
 
 
 def _locator(protocol: str, host: str, port: int) -> str:

@@ -1,13 +1,8 @@
-"""TLS of routers: the authority of one operator's routers, and their certificates. Pure.
+"""TLS of one operator's routers: their authority, their certificates, and what they share. Pure.
 
-It is trusted by sites for routers alone, and by nothing else (no browser, no system store): so it
-has no name constraints, and may certify whatever host the operator moves a router to. It issues to
-no other authority (pathlen 0), for TLS servers alone. P-256: what every TLS library knows.
-
-What the routers of one operator share: the TLS authority with its key, the seats. Pure.
-
-It is a file that one router writes and another takes over. All of it is secret; with it one is the
-operator.
+The authority is trusted by sites for routers alone, and by nothing else (no browser, no system store):
+so it has no name constraints, and may certify whatever host the operator moves a router to. It issues
+to no other authority (pathlen 0), for TLS servers alone. P-256: what every TLS library knows.
 """
 
 from dataclasses import dataclass, field
@@ -36,9 +31,13 @@ LIFETIME: Final = 20 * 365 * DAY  # every seat file has it: a new authority mean
 LEAF_LIFETIME: Final = 365 * DAY
 BACKDATE: Final = 3600  # seconds; clocks of hosts differ
 _ROOT: Final = "rossec routers"
-_LEAF: Final = ROUTER_NAME
 _SERVER: Final = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH])
 _DAMAGED: Final = "put back a copy of the directory, or remove it and give out new seats"
+
+MAX_SHARE_FILE: Final = 2 * router_settings.MAX_SEATS_FILE
+_FORM: Final = "rossec-routers"
+_KEYS: Final = frozenset({"authority_key", "authority", "seats", "join"})
+_HINT: Final = "write it again, at the other router: rossec router share"
 
 
 @dataclass(frozen=True)
@@ -82,7 +81,7 @@ class RouterAuthority:
         if not int(self.certificate.not_valid_before_utc.timestamp()) <= now < end:
             raise ConfigurationError("the routers' authority is not valid now", "check the clock")
         builder = (
-            _builder(key, _LEAF, serial, now - BACKDATE, min(now + LEAF_LIFETIME, end))
+            _builder(key, ROUTER_NAME, serial, now - BACKDATE, min(now + LEAF_LIFETIME, end))
             .issuer_name(self.certificate.subject)
             .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
             .add_extension(_usage(authority=False), critical=True)
@@ -164,28 +163,15 @@ def _usage(*, authority: bool) -> x509.KeyUsage:
     )
 
 
-MAX_SHARE_FILE: Final = 2 * router_settings.MAX_SEATS_FILE
-_FORM: Final = "rossec-routers"
-_KEYS: Final = frozenset({"authority_key", "authority", "seats", "join"})
-_HINT: Final = "write it again, at the other router: rossec router share"
-
-
 @dataclass(frozen=True)
 class Share:
-    """What a further router needs.
-
-    Attributes:
-        authority: certifies the routers.
-        seats: with their passwords.
-        join: where the router listens that wrote it, and those that it joins itself.
-    """
+    """What a further router needs. All of the file is secret; with it one is the operator."""
 
     authority: RouterAuthority = field(repr=False)
     seats: Seats
-    join: tuple[str, ...]
+    join: tuple[str, ...]  # where the router listens that wrote it, and those that it joins itself
 
     def write(self) -> bytes:
-        """The file."""
         return write_document(
             _FORM,
             {
@@ -198,7 +184,6 @@ class Share:
 
     @classmethod
     def read(cls, data: bytes) -> Self:
-        """The content of the file."""
         found = read_document(data, _FORM, _KEYS, limit=MAX_SHARE_FILE, hint=_HINT)
         match found:
             case {

@@ -1,15 +1,9 @@
 """The streams of one link at work: a `Mux` on a secure stream, a `Pump` for each connection.
 
-What arrives for a stream is written to its connection at once, and never waited for: a connection
-that lags gets no credit, and the others go on. While the link itself lags, connections are not
-read; afterwards each is read once, in the order in which they had to wait. What is malformed ends
-the link, and with it every connection it carried.
-
-One TCP connection of this site and its stream of a link: bytes both ways, ends as ends.
-
-No queue: the socket is read when the stream has credit and the link has room, straight into the
-buffer from which the unit is sealed. Bytes for a program that lags wait here, no more of them than
-the credit given. An end is passed on as an end, a broken connection as a broken one.
+What arrives for a stream is written to its connection at once, and never waited for: a connection that
+lags gets no credit, and the others go on. While the link itself lags, connections are not read;
+afterwards each is read once, in the order in which they had to wait. What is malformed ends the link,
+and with it every connection it carried.
 """
 
 import asyncio
@@ -24,22 +18,7 @@ from rossec.channel.records import Bytes
 from rossec.errors import ChannelError, LinkCrowded, StreamRefused
 from rossec.host.runner import TaskSet
 from rossec.net.aio.transport import Transport
-from rossec.overlay.mux import (
-    FOR_ONE_NAME,
-    HEADROOM,
-    MAX_DATA,
-    STREAMS,
-    YOUNG,
-    Credit,
-    Data,
-    End,
-    Mux,
-    Opened,
-    Refused,
-    Reset,
-    Role,
-    StreamTarget,
-)
+from rossec.overlay import mux
 from rossec.participant import delivery
 
 _KEEPALIVE: Final = (
@@ -49,24 +28,33 @@ _KEEPALIVE: Final = (
 )
 Found = TypeVar("Found")
 
+CONNECT_SECONDS: Final = 10.0  # to find and reach a target; also how long a connection waits for room
+MOST_WAITING: Final = 256  # connections that wait for room
+MOST_UNSENT: Final = 8 * 1024 * 1024  # twice a link's window: the peer reads nothing, but asks
+_CROWDED: Final = "it has too many streams"
+_FEWER: Final = (
+    f"a link carries {mux.STREAMS} connections, {mux.FOR_ONE_NAME} to one name and {mux.YOUNG} new ones at a "
+    "time: nodes try again, or let one subscribe from there and publish for the others"
+)
+_log = logging.getLogger("rossec.overlay")
+
 
 class StreamEnd(Protocol):
-    def buffer_for(self, stream: int) -> memoryview | None:
-        # Where to read bytes for the stream; None: not now, `Pump.resume` says when.
-        ...
-
+    def buffer_for(self, stream: int) -> memoryview | None: ...  # None: `Pump.resume` says when
     def send(self, stream: int, count: int) -> None: ...
-
-    def took(self, stream: int, count: int) -> None:
-        # The program took so many received bytes.
-        ...
-
+    def took(self, stream: int, count: int) -> None: ...  # so many received bytes, by the program
     def end(self, stream: int) -> bool: ...
-
     def reset(self, stream: int) -> None: ...
 
 
 class Pump:
+    """One TCP connection of this site and its stream of a link: bytes both ways, ends as ends.
+
+    No queue: the socket is read when the stream has credit and the link has room, straight into the
+    buffer from which the unit is sealed. Bytes for a program that lags wait here, no more of them than
+    the credit given. A broken connection is passed on as a broken one.
+    """
+
     def __init__(self, stream: int, end: StreamEnd) -> None:
         self._stream = stream
         self._end = end
@@ -91,7 +79,7 @@ class Pump:
         self._transport = Transport(sock, self)
         early, self._early = self._early, bytearray()
         if early:
-            self._write(early)
+            self._write(early, self._transport)
         if self._early_end:
             self._transport.write_eof()
         self._transport.resume_reading()
@@ -112,13 +100,11 @@ class Pump:
             self._early += payload
             self._changed.set()
         else:
-            self._write(payload)
+            self._write(payload, self._transport)
 
-    def _write(self, payload: Bytes) -> None:
-        transport = self._transport
-        if transport is not None:
-            transport.write(payload)
-            self._account(transport)
+    def _write(self, payload: Bytes, transport: Transport) -> None:
+        transport.write(payload)
+        self._account(transport)
 
     def _account(self, transport: Transport) -> None:
         taken = self._held - transport.backlog
@@ -140,7 +126,6 @@ class Pump:
             self._transport.read_now()
 
     def break_off(self) -> None:
-        # The stream is broken off: so is the connection.
         if self._transport is None:
             self.connection_lost()
         else:
@@ -173,42 +158,23 @@ class Pump:
         self._changed.set()
 
 
-CONNECT_SECONDS: Final = 10.0  # to find and reach a target; also how long a connection waits for room
-MOST_WAITING: Final = 256  # connections that wait for room
-MOST_UNSENT: Final = 8 * 1024 * 1024  # twice a link's window: the peer reads nothing, but asks
-_CROWDED: Final = "it has too many streams"
-_FEWER: Final = (
-    f"a link carries {STREAMS} connections, {FOR_ONE_NAME} to one name and {YOUNG} new ones at a "
-    "time: nodes try again, or let one subscribe from there and publish for the others"
-)
-_log = logging.getLogger("rossec.overlay")
-
-Dial: TypeAlias = Callable[[StreamTarget, Pump], Awaitable[socket.socket]]
+Dial: TypeAlias = Callable[[mux.StreamTarget, Pump], Awaitable[socket.socket]]
 """Connects to a target. Raises a `HintedError` or an `OSError`."""
 
 
 class LinkStream(Protocol):
     @property
-    def backlog(self) -> int:
-        # Bytes that were written and not sent.
-        ...
-
+    def backlog(self) -> int: ...
     def on_ready(
         self, callback: Callable[[], None] | None, take: Callable[[bytes], bool] | None = None
     ) -> None: ...
-
     def next_unit(self) -> bytes | None: ...
-
     def write_nowait(self, data: Bytes) -> bool: ...
-
-    async def drain(self) -> None:
-        # Wait until the link does not lag.
-        ...
-
+    async def drain(self) -> None: ...
     def abort(self, reason: str) -> None: ...
 
 
-async def refuse_streams(target: StreamTarget, _pump: Pump) -> socket.socket:
+async def refuse_streams(target: mux.StreamTarget, _pump: Pump) -> socket.socket:
     raise StreamRefused(f"a stream to {target} where none is opened")
 
 
@@ -217,17 +183,15 @@ class Streams:
 
     Args:
         link: authenticated; this is its only user.
-        role: whether this side made the link.
         peer: the label of the relay at the other end, for the log.
         dial: connects the called side to targets.
-        clock: monotonic, in seconds.
         round_trip: of the link when it is idle, in seconds; 0 if that is not known.
     """
 
     def __init__(
         self,
         link: LinkStream,
-        role: Role,
+        role: mux.Role,
         peer: str,
         dial: Dial = refuse_streams,
         clock: Callable[[], float] = time.monotonic,
@@ -239,9 +203,9 @@ class Streams:
         self._dial = dial
         self._clock = clock
         self._round_trip = round_trip
-        self._mux = Mux(role)
+        self._mux = mux.Mux(role)
         self._pumps: dict[int, Pump] = {}
-        self._buffer = memoryview(bytearray(HEADROOM + MAX_DATA))
+        self._buffer = memoryview(bytearray(mux.HEADROOM + mux.MAX_DATA))
         self._waiting: dict[int, None] = {}  # read when the link has room, in this order
         self._draining = False
         self._openers: set[asyncio.Future[None]] = set()
@@ -271,7 +235,7 @@ class Streams:
 
     # -- the caller's side
 
-    async def carry(self, target: StreamTarget, sock: socket.socket) -> None:
+    async def carry(self, target: mux.StreamTarget, sock: socket.socket) -> None:
         try:
             async with asyncio.timeout(CONNECT_SECONDS):
                 await self._room_for(target)
@@ -291,7 +255,7 @@ class Streams:
         finally:
             pump.break_off()
 
-    async def _room_for(self, target: StreamTarget) -> None:
+    async def _room_for(self, target: mux.StreamTarget) -> None:
         if len(self._openers) >= MOST_WAITING:
             raise LinkCrowded(f"too many connections wait for {self._peer}", _FEWER)
         while not self._over.done() and self._mux.crowded(target, self._clock()):
@@ -311,7 +275,7 @@ class Streams:
 
     # -- the called side
 
-    async def _connect(self, number: int, pump: Pump, target: StreamTarget) -> None:
+    async def _connect(self, number: int, pump: Pump, target: mux.StreamTarget) -> None:
         try:
             async with asyncio.timeout(CONNECT_SECONDS):
                 sock = await self._dial(target, pump)
@@ -346,28 +310,23 @@ class Streams:
             self._wake_openers()
         return True
 
-    def _handle(self, event: Opened | Refused | Data | Credit | End | Reset) -> None:
+    def _handle(self, event: mux.Opened | mux.Refused | mux.Data | mux.Credit | mux.End | mux.Reset) -> None:
         match event:
-            case Opened(number, target):
+            case mux.Opened(number, target):
                 self._tasks.spawn(self._connect(number, self._add(number), target), str(target))
-            case Refused(_, target, reply):
+            case mux.Refused(_, target, reply):
                 delivery.warn(_log, delivery.REFUSED, str(target), self._peer, _CROWDED)
                 self._write(reply)
-            case _:
-                pump = self._pumps.get(event.stream)
-                if pump is not None:
-                    self._tell(pump, event)
-
-    def _tell(self, pump: Pump, event: Data | Credit | End | Reset) -> None:
-        match event:
-            case Data(_, payload):
+            case mux.Data(stream, payload) if pump := self._pumps.get(stream):
                 pump.arrived(payload)
-            case Credit():
+            case mux.Credit(stream) if pump := self._pumps.get(stream):
                 pump.resume()
-            case End(stream):
+            case mux.End(stream) if pump := self._pumps.get(stream):
                 pump.ended(over=stream not in self._mux)
-            case Reset():
+            case mux.Reset(stream) if pump := self._pumps.get(stream):
                 pump.break_off()
+            case _:  # its connection is over
+                pass
 
     def _add(self, number: int) -> Pump:
         self.idle_since = None
@@ -380,15 +339,15 @@ class Streams:
         if self._draining:
             self._waiting[stream] = None
             return None
-        room = min(self._mux.credit(stream), MAX_DATA)
-        return self._buffer[HEADROOM : HEADROOM + room] if room else None
+        room = min(self._mux.credit(stream), mux.MAX_DATA)
+        return self._buffer[mux.HEADROOM : mux.HEADROOM + room] if room else None
 
     def send(self, stream: int, count: int) -> None:
-        # As of `StreamEnd`; the head is written in front of the payload, which is not copied.
+        # The head is written in front of the payload, which is not copied.
         head = self._mux.data(stream, count)
-        begin = HEADROOM - len(head)
-        self._buffer[begin:HEADROOM] = head
-        self._write(self._buffer[begin : HEADROOM + count])
+        begin = mux.HEADROOM - len(head)
+        self._buffer[begin : mux.HEADROOM] = head
+        self._write(self._buffer[begin : mux.HEADROOM + count])
 
     def took(self, stream: int, count: int) -> None:
         self._write(self._mux.took(stream, count, self._clock(), self._round_trip()))

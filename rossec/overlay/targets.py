@@ -1,17 +1,10 @@
 """The called side of a stream: to which address it leads, and a connection to there.
 
-A relay connects to nothing but what its own master says is registered there and, for a foreign
-peer, exported to it; an address is never the peer's. A target on this host is dialled from an
-address that says by whom: through a relay nobody is near (`rossec.host.addresses`). The first
-bytes show whether the caller speaks rossec, without which nothing is connected, and which of a
-node's two ports is meant. A program that is no node is not connected either (`topic_ports`).
-
-Where nodes of the own domain are: the relay calls at each place, and checks who answers.
-
-An address that a node registered may be anybody's. So a relay brings callers to it only after a
-handshake of its own, and to the numeric address where that was: a name may be resolved to another
-one the next time. A node there has the name that is registered; at a service's address it is some
-node of the domain, as callers check which one. Whom it admits is that node's decision.
+A relay connects to nothing but what its own master says is registered there and, for a foreign peer,
+exported to it; an address is never the peer's. A target on this host is dialled from an address that
+says by whom: through a relay nobody is near (`rossec.host.addresses`). The first bytes show whether
+the caller speaks rossec, without which nothing is connected, and which of a node's two ports is meant.
+A program that is no node is not connected either: `TopicPorts` finds out.
 """
 
 import asyncio
@@ -26,10 +19,9 @@ from ca.certificates import Identity
 from ca.names import shown
 from rossec import clock
 from rossec.channel.opening import Accepted, classify_caller
-from rossec.channel.opening import WireProtocol as opening_WireProtocol
 from rossec.errors import RelayRefused
 from rossec.host.addresses import is_near, source_for
-from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
+from rossec.net.aio import SecureContext, WireProtocol, connect
 from rossec.net.aio.client import dial
 from rossec.net.rpc.calls import RpcClient
 from rossec.overlay.mux import MASTER, NODE, SERVICE, StreamTarget
@@ -40,8 +32,17 @@ from rossec.ros.xmlrpc import Fault
 KEPT_SECONDS: Final = 30.0
 MOST: Final = 4096
 _SERVICE: Final = ""  # as a node's name: of whichever node it is
-Place: TypeAlias = tuple[str, int]
-"""Numeric address and port."""
+Place: TypeAlias = tuple[str, int]  # numeric address and port
+
+CONNECT_SECONDS: Final = 5.0
+HTTP: Final = WireProtocol.HTTP
+TCPROS: Final = WireProtocol.TCPROS
+_PROTOCOLS: Final = {MASTER: (HTTP,), NODE: (HTTP, TCPROS), SERVICE: (TCPROS,)}
+_LOOPBACK: Final = "127.0.0.1"
+_EVERY: Final = "0.0.0.0"  # noqa: S104 - dialled from `source` it would mean that
+
+Resolve: TypeAlias = Callable[[str, str, str], Awaitable[Place]]
+"""What the own master answers for a domain's label, a kind and a name. Raises a `HintedError`."""
 
 
 @dataclass(slots=True)
@@ -52,10 +53,12 @@ class _Known:
 
 
 class TopicPorts:
-    """Asks as the relay `name`; each answer is kept for `KEPT_SECONDS`.
+    """Where nodes of the own domain are: the relay `name` calls at each place, and checks who answers.
 
-    Args:
-        check_peer: as `Access.check_peer`.
+    An address that a node registered may be anybody's. So a relay brings callers to it only after a
+    handshake of its own, and to the numeric address where that was: a name may be resolved to another
+    one the next time. A node there has the name that is registered; at a service's address it is some
+    node of the domain, as callers check which one. Whom it admits is that node's decision.
     """
 
     def __init__(
@@ -104,7 +107,10 @@ class TopicPorts:
     async def _ask(self, name: str, host: str, port: int) -> Place:
         stream = await connect(host, port, self._context, WireProtocol.HTTP)
         try:
-            self._check(stream, name)
+            peer = stream.peer
+            if peer.is_foreign or not peer.covers(name):
+                raise RelayRefused(f"{shown(peer.name)} answers at the address that {shown(name)} registered")
+            self._check_peer(peer, clock.now())
             answer = await RpcClient(stream).ask(PORTS, self._name)
         except Fault as fault:
             raise RelayRefused(
@@ -118,47 +124,17 @@ class TopicPorts:
             case _:
                 raise RelayRefused(f"{shown(name)} does not say where its topics are")
 
-    def _check(self, stream: SecureStream[Identity], name: str) -> None:
-        peer = stream.peer
-        if peer.is_foreign or not peer.covers(name):
-            raise RelayRefused(f"{shown(peer.name)} answers at the address that {shown(name)} registered")
-        self._check_peer(peer, clock.now())
-
-
-CONNECT_SECONDS: Final = 5.0
-HTTP: Final = opening_WireProtocol.HTTP
-TCPROS: Final = opening_WireProtocol.TCPROS
-_PROTOCOLS: Final = {MASTER: (HTTP,), NODE: (HTTP, TCPROS), SERVICE: (TCPROS,)}
-_LOOPBACK: Final = "127.0.0.1"
-_EVERY: Final = "0.0.0.0"  # noqa: S104 - dialled from `source` it would mean that
-
 
 class Peer(NamedTuple):
-    """The relay at the other end of a link.
+    """The relay at the other end of a link."""
 
-    Attributes:
-        label: what it is called here.
-        domain: the label of its foreign domain; empty: the own one.
-        name: its name here, `/remote/hospital/relay` or `/relay/ward`.
-    """
-
-    label: str
-    domain: str
-    name: str
-
-
-Resolve: TypeAlias = Callable[[str, str, str], Awaitable[tuple[str, int]]]
-"""Host and port for a domain's label, a kind and a name: what the own master answers.
-
-Raises a `HintedError` where the master refuses, or cannot be asked.
-"""
+    domain: str  # the label of its foreign domain; empty: the own one
+    name: str  # its name here, `/remote/hospital/relay` or `/relay/ward`
 
 
 class NodePorts(Protocol):
-    async def of(self, name: str, host: str, port: int) -> tuple[str, int]: ...
-
-    async def provider(self, host: str, port: int) -> tuple[str, int]: ...
-
+    async def of(self, name: str, host: str, port: int) -> Place: ...
+    async def provider(self, host: str, port: int) -> Place: ...
     def forget(self, name: str, host: str, port: int) -> None: ...
 
 
@@ -175,25 +151,20 @@ class Targets:
         if protocol not in _PROTOCOLS[target.kind]:
             raise RelayRefused(f"a caller of the {target.kind} {target.name} in {protocol.value}")
         host, port = await self._resolve(peer.domain, target.kind, target.name)
-        place = await self._place(target, protocol, host, port)
+        place = host, port  # of a master: it says where it is itself
+        if target.kind == SERVICE:
+            place = await self._node_ports.provider(host, port)
+        elif target.kind == NODE:
+            address, topics = await self._node_ports.of(target.name, host, port)
+            place = address, topics if protocol is TCPROS else port
         try:
             return await dial_from(source_for(peer.name), *place)
         except OSError:
             self._node_ports.forget(target.name, host, port)
             raise
 
-    async def _place(
-        self, target: StreamTarget, protocol: opening_WireProtocol, host: str, port: int
-    ) -> tuple[str, int]:
-        if target.kind == MASTER:  # it says where it is itself
-            return host, port
-        if target.kind == SERVICE:
-            return await self._node_ports.provider(host, port)
-        address, topics = await self._node_ports.of(target.name, host, port)
-        return address, topics if protocol is TCPROS else port
 
-
-def _protocol(first: bytes) -> opening_WireProtocol | None:
+def _protocol(first: bytes) -> WireProtocol | None:
     # The protocol in which a caller of rossec opens the connection; None: not clear yet.
     match classify_caller(first):
         case None:
@@ -209,26 +180,23 @@ async def dial_from(source: str, host: str, port: int) -> socket.socket:
     found = await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     here = [address for *_, (address, *_) in found if _is_here(str(address))]
     if here:
-        return await _dial_here(source, str(here[0]), port)
+        address = str(here[0])
+        sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        try:
+            sock.setblocking(False)
+            sock.bind((source, 0))
+            where = _LOOPBACK if ":" in address or address == _EVERY else address
+            await loop.sock_connect(sock, (where, port))
+        except BaseException:
+            sock.close()
+            raise
+        return sock
     sock = await dial(host, port, CONNECT_SECONDS)
     try:
         # Refuse a connection to this host that is not from an address that says by whom.
         near, far = str(sock.getsockname()[0]), str(sock.getpeername()[0])
         if is_near(far, near):
             raise RelayRefused(f"the target at {far} is this host after all")
-    except BaseException:
-        sock.close()
-        raise
-    return sock
-
-
-async def _dial_here(source: str, address: str, port: int) -> socket.socket:
-    sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    try:
-        sock.setblocking(False)
-        sock.bind((source, 0))
-        where = (_LOOPBACK if ":" in address or address == _EVERY else address, port)
-        await asyncio.get_running_loop().sock_connect(sock, where)
     except BaseException:
         sock.close()
         raise

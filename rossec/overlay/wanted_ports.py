@@ -18,16 +18,11 @@ _MAX_MASTERS: Final = 64
 
 
 class Orders(NamedTuple):
-    """What an answer asks for.
-
-    Args:
-        open, close: targets whose doors are to be opened, and are wanted no longer.
-        masters: names and URIs of other masters of the own domain, to be polled too.
-    """
+    """What an answer asks for."""
 
     open: tuple[Target, ...]
     close: tuple[Target, ...]
-    masters: Mapping[str, str]
+    masters: Mapping[str, str]  # names and URIs of others of the own domain, to be polled too
 
 
 class WantedDoors:
@@ -74,7 +69,11 @@ class WantedDoors:
         self._old.difference_update(new)
         if not new and not gone:
             gone, self._old = [*self._old], set()
-        closed = tuple(self._closed(gone))
+        for target in gone:
+            self._untold.pop(target, None)
+            self._failed.pop(target, None)
+            self._old.discard(target)
+        closed = tuple(target for target in gone if self._held.pop(target, None) is not None)
         return Orders(tuple(dict.fromkeys((*new, *self._failed))), closed, others)
 
     def opened(self, target: Target, door: Door) -> None:
@@ -91,13 +90,6 @@ class WantedDoors:
         for target in found:
             self._untold.pop(target, None)
         return found
-
-    def _closed(self, gone: Iterable[Target]) -> list[Target]:
-        for target in gone:
-            self._untold.pop(target, None)
-            self._failed.pop(target, None)
-            self._old.discard(target)
-        return [target for target in gone if self._held.pop(target, None) is not None]
 
 
 def _target(value: object) -> Target:

@@ -3,13 +3,6 @@
 Whoever puts is not told whether anybody received: a link acknowledges by itself. Zenoh calls back
 in its own threads; here everything that arrived meanwhile wakes the loop once. What waits is
 bounded for each subscription, since anybody with a seat may put to a mailbox that it knows.
-
-Messages on their way to the session: at once, unless that would stop the loop.
-
-A put takes microseconds, until the uplink is full: then Zenoh waits 50 ms for room before it drops
-the message, and everything else in the process would wait too. From the first put that was slow, a
-thread puts, until it has nothing left and was quick for a second. What finds no room in its queue
-is dropped, as Zenoh would.
 """
 
 import asyncio
@@ -35,8 +28,23 @@ SLOW: Final = 0.02  # seconds
 CALM: Final = 1.0
 MOST_WAITING: Final = 4 * 1024 * 1024  # bytes, as one link may have on the way
 
+_log = logging.getLogger("rossec.overlay.carrier")
+_MOST_WAITING: Final = 16 * 1024 * 1024  # bytes for one subscription; a link sends at most 4 MiB
+_OVERHEAD: Final = 256  # bytes that a message costs beside its own
+_REOPEN_AFTER: Final = 1.0  # seconds between attempts
+_TURN_BYTES: Final = 1024 * 1024  # delivered, then other work of the loop has its turn
+_TURN_OVERHEAD: Final = 16 * 1024  # bytes that are opened in the time a message costs
+
 
 class SendQueue:
+    """Messages on their way to the session: at once, unless that would stop the loop.
+
+    A put takes microseconds, until the uplink is full: then Zenoh waits 50 ms for room before it drops
+    the message, and everything else in the process would wait too. From the first put that was slow, a
+    thread puts, until it has nothing left and was quick for a second. What finds no room in its queue
+    is dropped, as Zenoh would.
+    """
+
     def __init__(self, send: Callable[[str, bytes], None]) -> None:
         self._send = send
         self._thread: ThreadPoolExecutor | None = None
@@ -75,14 +83,6 @@ class SendQueue:
             self._thread.shutdown(wait=False, cancel_futures=True)
 
 
-_log = logging.getLogger("rossec.overlay.carrier")
-_MOST_WAITING: Final = 16 * 1024 * 1024  # bytes for one subscription; a link sends at most 4 MiB
-_OVERHEAD: Final = 256  # bytes that a message costs beside its own
-_REOPEN_AFTER: Final = 1.0  # seconds between attempts
-_TURN_BYTES: Final = 1024 * 1024  # delivered, then other work of the loop has its turn
-_TURN_OVERHEAD: Final = 16 * 1024  # bytes that are opened in the time a message costs
-
-
 def open_session(settings: Mapping[str, object]) -> "zenoh.Session":
     try:
         import zenoh  # noqa: PLC0415 - as above
@@ -100,20 +100,15 @@ def open_session(settings: Mapping[str, object]) -> "zenoh.Session":
 
 
 class Subscription:
-    __slots__ = ("_callback", "_carrier", "key", "subscriber", "waiting")
-
     def __init__(self, carrier: "Carrier", key: str, callback: Callable[[bytes], None]) -> None:
         self._carrier = carrier
         self._callback: Callable[[bytes], None] | None = callback
         self.key = key
-        self.waiting = 0
-        """Bytes that arrived and were not delivered; written by the carrier, under its lock."""
-        self.subscriber: zenoh.Subscriber[None] | None = None
-        """What the present session has of it."""
+        self.waiting = 0  # bytes, not delivered yet; written by the carrier, under its lock
+        self.subscriber: zenoh.Subscriber[None] | None = None  # what the present session has of it
 
     def deliver(self, data: bytes) -> None:
-        # Hand over one message, unless the subscription was closed meanwhile.
-        if self._callback is None:
+        if self._callback is None:  # closed meanwhile
             return
         try:
             self._callback(data)
@@ -143,8 +138,7 @@ class Carrier:
         self._woken = False
         self._reopening: asyncio.Task[None] | None = None
         self.closed = False
-        self.heard_at = self._loop.time()
-        """When a message arrived last, whichever it was, or a session was opened."""
+        self.heard_at = self._loop.time()  # when a message arrived last, or a session was opened
 
     @classmethod
     async def open(cls, routers: Routers) -> Self:
@@ -162,12 +156,7 @@ class Carrier:
     # -- sending
 
     def put(self, key: str, data: bytes) -> None:
-        """Send a message to this mailbox; nobody says whether it arrives.
-
-        Args:
-            key: of one mailbox: `rossec.overlay.link_frames.is_mailbox`.
-            data: at most `rossec.overlay.link_frames.MAX_FRAME` octets.
-        """
+        """Send at most `MAX_FRAME` octets to this mailbox; nobody says whether they arrive."""
         self._queue.put(key, data)
 
     def _put(self, key: str, data: bytes) -> None:
@@ -191,7 +180,6 @@ class Carrier:
             raise OverlayUnavailable("the session with the routers is closed") from error
 
     def forget(self, subscription: Subscription) -> None:
-        """As of `Subscription.close`."""
         self._subscriptions.discard(subscription)
         subscriber, subscription.subscriber = subscription.subscriber, None
         if subscriber is not None:
@@ -217,10 +205,6 @@ class Carrier:
 
     def _deliver(self) -> None:
         self.heard_at = self._loop.time()
-        for subscription, data in self._take():
-            subscription.deliver(data)
-
-    def _take(self) -> list[tuple[Subscription, bytes]]:
         taken: list[tuple[Subscription, bytes]] = []
         size = 0
         with self._lock:
@@ -232,7 +216,8 @@ class Carrier:
             self._woken = bool(self._arrived)
         if self._woken:
             self._loop.call_soon(self._deliver)
-        return taken
+        for subscription, data in taken:
+            subscription.deliver(data)
 
     # -- the session
 
@@ -272,7 +257,6 @@ class Carrier:
                 await asyncio.sleep(_REOPEN_AFTER)
 
     async def close(self) -> None:
-        """Close the session and every subscription."""
         self.closed = True
         if self._reopening is not None:
             self._reopening.cancel()

@@ -54,7 +54,10 @@ def main() -> int:
 async def _run(options: dict[str, Any]) -> int:
     limits = raise_limit()
     before = await discover_master(child.outer_environment(os.environ), options["identity"])
-    callers = _callers(options)
+    users, ancestor = options["users"] or {os.getuid()}, None
+    if options["command"]:
+        users, ancestor = {os.getuid()}, os.getpid()
+    callers = Callers(users, ancestor, loopback_port.find_loopback())
     sidecar = Sidecar(
         own_home(before),
         names.read((), before, default_name="/sidecar"),
@@ -66,35 +69,23 @@ async def _run(options: dict[str, Any]) -> int:
         master_name=own_master(before),
     )
     sidecar.start()
-    warn_of_own_address(names.own_address(before), before, _warn_of_address)
+    warn_of_own_address(
+        names.own_address(before), before, lambda error: _log.warning("%s (%s)", error, error.hint)
+    )
     try:
         if options["command"]:
             child.adopt_orphans()
             environ = child.program_environment(os.environ, before, sidecar.uri, callers.loopback)
             return await child.run(options["command"], environ, limits)
-        return await _serve(sidecar)
+        stop = asyncio.Event()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            asyncio.get_running_loop().add_signal_handler(number, stop.set)
+        sys.stdout.write(f"sidecar at {sidecar.uri}\n")
+        sys.stdout.flush()
+        await stop.wait()
+        return 0
     finally:
         await sidecar.close()
-
-
-def _warn_of_address(error: HintedError) -> None:
-    _log.warning("%s (%s)", error, error.hint)
-
-
-def _callers(options: dict[str, Any]) -> Callers:
-    if options["command"]:
-        return Callers({os.getuid()}, os.getpid(), loopback_port.find_loopback())
-    return Callers(options["users"] or {os.getuid()}, None, loopback_port.find_loopback())
-
-
-async def _serve(sidecar: Sidecar) -> int:
-    stop = asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        asyncio.get_running_loop().add_signal_handler(number, stop.set)
-    sys.stdout.write(f"sidecar at {sidecar.uri}\n")
-    sys.stdout.flush()
-    await stop.wait()
-    return 0
 
 
 def _fail(error: HintedError, code: int) -> int:

@@ -4,19 +4,6 @@ The kernel's socket table gives the user at the other end. A private sidecar als
 program it was started for, or a descendant of it, owns the socket: another program of the same
 user is refused. Not kept out: root, and a program of the same user that attaches to one of these
 (ptrace) or reads the identity's files.
-
-The processes of this host in /proc: their parents and their sockets.
-
-A PID alone does not identify a process: PIDs are reused. A process is identified by PID and start
-time, and starts no earlier than its parent: a chain of parents that violates this contains a PID
-that was reused while the chain was read.
-
-Whether a descendant of a process holds a socket: found by a search, verified by its descriptor.
-
-A search reads the descriptors of every descendant, which grows with programs and connections. So
-callers that wait during a search share the next one; descriptors seen before are read last; and a
-search yields to the loop every few milliseconds. A cached location is not trusted: each time it is
-read again that the process, the same before and after, is a descendant and has the socket.
 """
 
 import asyncio
@@ -36,9 +23,19 @@ PROC: Final = Path("/proc")
 _MAX_STAT: Final = 4096  # usually some 300 bytes
 _PARENT, _STARTED = 1, 19  # proc_pid_stat(5), counted from after the program's name
 
+TIME_SLICE: Final = 0.002  # seconds
+REMEMBERED: Final = 4096  # sockets
+
+_ALL: Final = 1  # the process that all others descend from
+_HINT: Final = "start it with `rossec run`; a program with capabilities needs `rossec sidecar`"
+
 
 class Process(NamedTuple):
-    """One process; `started` is in clock ticks since boot."""
+    """One process; `started` is in clock ticks since boot.
+
+    A PID alone does not identify it: PIDs are reused. It starts no earlier than its parent: a chain of
+    parents that violates this contains a PID that was reused while the chain was read.
+    """
 
     pid: int
     started: int
@@ -97,24 +94,19 @@ def _status(pid: int) -> tuple[int, int] | None:
 
 
 def descriptors(pid: int) -> list[str]:
-    """The names of its open descriptors; empty if it has ended or is not accessible."""
     try:
         return os.listdir(f"{PROC}/{pid}/fd")  # noqa: PTH208 - as above
-    except OSError:
+    except OSError:  # it has ended or is not accessible
         return []
 
 
 def socket_at(pid: int, descriptor: str) -> int | None:
-    """The inode of the socket at a descriptor of a process; None: not a socket."""
+    # The inode of the socket at a descriptor of a process; None: not a socket.
     try:
         target = os.readlink(f"{PROC}/{pid}/fd/{descriptor}")  # noqa: PTH115 - takes a str
     except OSError:
         return None
     return int(target[8:-1]) if target.startswith("socket:[") else None
-
-
-TIME_SLICE: Final = 0.002  # seconds
-REMEMBERED: Final = 4096  # sockets
 
 
 class _SocketLocation(NamedTuple):
@@ -123,6 +115,14 @@ class _SocketLocation(NamedTuple):
 
 
 class SocketOwners:
+    """Whether a descendant of a process holds a socket: found by a search, verified by its descriptor.
+
+    A search reads the descriptors of every descendant, which grows with programs and connections. So
+    callers that wait during a search share the next one; descriptors seen before are read last; and a
+    search yields to the loop every few milliseconds. A cached location is not trusted: each time it is
+    read again that the process, the same before and after, is a descendant and has the socket.
+    """
+
     def __init__(self, ancestor: int) -> None:
         self._ancestor = ancestor
         self._locations: dict[int, _SocketLocation] = {}  # by socket inode; the oldest first
@@ -194,18 +194,8 @@ class SocketOwners:
             yield socket_at(location.process.pid, location.descriptor), location
 
 
-_ALL: Final = 1  # the process that all others descend from
-_HINT: Final = "start it with `rossec run`; a program with capabilities needs `rossec sidecar`"
-
-
 class Callers:
-    """The allowed programs.
-
-    Args:
-        users: the allowed user ids.
-        ancestor: the process whose descendants are allowed; None: any process of these users.
-        loopback: the address of sidecar and programs.
-    """
+    """The allowed programs: of these users, and descendants of `ancestor` if there is one."""
 
     def __init__(
         self, users: Collection[int], ancestor: int | None = None, loopback: Loopback = LOOPBACK

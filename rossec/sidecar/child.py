@@ -1,15 +1,10 @@
-"""The program a private sidecar was started for: its environment, its signals, its end.
+"""The program a private sidecar was started for: its environment, its signals, its end. A shell.
 
-A shell. The program gets the loopback master in its environment, nothing else: no secret is there
-or on its command line. It inherits the descriptors passed to us, as with `<(...)` of a shell. Its
-orphans become our children (subreaper), so that they remain its descendants. Signals of other
-processes are forwarded; signals of the kernel (Ctrl-C) the terminal has sent to the program as
-well. Only signalfd(2) tells the two apart.
-
-The limit of open descriptors: raised for this process, restored for its program.
-
-Every connection of a program needs two here. The usual soft limit of 1024 is for programs that use
-select(2), which this process does not. The program may, so it gets the original limit.
+The program gets the loopback master in its environment, nothing else: no secret is there or on its
+command line. It inherits the descriptors passed to us, as with `<(...)` of a shell, and its own limit of
+them. Its orphans become our children (subreaper), so that they remain its descendants. Signals of other
+processes are forwarded; signals of the kernel (Ctrl-C) the terminal has sent to the program as well.
+Only signalfd(2) tells the two apart.
 """
 
 import asyncio
@@ -28,14 +23,42 @@ from ca.errors import HintedError
 from rossec.errors import ConfigurationError
 from rossec.sidecar.core.layers import LOOPBACK, Loopback
 
-Limits: TypeAlias = tuple[int, int]
-"""The soft and the hard limit."""
-
+Limits: TypeAlias = tuple[int, int]  # the soft and the hard one
 ENOUGH: Final = 1 << 16
 _WHICH: Final = resource.RLIMIT_NOFILE
 
+OUTSIDE: Final = "ROSSEC_OUTSIDE"  # in it a nested `rossec run` finds what the outer one replaced
+_REPLACED: Final = ("ROS_MASTER_URI", "ROS_IP", "ROS_HOSTNAME", "ROS_IPV6")
+_FORWARDED: Final = (
+    signal.SIGINT,
+    signal.SIGTERM,
+    signal.SIGHUP,
+    signal.SIGQUIT,
+    signal.SIGUSR1,
+    signal.SIGUSR2,
+    signal.SIGCONT,
+)
+_PACKAGES: Final = {  # of Debian, for a tool that is not installed
+    "rosrun": "rosbash",
+    "roscd": "rosbash",
+    "rosed": "rosbash",
+    "rviz": "rviz",
+    **{
+        tool: f"python3-{tool}"
+        for tool in ("rosbag", "roslaunch", "rosmsg", "rosnode", "rosparam", "rosservice", "rostopic")
+    },
+}
+_NOT_FOUND, _NOT_EXECUTABLE, _SIGNALLED = 127, 126, 128
+_SUBREAPER: Final = 36  # PR_SET_CHILD_SUBREAPER
+_DEATH_SIGNAL: Final = 1  # PR_SET_PDEATHSIG
+LIBC: Final = ctypes.CDLL(None, use_errno=True)
+_SIGNAL: Final = struct.Struct("=Iii116x")  # signalfd_siginfo: number, errno, code; 128 bytes
+_BY_KERNEL: Final = 0x80  # SI_KERNEL
+
 
 def raise_limit() -> Limits:
+    # Every connection of a program needs two descriptors here. The usual soft limit of 1024 is for programs
+    # that use select(2), which this process does not. The program may, so it gets the original limit.
     before = resource.getrlimit(_WHICH)
     soft, hard = before
     wanted = ENOUGH if hard == resource.RLIM_INFINITY else min(hard, ENOUGH)
@@ -47,38 +70,6 @@ def raise_limit() -> Limits:
 
 def restore_limit(before: Limits) -> None:
     resource.setrlimit(_WHICH, before)
-
-
-OUTSIDE: Final = "ROSSEC_OUTSIDE"
-"""The variable in which a nested `rossec run` finds what the outer one replaced."""
-
-_REPLACED: Final = ("ROS_MASTER_URI", "ROS_IP", "ROS_HOSTNAME", "ROS_IPV6")
-_FORWARDED: Final = (
-    signal.SIGINT,
-    signal.SIGTERM,
-    signal.SIGHUP,
-    signal.SIGQUIT,
-    signal.SIGUSR1,
-    signal.SIGUSR2,
-    signal.SIGCONT,
-)
-_PACKAGES: Final = {
-    "rosrun": "rosbash",
-    "roscd": "rosbash",
-    "rosed": "rosbash",
-    "rviz": "rviz",
-    **{
-        tool: f"python3-{tool}"
-        for tool in ("rosbag", "roslaunch", "rosmsg", "rosnode", "rosparam", "rosservice", "rostopic")
-    },
-}
-"""Which of Debian's packages has a tool that is not installed."""
-_NOT_FOUND, _NOT_EXECUTABLE, _SIGNALLED = 127, 126, 128
-_SUBREAPER: Final = 36  # PR_SET_CHILD_SUBREAPER
-_DEATH_SIGNAL: Final = 1  # PR_SET_PDEATHSIG
-LIBC: Final = ctypes.CDLL(None, use_errno=True)
-_SIGNAL: Final = struct.Struct("=Iii116x")  # signalfd_siginfo: number, errno, code; 128 bytes
-_BY_KERNEL: Final = 0x80  # SI_KERNEL
 
 
 def outer_environment(environ: Mapping[str, str]) -> dict[str, str]:
@@ -158,10 +149,9 @@ def _blocked_signals() -> Iterator[tuple[set[int | signal.Signals], int]]:
         LIBC.sigemptyset(wanted)
         for number in _FORWARDED:
             LIBC.sigaddset(wanted, number)
-        descriptor: int = LIBC.signalfd(-1, wanted, os.O_CLOEXEC | os.O_NONBLOCK)
-        if descriptor < 0:
+        signals: int = LIBC.signalfd(-1, wanted, os.O_CLOEXEC | os.O_NONBLOCK)
+        if signals < 0:
             raise OSError(ctypes.get_errno(), "signalfd")
-        signals = descriptor
         try:
             yield mask, signals
         finally:

@@ -1,14 +1,7 @@
-"""Loopback ports for peers: programs call a peer's slave API, subscribe to topics, call services.
+"""Loopback ports for peers: programs call a peer's slave API, subscribe to topics, call services. A shell.
 
-A shell. Each connection runs one layer after another; an error closes that connection on both
-sides.
-
-Faults that a program may not print: rosnode says "killed" whatever a node answers.
-
-A program asks for much at its start. What no rule gives it is collected for a second and logged as
-one line, which says what rule is missing; the same is not logged again within an hour. What a
-client library asks for by itself is no warning: the program works without it (`grants.request`).
-Of a peer that is out of reach the program sees a closed connection, and tries again in silence.
+Each connection runs one layer after another; an error closes that connection on both sides. Faults that
+a program may not print are logged here: rosnode says "killed" whatever a node answers.
 """
 
 import asyncio
@@ -55,13 +48,11 @@ SAID_FOR: Final = 3600.0
 _REMEMBERED: Final = 1024
 _LINE: Final = 2000  # characters
 
+HEADER_DEADLINE: Final = 15.0  # includes the handshake with the peer
+
 
 class Said(Generic[T]):
-    """What was said within the last hour. Pure.
-
-    Args:
-        now: seconds, of a clock that only goes forward.
-    """
+    """What was said within the last hour."""
 
     def __init__(self, now: Callable[[], float]) -> None:
         self._now = now
@@ -79,10 +70,11 @@ class Said(Generic[T]):
 
 
 class MissingRights:
-    """What the programs of one identity asked for and no grant gives. Pure.
+    """What the programs of one identity asked for and no grant gives.
 
-    Args:
-        now: seconds, of a clock that only goes forward.
+    A program asks for much at its start. What no rule gives it is collected for a second and logged as
+    one line, which says what rule is missing; the same is not logged again within an hour. What a client
+    library asks for by itself is no warning: the program works without it (`grants.request`).
     """
 
     def __init__(self, now: Callable[[], float]) -> None:
@@ -90,9 +82,7 @@ class MissingRights:
         self._new: list[MissingRight] = []
 
     def add(self, missing: MissingRight) -> bool:
-        if is_dispensable(missing.right, missing.own):
-            return False
-        if not self._said.add(missing):
+        if is_dispensable(missing.right, missing.own) or not self._said.add(missing):
             return False
         self._new.append(missing)
         return True
@@ -115,8 +105,7 @@ class RefusalLog:
         self._timer: asyncio.TimerHandle | None = None
 
     def log(self, refuser: str, method: str, answer: object, params: Sequence[object] = ()) -> None:
-        # Warn of an answer in which rossec refuses a call, or that does not reach the program.
-        # Of any other: nothing. `params`: of the call.
+        # Of an answer in which rossec refuses a call, or that does not reach the program.
         match answer:
             case [code, str(status), *_] if code != 1 and status.startswith(_PREFIX):
                 missing = missing_right(status)
@@ -131,8 +120,7 @@ class RefusalLog:
                 pass
 
     def log_own(self, node: str, method: str, answer: object) -> None:
-        # Warn of an answer that the sidecar itself gives a program, unless that was said before.
-        # What the master refused went through `log`.
+        # Of an answer that the sidecar itself gives; what the master refused went through `log`.
         match answer:
             case [-1, str(status), *_] if status.startswith(_PREFIX):
                 if missing_right(status) is None:
@@ -149,6 +137,7 @@ class RefusalLog:
             _log.warning("%s refuses %s: %s", refuser, method, printable(reason, _LINE))
 
     def unreachable(self, peer: str, error: PeerUnreachable) -> None:
+        # The program sees a closed connection, and tries again in silence.
         if isinstance(error.__cause__, ConnectionRefusedError) or not self._paths.add(peer):
             return
         _log.warning("%s is out of reach: %s (%s)", printable(peer), printable(str(error)), _WHERE)
@@ -161,16 +150,10 @@ class RefusalLog:
             _log.warning("%s", printable(line, _LINE))
 
 
-HEADER_DEADLINE: Final = 15.0  # includes the handshake with the peer
-
-
 class Egress:
     """The loopback ports of one identity.
 
-    Args:
-        services: the services of its agent.
-        filter_key: finds a key for pseudonyms by its name.
-        on_topic_ended: called with the topic and the start (monotonic) of a connection that ended.
+    `on_topic_ended` is called with the topic and the start (monotonic) of a connection that ended.
     """
 
     def __init__(
@@ -263,7 +246,9 @@ class Egress:
                 return
             if executor.stream is not None:
                 began = time.monotonic()
-                self._follow(executor.stream, remote, fields)
+                api = self._agent.endpoints.api_of(remote)
+                if api is not None and "topic" in fields:
+                    self._followed.add(executor.stream, text(fields, "topic"), api)
                 await self._forward(admitted, program, executor.stream, after_request, executor.after_header)
                 self._topic_ended(fields, began)
         except (RossecError, TimeoutError) as error:
@@ -273,11 +258,6 @@ class Egress:
             if executor.stream is not None:
                 self._followed.discard(executor.stream)
             await executor.close()
-
-    def _follow(self, stream: SecureStream[Identity], remote: Endpoint, fields: Mapping[str, bytes]) -> None:
-        api = self._agent.endpoints.api_of(remote)
-        if api is not None and "topic" in fields:
-            self._followed.add(stream, text(fields, "topic"), api)
 
     async def leave_publishers(self) -> None:
         while True:

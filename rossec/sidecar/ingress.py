@@ -1,13 +1,9 @@
-"""Network ports for programs: peers call a slave API, subscribe to topics, call services.
+"""Network ports for programs: peers call a slave API, subscribe to topics, call services. A shell.
 
-A shell. Each connection runs one layer after another; an error closes that connection on both
-sides. A refused peer is told why its own grants do not suffice, and no more. A network port leads
-to the socket that listened when it was opened, not to whoever has the number of its port later:
-the master would have another program shut down in the place of one that has ended.
-
-The secure channel of one identity: connects to peers and listens for them.
-
-A shell. A peer is checked before anything is sent to it.
+Each connection runs one layer after another; an error closes that connection on both sides. A refused
+peer is told why its own grants do not suffice, and no more. A network port leads to the socket that
+listened when it was opened, not to whoever has the number of its port later: the master would have
+another program shut down in the place of one that has ended.
 """
 
 import asyncio
@@ -51,8 +47,16 @@ ACCEPT_LIMITS: Final = {
     WireProtocol.TCPROS: ChannelLimits(unit=MESSAGE_LIMIT + BODY_LIMIT, preauth_limit=PREAUTH_LIMIT),
 }
 
+HEADER_DEADLINE: Final = 15.0  # includes the handshake with the program
+_ENDED: Final = 64  # ports of ended programs that are kept bound: `rosnode cleanup` tries them
+
+_log = logging.getLogger("rossec.sidecar")
+PushHandler = Callable[[str, tuple[object, ...], Identity], None]
+
 
 class PeerConnector:
+    """Connects one identity to peers, each checked before anything is sent to it, and listens for them."""
+
     def __init__(self, context: SecureContext[Identity], access: Access) -> None:
         self._context = context
         self._access = access
@@ -77,21 +81,8 @@ class PeerConnector:
         return bind_free_port(lambda port: serve(handler, bind, port, self._context, protocol))
 
 
-HEADER_DEADLINE: Final = 15.0  # includes the handshake with the program
-_ENDED: Final = 64  # ports of ended programs that are kept bound: `rosnode cleanup` tries them
-
-_log = logging.getLogger("rossec.sidecar")
-PushHandler = Callable[[str, tuple[object, ...], Identity], None]
-
-
 class Ingress:
-    """The network ports of one identity.
-
-    Args:
-        services: the services of its agent.
-        filter_key: finds a key for pseudonyms by its name.
-        on_push: takes a signed update from the master.
-    """
+    """The network ports of one identity; `on_push` takes a signed update from the master."""
 
     def __init__(
         self,
@@ -181,7 +172,10 @@ class Ingress:
             try:
                 match method, params:
                     case update, (_, *rest) if update in SIGNED_UPDATES:
-                        return self._take_push(peer, update, (*rest,))
+                        if not self._agent.access.is_master(peer):
+                            raise CallRefused(f"{update} is for the master alone")
+                        self._on_push(update, (*rest,), peer)
+                        return [1, "", 0]
                     case names.PRESENT_GRANTS, (_, bytes() as grants):
                         presented[:] = [grants]
                     case _:
@@ -201,12 +195,6 @@ class Ingress:
             await serve_peer(stream, dispatch, self._agent.access)
         finally:
             await executor.close()
-
-    def _take_push(self, peer: Identity, method: str, params: tuple[object, ...]) -> object:
-        if not self._agent.access.is_master(peer):
-            raise CallRefused(f"{method} is for the master alone")
-        self._on_push(method, params, peer)
-        return [1, "", 0]
 
     # --- TCPROS
 

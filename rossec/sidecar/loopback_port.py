@@ -1,21 +1,9 @@
-"""A loopback port that keeps its number: open to allowed programs, or suspended.
+"""A loopback port that keeps its number: open to allowed programs, or suspended; its streams; pools of ports.
 
 A suspended port is bound but does not listen: the kernel refuses callers as for a dead node, and no
 other process gets the port (`rosnode ping` and `cleanup` rely on both). The address is 127.0.0.1 if
 there is one. Stock ROS cannot parse [::1] in a URI, so ::1 is used by a host name that resolves to
 it alone.
-
-A plain TCP connection with a program of this host: bytes as they come, with back-pressure.
-
-It has the methods of `SecureStream`, so that both kinds can be served and forwarded alike. Its
-buffer is small until a program fills it: fifty idle nodes must not cost fifty large buffers.
-
-A bounded pool with one port for each endpoint, or what else names where a port leads.
-
-An endpoint requested again gets the same port. When the pool is full, the least recently requested
-port without connections that may be evicted is closed. On the network that is only the port of a
-dead program: peers keep the address of a live one for any time. On loopback it is any port:
-programs look the port up before they connect.
 """
 
 import asyncio
@@ -24,7 +12,6 @@ import logging
 import socket
 from collections.abc import Awaitable, Callable, Hashable, Iterator
 from contextlib import suppress
-from functools import partial
 from typing import Final, Generic, Protocol, TypeVar
 
 from rossec.channel.records import Bytes
@@ -38,19 +25,40 @@ _LARGE: Final = 512 * 1024  # two records of the channel: what a peer reads at a
 _LINGER: Final = 2.0
 _CLOSED: Final = "the program closed the connection"
 
+_BACKLOG: Final = 64
+_ATTEMPTS: Final = 16
+CONNECTIONS: Final = 256  # at a time and port; a program has one or two
+_IPV6: Final = "::1"
+_NAMES: Final = ("localhost", "ip6-localhost")  # those of Debian's /etc/hosts
+_WITHOUT_IPV4: Final = (
+    "this host has no 127.0.0.1: programs get the host name %s and ROS_IPV6=on; roscpp does not"
+    " start without 127.0.0.1 (ip address add 127.0.0.1/8 dev lo)"
+)
+PAUSE: Final = 1.0  # seconds, when this process is out of descriptors
+
+_log = logging.getLogger("rossec.sidecar")
+
+Bound = TypeVar("Bound")
+
+LIMIT: Final = 512  # each way; a process has 1024 descriptors by default
+
+KeyT = TypeVar("KeyT", bound=Hashable)
+
+_HINT: Final = "give some of the nodes an identity of their own"
+
 
 class PlainStream(BaseStream):
-    """One connection; `peer` is a constant: a program has no identity of its own.
+    """A plain TCP connection with a program of this host: bytes as they come, with back-pressure.
 
-    Attributes:
-        socket: by which the kernel says whose the other end is.
+    It has the methods of `SecureStream`, so that both kinds can be served and forwarded alike. Its
+    buffer is small until a program fills it: fifty idle nodes must not cost fifty large buffers.
     """
 
     peer = "a program of this host"
 
     def __init__(self, sock: socket.socket) -> None:
         super().__init__()
-        self.socket: Final = sock
+        self.socket: Final = sock  # by which the kernel says whose the other end is
         self._buffer = memoryview(bytearray(_SMALL))
         self.transport = Transport(sock, self)
         self.transport.resume_reading()
@@ -104,31 +112,15 @@ class PlainStream(BaseStream):
         self.transport.abort()
 
 
-_BACKLOG: Final = 64
-_ATTEMPTS: Final = 16
-CONNECTIONS: Final = 256  # at a time and port; a program has one or two
-_IPV6: Final = "::1"
-_NAMES: Final = ("localhost", "ip6-localhost")  # those of Debian's /etc/hosts
-_WITHOUT_IPV4: Final = (
-    "this host has no 127.0.0.1: programs get the host name %s and ROS_IPV6=on; roscpp does not"
-    " start without 127.0.0.1 (ip address add 127.0.0.1/8 dev lo)"
-)
-PAUSE: Final = 1.0  # seconds, when this process is out of descriptors
-
-_log = logging.getLogger("rossec.sidecar")
 Handler = Callable[[PlainStream], Awaitable[None]]
-Bound = TypeVar("Bound")
 
 
 class Admission(Protocol):
     """Where a port is, and who may connect: `Callers`, for programs of this host."""
 
     @property
-    def loopback(self) -> Loopback:
-        """The address of the port."""
-
-    async def check(self, sock: socket.socket) -> None:
-        """Return if the program at the other end may connect."""
+    def loopback(self) -> Loopback: ...
+    async def check(self, sock: socket.socket) -> None: ...
 
 
 class LocalPort:
@@ -151,7 +143,6 @@ class LocalPort:
         return len(self._tasks)
 
     def open(self) -> None:
-        """Listen."""
         if not self._is_open:
             self._is_open = True
             # Open connections may still use the port; a suspended port must not be bound by others.
@@ -215,15 +206,14 @@ class LocalPort:
 
 class LoopbackPort(LocalPort):
     def __init__(self, callers: Admission, handler: Handler, port: int = 0) -> None:
-        super().__init__(callers, partial(_attend_stream, handler), port)
+        async def attend(sock: socket.socket) -> None:
+            stream = PlainStream(sock)
+            try:
+                await handler(stream)
+            finally:
+                stream.abort()
 
-
-async def _attend_stream(handler: Handler, sock: socket.socket) -> None:
-    stream = PlainStream(sock)
-    try:
-        await handler(stream)
-    finally:
-        stream.abort()
+        super().__init__(callers, attend, port)
 
 
 def find_loopback() -> Loopback:
@@ -301,26 +291,21 @@ def free_port() -> int:
         return found
 
 
-LIMIT: Final = 512  # each way; a process has 1024 descriptors by default
-
-
 class PooledPort(Protocol):
     @property
     def connections(self) -> int: ...
 
 
-KeyT = TypeVar("KeyT", bound=Hashable)
 PortT = TypeVar("PortT", bound=PooledPort)
-_HINT: Final = "give some of the nodes an identity of their own"
 
 
 class PortPool(Generic[KeyT, PortT]):
-    """Ports of one kind.
+    """A bounded pool with one port for each endpoint, or what else names where a port leads.
 
-    Args:
-        on_evict: called with the endpoint and its evicted port.
-        may_evict: whether the idle port for this endpoint may be evicted.
-        hint: what to do when the pool is full of ports in use.
+    An endpoint requested again gets the same port. When the pool is full, the least recently requested
+    port without connections that `may_evict` names is closed. On the network that is only the port of a
+    dead program: peers keep the address of a live one for any time. On loopback it is any port: programs
+    look the port up before they connect.
     """
 
     def __init__(
@@ -345,7 +330,14 @@ class PortPool(Generic[KeyT, PortT]):
         port = self._ports.pop(endpoint, None)
         if port is None:
             if len(self._ports) >= self._limit:
-                self._evict()
+                for each, idle in self._ports.items():
+                    if idle.connections == 0 and self._may_evict(each):
+                        del self._ports[each]
+                        self._on_evict(each, idle)
+                        break
+                else:
+                    why = f"more than {self._limit} addresses in use in one process"
+                    raise ConfigurationError(why, self._hint)
             port = open_port()
         self._ports[endpoint] = port
         return port
@@ -355,14 +347,6 @@ class PortPool(Generic[KeyT, PortT]):
 
     def remove(self, endpoint: KeyT) -> PortT | None:
         return self._ports.pop(endpoint, None)
-
-    def _evict(self) -> None:
-        for endpoint, port in self._ports.items():
-            if port.connections == 0 and self._may_evict(endpoint):
-                del self._ports[endpoint]
-                self._on_evict(endpoint, port)
-                return
-        raise ConfigurationError(f"more than {self._limit} addresses in use in one process", self._hint)
 
     def __iter__(self) -> Iterator[PortT]:
         return iter(tuple(self._ports.values()))

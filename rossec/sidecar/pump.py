@@ -1,15 +1,8 @@
-"""Forwards bytes between a program and a peer, after the TCPROS handshake.
+"""Forwards bytes between a program and a peer, after the TCPROS handshake. A shell.
 
-A shell. Unrestricted bytes are forwarded without inspection; restricted messages pass the guard one
-by one. An end that lags slows the other end down, or misses messages if the guard keeps state. When
-one end closes, the other is closed after it got what was sent; on any error, also of a guard, both
-are aborted.
-
-Forwards a program's messages to a subscribing peer that has wishes.
-
-A shell. The guard comes first, as without wishes: if it keeps state, or only the newest message is
-wished, messages are checked as they come, and a peer that lags misses some; else it slows the
-program down. What the program sent before it closed is delivered.
+Unrestricted bytes are forwarded without inspection; restricted messages pass the guard one by one. An
+end that lags slows the other end down, or misses messages if the guard keeps state. When one end
+closes, the other is closed after it got what was sent; on any error, also of a guard, both are aborted.
 """
 
 import asyncio
@@ -40,6 +33,8 @@ from rossec.sidecar.loopback_port import PlainStream
 _LENGTH: Final = struct.Struct("<I")
 _log = logging.getLogger("rossec.sidecar")
 Buffer = bytes | bytearray | memoryview
+
+_LAGGING: Final = 64 * 1024  # bytes that wait, above which a peer lags
 
 
 async def split_header(end: PlainStream | SecureStream[Identity]) -> tuple[Fields, bytes]:
@@ -85,7 +80,10 @@ async def subscribe(
     max_length: int = MESSAGE_LIMIT,
 ) -> None:
     """Forward a peer's messages to a subscribing program; a guard takes none above `max_length`."""
-    direction = incoming(peer, program, guard, initial, max_length)
+    if guard is None:
+        direction = to_program(peer, program, initial)
+    else:
+        direction = send_filtered(peer, program, guard, initial, max_length)
     await run_both(program, peer, direction, expect_no_data(program))
 
 
@@ -109,18 +107,6 @@ def outgoing(
     if isinstance(guard, SharedGuard):
         return send_filtered_nowait(program, peer, guard, initial)
     return send_filtered(program, peer, guard, initial)
-
-
-def incoming(
-    peer: SecureStream[Identity],
-    program: PlainStream,
-    guard: MessageGuard | None,
-    initial: bytes,
-    max_length: int = MESSAGE_LIMIT,
-) -> Coroutine[None, None, None]:
-    if guard is None:
-        return to_program(peer, program, initial)
-    return send_filtered(peer, program, guard, initial, max_length)
 
 
 async def send_filtered(
@@ -207,18 +193,11 @@ async def run_both(
         peer.abort("the other end was closed")
 
 
-_LAGGING: Final = 64 * 1024  # bytes that wait, above which a peer lags
-
-
 class WishSender:
-    """Sends filtered messages to `peer` as it wishes.
-
-    Attributes:
-        newest: whether a message replaces those that wait.
-    """
+    """Sends filtered messages to `peer` as it wishes."""
 
     def __init__(self, peer: SecureStream[Identity], wishes: Wishes) -> None:
-        self.newest = wishes.newest
+        self.newest = wishes.newest  # a message replaces those that wait
         self._peer = peer
         self._deflate = wishes.deflate
         self._rate = None if wishes.rate is None else WishedRate(wishes.rate)
@@ -231,13 +210,12 @@ class WishSender:
 
     @property
     def lags(self) -> bool:
-        # Whether further messages would have to wait.
         return self._held > _LAGGING or self._peer.lags
 
     def put(self, pieces: list[Buffer]) -> None:
         if not pieces or (self._rate is not None and not self._rate.admits(monotonic())):
             return
-        self._held = _size(pieces) + (0 if self.newest else self._held)
+        self._held = sum(map(len, pieces)) + (0 if self.newest else self._held)
         self._waiting.append(pieces)
         self._idle.clear()
         self._wake.set()
@@ -252,20 +230,14 @@ class WishSender:
             while self._waiting:
                 if self.newest:
                     await self._peer.flushed()
-                await self._send(self._waiting.popleft())
+                pieces = self._waiting.popleft()
+                size = sum(map(len, pieces))
+                self._held -= size
+                if self._deflate:
+                    large = size >= LARGE
+                    pieces = [await asyncio.to_thread(deflated, pieces) if large else deflated(pieces)]
+                await self._peer.send(*framed(pieces))
             self._idle.set()
-
-    async def _send(self, pieces: list[Buffer]) -> None:
-        size = _size(pieces)
-        self._held -= size
-        if self._deflate:
-            large = size >= LARGE
-            pieces = [await asyncio.to_thread(deflated, pieces) if large else deflated(pieces)]
-        await self._peer.send(*framed(pieces))
-
-
-def _size(pieces: list[Buffer]) -> int:
-    return sum(map(len, pieces))
 
 
 async def publish_as_wished(
@@ -282,6 +254,9 @@ async def publish_as_wished(
 async def forward_as_wished(
     program: PlainStream, peer: str, guard: MessageGuard | None, initial: bytes, sender: WishSender
 ) -> None:
+    # The guard comes first, as without wishes: if it keeps state, or only the newest message is wished,
+    # messages are checked as they come, and a peer that lags misses some; else it slows the program down.
+    # What the program sent before it closed is delivered.
     framing = Framing(FrameReader())
     messages = framing.feed(initial, clock.now())
     keeps_state = isinstance(guard, SharedGuard)

@@ -1,23 +1,8 @@
-"""The sidecar of a host or of one program: a master on loopback, and an agent for each identity.
+"""The sidecar of a host or of one program: a master on loopback, and an agent for each identity. A shell.
 
-A shell. The identity of a call follows from the caller_id, never from data of a peer: with
-`identity` it is always that one; otherwise each program uses the one enrolled for its name. The
-caller_id of roscpp's `NodeHandle::searchParam` is a namespace of its node: there it is the program.
-
-Connections to peers' slave APIs, cached briefly for the program that looked them up.
-
-A shell. A port is opened only if the peer answers; the program that then connects to the port
-reuses that connection.
-
-Publisher updates for the programs of one identity where no master sends one.
-
-A shell around `core.registrations`. Programs need not handle a topic whose connection ended and
-that they may subscribe to again, or publishers that a restarted master did not list again.
-
-One identity of the sidecar: assembles its parts and provides the agent services.
-
-A shell around `layers.AgentState`. `participant.membership` holds the master session, `ingress` and
-`egress` the ports; connections that expire or are revoked are cut. If a task fails, all are closed.
+The identity of a call follows from the caller_id, never from data of a peer: with `identity` it is
+always that one; otherwise each program uses the one enrolled for its name. The caller_id of roscpp's
+`NodeHandle::searchParam` is a namespace of its node: there it is the program.
 """
 
 import asyncio
@@ -37,7 +22,6 @@ from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ConfigurationError, HangUp, PeerUnreachable
 from rossec.home import NodeHome
-from rossec.host.local_sockets import Holder
 from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureContext, SecureStream
 from rossec.net.limits import HalfOpen, HalfOpenCount
@@ -61,8 +45,20 @@ from rossec.sidecar.loopback_port import LoopbackPort, PlainStream
 
 LIFETIME: Final = 5.0
 
+_PERIOD: Final = 1.0
+
+_log = logging.getLogger("rossec.sidecar")
+
+_TAKEN: Final = "is roscore or another sidecar running? choose another port with --port"
+LIMIT: Final = 256  # identities in use
+
 
 class ConnectionCache:
+    """Connections to peers' slave APIs, cached briefly for the program that looked them up.
+
+    A port is opened only if the peer answers; the program that then connects to it reuses that one.
+    """
+
     def __init__(self) -> None:
         self._clients: dict[Endpoint, SlaveApiClient] = {}
         self._tasks = TaskSet()
@@ -89,12 +85,13 @@ class ConnectionCache:
             await client.rpc.close()
 
 
-_PERIOD: Final = 1.0
-
-_log = logging.getLogger("rossec.sidecar")
-
-
 class Resubscriber:
+    """Publisher updates for the programs of one identity where no master sends one.
+
+    Programs need not handle a topic whose connection ended and that they may subscribe to again, or
+    publishers that a restarted master did not list again.
+    """
+
     def __init__(self, services: AgentServices, agent: AgentState) -> None:
         self._services = services
         self._agent = agent
@@ -125,14 +122,11 @@ class Resubscriber:
 
 
 class Agent:
-    """Acts for the identity in `home`.
+    """Acts for the identity in `home`; if a task of it fails, all its connections are closed.
 
     Args:
-        settings: where the master is and how peers reach this host.
-        callers: the programs that may use it.
-        master_uri: the URI of the loopback master.
+        master_uri: of the loopback master.
         half_open: the unauthenticated connections at all ports of this process.
-        suites: cipher suites, offered and accepted, in order of preference.
         master_name: the certified name of the secured master.
     """
 
@@ -176,6 +170,11 @@ class Agent:
             self, self.state, self._connections, home.filter_key, self._resubscriber.on_topic_ended
         )
         self._cache = ConnectionCache()
+        # What it offers as `AgentServices`, beside the methods below.
+        self.open_ingress, self.suspend_ingress = self._ingress.open, self._ingress.suspend
+        self.leads_to = self._ingress.leads_to
+        self.open_egress, self.refuse_egress = self._egress.open, self._egress.refuse
+        self.cache_client, self.cached_client = self._cache.put, self._cache.take
         self._refusals = RefusalLog()
         self._has_failed = False
         self._start_lock = asyncio.Lock()
@@ -201,27 +200,6 @@ class Agent:
 
     # --- agent services
 
-    def open_ingress(self, local: Endpoint) -> int:
-        return self._ingress.open(local)
-
-    def suspend_ingress(self, local: Endpoint) -> None:
-        self._ingress.suspend(local)
-
-    def leads_to(self, local: Endpoint, listeners: list[Holder]) -> bool:
-        return self._ingress.leads_to(local, listeners)
-
-    def open_egress(self, remote: Endpoint) -> int:
-        return self._egress.open(remote)
-
-    def refuse_egress(self, remote: Endpoint) -> int:
-        return self._egress.refuse(remote)
-
-    def cache_client(self, remote: Endpoint, client: SlaveApiClient) -> None:
-        self._cache.put(remote, client)
-
-    def cached_client(self, remote: Endpoint) -> SlaveApiClient | None:
-        return self._cache.take(remote)
-
     async def dial(self, remote: Endpoint) -> SecureStream[Identity]:
         own_identity = self.state.endpoints.program_at(remote) is not None
         return await self._connector.dial(remote, own_identity=own_identity)
@@ -233,7 +211,7 @@ class Agent:
         self.state.access.check_peer(peer, clock.now())
 
     async def call_master(self, method: str, params: tuple[object, ...]) -> object:
-        # The master's answer; refusals are logged, since a program may not print them.
+        # Refusals are logged, since a program may not print them.
         answer = await self._membership.session.forward(method, *params)
         self._refusals.log("the master", method, answer, params)
         return answer
@@ -282,26 +260,18 @@ class Agent:
     def maintain(self) -> None: ...
 
     def crashed(self, _: BaseException) -> None:
-        # Close what would not be checked any more.
         self._has_failed = True
         self._connections.close("a task of this identity has failed")
         self._membership.tasks.spawn(self.close(), f"{self.name}: closing after a failure")
-
-
-_TAKEN: Final = "is roscore or another sidecar running? choose another port with --port"
-LIMIT: Final = 256  # identities in use
 
 
 class Sidecar:
     """Serves the programs that `callers` allows.
 
     Args:
-        home: ROSSEC_HOME.
-        settings: where the secured master is, and how peers reach this host.
         identity: the name whose identity every program uses, if any.
         each: programs with their own identity use that instead.
         port: of the loopback master; 0 for any.
-        suites: cipher suites of the channel, offered and accepted.
         master_name: the certified name of the secured master.
     """
 

@@ -8,13 +8,14 @@ from collections.abc import AsyncIterator, Callable, Iterator
 
 import lakers
 import pytest
+from aiocoap import Message
 from aiocoap.numbers import codes
 from aiocoap.oscore import NotAProtectedMessage
 
 from ca.encoding import encode
 from rossec.border import messages
 from rossec.border.handshakes import MAX_PENDING
-from rossec.border.messages import Message, OscoreContext
+from rossec.border.messages import OscoreContext
 from rossec.errors import DatagramRefused
 from rossec.host.runner import TaskSet
 from tests.support.border import LAMP, BorderSite

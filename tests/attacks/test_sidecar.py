@@ -23,7 +23,6 @@ from rossec.net.aio.client import dial
 from rossec.net.limits import HalfOpen
 from rossec.net.rpc.calls import RpcClient
 from rossec.sidecar import executor
-from rossec.sidecar.core import node_connections
 from rossec.sidecar.core.layers import local_endpoint
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar
@@ -257,6 +256,6 @@ async def test_a_failing_check_closes_the_connection(
         await robot.register("registerPublisher", "/word", "std_msgs/String")
         uris = await ear.register("registerSubscriber", "/word", "std_msgs/String")
         assert isinstance(uris, list)
-        monkeypatch.setattr(node_connections, "guard_for", crash)
+        monkeypatch.setattr("rossec.participant.definitions.guard_for", crash)
         with pytest.raises(Exception, match=r"closed|reset"):
             await ear.subscribe(uris[0], "/word")

@@ -8,6 +8,7 @@ import os
 from typing import Any
 
 import pytest
+from aiocoap import Message
 from aiocoap.numbers import codes
 from aiocoap.optiontypes import BlockOption
 from cryptography.hazmat.primitives.asymmetric import ec
@@ -19,7 +20,6 @@ from rossec.border.endpoint import Answer, Endpoint, Request, Requests
 from rossec.border.handshakes import StaticKey
 from rossec.border.messages import (
     NONCE_SIZE,
-    Message,
     OscoreContext,
     Timers,
     Transmissions,

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import aiocoap
 import cbor2
-from aiocoap import credentials, oscore, resource
+from aiocoap import Message, credentials, oscore, resource
 from aiocoap.edhoc import EdhocCredentials
 from aiocoap.numbers.codes import Code
 from aiocoap.optiontypes import BlockOption
@@ -21,15 +21,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.things.constrained_nodes import ThingKey
 from rossec.border.conversations import MAX_BLOCK
-from rossec.border.messages import (
-    NONCE_SIZE,
-    R2_SIZE,
-    Message,
-    name_context,
-    thing_context,
-    unwrapped,
-    wrapped,
-)
+from rossec.border.messages import NONCE_SIZE, R2_SIZE, name_context, thing_context, unwrapped, wrapped
 from tests.support.ports import free_port
 
 LINKS: Final = ".well-known", "core"

@@ -9,12 +9,13 @@ import secrets
 from typing import Any, Final
 
 import lakers
+from aiocoap import Message
 from aiocoap.numbers import codes
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.things.constrained_nodes import ThingKey
 from rossec.border import messages
-from rossec.border.messages import KEY_SIZE, SALT_SIZE, Message, OscoreContext, unprotected
+from rossec.border.messages import KEY_SIZE, SALT_SIZE, OscoreContext, unprotected
 from rossec.errors import DatagramRefused
 
 EDHOC: Final = (".well-known", "edhoc")

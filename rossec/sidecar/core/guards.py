@@ -1,23 +1,9 @@
-"""Copies of one message: a program sends one to each connection, also to those of one key.
+"""The guards of forwarded connections: copies of a message, memory per program, renewed grants. Pure.
 
-Pure. A message that passed once passes on all connections of the key. A message equal to one that
-passed counts as its copy: once on each connection that was open at that time, and within `WINDOW`
-seconds, since a constant message would otherwise keep passing. A new connection to a latching
-program gets the last message that passed for its key, unless the rate limit has room for a new
-one. So connecting does not reveal whether a message changed.
-
-Memory of limits per program behind a sidecar: one for each program that runs at a time.
-
-Pure. Each program has its own memory, also if others publish the same topic: their values would
-reset its hysteresis. There is no memory per name, since `rostopic pub` and `rosbag play` use a
-new name in each run: a new program reuses the memory of one that has ended, preferably of the same
-name. A subscriber cannot influence whether a program counts as ended.
-
-How a renewed grant takes its place where a connection is forwarded. Pure.
-
-A program's bytes that pass unread have no known beginnings of messages, and a connection with
-limits must not let its messages wait: what would need another way of forwarding is refused here,
-and the connection is made anew.
+A program sends a copy of one message to each connection, also to those of one key: what passed once
+passes on all of them. Each program has its own memory of limits, also if others publish the same topic:
+their values would reset its hysteresis. What would need another way of forwarding is refused when a
+grant is renewed, and the connection is made anew.
 """
 
 from collections.abc import Callable, Hashable, Iterator
@@ -33,15 +19,16 @@ from rossec.errors import ConnectionHeaderRefused
 
 WINDOW: Final = 1  # whole seconds
 
+HolderT = TypeVar("HolderT", bound=Hashable)
+
+Rebuild: TypeAlias = Callable[[Decision], Guard | None]
+
 
 class MessageGuard(Protocol):
     """Filters the messages between a program and a peer: a guard, or one that handles copies."""
 
-    def check(self, now: float) -> None:
-        """As of `Guard`."""
-
-    def apply(self, message: bytes, now: float) -> list[Buffer] | None:
-        """As of `Guard`."""
+    def check(self, now: float) -> None: ...
+    def apply(self, message: bytes, now: float) -> list[Buffer] | None: ...
 
 
 class ReplaceableGuard:
@@ -56,13 +43,11 @@ class ReplaceableGuard:
 
 
 class _LastMessage:
-    """The last message that passed, and the connections that have not had it yet."""
-
     def __init__(self, message: bytes, mark: object, now: float, pending: set["SharedGuard"]) -> None:
         self.message = message
         self.mark = mark
         self.at = now
-        self.pending = pending
+        self.pending = pending  # connections that have not had it yet
 
 
 class _Group:
@@ -72,7 +57,13 @@ class _Group:
 
 
 class SharedGuard:
-    """The guard of one connection of a group."""
+    """The guard of one connection of a group.
+
+    A message equal to one that passed counts as its copy: once on each connection that was open at that
+    time, and within `WINDOW` seconds, since a constant message would otherwise keep passing. A new
+    connection to a latching program gets the last message that passed for its key, unless the rate limit
+    has room for a new one. So connecting does not reveal whether a message changed.
+    """
 
     def __init__(self, guard: Guard, group: _Group, *, latching: bool) -> None:
         self._guard = guard
@@ -93,9 +84,9 @@ class SharedGuard:
         return self._guard.apply(last.message, now, last.mark) or []
 
     def apply(self, message: bytes, now: float) -> list[Buffer] | None:
-        """As of `Guard`."""
         last = self._group.last
-        if last is not None and self._is_copy(last, message, now):
+        is_recent = last is not None and self in last.pending and int(now) - int(last.at) <= WINDOW
+        if last is not None and is_recent and message == last.message:
             last.pending.discard(self)
             return self._guard.apply(message, now, last.mark)
         mark = object()
@@ -103,9 +94,6 @@ class SharedGuard:
         if pieces is not None:
             self._group.last = _LastMessage(message, mark, now, self._group.open - {self})
         return pieces
-
-    def _is_copy(self, last: _LastMessage, message: bytes, now: float) -> bool:
-        return self in last.pending and int(now) - int(last.at) <= WINDOW and message == last.message
 
 
 class CopyTracker:
@@ -136,9 +124,6 @@ class CopyTracker:
                 group.last = None  # no connection will need it
 
 
-HolderT = TypeVar("HolderT", bound=Hashable)
-
-
 @dataclass(eq=False)
 class _ProgramMemory(Generic[HolderT]):
     name: str
@@ -146,11 +131,11 @@ class _ProgramMemory(Generic[HolderT]):
 
 
 class ProgramMemories(Generic[HolderT]):
-    """The memories of one identity.
+    """The memories of one identity: one for each program that runs at a time.
 
-    Args:
-        scope: the memory scope of the identity.
-        has_ended: whether a holder that was not released has ended.
+    None per name, since `rostopic pub` and `rosbag play` use a new name in each run: a new program reuses
+    the memory of one that has ended, preferably of the same name. A subscriber cannot influence whether
+    a program counts as ended. `has_ended`: whether a holder that was not released has ended.
     """
 
     def __init__(self, scope: MemoryScope, has_ended: Callable[[HolderT], bool] = lambda _: False) -> None:
@@ -160,7 +145,13 @@ class ProgramMemories(Generic[HolderT]):
 
     def acquire(self, name: str, holder: HolderT) -> MemoryScope:
         """The memory scope of `holder`, a program of this name."""
-        memory = self._held_by(holder) or self._with_name(name) or self._released() or self._new()
+        memories = self._memories
+        memory = next((each for each in memories if holder in each.holders), None)
+        memory = memory or next((each for each in memories if each.name == name), None)
+        memory = memory or self._released()
+        if memory is None:
+            memory = _ProgramMemory("")
+            memories.append(memory)
         self._drop_ended(memory)
         if not memory.holders:
             memory.name = name
@@ -170,12 +161,6 @@ class ProgramMemories(Generic[HolderT]):
     def release(self, holder: HolderT) -> None:
         for memory in self._memories:
             memory.holders.discard(holder)
-
-    def _held_by(self, holder: HolderT) -> _ProgramMemory[HolderT] | None:
-        return next((memory for memory in self._memories if holder in memory.holders), None)
-
-    def _with_name(self, name: str) -> _ProgramMemory[HolderT] | None:
-        return next((memory for memory in self._memories if memory.name == name), None)
 
     def _released(self) -> _ProgramMemory[HolderT] | None:
         for memory in self._memories:
@@ -187,21 +172,12 @@ class ProgramMemories(Generic[HolderT]):
     def _drop_ended(self, memory: _ProgramMemory[HolderT]) -> None:
         memory.holders = {holder for holder in memory.holders if not self._has_ended(holder)}
 
-    def _new(self) -> _ProgramMemory[HolderT]:
-        self._memories.append(_ProgramMemory(""))
-        return self._memories[-1]
-
-
-Rebuild: TypeAlias = Callable[[Decision], Guard | None]
-
 
 class Replacing:
-    """Replaces the guard of one forwarded connection.
+    """Replaces the guard of one forwarded connection; None: bytes pass unread.
 
-    Args:
-        guard: the one that messages pass; None: bytes pass unread.
-        rebuild: makes the guard for a decision; None: it has no restrictions.
-        to_peer: messages go to a peer, whose limits must not wait for it.
+    Bytes that pass unread have no known beginnings of messages, and a connection `to_peer` with limits
+    must not let its messages wait.
     """
 
     def __init__(

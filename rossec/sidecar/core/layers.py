@@ -1,24 +1,9 @@
-"""State shared by all layers: the identity they act for, its endpoints and registrations. Pure.
+"""What all layers share: commands, events, and the state of the identity they act for. Pure.
 
-A layer is a generator: it yields a command, is sent the event, and returns the outcome. Any
-exception of a layer closes its connection; errors fail closed.
-
-Endpoints and the two mapping tables for rewriting addresses. Pure.
-
-A program keeps its loopback port and gets a network port (ingress); a peer keeps its address and
-gets a loopback port (egress). A program's own URI is returned to it byte for byte: roscpp compares
-it so to recognize itself. An endpoint on this host is identified by its port, whatever host a
-program writes; programs get the host name by which they reach loopback.
-
-The commands a layer can yield, and nothing else.
-
-Programs are reached only at loopback ports, peers only through the secure channel: no command
-sends plaintext to another host.
-
-The events that answer a layer's commands, and nothing else.
-
-A layer is a generator: it yields commands and is sent one event for each. An event that does not
-fit the command is a bug of the shell; it ends the layer and its connection.
+A layer is a generator: it yields a command, is sent the one event that fits it, and returns the outcome.
+Any exception of a layer closes its connection; errors fail closed. An event that does not fit is a bug
+of the shell. Programs are reached only at loopback ports, peers only through the secure channel: no
+command sends plaintext to another host.
 """
 
 from collections.abc import Generator, Mapping
@@ -35,6 +20,10 @@ from rossec.participant.definitions import FindDefinition
 from rossec.participant.registrations import PublisherGrace, RegistrationTable
 from rossec.ros.names import DOOR_PATH, is_door, parse_uri
 
+_SCHEMES: Final = {WireProtocol.HTTP: "http", WireProtocol.TCPROS: "rosrpc"}
+
+Outcome = TypeVar("Outcome")
+
 
 class Loopback(NamedTuple):
     """The loopback address of programs and sidecar, and its host name in URIs."""
@@ -44,23 +33,17 @@ class Loopback(NamedTuple):
 
 
 LOOPBACK: Final = Loopback("127.0.0.1", "127.0.0.1")
-_SCHEMES: Final = {WireProtocol.HTTP: "http", WireProtocol.TCPROS: "rosrpc"}
 
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A listening address, for XML-RPC (HTTP) or for topics and services (TCPROS).
-
-    Attributes:
-        via_slave_api: `port` is the slave API's; the topic port is requested from it.
-        door: a slave API behind a relay, which leads TCPROS connections to the same node.
-    """
+    """A listening address, for XML-RPC (HTTP) or for topics and services (TCPROS)."""
 
     protocol: WireProtocol
     host: str
     port: int
-    via_slave_api: bool = False
-    door: bool = False
+    via_slave_api: bool = False  # `port` is the slave API's; the topic port is requested from it
+    door: bool = False  # a slave API behind a relay, which leads TCPROS connections to the same node
 
     @property
     def uri(self) -> str:
@@ -92,11 +75,12 @@ def parse_endpoint(uri: object, protocol: WireProtocol) -> Endpoint | None:
 
 
 class EndpointMap:
-    """The endpoint mapping of one identity.
+    """The endpoint mapping of one identity; peers reach this host at `host`.
 
-    Args:
-        host: where peers reach this host.
-        loopback_host: where programs reach it.
+    A program keeps its loopback port and gets a network port (ingress); a peer keeps its address and
+    gets a loopback port (egress). A program's own URI is returned to it byte for byte: roscpp compares
+    it so to recognize itself. An endpoint on this host is identified by its port, whatever host a
+    program writes; programs get the host name by which they reach loopback.
     """
 
     def __init__(self, host: str, loopback_host: str = LOOPBACK.host) -> None:
@@ -131,7 +115,6 @@ class EndpointMap:
         self._apis[topics] = api
 
     def api_of(self, topics: Endpoint) -> Endpoint | None:
-        """The slave API of the peer whose topics are there; None: not known."""
         return self._apis.get(topics)
 
     def set_own_uri(self, local: Endpoint, uri: str) -> None:
@@ -255,51 +238,36 @@ Command = OpenIngress | OpenEgress | Suspend | Request
 
 @dataclass(frozen=True)
 class Opened:
-    """The port that was opened: on the network for `OpenIngress`, on loopback for `OpenEgress`."""
-
-    port: int
+    port: int  # on the network for `OpenIngress`, on loopback for `OpenEgress`
 
 
 @dataclass(frozen=True)
 class Answered:
-    """An XML-RPC call returned this value; `peer`: the identity of a peer that answered."""
-
-    value: object
-    peer: Identity | None = None
+    value: object  # of an XML-RPC call
+    peer: Identity | None = None  # that answered
 
 
 @dataclass(frozen=True)
 class PeerAuthenticated:
-    """A peer is connected, with this identity."""
-
     peer: Identity
 
 
 @dataclass(frozen=True)
 class RawResponse:
-    """An unparsed XML-RPC response, to be forwarded unchanged."""
-
-    body: bytes
+    body: bytes  # unparsed, to be forwarded unchanged
 
 
 @dataclass(frozen=True)
 class HeaderArrived:
-    """The connection header that the other end answered with, at `now`.
-
-    `peer` is the identity of a peer; None for a program of this host.
-    """
-
     fields: Mapping[str, bytes]
-    peer: Identity | None
+    peer: Identity | None  # None: a program of this host
     now: int
 
 
 @dataclass(frozen=True)
 class NoAnswer:
-    """No answer. `dead`: nothing listens there any more, as opposed to slow or broken."""
-
     reason: str
-    dead: bool = False
+    dead: bool = False  # nothing listens there any more, as opposed to slow or broken
 
 
 @dataclass(frozen=True)
@@ -309,7 +277,6 @@ class CommandDone:
 
 Event = Opened | Answered | PeerAuthenticated | RawResponse | HeaderArrived | NoAnswer | CommandDone
 
-Outcome = TypeVar("Outcome")
 Layer: TypeAlias = Generator[Command, Event, Outcome]
 
 
@@ -325,25 +292,15 @@ class Program:
 
 @dataclass
 class AgentState:
-    """One identity the sidecar acts for.
-
-    Attributes:
-        identity: its certificate data.
-        access: its own grants, and the authorization of peers.
-        endpoints: the mapping of network and loopback endpoints.
-        master_uri: the loopback master, as programs know it.
-        known_types: finds a message type that this host knows.
-        publisher_grace: the publishers of each topic that its programs subscribe to.
-        programs: the slave APIs of its programs.
-    """
+    """One identity the sidecar acts for."""
 
     identity: Identity
     access: Access
     endpoints: EndpointMap
-    master_uri: str
-    known_types: FindDefinition
-    publisher_grace: PublisherGrace
-    programs: dict[Endpoint, Program] = field(default_factory=dict)
+    master_uri: str  # of the loopback master, as programs know it
+    known_types: FindDefinition  # that this host knows
+    publisher_grace: PublisherGrace  # of each topic that its programs subscribe to
+    programs: dict[Endpoint, Program] = field(default_factory=dict)  # by their slave APIs
 
     def name_for(self, caller: str) -> str:
         """The caller_id for peers: the program's own if the identity covers it, else the identity.

@@ -1,18 +1,9 @@
-"""Calls of programs to their master, rewritten for the secured one. Pure layers.
+"""Calls of programs to their master, rewritten for the secured one, and made again later. Pure layers.
 
 The table says where a call carries an address: the program's slave API, its service, or one in the
 answer. A method that is not in it is not forwarded. Elements of a multicall are handled as single
-calls. Registrations are stored, to be made again later (`registrations`).
-
-The stored registrations of programs, made again, and publisher updates for them. Pure layers.
-
-For a restarted master, for topics whose connection ended, for rights that are new, and for
-publishers that the master did not name again within their grace period.
-
-Topics whose connection ended, and when to resubscribe. Pure.
-
-rospy drops a connection that ended until it gets a publisherUpdate; the sidecar sends one once it
-holds a grant again. The delay doubles while connections keep ending soon (exponential backoff).
+calls. Registrations are stored, to be made again: for a restarted master, for topics whose connection
+ended, for rights that are new, and for publishers that the master did not name again in time.
 """
 
 from collections.abc import Callable, Iterable
@@ -24,19 +15,8 @@ from grants.model import Right
 from grants.request import is_dispensable, missing_right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
+from rossec.participant import registrations
 from rossec.participant.handshakes import offer_refusal
-from rossec.participant.registrations import (
-    REGISTERS,
-    RELATIVE_NAME,
-    SEARCH,
-    UNREGISTERS,
-    Call,
-    not_found,
-    resolve_params,
-    search_places,
-    search_result,
-    searched_key,
-)
 from rossec.participant.slave_api import without_caller
 from rossec.peer_limits import printable
 from rossec.ros.names import MASTER
@@ -62,6 +42,23 @@ from rossec.sidecar.core.layers import (
 MULTICALL: Final = "system.multicall"
 MULTICALL_LIMIT: Final = 4096
 
+SUBSCRIBE: Final = "registerSubscriber"
+REFUSED: Final = "rossec: "  # a status that begins so is not one of the stock master
+# Registrations that succeed for a program that works without them, with their value.
+_DISPENSABLE: Final = {"registerPublisher": [], "registerService": 1}
+
+_RIGHTS: Final = {
+    "registerPublisher": Right.PUBLISH,
+    SUBSCRIBE: Right.SUBSCRIBE,
+    "registerService": Right.PROVIDE,
+}
+
+Holds: TypeAlias = Callable[[Right, str], bool]
+"""Whether this identity has a right on a name now; without it the master would only refuse."""
+
+FIRST_DELAY: Final = 1.0
+MAX_DELAY: Final = 32.0
+
 
 class Result(Enum):
     PLAIN = "no address"
@@ -73,24 +70,14 @@ class Result(Enum):
 
 @dataclass(frozen=True)
 class CallRule:
-    """Where one method carries addresses; indices count the caller_id as 0.
+    """Where one method carries addresses; indices count the caller_id as 0."""
 
-    Attributes:
-        api: the caller's slave API URI.
-        service: a service URI of the caller.
-        default: the value of a refusal, as of the stock master.
-    """
-
-    api: int | None = None
-    service: int | None = None
+    api: int | None = None  # the caller's slave API URI
+    service: int | None = None  # a service URI of the caller
     result: Result = Result.PLAIN
-    default: object = 0
+    default: object = 0  # the value of a refusal, as of the stock master
 
 
-SUBSCRIBE: Final = "registerSubscriber"
-REFUSED: Final = "rossec: "  # a status that begins so is not one of the stock master
-_DISPENSABLE: Final = {"registerPublisher": [], "registerService": 1}
-"""Registrations that succeed for a program that works without them, with their value."""
 RULES: Final = {
     "registerPublisher": CallRule(api=3, result=Result.NODES, default=[]),
     SUBSCRIBE: CallRule(api=3, result=Result.NODES, default=[]),
@@ -112,7 +99,7 @@ RULES: Final = {
     "setParam": CallRule(),
     "deleteParam": CallRule(),
     "hasParam": CallRule(default=False),
-    SEARCH: CallRule(),
+    registrations.SEARCH: CallRule(),
     "getParamNames": CallRule(default=[]),
 }
 
@@ -128,7 +115,7 @@ def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> L
     master_params = yield from _params_for_master(agent, method, rule, caller, params)
     if master_params is None:
         return [-1, "rossec: this address is not the program's own", 0]
-    key = None if master_params[0] == caller else searched_key(method, params)
+    key = None if master_params[0] == caller else registrations.searched_key(method, params)
     if key is None:
         answer = yield from _call_master(method, master_params)
     else:
@@ -136,9 +123,11 @@ def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> L
     if answer[0] == 1:
         _record_registration(agent, method, rule, params, master_params)
         if method == SUBSCRIBE:
-            answer[2] = agent.followed_publishers(master_params[RELATIVE_NAME[method]], answer[2])
+            answer[2] = agent.followed_publishers(
+                master_params[registrations.RELATIVE_NAME[method]], answer[2]
+            )
         return (yield from _answer_for_program(agent, rule, _own_api(rule, params), answer))
-    if method in REGISTERS and str(answer[1]).startswith(REFUSED):
+    if method in registrations.REGISTERS and str(answer[1]).startswith(REFUSED):
         _record_registration(agent, method, rule, params, master_params, refused=True)
         missing = missing_right(str(answer[1]))
         if method in _DISPENSABLE and missing and is_dispensable(missing.right, missing.own):
@@ -154,13 +143,20 @@ def _refusal(
     if refused is not None:
         return refused
     caller = str(params[0])
-    if method in REGISTERS and not agent.covers(caller):
-        return [-1, _not_covered(agent, caller), 0]
-    return offer_refusal(method, resolve_params(method, params, caller))
+    if method in registrations.REGISTERS and not agent.covers(caller):
+        name = agent.identity.name
+        told = (
+            f"rossec: a program with the identity of {name} calls itself {printable(caller, 255)}:"
+            f" start it with __name:={name.rpartition('/')[2]}, or"
+        )
+        if caller.startswith(f"{name}_"):  # as programs do that may run several times
+            again = f"rossec node request {name} --anonymous"
+            return [-1, f"{told} enroll it for anonymous nodes too, with a key of its own: {again}", 0]
+        return [-1, f"{told} with an identity of its own", 0]
+    return offer_refusal(method, registrations.resolve_params(method, params, caller))
 
 
 def rule_of(method: str) -> CallRule:
-    """The rule of a method."""
     rule = RULES.get(method)
     if rule is None:
         raise Fault(1, f"<class 'Exception'>:method \"{printable(method, 80)}\" is not supported")
@@ -179,32 +175,30 @@ def _call_master(method: str, params: tuple[object, ...]) -> Layer[list[object]]
 
 def _search(caller: str, name: object, key: str) -> Layer[list[object]]:
     # Search from the namespace of `caller`; the master would search from that of `name`.
-    for candidate, found in search_places(caller, key):
-        answer = search_result((yield from _call_master(SEARCH, (name, candidate))), found)
+    for candidate, found in registrations.search_places(caller, key):
+        answer = registrations.search_result(
+            (yield from _call_master(registrations.SEARCH, (name, candidate))), found
+        )
         if answer is not None:
             return answer
-    return not_found(key)
+    return registrations.not_found(key)
 
 
-def _multicall(agent: AgentState, params: tuple[object, ...]) -> Layer[object]:
-    calls = params[0] if len(params) == 1 else None
+def _multicall(agent: AgentState, given: tuple[object, ...]) -> Layer[object]:
+    calls = given[0] if len(given) == 1 else None
     if not isinstance(calls, list) or len(calls) > MULTICALL_LIMIT:
         raise Fault(1, f"rossec: a multicall is one list of at most {MULTICALL_LIMIT} calls")
     answers: list[object] = []
     for element in calls:
         try:
-            answers.append([(yield from _element(agent, element))])
+            match element:
+                case {"methodName": str() as method, "params": list() as params} if method != MULTICALL:
+                    answers.append([(yield from handle_call(agent, method, tuple(params)))])
+                case _:
+                    raise Fault(1, "rossec: a multicall element needs methodName and params")
         except Fault as fault:
             answers.append({"faultCode": fault.faultCode, "faultString": fault.faultString})
     return answers
-
-
-def _element(agent: AgentState, element: object) -> Layer[object]:
-    match element:
-        case {"methodName": str() as method, "params": list() as params} if method != MULTICALL:
-            return (yield from handle_call(agent, method, tuple(params)))
-        case _:
-            raise Fault(1, "rossec: a multicall element needs methodName and params")
 
 
 def _params_for_master(
@@ -212,9 +206,11 @@ def _params_for_master(
 ) -> Layer[tuple[object, ...] | None]:
     # The parameters for the secured master; None: the address is not the program's own.
     name = caller
-    if method not in UNREGISTERS:  # `rosnode cleanup` names dead nodes; the master authorizes it
+    if (
+        method not in registrations.UNREGISTERS
+    ):  # `rosnode cleanup` names dead nodes; the master authorizes it
         name = agent.name_for(caller)
-    changed = list(params if name == caller else resolve_params(method, params, caller))
+    changed = list(params if name == caller else registrations.resolve_params(method, params, caller))
     changed[0] = name
     for index, protocol in ((rule.api, WireProtocol.HTTP), (rule.service, WireProtocol.TCPROS)):
         if index is None or index >= len(params):
@@ -227,7 +223,7 @@ def _params_for_master(
             return None
         changed[index] = address
     own_api = _own_api(rule, params)
-    if own_api is not None and method in REGISTERS:
+    if own_api is not None and method in registrations.REGISTERS:
         agent.endpoints.set_own_uri(own_api, str(params[rule.api or 0]))
         known = agent.programs.get(own_api)
         if known is None or known.name != caller:  # the port may have been reused
@@ -241,7 +237,7 @@ def _address(agent: AgentState, method: str, given: Endpoint) -> Layer[str | Non
     # unregisters may name that of a program that has ended, which another one has now.
     local = local_endpoint(given.protocol, given.port)
     remote = agent.endpoints.peer_at(local)
-    if method not in REGISTERS:
+    if method not in registrations.REGISTERS:
         return (remote or agent.endpoints.network_of(local)).uri
     return None if remote is not None else (yield from agent.ingress_endpoint(local)).uri
 
@@ -262,10 +258,10 @@ def _record_registration(
     refused: bool = False,
 ) -> None:
     own_api = _own_api(rule, params)
-    if method in REGISTERS and own_api is not None:
+    if method in registrations.REGISTERS and own_api is not None:
         program = agent.programs.setdefault(own_api, Program(str(params[0])))
         program.registrations.record(method, master_params, refused=refused)
-    elif method in UNREGISTERS:
+    elif method in registrations.UNREGISTERS:
         for program in agent.programs.values():
             program.registrations.record(method, master_params)
 
@@ -279,7 +275,11 @@ def _answer_for_program(
             value = yield from agent.egress_uris(value, own_api)
         case Result.NODE:
             remote = parse_endpoint(value, WireProtocol.HTTP)
-            value = "" if remote is None else (yield from _node(agent, remote))
+            if remote is None:
+                value = ""
+            else:
+                own = agent.endpoints.program_at(remote)
+                value = yield from agent.egress_uri(remote, own, probe=True)
         case Result.SERVICE:
             remote = parse_endpoint(value, WireProtocol.TCPROS)
             value = "" if remote is None else (yield from agent.egress_uri(remote))
@@ -289,33 +289,6 @@ def _answer_for_program(
         case Result.PLAIN:
             pass
     return [code, status, value]
-
-
-def _node(agent: AgentState, remote: Endpoint) -> Layer[str]:
-    own_api = agent.endpoints.program_at(remote)
-    return (yield from agent.egress_uri(remote, own_api, probe=True))
-
-
-def _not_covered(agent: AgentState, caller: str) -> str:
-    name = agent.identity.name
-    told = f"rossec: a program with the identity of {name} calls itself {printable(caller, 255)}:"
-    if caller.startswith(f"{name}_"):  # as programs do that may run several times
-        return (
-            f"{told} start it with __name:={name.rpartition('/')[2]}, or enroll it for anonymous"
-            f" nodes too, with a key of its own: rossec node request {name} --anonymous"
-        )
-    return f"{told} start it with __name:={name.rpartition('/')[2]}, or with an identity of its own"
-
-
-_RIGHTS: Final = {
-    "registerPublisher": Right.PUBLISH,
-    SUBSCRIBE: Right.SUBSCRIBE,
-    "registerService": Right.PROVIDE,
-}
-
-
-Holds: TypeAlias = Callable[[Right, str], bool]
-"""Whether this identity has a right on a name now; without it the master would only refuse."""
 
 
 def restore(agent: AgentState, holds: Holds) -> Layer[None]:
@@ -348,11 +321,11 @@ def rights_changed(agent: AgentState, holds: Holds) -> Layer[None]:
                 yield from _register_again(agent, own_api, method, params)
 
 
-def _allowed(calls: Iterable[Call], holds: Holds) -> list[Call]:
+def _allowed(calls: Iterable[registrations.Call], holds: Holds) -> list[registrations.Call]:
     return [
         (method, params)
         for method, params in calls
-        if method in _RIGHTS and holds(_RIGHTS[method], str(params[RELATIVE_NAME[method]]))
+        if method in _RIGHTS and holds(_RIGHTS[method], str(params[registrations.RELATIVE_NAME[method]]))
     ]
 
 
@@ -368,7 +341,7 @@ def _register_again(
             pass
     match event:
         case Answered(value=[1, _, value]) if method == SUBSCRIBE:
-            topic = str(params[RELATIVE_NAME[SUBSCRIBE]])
+            topic = str(params[registrations.RELATIVE_NAME[SUBSCRIBE]])
             publishers = agent.followed_publishers(topic, value)
             yield from _update_publishers(agent, own_api, topic, publishers)
         case NoAnswer(reason=reason):
@@ -403,12 +376,12 @@ def _is_gone(agent: AgentState, own_api: Endpoint, event: Event) -> Layer[bool]:
     return False
 
 
-FIRST_DELAY: Final = 1.0
-MAX_DELAY: Final = 32.0
-
-
 class ResubscribeQueue:
-    """The topics of one identity to resubscribe; times are seconds of one clock."""
+    """The topics of one identity to resubscribe; times are seconds of one clock.
+
+    rospy drops a connection that ended until it gets a publisherUpdate; the sidecar sends one once it
+    holds a grant again. The delay doubles while connections keep ending soon.
+    """
 
     def __init__(self) -> None:
         self._due: dict[str, float] = {}

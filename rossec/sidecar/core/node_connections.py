@@ -1,22 +1,12 @@
-"""Calls between nodes: a peer's to a program's slave API, and a program's to a peer's. Pure layers.
+"""Between nodes: calls of slave APIs and TCPROS handshakes, of peers and programs. Pure layers.
 
-Both directions are default deny and drop UDPROS, which would bypass the channel (attack N10). A
-peer is authorized before the program is called. `requestTopic` is answered here, with the same port
-for every topic: the program is asked once an authorized peer connects to it (N5, `tcpros`). From a
-peer behind a relay's door only that it offers TCPROS counts: the topic is at the door, too.
-Answers are parsed and serialized again, and hold a value only if the code is 1: rospy takes any
-positive code for success, and stock parsers accept what ours refuses; a program would connect in
-plaintext to an address that the sidecar did not see. `getBusStats` is empty for peers: it would
-count what a grant withholds. Only an older peer's is forwarded unparsed: roscpp's is malformed, and
-it holds no address.
+Both directions are default deny and drop UDPROS, which would bypass the channel (attack N10). A peer is
+authorized before the program is called. Answers are parsed and serialized again, and hold a value only
+if the code is 1: rospy takes any positive code for success, and stock parsers accept what ours refuses;
+a program would connect in plaintext to an address that the sidecar did not see.
 
-The TCPROS handshake between a program and a peer, both directions. Pure layers.
-
-The header of one end is read once, authorized and sent to the other end, and its answer is
-authorized in turn; grants are added towards the network and removed towards the program, names of
-other origins are mapped (`remote_names`). A program
-is asked for its topic port only for an authorized subscriber. The result says how to handle the
-bytes that follow: a guard for restricted messages, otherwise none.
+A header is read once, authorized and sent to the other end, and its answer is authorized in turn; grants
+are added towards the network and removed towards the program, names of other origins are mapped.
 """
 
 from collections.abc import Callable, Mapping
@@ -30,50 +20,8 @@ from grants.guard import Guard, MemoryScope
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ConnectionHeaderRefused, HangUp
-from rossec.participant import handshakes
+from rossec.participant import definitions, delivery, handshakes, slave_api
 from rossec.participant.access import FIELD, granted_name, wire_name
-from rossec.participant.definitions import (
-    FilterKey,
-    definition_fields,
-    from_header,
-    guard_for,
-    receiver_definition,
-    reported_definition,
-    sender_definition,
-    size_of,
-)
-from rossec.participant.delivery import (
-    NO_WISHES,
-    Wishes,
-    carried_out,
-    check_carried_out,
-    requested_wishes,
-    taken_wishes,
-    without_wishes,
-)
-from rossec.participant.handshakes import (
-    Fields,
-    answer_for,
-    answer_here,
-    caller_here,
-    fields_here,
-    fields_on_wire,
-    text,
-)
-from rossec.participant.slave_api import (
-    MASTER_ONLY,
-    NO_TRANSPORT,
-    OPEN,
-    RULES,
-    SLAVE_CALLS,
-    TCPROS,
-    alias_asked,
-    check_slave_call,
-    offers_tcpros,
-    ports_answer,
-    refusal,
-    without_caller,
-)
 from rossec.peer_limits import printable
 from rossec.ros.names import PORTS, PRESENT_GRANTS
 from rossec.ros.xmlrpc import Encoded, Fault
@@ -101,10 +49,16 @@ from rossec.sidecar.core.layers import (
     topic_endpoint,
 )
 
+# Empty for peers: it would count what a grant withholds. A peer's is forwarded unparsed: roscpp's is
+# malformed, and it holds no address.
 _UNPARSED: Final = frozenset({"getBusStats"})
 REQUEST_TOPIC: Final = "requestTopic"
 _INBOUND: Final = "i"
 _MAX_EGRESS_PORTS: Final = 64  # ports that one answer of a peer can open
+
+_CALLER = "callerid"
+_LONGEST_NAME = 255
+FindMemoryScope: TypeAlias = Callable[[str], MemoryScope]  # by the program's caller_id
 
 
 def handle_peer_call(
@@ -121,19 +75,21 @@ def handle_peer_call(
         agent.access.check_peer(peer, now)
         yield from _require_alive(agent, local, (yield Probe(local)))
         return [1, "", 0]
-    check_slave_call(method, peer, node, grants, agent.access, now)
+    slave_api.check_slave_call(method, peer, node, grants, agent.access, now)
     answer = _answer_at_once(peer, method, params)
     if answer is not None:
         return answer
     if method in (REQUEST_TOPIC, PORTS):
         return (yield from _answer_with_port(agent, local, method))
-    named = (caller_here(peer, str(params[0])), *params[1:])
-    changed = yield from _params_for_program(agent, local, method, named)
+    changed = (handshakes.caller_here(peer, str(params[0])), *params[1:])
+    if method == "publisherUpdate" and len(params) == 3:
+        followed = agent.followed_publishers(params[1], params[2])
+        changed = (*changed[:2], (yield from agent.egress_uris(followed, local)))
     event = yield CallProgram(local, method, changed)
     yield from _require_alive(agent, local, event)
     match event:
         case Answered(value=[code, str() as status, value]) if succeeded(code):
-            described = answer_for(peer, method, value)
+            described = handshakes.answer_for(peer, method, value)
             return (yield from _answer_for_peer(agent, local, method, status, described))
         case Answered(value=value):
             return _refusal(value)
@@ -143,22 +99,22 @@ def handle_peer_call(
 
 def _answer_at_once(peer: Identity, method: str, params: tuple[object, ...]) -> list[object] | None:
     if method == PORTS:
-        return refusal(method, params, peer)
-    refused = without_caller(params, RULES[method].default)
+        return slave_api.refusal(method, params, peer)
+    refused = slave_api.without_caller(params, slave_api.RULES[method].default)
     if refused is None and method == REQUEST_TOPIC:
-        return _invalid_request_topic(params) or alias_asked(method, params)
+        return _invalid_request_topic(params) or slave_api.alias_asked(method, params)
     if refused is None and method in _UNPARSED:
-        return [1, "", answer_for(peer, method, None)]
+        return [1, "", handshakes.answer_for(peer, method, None)]
     return refused
 
 
 def _answer_with_port(agent: AgentState, local: Endpoint, method: str) -> Layer[object]:
-    # Where its topics are, the same for every topic; a dead program does not answer.
+    # The same for every topic: the program is asked once an authorized peer connects there (N5).
     yield from _require_alive(agent, local, (yield Probe(local)))
     ingress = yield from agent.ingress_endpoint(topic_endpoint(local))
     if method == PORTS:
-        return ports_answer(ingress.port)
-    return [1, "ready", [TCPROS, ingress.host, ingress.port]]
+        return slave_api.ports_answer(ingress.port)
+    return [1, "ready", [slave_api.TCPROS, ingress.host, ingress.port]]
 
 
 def succeeded(code: object) -> bool:
@@ -184,21 +140,12 @@ def _require_alive(agent: AgentState, local: Endpoint, event: Event) -> Layer[No
         raise HangUp(event.reason)
 
 
-def _params_for_program(
-    agent: AgentState, local: Endpoint, method: str, params: tuple[object, ...]
-) -> Layer[tuple[object, ...]]:
-    if method == "publisherUpdate" and len(params) == 3:
-        followed = agent.followed_publishers(params[1], params[2])
-        return (*params[:2], (yield from agent.egress_uris(followed, local)))
-    return params
-
-
 def _invalid_request_topic(params: tuple[object, ...]) -> list[object] | None:
     if len(params) != 3:
         return [-1, "Error: bad call arity", []]
     if not isinstance(params[1], str) or not params[1]:
         return [-1, "ERROR: parameter [topic] must be a non-empty string", []]
-    return None if offers_tcpros(params[2]) else [-1, NO_TRANSPORT, []]
+    return None if slave_api.offers_tcpros(params[2]) else [-1, slave_api.NO_TRANSPORT, []]
 
 
 def _answer_for_peer(
@@ -233,23 +180,25 @@ def _program_bus_info(agent: AgentState, local: Endpoint, entries: list[object])
 def handle_program_call(
     agent: AgentState, remote: Endpoint, method: str, params: tuple[object, ...]
 ) -> Layer[object]:
-    if method not in OPEN | MASTER_ONLY | SLAVE_CALLS.keys():
+    if method not in slave_api.OPEN | slave_api.MASTER_ONLY | slave_api.SLAVE_CALLS.keys():
         raise Fault(1, f"<class 'Exception'>:method \"{printable(method, 80)}\" is not supported")
-    refused = without_caller(params, RULES[method].default)
+    refused = slave_api.without_caller(params, slave_api.RULES[method].default)
     if refused is None and method == REQUEST_TOPIC:
         refused = _invalid_request_topic(params)
     if refused is not None:
         return refused
-    changed = (agent.identity.name, *params[1:])  # the peer may be foreign: without a tail
+    changed = (agent.identity.name, *params[1:])  # the peer may be foreign: no anonymous suffix
     if method == REQUEST_TOPIC:
         changed = yield from _request_for_peer(agent, remote, str(params[0]), str(params[1]))
     parse = method not in _UNPARSED
-    event = yield CallPeer(remote, method, changed, SLAVE_CALLS.get(method), parse)
+    event = yield CallPeer(remote, method, changed, slave_api.SLAVE_CALLS.get(method), parse)
     match event:
         case RawResponse(body=body) if method in _UNPARSED:
             return Encoded(body)
         case Answered(value=[code, str() as status, value], peer=peer) if succeeded(code):
-            named = value if peer is None else answer_here(peer, agent.identity.domain, method, value)
+            named = (
+                value if peer is None else handshakes.answer_here(peer, agent.identity.domain, method, value)
+            )
             return (yield from _answer_for_program(agent, remote, method, status, named))
         case Answered(value=value):
             return _refusal(value)
@@ -263,10 +212,10 @@ def _request_for_peer(
     agent: AgentState, remote: Endpoint, caller: str, topic: str
 ) -> Layer[tuple[object, ...]]:
     if not is_alias(topic):
-        return agent.name_for(caller), topic, [[TCPROS]]
+        return agent.name_for(caller), topic, [[slave_api.TCPROS]]
     split_alias(topic)
     peer = authenticated_peer((yield AuthenticatePeer(remote)))
-    return agent.name_for_peer(caller, peer), wire_name(peer, topic), [[TCPROS]]
+    return agent.name_for_peer(caller, peer), wire_name(peer, topic), [[slave_api.TCPROS]]
 
 
 def _answer_for_program(
@@ -282,7 +231,7 @@ def _answer_for_program(
             egress = parse_endpoint(uri, WireProtocol.TCPROS)
             return [1, "ready", ["TCPROS", egress.host, egress.port]] if egress else [-1, "", []]
         case "requestTopic", _:
-            return [-1, NO_TRANSPORT, []]
+            return [-1, slave_api.NO_TRANSPORT, []]
         case "getUri", _:
             return [1, status, (yield from agent.egress_uri(remote))]
         case "getMasterUri", _:
@@ -294,8 +243,9 @@ def _answer_for_program(
 
 
 def _topics_of(remote: Endpoint, host: str, port: int) -> Endpoint:
+    # From a peer behind a relay's door only that it offers TCPROS counts: the topic is at the door, too.
     if remote.door:
-        return Endpoint(WireProtocol.TCPROS, remote.host, remote.port)
+        host, port = remote.host, remote.port
     return Endpoint(WireProtocol.TCPROS, host, port)
 
 
@@ -320,37 +270,22 @@ def _peer_bus_info(agent: AgentState, entries: list[object]) -> Layer[list[objec
     return rewritten
 
 
-_CALLER = "callerid"
-_LONGEST_NAME = 255
-FindMemoryScope: TypeAlias = Callable[[str], MemoryScope]  # by the program's caller_id
-
-
 def unrestricted(decision: Decision) -> None:
-    """No guard, where one cannot be: raises `RestrictionMismatch` for a restricted decision."""
+    # No guard, where one cannot be: raises `RestrictionMismatch` for a restricted decision.
     decision.require_unrestricted()
 
 
 @dataclass(frozen=True)
 class AdmittedConnection:
-    """A connection whose two ends may exchange messages.
+    """A connection whose two ends may exchange messages."""
 
-    Attributes:
-        answer: the header for the end that asked.
-        decision: the authorization of the peer; the connection ends with it.
-        guard: filters each message before it is forwarded; None: bytes are forwarded unchanged.
-        service: both directions carry data; else only from publisher to subscriber.
-        message_size: of every message to a program, if the size is fixed and known.
-        wishes: of a peer that subscribes.
-        rebuild: makes the guard for another decision of the same peer, right and name.
-    """
-
-    answer: Mapping[str, bytes]
-    decision: Decision
-    guard: Guard | None
-    service: bool
-    message_size: int | None = None
-    wishes: Wishes = NO_WISHES
-    rebuild: Callable[[Decision], Guard | None] = unrestricted
+    answer: Mapping[str, bytes]  # the header for the end that asked
+    decision: Decision  # of the peer; the connection ends with it
+    guard: Guard | None  # filters each message before it is forwarded; None: bytes pass unchanged
+    service: bool  # both directions carry data; else only from publisher to subscriber
+    message_size: int | None = None  # of every message to a program, if it is fixed and known
+    wishes: delivery.Wishes = delivery.NO_WISHES  # of a peer that subscribes
+    rebuild: Callable[[Decision], Guard | None] = unrestricted  # for another decision of the same peer
 
     @property
     def latching(self) -> bool:
@@ -362,11 +297,11 @@ def admit_peer(
     local: Endpoint,
     fields: Mapping[str, bytes],
     peer: Identity,
-    filter_key: FilterKey,
+    filter_key: definitions.FilterKey,
     memory_scope_of: FindMemoryScope,
     now: int,
 ) -> Layer[AdmittedConnection]:
-    service, wishes = _is_service(fields), NO_WISHES
+    service, wishes = _is_service(fields), delivery.NO_WISHES
     if service is local.via_slave_api:
         raise ConnectionHeaderRefused(f"this port is not for {'services' if service else 'topics'}")
     if service:
@@ -375,9 +310,9 @@ def admit_peer(
         target = local
     else:
         decision = handshakes.admit_subscriber(fields, peer, agent.access, now)
-        wishes = carried_out(requested_wishes(fields), decision)
+        wishes = delivery.carried_out(delivery.requested_wishes(fields), decision)
         target = yield from _request_topic(agent, local, fields, peer)
-    event = yield ConnectProgram(target, fields_here(without_grants(fields), peer))
+    event = yield ConnectProgram(target, handshakes.fields_here(without_grants(fields), peer))
     if isinstance(event, NoAnswer) and event.dead:
         yield Suspend(local)
     arrived = _require_header(event)
@@ -385,18 +320,18 @@ def admit_peer(
     own = {**_own_proof(agent, fields, arrived.now), **wishes.fields}
     if service:
         return AdmittedConnection({**answer, **own}, decision, None, service)
-    sent, program = from_header(answer), _program_name(arrived.fields)
+    sent, program = definitions.from_header(answer), _program_name(arrived.fields)
 
     def guard_under(decision: Decision) -> Guard | None:
-        check_carried_out(wishes, decision)
+        delivery.check_carried_out(wishes, decision)
         if not decision.restrictions:
             return None
-        kind = sender_definition(sent, decision, agent.known_types)
-        return guard_for(kind, decision, filter_key, memory_scope_of(program))
+        kind = definitions.sender_definition(sent, decision, agent.known_types)
+        return definitions.guard_for(kind, decision, filter_key, memory_scope_of(program))
 
     if decision.restrictions:
-        kind = sender_definition(sent, decision, agent.known_types)
-        answer |= {} if kind is sent else definition_fields(kind, decision)
+        kind = definitions.sender_definition(sent, decision, agent.known_types)
+        answer |= {} if kind is sent else definitions.definition_fields(kind, decision)
     return AdmittedConnection(
         {**answer, **own}, decision, guard_under(decision), service, wishes=wishes, rebuild=guard_under
     )
@@ -406,11 +341,11 @@ def _request_topic(
     agent: AgentState, local: Endpoint, fields: Mapping[str, bytes], peer: Identity
 ) -> Layer[Endpoint]:
     topic = handshakes.requested_topic(fields)
-    request = (caller_here(peer, text(fields, _CALLER)), topic, [[TCPROS]])
+    request = (handshakes.caller_here(peer, handshakes.text(fields, _CALLER)), topic, [[slave_api.TCPROS]])
     event = yield CallProgram(local_endpoint(WireProtocol.HTTP, local.port), REQUEST_TOPIC, request)
     match event:
         case Answered(value=[code, _, [str(protocol), str(), int() as port]]) if (
-            succeeded(code) and protocol == TCPROS and 0 < port < 1 << 16
+            succeeded(code) and protocol == slave_api.TCPROS and 0 < port < 1 << 16
         ):
             return local_endpoint(WireProtocol.TCPROS, port)
         case Answered():
@@ -436,7 +371,7 @@ def _tcpros_answer_for_peer(
     agent: AgentState, request: Mapping[str, bytes], answer: Mapping[str, bytes], peer: Identity
 ) -> dict[str, bytes]:
     if "error" in answer:
-        raise ConnectionHeaderRefused(text(answer, "error"))
+        raise ConnectionHeaderRefused(handshakes.text(answer, "error"))
     completed = {**without_grants(answer), _CALLER: _caller_name(agent, answer, peer.is_foreign)}
     if "topic" in request:
         completed["topic"] = request["topic"]
@@ -444,64 +379,64 @@ def _tcpros_answer_for_peer(
 
 
 def _program_name(fields: Mapping[str, bytes]) -> str:
-    return text(fields, _CALLER)[:_LONGEST_NAME] if _CALLER in fields else ""
+    return handshakes.text(fields, _CALLER)[:_LONGEST_NAME] if _CALLER in fields else ""
 
 
 def _caller_name(agent: AgentState, fields: Mapping[str, bytes], foreign: bool) -> bytes:
-    given = text(fields, _CALLER) if _CALLER in fields and not foreign else ""
+    given = handshakes.text(fields, _CALLER) if _CALLER in fields and not foreign else ""
     return agent.name_for(given).encode()
 
 
-def _own_proof(agent: AgentState, request: Mapping[str, bytes], now: int) -> Fields:
+def _own_proof(agent: AgentState, request: Mapping[str, bytes], now: int) -> handshakes.Fields:
     if "service" in request:
-        return handshakes.provider_proof(text(request, "service"), agent.access, now)
-    return {FIELD: agent.access.present(Right.PUBLISH, text(request, "topic"), now)}
+        return handshakes.provider_proof(handshakes.text(request, "service"), agent.access, now)
+    return {FIELD: agent.access.present(Right.PUBLISH, handshakes.text(request, "topic"), now)}
 
 
 def connect_to_peer(
     agent: AgentState,
     remote: Endpoint,
     fields: Mapping[str, bytes],
-    filter_key: FilterKey,
+    filter_key: definitions.FilterKey,
     memory_scope_of: FindMemoryScope,
     now: int,
 ) -> Layer[AdmittedConnection]:
     service = _is_service(fields)
-    wanted = text(fields, "service" if service else "topic")
+    wanted = handshakes.text(fields, "service" if service else "topic")
     if service:
-        request = fields_on_wire(without_grants(fields))
+        request = handshakes.fields_on_wire(without_grants(fields))
         request[_CALLER] = _caller_name(agent, fields, is_alias(wanted))
         request |= handshakes.caller_proof(wanted, agent.access, now)
         event = yield ConnectPeer(remote, request)
         arrived, peer = _from_peer(event)
         decision = handshakes.admit_provider(arrived.fields, peer, wanted, agent.access, arrived.now)
         decision.require_unrestricted()
-        answer = fields_here(without_grants(arrived.fields), peer)
+        answer = handshakes.fields_here(without_grants(arrived.fields), peer)
         return AdmittedConnection(answer, decision, None, service)
-    own, program = from_header(fields), _program_name(fields)
+    own, program = definitions.from_header(fields), _program_name(fields)
     granted, caller = yield from _name_granted(agent, remote, fields)
     request = {**without_grants(fields), _CALLER: caller, "topic": origin_of(granted).encode()}
     expected = handshakes.ExpectedTopic(granted, own.name, own.md5sum)
     request[FIELD] = agent.access.present(Right.SUBSCRIBE, granted, now)
     arrived, peer = _from_peer((yield ConnectPeer(remote, request)))
     decision = handshakes.admit_publisher(arrived.fields, peer, expected, agent.access, arrived.now)
-    taken_wishes(arrived.fields, NO_WISHES)
-    sent = from_header(arrived.fields)
-    kind = receiver_definition(own, sent, decision, agent.known_types)
+    delivery.taken_wishes(arrived.fields, delivery.NO_WISHES)
+    sent = definitions.from_header(arrived.fields)
+    kind = definitions.receiver_definition(own, sent, decision, agent.known_types)
 
     def guard_under(decision: Decision) -> Guard | None:
-        kind = receiver_definition(own, sent, decision, agent.known_types)
+        kind = definitions.receiver_definition(own, sent, decision, agent.known_types)
         if not decision.restrictions:
             return None
-        return guard_for(kind, decision, filter_key, memory_scope_of(program))
+        return definitions.guard_for(kind, decision, filter_key, memory_scope_of(program))
 
-    named = fields_here(without_grants(arrived.fields), peer, wanted)
+    named = handshakes.fields_here(without_grants(arrived.fields), peer, wanted)
     return AdmittedConnection(
-        named | definition_fields(kind, decision),
+        named | definitions.definition_fields(kind, decision),
         decision,
         guard_under(decision),
         service,
-        size_of(reported_definition(kind, sent)),
+        definitions.size_of(definitions.reported_definition(kind, sent)),
         rebuild=guard_under,
     )
 
@@ -510,7 +445,7 @@ def _name_granted(
     agent: AgentState, remote: Endpoint, fields: Mapping[str, bytes]
 ) -> Layer[tuple[str, bytes]]:
     # Of an alias both depend on who the peer is, which is known before it is sent anything.
-    topic = text(fields, "topic")
+    topic = handshakes.text(fields, "topic")
     if not is_alias(topic):
         return topic, _caller_name(agent, fields, foreign=False)
     split_alias(topic)
@@ -534,4 +469,4 @@ def _require_header(event: Event) -> HeaderArrived:
 
 
 def without_grants(fields: Mapping[str, bytes]) -> dict[str, bytes]:
-    return {key: value for key, value in without_wishes(fields).items() if key != FIELD}
+    return {key: value for key, value in delivery.without_wishes(fields).items() if key != FIELD}

@@ -6,10 +6,11 @@ aiocoap does the derivation and the protection; which octets go where is decided
 from typing import Any
 
 import pytest
+from aiocoap import Message
 from aiocoap.numbers import codes
 
 from rossec.border import messages
-from rossec.border.messages import Message, OscoreContext, name_context, unprotected
+from rossec.border.messages import OscoreContext, name_context, unprotected
 
 SECRET = bytes.fromhex("0102030405060708090a0b0c0d0e0f10")
 SALT = bytes.fromhex("9e7ca92223786340")

@@ -271,7 +271,7 @@ def test_the_router_asks_a_thing_in_the_same_context(router: Router) -> None:
     assert router.sent[-1][0] == messages.empty(messages.ACK, 77)
     router.endpoint.conversations.drop(LAMP)
     assert router.told[-1] == f"ended {LAMP}"
-    router.endpoint.run_timers(router.now + 1000)
+    router.endpoint.timers.run(router.now + 1000)
 
 
 @pytest.mark.parametrize("payload", [b"", b"\x00", b"\x43ab", b"\x43abc", b"\xf5", b"\x58\xff"])

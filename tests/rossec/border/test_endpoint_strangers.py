@@ -29,7 +29,7 @@ def test_forged_resets_end_no_request(router: Router) -> None:
     for mid in range(0x10000):
         router.endpoint.receive(messages.empty(messages.RST, mid), HERE, router.now)
     assert answers == []
-    router.endpoint.run_timers(router.now + 4)
+    router.endpoint.timers.run(router.now + 4)
     assert router.sent[-1] == (asked, HERE), "the very same: it may have been carried out"
     _, identifier = router.lamp.context.open(messages.read(asked))
     answer, _ = router.lamp.context.seal(aiocoap.Message(code=codes.CHANGED), identifier)

@@ -6,7 +6,7 @@ from typing import Any
 
 import lakers
 import pytest
-from aiocoap import POST
+from aiocoap import POST, Message
 from cryptography.hazmat.primitives.asymmetric import ec
 from hypothesis import given
 from hypothesis import strategies as st
@@ -64,7 +64,7 @@ def test_both_sides_have_the_same_context_after_three_small_messages() -> None:
     assert len(peer_id) == ID_SIZE
     found = responder.finish(peer_id, message_3, NOW + 1)
     assert (found.key, len(responder)) == (thing.credential, 0)
-    sealed, _ = thing.context.seal(messages.Message(code=POST, uri_path=("rd",)))
+    sealed, _ = thing.context.seal(Message(code=POST, uri_path=("rd",)))
     sealed.mtype, sealed.mid, sealed.token = messages.CON, 1, b""
     opened, _ = found.context.open(messages.read(messages.write(sealed)))
     assert opened.opt.uri_path == ("rd",)

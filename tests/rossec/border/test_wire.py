@@ -57,6 +57,6 @@ def test_empty_messages() -> None:
     ("asked", "kind", "mid"), [(messages.CON, messages.ACK, 5), (messages.NON, messages.NON, 99)]
 )
 def test_an_answer_is_piggybacked_where_it_can_be(asked: object, kind: object, mid: int) -> None:
-    found = messages.answer(get(asked), messages.refusal(aiocoap.UNAUTHORIZED), 99)
+    found = messages.answer(get(asked), aiocoap.Message(code=aiocoap.UNAUTHORIZED), 99)
     assert (found.token, found.mtype, found.mid) == (b"ab", kind, mid)
     assert messages.read(messages.write(found)).code == aiocoap.UNAUTHORIZED

@@ -15,7 +15,7 @@ from rossec.overlay.mux import MASTER, NODE, SERVICE, StreamTarget
 from rossec.overlay.targets import Peer, Targets, dial_from
 from tests.support.relays import carried, linked
 
-PEER = Peer("hospital", "clinic", "/remote/clinic/relay")
+PEER = Peer("clinic", "/remote/clinic/relay")
 SOURCE = source_for(PEER.name)
 HTTP, TCPROS = WireProtocol.HTTP, WireProtocol.TCPROS
 

@@ -87,14 +87,14 @@ async def test_many_messages_wake_the_loop_a_few_times() -> None:
     with router() as locator:
         async with carrier(locator) as alice, carrier(locator) as bob:
             turns = 0
-            take = bob._take
+            take = bob._deliver
 
             def counted() -> Any:
                 nonlocal turns
                 turns += 1
                 return take()
 
-            bob._take = counted  # type: ignore[method-assign]
+            bob._deliver = counted  # type: ignore[method-assign]
             got: list[bytes] = []
             bob.subscribe(KEY, got.append)
             await put_until(alice, KEY, b"", lambda: got)
