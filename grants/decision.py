@@ -1,27 +1,11 @@
 """Authorization: may the holder of a key use a right on a name now, and under which restrictions?
 
-Every grant the peer presented is evaluated. All restrictions of all usable permissions that cover
-the request apply together (conditions AND, all filters): if the first, the last or the widest won
-instead, the answer would depend on the order, or adding a grant would silently widen a right that
-was narrowed on purpose. The limit of this: a peer presents only the grants it chooses, so to narrow
-a right for good the wider grant must be revoked. Of a chain (`grants.token`) every link must
-authorize alone, and the restrictions of a narrowing see only what those before it let through: who
-signs one is restricted itself, and must learn nothing by a condition of its own.
-
-An index over the names that permissions cover: the master checks every name with it.
-
-The answer is that of `Permission.covers` for any of the permissions, and of `Grant.covers` for
-chains, in which every link must cover the name; only the work is done before.
-A name in the syntax of `ca.names` is compared whole, or with the prefix before a final `**`, in C.
-For parameters a whole namespace can be checked, without a list of the names in it.
-
-Tail patterns in grants: rights on the names of the anonymous nodes of one identity.
-
-A grant to `/rviz` may say `/rviz~/get_loggers`: for `/rviz` and for each name that its wildcard
-tail covers (ADR 0007). The form of a grant allows it only about the grant's own subject
-(`grants.model`). Here is the other half: such a grant counts only while the peer proves, by its
-certificate, that it is this node and has the tail. Without one, names beside its own could be
-certified for other keys.
+Every grant the peer presented is evaluated. All restrictions of all usable permissions that cover the request
+apply together (conditions AND, all filters): if the first, the last or the widest won instead, the answer
+would depend on the order, or adding a grant would silently widen a right that was narrowed on purpose. The
+limit of this: a peer presents only the grants it chooses, so to narrow a right for good the wider grant must
+be revoked. Of a chain (`grants.token`) every link must authorize alone, and the restrictions of a narrowing
+see only what those before it let through.
 """
 
 from bisect import bisect_left
@@ -256,14 +240,13 @@ class Reach:
         if not self.has_slots:
             return 0
         found = [part.slot(rights, name) for part in self._by_slot if part.covers_any(rights, name)]
-        if not self._by_slot and self._covers_itself(rights, name):
+        if not self._by_slot and any(
+            _covers(self._by_right[int(right)], name) for right in Right if right in rights
+        ):
             found.append(self._slot)
         for links in self._linked(rights, name):
             found += [max(link.slot(rights, name) for link in links)]
         return min(found, default=0)
-
-    def _covers_itself(self, rights: Right, name: str) -> bool:
-        return any(_covers(self._by_right[int(right)], name) for right in Right if right in rights)
 
     def _linked(self, rights: Right, name: str) -> Iterator[Sequence["Reach"]]:
         single = [right for right in Right if right in rights]

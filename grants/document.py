@@ -1,13 +1,10 @@
-"""The signed form of a grant: a CWT (RFC 8392) in one closed COSE_Sign1 profile.
+"""The signed form of a grant: a CWT (RFC 8392) in one closed COSE_Sign1 profile, encoded in one way.
 
-Its claims are in `claims`. The id does not include the signature: ECDSA signatures are malleable,
-and a hash over one would let the holder of a revoked grant make a copy with another hash.
-
-The claims of a grant, a CWT (RFC 8392): encoded in one deterministic form, decoded strictly.
-
-Anything unknown refuses the grant: a claim, a restriction key, a filter operator, a right bit.
-RFC 8392 section 3 has a generic verifier *ignore* unknown claims, so a restriction in a claim of
-its own would become an unrestricted right; restrictions are inside the scope entry they apply to.
+Anything unknown refuses the grant: a claim, a restriction key, a filter operator, a right bit. RFC 8392
+section 3 has a generic verifier *ignore* unknown claims, so a restriction in a claim of its own would become
+an unrestricted right; restrictions are inside the scope entry they apply to. The id does not include the
+signature: ECDSA signatures are malleable, and a hash over one would let the holder of a revoked grant make a
+copy with another hash.
 """
 
 import base64
@@ -26,7 +23,6 @@ from grants.model import (
     ALL_RIGHTS,
     KEY_SIZE,
     Draft,
-    FilterRule,
     Grant,
     Permission,
     Restriction,
@@ -89,7 +85,10 @@ def _restriction_claims(restriction: Restriction) -> Value:
     if restriction.conditions:
         claims[_CONDITIONS] = list(restriction.conditions)
     if restriction.filters:
-        claims[_FILTERS] = {rule.path: _filter_claim(rule) for rule in restriction.filters}
+        claims[_FILTERS] = {
+            rule.path: {rule.operator: {**dict(rule.parameters)} if rule.parameters else True}
+            for rule in restriction.filters
+        }
     limits: dict[int | str, Value] = {}
     if restriction.rate is not None:
         limits[_RATE] = restriction.rate
@@ -104,10 +103,6 @@ def _restriction_claims(restriction: Restriction) -> Value:
     if restriction.keep_when_stale:
         claims[_ON_STALE] = _KEEP
     return claims
-
-
-def _filter_claim(rule: FilterRule) -> Value:
-    return {rule.operator: {**dict(rule.parameters)} if rule.parameters else True}
 
 
 def read_claims(body: bytes, grant_id: bytes) -> Grant:

@@ -1,22 +1,11 @@
 """The restrictions for one receiver: expiry, conditions, limits, filters, in this order.
 
-Those of narrowings come after, layer by layer: the conditions and filters of one see what the
-filters before it left. Else whoever may narrow its right could ask, by conditions of its own, what
-the filters hide from it. Conditions that read no message are checked first, whoever wrote them.
-
-Built once per connection from the layout the wire proved and the decision; then called for every
-message. Its limits belong to the holder and outlive the connection (`grants.guard`); hysteresis is
-common to all holders (`grants.filters.coarsening`). It fails closed: what it cannot process is not sent.
-
-State of rights that are limited over time: rates, slots and hysteresis. Pure.
-
-It belongs to a key, a right and a name, never to a connection: a peer that reconnects, or opens a
-hundred connections, continues with the same state; hysteresis is common to all keys
-(`grants.filters.coarsening`). For a chain the key is its first holder's: who
-hands a right on, to however many, gets no more by it. A message counts once: under one message id
-it is admitted on every connection of the key. `MemoryStore` keeps the state of one process and is
-bounded: only state that equals fresh state and is not in use is evicted, so eviction gains a peer
-nothing; otherwise a new peer is refused.
+Those of narrowings come after, layer by layer: the conditions and filters of one see what the filters before
+it left. Else whoever may narrow its right could ask, by conditions of its own, what the filters hide from it.
+Conditions that read no message are checked first, whoever wrote them. A guard is built once per connection
+and fails closed: what it cannot process is not sent. The state of limits belongs to a key (of a chain, its
+first holder's), a right and a name, never to a connection: a peer that reconnects, opens a hundred
+connections, or hands a right on, gets no more by it.
 """
 
 from collections.abc import Callable, Hashable, Iterable, Iterator

@@ -1,19 +1,10 @@
 """How many messages a right admits: a rate, counted exactly, and slots of time. Pure.
 
-A rate of whole seconds and of sums of floats gives less than it says: 0.1 a second came every 11 s,
-0.7 every 2 s. So what a bucket holds is counted in nanoseconds, of a clock read to the microsecond.
-
-A rate hides nothing of when something begins: its first message passes at once. With a slot the
-time is divided into slots of so many seconds, at the same moments for everybody. A message passes
-in the beginning of a slot, one in each, and only if there was one in the slot before. So what
-begins, ends or happens once is known to a slot, and what happens seldom not at all.
-
-Padding hides from who watches the network how long a message is: what is sent for the right has,
-encrypted, a multiple of so many bytes (docs/spec/channel.md section 5).
-
-A token bucket: `rate` tokens a second, and at most `capacity` at once. Pure.
-
-The clock is the caller's, in seconds since any beginning, but always the same one.
+A rate hides nothing of when something begins: its first message passes at once. With a slot the time is
+divided into slots of so many seconds, at the same moments for everybody. A message passes in the beginning of
+a slot, one in each, and only if there was one in the slot before. So what begins, ends or happens once is
+known to a slot, and what happens seldom not at all. Padding hides from who watches the network how long a
+message is (docs/spec/channel.md section 5).
 """
 
 import re

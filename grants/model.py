@@ -1,10 +1,9 @@
 """The content of a grant as values: rights over names, and the restrictions on them.
 
-Every value is checked when it is constructed, so a value that exists is well-formed: no unknown
-right, operator or parameter can be represented. Whether a restriction fits a *message type* can
-only be checked with its definition (`grants.guard`).
-
-When a grant is valid: `not_before <= now < expires`, by the host's clock, never ROS time.
+Every value is checked when it is constructed, so a value that exists is well-formed: no unknown right,
+operator or parameter can be represented. Whether a restriction fits a *message type* can only be checked with
+its definition (`grants.guard`). A grant is valid while `not_before <= now < expires`, by the host's clock,
+never ROS time.
 """
 
 import re

@@ -1,21 +1,9 @@
-"""The request for a grant, signed by the node with its own key. Pure.
+"""The request for a grant, signed by the node's own key; the words for rights that no rule gives. Pure.
 
-The format is that of a grant (closed COSE_Sign1, AIF scope), so the same attacks are prevented; the
-reason is the node's text, and shown as such. A request gives no right: a replayed request only asks
-again for the same node, and the record accepts a request once only.
-
-What the client library of every ROS program asks for by itself, whatever the program is for.
-
-rospy and roscpp publish their log, offer two services to change its levels, follow `/clock` where
-time is simulated, and read the settings below. A program works without them; `basics` of a policy
-(`grants.policy.rules`) gives them. Names of the node's own are written after `{node}/`.
-Sources: rospy `client.py`, `impl/{simtime,statistics,tcpros_base,rosout}.py`; roscpp
-`init.cpp`, `rosout_appender.cpp`, `statistics.cpp`, `topic_manager.cpp`.
-
-The words for rights that no rule gives: the same on every screen, in the audit, in `explain`.
-
-A node is told nothing but what it asked for itself; which rules nearly match only the authority
-knows (`rossec explain`). A refusal for another reason, such as an expired grant, is not of these.
+The format is that of a grant (closed COSE_Sign1, AIF scope), so the same attacks are prevented; the reason is
+the node's text, and shown as such. A request gives no right: a replayed request only asks again for the same
+node, and the record accepts a request once only. A node is told nothing but what it asked for itself; which
+rules nearly match only the authority knows (`rossec explain`).
 """
 
 import hashlib

@@ -1,16 +1,11 @@
-"""What a node presents: a grant as signed, one with a ticket that renews it, or a chain.
+"""What a node presents: a grant as signed, one with a ticket that renews it, or a chain of narrowings.
 
-A renewed grant is sent as the deterministic CBOR array [grant, ticket, delegation], each as signed;
-a chain as [one of these, [narrowing, ...]]. The verifier also needs the key of the delegate, its
-master. That key is not in the token, so a peer cannot choose who renewed its grant.
-
-Narrowing: the holder of a grant hands it on, restricted further, to another key of its domain.
-
-A chain is a grant and up to three narrowings, each signed by the holder of the link before. Nothing
-compares what two links say: every link must authorize alone, and all restrictions add up
-(`grants.decision`), so a link that "grants" more has no effect. Who signs a narrowing is no
-authority: its conditions and filters see what the links before let through, and a rate counts for
-the first holder, whomever it hands the right to. Pure; docs/spec/domains.md section 4.
+A renewed grant is sent as the deterministic CBOR array [grant, ticket, delegation], each as signed; a chain
+as [one of these, [narrowing, ...]]. The key of the delegate is not in the token, so a peer cannot choose who
+renewed its grant. A narrowing hands a grant on to another key of its domain, signed by the holder of the link
+before. Every link must authorize alone, and all restrictions add up (`grants.decision`), so a link that
+"grants" more has no effect; conditions and filters of a narrowing see what the links before let through, and
+a rate counts for the first holder, whomever it hands the right to. Pure; docs/spec/domains.md section 4.
 """
 
 import hashlib

@@ -1,16 +1,10 @@
 """Conditions on messages and time: typed against the layout, compiled to read only what they name.
 
-A condition admits a message if its value is exactly True. An error denies, and so does a NaN in
-any field it names: implementations of CEL disagree on `!(x > 0.0)` for NaN, and ROS messages
-contain NaN routinely. Deviations from CEL: `false && error` and `true || error` deny when a named
-field cannot be read, because all named fields are read first; integers of all sizes are `int`;
-`int` and `double` may be compared, not added. `now` is the host's clock. Time stamps of messages
-cannot be read: the publisher sets them.
-
-Fields of a time for conditions: hours, days, in a time zone, with CEL's names and numbering.
-
-Months and days of the year count from 0 as in CEL, `getDate` from 1, Sunday is 0. Time zones come
-from the system's database and are loaded when the condition is compiled, never later.
+A condition admits a message if its value is exactly True. An error denies, and so does a NaN in any field it
+names: implementations of CEL disagree on `!(x > 0.0)` for NaN, and ROS messages contain NaN routinely.
+Deviations from CEL: `false && error` and `true || error` deny when a named field cannot be read, because all
+named fields are read first; integers of all sizes are `int`; `int` and `double` may be compared, not added.
+`now` is the host's clock. Time stamps of messages cannot be read: the publisher sets them.
 """
 
 import math
@@ -251,13 +245,10 @@ class _FieldReader(Cursor):
             if here in self._fields:
                 self._value(member, self._fields[here])
                 self._left -= 1
-            elif isinstance(member, Struct) and self._inside(here):
+            elif isinstance(member, Struct) and any(field[: len(here)] == here for field in self._fields):
                 self._struct(member, here)
             else:
                 self.skip(member)
-
-    def _inside(self, path: tuple[str, ...]) -> bool:
-        return any(field[: len(path)] == path for field in self._fields)
 
     def _value(self, kind: Type, variable: str) -> None:
         start = self.position

@@ -1,43 +1,10 @@
-"""numpy, imported when the first array is treated: a process that filters none need not load it.
+"""How values are made coarse: hysteresis, rounding, rooms, and squares of pictures. Pure.
 
-It takes a third of a sidecar's memory. Attributes are looked up once and cached.
-
-Hysteresis that is common to all holders of a right, and to all topics of one body. Pure.
-
-Two receivers with a hysteresis each, or one receiver of two topics, get two samples of one
-position, and the cells of both together are smaller than one. So a value is held for all alike:
-for all holders of a topic, and with a `body` in the restrictions for all topics of a publisher that
-show the same thing. There the state of a coordinate is kept for each frame, by the name of the
-field, and one frame is told at a time: cells of two frames are shifted and intersect.
-
-Rounding to multiples of a step, for every number type, one value or a whole array.
-
-`floor(x / step + 1/2) * step`: equal values always have the same cell; unlike "half to even" all
-cells have the same size. Values stay in their type's range (the last multiple in it), NaN and
-infinities pass. One value and an array of it give the same bits: tests compare them.
-
-Rooms: a position becomes the point of the room it is in, so a receiver learns the room alone.
-
-A plan is a text for each room: the corners of a polygon, or two opposite corners of a rectangle. A
-position in no room has no value (NaN): zero, or the nearest room, would name a place where it is
-not. With hysteresis a room is kept until the position is that far outside of it, or a position at
-a door would tell by the changes exactly where it is. docs/spec/grant.md, section 6.4.
-
-Pixelation: every square of a picture shows the colour of its first pixel, or its mean in grey.
-
-The first pixel of a square moves with what moves: ten pictures of a face gave ten samples of it. A
-mean alone tells more than one pixel does; few levels of grey are what hides a face (measured:
-`python -m bench privacy`). So means come with `levels`, and only in bytes whose meaning is known.
-
-Squares of a fixed number of pixels hide a face in a small picture and show it in a large one, so
-they can be given by how many there are across. Whatever sizes a message then claims for its bytes,
-no more squares than that leave it in either direction.
-
-Squares are aligned with the picture's corner, also in a region, so a moving region reveals no more
-than its squares, which are those of the whole picture: a grey is the mean of its whole square, also
-of what lies outside the region. Padding between the rows of pixels is zeroed. An encoding that is
-not in the table is refused: its pixel size is unknown, and a Bayer pattern or YUV 4:2:2 shares
-colours between pixels.
+Equal values always have the same cell, and all cells have the same size. One value and an array of it give
+the same bits: tests compare them. A value at a border would tell by its changes where it is, so cells have
+hysteresis; it is common to all holders of a right, and with a `body` to all topics of a publisher that show
+the same thing: two samples of one position would make the cells of both together smaller than one. There the
+state is kept for each frame, and one frame is told at a time: cells of two frames are shifted and intersect.
 """
 
 import math

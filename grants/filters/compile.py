@@ -1,15 +1,10 @@
-"""Field filters: from rules and a layout to a function on serialized messages.
+"""Field filters: from rules and a layout to a function on serialized messages; presets by name.
 
-The rules are matched against the layout here; the operators are in `grants.filters.operators`, the
-rewriting of bytes in `grants.filters.message_rewriter`. A message is filtered without being
-deserialized, so no message classes are needed, and previously unknown types can be filtered.
-
-Named restrictions for common needs: what they hide, and what they still reveal.
-
-Rounding a position alone hides little: changes at a cell's border, an exact velocity, stamps and
-sequence numbers reveal the rest. A preset treats the field with its related fields. Every text here
-is shown to the operator; `python -m bench privacy` attacks each preset, `docs/spec/grant.md` lists
-the attacks. A grant holds what its preset said when it was signed, so a preset may change.
+A message is filtered without being deserialized, so no message classes are needed, and previously unknown
+types can be filtered. Rounding a position alone hides little, so a preset treats the field with its related
+fields. Every text of a preset is shown to the operator; `python -m bench privacy` attacks each,
+`docs/spec/grant.md` lists the attacks. A grant holds what its preset said when it was signed, so a preset may
+change.
 """
 
 from collections.abc import Callable, Iterable, Mapping

@@ -1,17 +1,11 @@
-"""From the text of a message definition to the layout of its bytes.
+"""From the text of a message definition to the layout of its bytes, and generated readers of them.
 
-The text is the `message_definition` field of a TCPROS connection header: the definition, then
-each definition it needs after a line of 80 `=` and `MSG: package/Type`. It may come from a peer,
-so every size is checked before it is used. `Layout.md5` is computed as in genmsg
-(`genmsg/gentools.py`, `compute_md5_text`), which omits array brackets after the name of a message
-type: an md5 proves the layout only if `Layout.is_proven`. `Layout.digest` covers all of it.
-
-Generated readers of serialized messages: positions, loops, and safe construction of the source.
-
-The source contains only text made by this module and its users: numbers, and names from a counter.
-Values from outside (texts, parameters, functions) are bound in the namespace and referred to by
-such a name; field names never appear at all. The namespace has no builtins but the ones listed
-here.
+The text is the `message_definition` field of a TCPROS connection header. It may come from a peer, so every
+size is checked before it is used. `Layout.md5` is computed as in genmsg (`genmsg/gentools.py`,
+`compute_md5_text`), which omits array brackets after the name of a message type: an md5 proves the layout
+only if `Layout.is_proven`. `Layout.digest` covers all of it. Generated source contains only text made by this
+package: numbers, and names from a counter; values from outside are bound in the namespace, which has no
+builtins but the ones listed, and field names never appear at all.
 """
 
 import hashlib

@@ -1,21 +1,9 @@
 """From a treated layout to a function on bytes: kept parts are sliced, treated parts are computed.
 
-The generated function returns the pieces of the new message in order, for scatter-gather
-sending: kept parts are slices of the message (an image is never copied), adjacent treated
-numbers go through one `struct` call, arrays of numbers and arrays of fixed-size messages through
-numpy. It raises one of `codegen.LAYOUT_ERRORS` if the message does not have the layout.
-
-Arrays of fixed-size elements, treated column by column with numpy.
-
-One copy of the elements is made, read as a table with the treated values as its columns; adjacent
-values under one treatment are one column, so a thousand points cost three calls.
-
-Arrays of elements of different sizes, whose treated values keep their position.
-
-Treating such an array value by value costs more than everything else a filter does. Here the
-generated loop only records where the treated values are; they are then taken out of one copy of the
-array, treated column by column with numpy, and put back. This requires treatments that preserve
-every size: numbers, and constants of a fixed size.
+The generated function returns the pieces of the new message in order, for scatter-gather sending: kept parts
+are slices of the message (an image is never copied), adjacent treated numbers go through one `struct` call,
+arrays of numbers and arrays of fixed-size messages through numpy, column by column in one copy. It raises one
+of `LAYOUT_ERRORS` if the message does not have the layout.
 """
 
 import struct

@@ -1,28 +1,10 @@
 """The operators of filters: one entry in `OPERATORS` each.
 
-An operator reads its named parameters and returns a function from the type of a field to a
-treatment: a constant in its place, a function of its numbers, or a function of its bytes. An
-operator that does not treat a type itself returns `DESCEND`, and is then applied to a message's
-fields or an array's elements. Nothing here is source text: generated code only *calls* it.
-
-The types between rules and generated code: treatments of a field, and the treated layout.
-
-A treatment is the result of an operator for one type; a node says for every part of a message
-whether it is kept, treated, or entered.
-
-The parameters of an operator: exactly its own, each of its type and in its range.
-
-They come from a signed grant or from a policy, so everything that is not expected is refused.
-
-The operator `rooms`, on the messages that have a position: x and y, and z or theta.
-
-Such a message is read as one value of two or three numbers, whatever its type is called: which room
-it is in depends on all of them. Everything but x and y is cleared.
-
-Sorting: the order of an array's elements says which is which, also without their names.
-
-Elements are put in the order of their bytes as they are sent, so what is left of them decides
-alone: nothing of the order in which the publisher wrote them remains.
+An operator reads its named parameters and returns a function from the type of a field to a treatment: a
+constant in its place, a function of its numbers, or a function of its bytes. An operator that does not treat
+a type itself returns `DESCEND`, and is then applied to a message's fields or an array's elements. Nothing
+here is source text: generated code only *calls* it. Parameters come from a signed grant or from a policy:
+exactly the operator's own, each of its type and in its range, or they are refused.
 """
 
 import difflib

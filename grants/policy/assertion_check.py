@@ -1,27 +1,12 @@
 """Whether the tests of a policy hold: each claim decided as requests are, each field tried. Pure.
 
-A failure names the rule that decided, with its line, and what would be needed. What cannot be
-evaluated, such as a field that a type does not have, fails: a test that tests nothing would pass.
+A failure names the rule that decided, with its line, and what would be needed. What cannot be evaluated, such
+as a field that a type does not have, fails: a test that tests nothing would pass.
 
-What each operator lets through of one value: nothing, steps, a range, or all of it. Pure.
-
-By the operators' algebra, for the whole range of a type and not for values that were tried. A
-number goes through functions that never decrease, so what lies between two values lies between
-what becomes of them; NaN and infinities pass `round`, and `clamp` makes NaN its lower end. A cell
-that the type's range cuts off, as that of 0 of an unsigned number, counts as a whole one.
-
-How precisely a receiver sees a field, by the algebra of the filters of a verdict. Pure.
-
-What each operator lets through is a table (`grants.policy.assertion_check`), which holds for every value
-of the field's type. Numbers pass functions that never decrease, so one is hidden if the ends of its
-range, both zeros and NaN become the same: that is tried, on the filters the publisher would run.
-A field that a condition reads is not hidden, and finer than any step: that a message comes tells.
-
-Whether a field, or a word of the vocabulary, is seen as a test of a policy says. Pure.
-
-A field is judged by what its filters let through (`sight`), of a word all fields count that tell it
-(`grants.vocabulary.assess`). A name that is both, such as `position`, is the word where the type
-tells it; a part of the field is written `position.x`.
+How precisely a field is seen follows from the operators' algebra, for the whole range of its type and not for
+values that were tried. A word of the vocabulary is seen by all fields that tell it
+(`grants.vocabulary.assess`); a name that is both, such as `position`, is the word where the type tells it,
+and a part of the field `position.x`.
 """
 
 import math

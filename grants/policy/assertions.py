@@ -1,13 +1,8 @@
-"""`tests` of a policy: what must stay true of it, read from the file. Values and their reader.
+"""`tests` of a policy: what must stay true of it, read from the file; and messages made for trying filters.
 
-Each assertion is about one node: what it `may` use, what it `may_not`, for what a person is asked
-(`asks`), and how precisely it `sees` fields of topics. With `at`, times, the conditions of rules
-count as they are then, for a `message` if one is given. `assertion_check` evaluates.
-
-Messages of a layout made from values by path, and values read back. Pure.
-
-For trying filters: a field that is not given is zero, an array has one element. Paths are those of
-filters; `times` are seconds. What does not have the layout is refused, as a message from a peer is.
+Each assertion is about one node: what it `may` use, what it `may_not`, for what a person is asked (`asks`),
+and how precisely it `sees` fields of topics. With `at`, times, the conditions of rules count as they are
+then, for a `message` if one is given. `assertion_check` evaluates.
 """
 
 import struct

@@ -1,16 +1,10 @@
 """The decision of a policy: deny > allow > prompt > default, and its explanation.
 
-All rules that match are evaluated, whatever their order: one denial overrides everything, and of
-the allowing rules *all* restrictions apply together, so adding a rule never silently widens what
-another narrowed. An unknown right, an invalid name or no matching rule is never allowed.
-
-An index of clauses by name: a tree over segments, so the cost does not grow with the rules.
-
-A lookup follows the segments of the name and the wildcards beside them, nothing else. In a tree
-node, clauses for one exact node name are found by that name; the others are compared one by one.
-`hits` gives the same result by comparing every clause: the tests compare both, and whole patterns
-are only ever looked up with it. Clauses on own names (`{node}/pose`) are found by the node, and
-what is found has the pattern that they are for it.
+All rules that match are evaluated, whatever their order: one denial overrides everything, and of the allowing
+rules *all* restrictions apply together, so adding a rule never silently widens what another narrowed. An
+unknown right, an invalid name or no matching rule is never allowed. Clauses are found by a tree over the
+segments of names, so the cost does not grow with the rules; `hits` gives the same by comparing every clause:
+tests compare both, and whole patterns are only looked up with it.
 """
 
 from collections.abc import Collection, Iterable, Iterator
@@ -282,7 +276,10 @@ class Decider:
         partly: list[Hit] = []  # of a pattern or a tree: what restricts or shortens a part of it
         for effect in _STRENGTH:
             matching = sorted((hit for hit in found if hit[0].effect is effect), key=_order)
-            if matching and (effect is Effect.DENY or _complete(matching, right, name)):
+            # Whether some rule gives the *whole* request; others only add their restrictions.
+            if matching and (
+                effect is Effect.DENY or any(gives(clause.pattern, right, name) for _, clause in matching)
+            ):
                 return _verdict(base, effect, sorted([*matching, *partly], key=_order))
             partly += (hit for hit in matching if right & TREE_RIGHTS or hit[1].lines())
         default, lasting = self.policy.defaults, [rule for rule, _ in partly]
@@ -299,11 +296,6 @@ class Decider:
 
 def _order(hit: Hit) -> tuple[str, str]:
     return hit[0].id, hit[1].pattern
-
-
-def _complete(matching: Iterable[Hit], right: Right, name: str) -> bool:
-    # Whether some rule gives the *whole* request; others only add their restrictions.
-    return any(gives(clause.pattern, right, name) for _, clause in matching)
 
 
 def _verdict(base: Verdict, effect: Effect, matching: Collection[Hit]) -> Verdict:

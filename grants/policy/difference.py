@@ -1,15 +1,10 @@
 """The difference between what a policy wants for one node and the grants it has.
 
-A grant that says exactly what the policy says is kept, byte for byte, whoever asked for it. A grant
-of the policy that says anything else goes whole, and what is wanted and in no kept grant is signed
-anew: one grant for each set of rules, so that a changed rule touches no other grant. Each kept or
-signed grant alone gives no more than the policy: a peer presents only the grants it chooses.
-Grants made by hand are left alone; what they give against a denial is a contradiction.
-
-One right of one node before and after a policy is applied: new, narrower, wider, gone, or kept.
-
-Wider and narrower are compared by what is certain: one set of restrictions includes the other, one
-rate or validity is the lower. What is neither is "changed".
+A grant that says exactly what the policy says is kept, byte for byte, whoever asked for it. A grant of the
+policy that says anything else goes whole, and what is wanted and in no kept grant is signed anew: one grant
+for each set of rules, so that a changed rule touches no other grant. Each kept or signed grant alone gives no
+more than the policy: a peer presents only the grants it chooses. Grants made by hand are left alone; what
+they give against a denial is a contradiction.
 """
 
 from collections.abc import Iterable, Iterator, Mapping

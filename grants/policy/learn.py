@@ -1,22 +1,10 @@
-"""From observed use to rules: exact names, one rule per node, marked for review.
+"""A policy file to begin with, rules added to its text, and rules learned from observed use.
 
-Two sources. The graph of a running master names publishers, subscribers and providers; callers
-and parameters are not part of it. The denial log holds what enforcing nodes and masters would have
-denied: one JSON object a line, `{"at": seconds, "node": name, "right": label, "name": name}` and
-optionally `"type"`. What a rule already decides is not learned again, in particular no denial; of
-names of other masters (`/remote/...`) nothing is learned: no rule of this policy can be about them.
-A name below the node's own is learned as `{node}/...`, so it is right for every run of an anonymous
-node; what `basics` gives is left to `basics`.
-
-The commented beginning of a policy, which `rossec policy init` writes. Pure.
-
-It is a valid policy: every node gets what every ROS program needs, and nothing else.
-
-Adding rules to a policy file without changing the rest: comments, order and quotes stay.
-
-Text in, text out; `load` must have accepted the text (it bounds the cost of its YAML). What writes
-is another parser than what reads, so both texts are read by the one of policies: the result is the
-old policy and the new rules, value by value, or it is refused.
+Two sources of use: the graph of a running master (publishers, subscribers, providers), and the denial log,
+one JSON object a line: `{"at": seconds, "node": name, "right": label, "name": name}` and optionally `"type"`.
+What a rule already decides is not learned again, in particular no denial. A name below the node's own is
+learned as `{node}/...`, so it is right for every run of an anonymous node; what `basics` gives is left to
+`basics`.
 """
 
 import json

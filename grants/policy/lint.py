@@ -1,22 +1,8 @@
-"""Advice on a valid policy: what is allowed but unwise, by a table of checks.
+"""Advice on a valid policy: what is allowed but unwise, by a table of checks (`CHECKS`).
 
-Precision removed from one field is often still in related fields, on other topics, or with another
-node of the same owner. So each check sees what a receiver gets from all rules together
-(`lint_views`), and what a field shows is decided by its type (`lint_facts`). Each kind of advice
-has a stable code (`lint_findings`). A check yields findings and changes nothing.
-
-Advice on parameters: what is missing for a step to hold, and values that do nothing.
-
-Floors are what sensors err anyway, or what the attackers of docs/spec/policy.md, "Lint", needed.
-An array has no hysteresis (docs/spec/grant.md 6.1), so it is not advised there: an array is
-cleared.
-
-Advice on rules as such: reasons, lifetimes, width, names of others, what never decides.
-
-Advice on conditions: a condition on a field that the same receiver may not see is an oracle.
-
-That a message comes says that the condition held: of a position that is cleared, `x < 5` told the
-crossing to 0.13 s (docs/spec/policy.md, "Lint"), and `frame_id == "map"` tells a cleared name.
+Precision removed from one field is often still in related fields, on other topics, or with another node of
+the same owner. So each check sees what a receiver gets from all rules together (`lint_views`). Each kind of
+advice has a stable code (`lint_findings`). A check yields findings and changes nothing.
 """
 
 from collections.abc import Callable, Iterable, Iterator

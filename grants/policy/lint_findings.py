@@ -1,15 +1,9 @@
-"""What lint can say: one entry in `ADVICE` for each code, and a finding in a policy.
+"""What lint can say, one entry in `ADVICE` for each code, and what to write instead.
 
-A code is an interface: scripts compare it, documents explain it (docs/spec/policy.md has the same
-table), so a code keeps its meaning and is never given to anything else. A finding carries the
-change of the rule that it suggests where there is one, so that tests apply every suggestion:
-what lint advises, `rossec policy check` accepts.
-
-What to write instead: treatments that lint suggests, each tried against the message type first.
-
-Advice that `rossec policy check` refuses is worse than none, so no text is made by rule of thumb:
-a candidate is compiled together with the other filters of the topic, and the first that compiles
-is suggested. If none does, the advice names the field and leaves the treatment to the reader.
+A code is an interface: scripts compare it, documents explain it (docs/spec/policy.md has the same table), so
+it keeps its meaning and is never given to anything else. Advice that `rossec policy check` refuses is worse
+than none: a suggested treatment is compiled together with the other filters of the topic, and the first that
+compiles is taken. If none does, the advice names the field and leaves the treatment to the reader.
 """
 
 import json

@@ -1,17 +1,8 @@
-"""Advice on fields of one message: what is left open beside a filtered field gives it away.
+"""Advice on what else tells what is hidden: fields beside it, other topics, services, other receivers.
 
-The attackers' figures are in docs/spec/policy.md, "Lint": a rounded position with an exact twist
-is the path to 0.05 m; a rounded joint with an exact velocity is the joint.
-
-Advice on what else tells the movement, the sound, the home, names or presence that is hidden.
-
-Of a position `lint_relatives` says it. What tells what is data: a treated kind is given away by an
-exact one of its row, on any other topic of the same receiver.
-
-Advice on other topics: what one receiver, or one owner, sees exactly beside something coarse.
-
-Two nodes are of one owner if they have one key, are of one foreign domain, or one is below the
-other's name: what one of them sees, the other knows.
+What tells what is data: a treated kind is given away by an exact one of its row. The attackers' figures are
+in docs/spec/policy.md, "Lint": a rounded position with an exact twist is the path to 0.05 m; a rounded joint
+with an exact velocity is the joint.
 """
 
 import re

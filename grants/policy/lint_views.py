@@ -1,14 +1,9 @@
 """What each receiver of a policy sees: every topic, with all that holds for it together.
 
-Lint judges what a node gets, not what a rule says: two rules that are wise alone may undo each
-other. A receiver is one sample node for each subject of the policy, once for each key that is
-pinned for such a node; what a person may still approve counts as seen.
-
-What the fields of a message show, as lint tells them apart: by the vocabulary, then by names.
-
-`grants.vocabulary` says what each field of a standard type contains, wherever that is nested. Where
-it knows nothing of a number, its name may say it; where a topic has no type, the topic's name. The
-map of a house is not where the robot is, so only local maps count.
+Lint judges what a node gets, not what a rule says: two rules that are wise alone may undo each other. A
+receiver is one sample node for each subject of the policy, once for each key that is pinned for such a node;
+what a person may still approve counts as seen. What a field shows (`Aspect`) is said by `grants.vocabulary`;
+where that knows nothing of a number, by its name, and where a topic has no type, by the topic's.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping

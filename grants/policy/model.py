@@ -1,14 +1,10 @@
 """A policy as values: identities, rules, and the names and rights in each rule.
 
-All values are made by `grants.policy.read`, which checked them; nothing refers to the file any
-more, except the line number of a rule.
-
-The vocabulary of a policy: what the fields of its own types tell, and of bare values.
-
-`vocabulary` names types (`acme_msgs/Bed`) and topics (`/door/open`, for a value such as a
-std_msgs/Bool, whose meaning only the topic knows). A field tells a word, and is then hidden at
-every level but `exact`, or has a content of `grants.vocabulary.contents`, and is then treated as
-these are. What the standard table knows cannot be said otherwise.
+All values are made by `grants.policy.read`, which checked them; nothing refers to the file any more, except
+the line number of a rule. The vocabulary of a policy names types (`acme_msgs/Bed`) and topics (`/door/open`,
+for a value whose meaning only the topic knows). A field tells a word, and is then hidden at every level but
+`exact`, or has a content of `grants.vocabulary.contents`, and is then treated as these are. What the standard
+table knows cannot be said otherwise.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -84,15 +80,14 @@ class Vocabulary:
     def _said(self, topic: str) -> dict[str, Content]:
         covering = [pattern for pattern in self.topics if topic and self._covers(pattern, topic)]
         here: dict[str, Content] = {}
-        for pattern in sorted(covering, key=lambda one: self._narrower(one, covering), reverse=True):
+        for pattern in sorted(
+            covering, key=lambda one: sum(self._covers(one, other) for other in covering), reverse=True
+        ):
             here.update(self.topics[pattern])
         return here
 
     def _covers(self, pattern: str, topic: str) -> bool:
         return includes(any_node(pattern), any_node(topic))
-
-    def _narrower(self, pattern: str, others: Iterable[str]) -> int:
-        return sum(self._covers(pattern, other) for other in others)
 
     def _decides(self, pattern: str, topic: str) -> bool:
         # Whether `pattern` covers `topic`, and what it says is said again or not contradicted.

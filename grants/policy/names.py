@@ -1,16 +1,12 @@
-"""Comparison of two patterns: does one include the other, do they intersect?
+"""Patterns of rules: does one include the other, do they intersect, and the asking node's own names.
 
-Needed where a right is requested for a whole pattern: `/a/**` may only be granted if every name in
-it is allowed, and not if one of them is denied. Names are infinite, so both are decided on the
-automata of the patterns: a position in each, moved segment by segment. Both may be tail patterns
-(`ca.names`): their segment `rviz~` is included only by one of the same tail, or by a wildcard.
+Needed where a right is requested for a whole pattern: `/a/**` may only be granted if every name in it is
+allowed, and not if one of them is denied. Names are infinite, so both are decided on the automata of the
+patterns: a position in each, moved segment by segment.
 
-The asking node's own names in a rule: `{node}`, `{node}/pose`, `{node}/**`; `~/pose` for short.
-
-`{node}` stands for the whole certified name of the node that asks, so it stands first, alone or
-before a `/`: what results is that name or a name below it, never a name beside it. Of an identity
-with a wildcard tail it stands for every name of the tail too, as a tail pattern (`ca.names`),
-which only its own grants can have. A node of another domain has no own names here.
+`{node}` (`~/pose` for `{node}/pose`) stands for the whole certified name of the node that asks, so it stands
+first: what results is that name or one below it, never one beside it. With an anonymous suffix it stands for
+every name of the suffix too, as a tail pattern (`ca.names`), which only its own grants can have.
 """
 
 import re

@@ -1,17 +1,9 @@
-"""Which data is collected, who has access and why: every field, every receiver, until when.
+"""Which data is collected, who has access and why: every field, every receiver, until when. Pure.
 
-The effect of a right field by field, for a record of processing (GDPR article 30) as much as for
-users at home. Built from what the policy allows or from live grants: both are `ReceiverAccess`.
-
-What a policy lets a node see of a topic, in the words of people. Pure.
-
-For explanations, reports and assertions: from the verdict, whichever rules, filters and presets it
-came from. A topic of unknown type says nothing.
-
-The effect of a verdict on one message: sent or withheld, and which fields change. Pure.
-
-For answers before anything is granted: the guard of a publisher is built from the verdict, so the
-answer is the actual result, not a description of it.
+The effect of a right field by field, for a record of processing (GDPR article 30) as much as for users at
+home. Built from what the policy allows or from live grants: both are `ReceiverAccess`. A `Trial` is the
+effect on one message before anything is granted, by the guard that a publisher would have: not a description
+of it.
 """
 
 from collections.abc import Callable, Iterable, Sequence

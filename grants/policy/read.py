@@ -1,20 +1,8 @@
-"""The closed schema of a policy: from the tree of the file to a `Policy`, or to its mistakes.
+"""The closed schema of a policy: from the tree of the file to a `Policy`, or to its mistakes. Pure.
 
-Any other key is a mistake. Conditions and filters are compiled against the message type of every
-topic they are for, so a rule that cannot be applied is never accepted.
-
-Names for people: `title:` says what a node or a topic is called at home. Pure.
-
-    title: {/doctor: Dr. Meier, /robot/pose: where the robot is, lamps: a lamp of the house}
-
-A title decides nothing: it is shown beside the name of ROS, never instead of it. So that it can
-imitate neither a name nor another title, it is one short line without control, format or direction
-characters, has no slash, and no two names have the same; that of a group is for its members.
-
-The JSON Schema of a policy, for editors: completion and errors while typing. Pure.
-
-It covers the structure and the keys, not the message types; `rossec policy check` covers all.
-`policy.schema.json` beside this module is its text; a test compares the two.
+Any other key is a mistake. Conditions and filters are compiled against the message type of every topic they
+are for, so a rule that cannot be applied is never accepted. At the end: the JSON Schema of a policy for
+editors (structure and keys, not message types); `policy.schema.json` beside this module is its text.
 """
 
 import json

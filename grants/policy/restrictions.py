@@ -1,19 +1,9 @@
-"""Field filters and conditions in a policy: their notation, and whether they fit a type.
+"""The restrictions of a rule: filters, conditions, `limit` and `see`; whether they fit a type.
 
-The notation is shorter than in a grant: `{round: 2.0}` for `{round: {step: 2.0}}`. The operators
-are those of `grants.filters.operators`, so a policy supports exactly what its grants support.
-
-The `limit` of a rule: a rate, a slot, the body that its topics show, and padding.
-
-`see` in a rule: levels of words, for all topics of the rule or by topic, as a filter of each.
-
-`see: {position: room, image: no}`, or `see: {/robot/pose: {position: room}}`. What is said is an
-upper limit; a word that is not mentioned is shown as it is, unless it gives away one that is.
-
-Whether a right of a policy can be in a grant at all: checked before anything is signed.
-
-What is valid in a policy, rule by rule, may be too much for one grant: conditions of several rules
-on one topic hold together, so they cannot be divided. Such a right is refused alone, by its name.
+The notation is shorter than in a grant: `{round: 2.0}` for `{round: {step: 2.0}}`. The operators are those of
+`grants.filters.operators`, so a policy supports exactly what its grants support. Of `see` (`{position: room,
+image: no}`, or the same by topic) what is said is an upper limit; a word that is not mentioned is shown as it
+is, unless it gives away one that is.
 """
 
 import re

@@ -1,20 +1,11 @@
-"""One rule of a policy: its subjects, its rights on names, and their restrictions.
+"""One rule of a policy: its subjects, its rights on names, and their restrictions; and the rule of `basics`.
 
-The restriction of a rule is determined for every topic of the rule separately, against the type of
-that topic: a filter that fits one of two topics is a mistake, not half a filter.
+The restriction of a rule is determined for every topic of the rule separately, against the type of that
+topic: a filter that fits one of two topics is a mistake, not half a filter.
 
-Who a rule is for: names and patterns, nodes of other domains, identities, and groups of these.
-
-A group is a list under a name (`groups: {robots: [/robot1, /robot2]}`) and may name other groups,
-never itself. It stands for its members wherever a rule says `who` or `except`; nothing else is a
-member. Identities and groups share one space of names, so that a word means one thing.
-
-`basics` of a policy: one more rule, which gives every node what every ROS program needs.
-
-`basics: true` is the table of `grants.request` and no more; `basics: [tf]` also lets every node
-subscribe to the transforms. The rule is a rule like any other: a denial overrides it, and `explain`
-names it. It lasts as long as the longest rule of the policy: else it would shorten the grants of
-wide rules, such as `param-get: /**`, that give its names too.
+A group (`groups: {robots: [/robot1, /robot2]}`) stands for its members wherever a rule says `who` or
+`except`; it may name other groups, never itself. Identities and groups share one space of names: a word means
+one thing.
 """
 
 import re

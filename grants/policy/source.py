@@ -1,27 +1,12 @@
-"""From YAML text to a tree in which every part has its position. A subset of YAML 1.2.
+"""From YAML text to a tree in which every part has its position. The only YAML reader.
 
-`grants.policy.source` bounds the text and refuses anchors, aliases, tags, directives and further
-documents; duplicate keys are refused here: otherwise the second of two equal keys would silently
-win. Plain scalars are texts unless they are clearly a number or true/false: `22:00`, `no` and
-`2026-11-20` stay as written.
-
-The only YAML reader: a stream of events, bounded before and while the text is parsed.
-
-The cost of YAML is in its structure, not in its bytes: an alias stands for a tree, a bracket for a
-level that the scanner checks with each token, a merge for another map. So the size is checked
-before parsing; anchors, aliases, tags outside the core schema, directives, further documents,
-depth and the number of events are checked with each event. No value is built before its event was
-checked. A merge key `<<` is an ordinary key. Pure.
-
-Mistakes in a policy file: position, message, and the value that was probably meant.
-
-Reading continues after a mistake, so that all of them are reported at once; then the file is
-refused as a whole. A `Policy` never has mistakes.
-
-Readers of the parts of a policy: text, duration, name pattern, key thumbprint.
-
-Each function takes a part and records a mistake if it is something else; it then returns None,
-and reading continues with the rest of the file.
+The cost of YAML is in its structure, not in its bytes: an alias stands for a tree, a merge for another map.
+So the size is checked before parsing, and anchors, aliases, tags, directives, further documents, depth and
+the number of events with each event, before a value is built. Duplicate keys are refused: the second would
+silently win. A merge key `<<` is an ordinary key; plain scalars are texts unless they are clearly a number or
+true/false (`22:00`, `no`, `2026-11-20` stay as written). Readers of a part record a mistake if it is
+something else and return None; reading goes on, so that all mistakes are reported at once. A file with one is
+refused: a `Policy` never has any.
 """
 
 import base64

@@ -1,11 +1,10 @@
 """Conversion of SROS2 policies (XML): kept exactly, or narrower and said, or refused.
 
-Read: `policy/enclaves/enclave/profiles/profile(ns, node)` with `topics`, `services` and `actions`
-(design article "ROS 2 access control policies"). DTDs are refused before anything in them is
-read. SROS2 matches with fnmatch, whose `*` stands for any characters, `/` too: a last segment `*`
-is `**` here, and a `*` before it is so as well. What is allowed may become narrower or be left out,
-and is reported; what is denied is kept as wide as it is, or the policy is refused, as is one with
-parts that are not read: they may deny.
+Read: `policy/enclaves/enclave/profiles/profile(ns, node)` with `topics`, `services` and `actions` (design
+article "ROS 2 access control policies"). SROS2 matches with fnmatch, whose `*` stands for any characters, `/`
+too: so it is `**` here. What is allowed may become narrower or be left out, and is reported; what is denied
+is kept as wide as it is, or the policy is refused, as is one with parts that are not read: they may deny.
+DTDs are refused before anything in them is read.
 """
 
 import io

@@ -1,20 +1,9 @@
 """What a policy gives a node outright: the wanted state, which `rossec policy apply` makes true.
 
-Each clause of an allowing rule is decided whole, as a request for its pattern would be. Only what
-is allowed is wanted: what a person decides is left to a person, and a pattern of which one name is
-denied is withheld whole: a grant cannot say "except". Both are reported with their rules.
-
-From verdicts to grants: what the authority may sign for a node, no more than was decided.
-
-A right that the policy restricts in several rules becomes several permissions in one grant, each
-with its restriction: the verifier of the grant applies all of them.
-
-What is signed and in force for a right, whatever the policy says of it today. Pure.
-
-A grant holds until it ends or is revoked: one signed by hand, or before a rule was changed, is used
-by its node and accepted by every verifier. So what a policy says is said beside what is in force.
-
-What a policy would grant to a name: shown before the name is certified for a key.
+Each clause of an allowing rule is decided whole, as a request for its pattern would be. Only what is allowed
+is wanted: what a person decides is left to a person, and a pattern of which one name is denied is withheld
+whole: a grant cannot say "except". Both are reported with their rules. Also here: from verdicts to grants, no
+more than was decided, and what is in force for a right, whatever the policy says of it today.
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator

@@ -1,14 +1,10 @@
 """What filters and a rate let through, in the words of people: from the rules back to levels.
 
-For rules of any origin: a level of a policy, a preset, a filter by hand, a grant of long ago. Only
-what is certain counts: a word is at a level if every field that tells it is treated at least as
-strictly as by that level, and the rate is no higher; one open relative makes it exact, and so does
-a condition on one: conditions read messages as they are, and that one comes tells what held. Times
-do not count (every attack used the time of arrival), nor what may be recognised in a picture.
-
-How words and levels are said: `where it is: the room; not how it moves`.
-
-One table, for the command line and the console. The numbers are those of the table of levels.
+For rules of any origin: a level of a policy, a preset, a filter by hand, a grant of long ago. Only what is
+certain counts: a word is at a level if every field that tells it is treated at least as strictly as by that
+level, and the rate is no higher; one open relative makes it exact, and so does a condition on one: conditions
+read messages as they are, and that one comes tells what held. Times do not count (every attack used the time
+of arrival), nor what may be recognised in a picture.
 """
 
 import math
@@ -127,10 +123,6 @@ class _Limits(NamedTuple):
             return self.slot >= slot
         return interval * _ALMOST >= slot and (level.rate is None or interval * _ALMOST * level.rate >= 1)
 
-    @property
-    def are_often(self) -> bool:
-        return max(1 / self.rate, self.slot) * _SELDOM * _ALMOST < 1
-
 
 _Treated = list[tuple[FieldContent, list[Treatment]]]
 
@@ -151,7 +143,7 @@ def _seen(word: DataWord, treated: _Treated, limits: _Limits, conditions: Sequen
         for field, found in telling
         if is_open and (not found or any(reads(text, field.path) for text in told))
     )
-    is_often = limits.are_often and 0 < size < math.inf
+    is_often = max(1 / limits.rate, limits.slot) * _SELDOM * _ALMOST < 1 and 0 < size < math.inf
     shared = _are_shared(word, telling, limits) if level == EXACT else False
     by = _others(word, telling)
     rest = (told, besides, is_often, shared, limits.outdoors)

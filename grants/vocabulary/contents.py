@@ -1,27 +1,10 @@
-"""What a field contains, and which words it tells: its own, those it gives away, those it may show.
+"""What the fields of the standard message types contain, and which words each content tells.
 
-`tells` are exact relatives: the word can be computed from the field, as the path from a velocity.
-`hints` are what a person or a program recognises in it, as a face in a picture; a rule that says a
-level for the field's own word has decided on them. Times tell when a value changed. The figures are
-those of the attackers' programs, in docs/spec/vocabulary.md.
-
-The words for data, and the levels of each, from the most to the least that is shown.
-
-A level is an upper limit of what a receiver learns: each lets through no more than the one before
-it. What a level does to fields is in `levels`, which fields tell a word in `contents` and `types`.
-
-The standard message types: what each of their fields contains. Data, and nothing else.
-
-A field that is a message and is not named here has the contents of its own type; one that is named
-has this content throughout. A type or field that is missing is unknown: it cannot be shown at a
-level (`describe`). The types are those of Debian's std, geometry, sensor, nav, tf2, stereo,
-diagnostic, actionlib, trajectory and visualization packages, and the sound of audio_common.
-
-The contents of a message type, field by field: what each tells, and which fields are unknown.
-
-Types within a type are described by the same table (`types`), so a type that contains a pose is
-described by what a pose is. What is not in the table, nor in the policy's own vocabulary, is
-`unknown`: of such a type nothing can be said to be hidden.
+`tells` are exact relatives: the word can be computed from the field, as the path from a velocity. `hints` are
+what a person or a program recognises in it, as a face in a picture; a rule that says a level for the field's
+own word has decided on them. Times tell when a value changed. The figures are those of the attackers'
+programs, in docs/spec/vocabulary.md. Types within a type are described by the same table. What is neither in
+it nor in the policy's own vocabulary is `unknown`: nothing of it can be said to be hidden.
 """
 
 from collections.abc import Iterator, Mapping

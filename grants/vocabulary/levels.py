@@ -1,23 +1,11 @@
-"""What each level does: its rate, and the treatment of each content that tells its word.
+"""What each level does, in one table; levels for one message type, resolved into filters and a rate.
 
-One table. What it does not list is hidden: cleared, or emptied where it is an array. The steps of
-one word nest (5 is odd, and a cell is centred), so the coarser level is a function of the finer
-one; a rate never rises. Position and movement have slots, not rates: they are sampled at
-moments that are the same for all topics and receivers, and a publisher that sends when something
-happens does not tell when. The slot follows the cell: one of 2.2 km is crossed in minutes, and a
-sample in the middle of crossing tells the border. `python -m bench privacy` measures what is left.
-Sixteen squares across in 8 greys show a face only where somebody is close.
-
-A position at the room as the room itself, where the policy says which rooms there are.
-
-A rule that rounds a whole position to the cell of a room becomes the operator `rooms`; any other
-stays. Rooms and the cells of an area do not nest, so a position that has rooms has no area.
-
-Levels for messages of one type, resolved into the rules of a filter and a rate.
-
-Every field that tells a coarse word is treated, also where the word is not its own: a velocity
-beside a rounded position would be the exact path. Of several words the strictest treatment holds.
-A type with an unknown field is refused, and so is `exact` for what another level hides.
+What the table does not list is hidden: cleared, or emptied where it is an array. The steps of one word nest
+(5 is odd, and a cell is centred), so the coarser level is a function of the finer one; a rate never rises.
+Every field that tells a coarse word is treated, also where the word is not its own: a velocity beside a
+rounded position would be the exact path. Of several words the strictest treatment holds. A type with an
+unknown field is refused, and so is `exact` for what another level hides. `python -m bench privacy` measures
+what is left.
 """
 
 import math
@@ -146,11 +134,6 @@ LEVEL_TABLE: Final[_Table] = {
 
 def level_of(word: DataWord, level: str) -> Level:
     return Level() if level == EXACT else LEVEL_TABLE[word, level]
-
-
-def hiding(content: Content) -> Treatment:
-    """What hides a field: a picture keeps its size, so that programs can still read it."""
-    return Treatment("zero") if content is Content.PICTURE else CLEAR
 
 
 OPERATOR: Final = "rooms"
@@ -328,7 +311,7 @@ def _strictness(treatment: Treatment) -> tuple[int, float]:
 
 def treatment_at(level: Level, field: FieldContent) -> Treatment | None:
     """What a level does to a field that tells its word; None keeps it."""
-    hidden = hiding(field.content)
+    hidden = Treatment("zero") if field.content is Content.PICTURE else CLEAR
     wanted = level.treatments.get(field.content, hidden)
     return wanted if wanted is None or _fits(field, wanted) else hidden
 
