@@ -240,9 +240,8 @@ class Reach:
         if not self.has_slots:
             return 0
         found = [part.slot(rights, name) for part in self._by_slot if part.covers_any(rights, name)]
-        if not self._by_slot and any(
-            _covers(self._by_right[int(right)], name) for right in Right if right in rights
-        ):
+        single = (self._by_right[int(right)] for right in Right if right in rights)
+        if not self._by_slot and any(_covers(sets, name) for sets in single):
             found.append(self._slot)
         for links in self._linked(rights, name):
             found += [max(link.slot(rights, name) for link in links)]

@@ -210,7 +210,8 @@ class _Reader:
         if label is None or part is None:
             return []
         if label in self._named:
-            return [_sample(who) for who in self._named[label]]
+            found = self._named[label]
+            return [(who.sample, who.node if who.node and "*" in who.node else "") for who in found]
         if not (label.startswith("/") or ":" in label) or "*" in label or label == EVERYONE:
             hint = suggest(label, self._named) if self._named else "for example /heating"
             self._mistakes.add(part, f"not a node, identity or group: {label[:60]!r}", hint)
@@ -287,9 +288,3 @@ class _Reader:
             for name, (_, inner) in entries
             for value in self._values(inner, f"{path}.{name}" if path else name)
         ]
-
-
-def _sample(who: SubjectPattern) -> tuple[Subject, str]:
-    written = who.node or "/x"
-    node = written.replace("**", "x").replace("*", "x")
-    return Subject(node, who.key or bytes(32)), "" if node == written else written

@@ -276,10 +276,9 @@ class Decider:
         partly: list[Hit] = []  # of a pattern or a tree: what restricts or shortens a part of it
         for effect in _STRENGTH:
             matching = sorted((hit for hit in found if hit[0].effect is effect), key=_order)
-            # Whether some rule gives the *whole* request; others only add their restrictions.
-            if matching and (
-                effect is Effect.DENY or any(gives(clause.pattern, right, name) for _, clause in matching)
-            ):
+            # One rule must give the *whole* request; others only add their restrictions.
+            whole = effect is Effect.DENY or any(gives(each.pattern, right, name) for _, each in matching)
+            if matching and whole:
                 return _verdict(base, effect, sorted([*matching, *partly], key=_order))
             partly += (hit for hit in matching if right & TREE_RIGHTS or hit[1].lines())
         default, lasting = self.policy.defaults, [rule for rule, _ in partly]

@@ -136,6 +136,11 @@ def level_of(word: DataWord, level: str) -> Level:
     return Level() if level == EXACT else LEVEL_TABLE[word, level]
 
 
+def hiding(content: Content) -> Treatment:
+    """What hides a field: a picture keeps its size, so that programs can still read it."""
+    return Treatment("zero") if content is Content.PICTURE else CLEAR
+
+
 OPERATOR: Final = "rooms"
 SMALLEST: Final = 1.0  # square metres; a plan of smaller ones is a grid, not rooms
 NARROWEST: Final = 0.8  # metres, of four areas by the circumference; of a long room twice its width
@@ -311,7 +316,7 @@ def _strictness(treatment: Treatment) -> tuple[int, float]:
 
 def treatment_at(level: Level, field: FieldContent) -> Treatment | None:
     """What a level does to a field that tells its word; None keeps it."""
-    hidden = Treatment("zero") if field.content is Content.PICTURE else CLEAR
+    hidden = hiding(field.content)
     wanted = level.treatments.get(field.content, hidden)
     return wanted if wanted is None or _fits(field, wanted) else hidden
 
