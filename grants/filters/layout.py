@@ -135,6 +135,10 @@ class Layout:
     md5_text: str
     digest: bytes
 
+    def leaves(self) -> "dict[str, Primitive | Text]":
+        """The fields without fields of their own by path, as in filters; an array as its element."""
+        return dict(_leaves(self.root, ""))
+
     @property
     def is_proven(self) -> bool:
         return not any(_contains_messages(kind) for _, kind in self.root.fields)
@@ -152,6 +156,16 @@ def parse(type_name: str, definition: str) -> Layout:
         raise DefinitionRefused("a definition with lone surrogates")
     built = _Builder(_sections(type_name, definition)).build(type_name, ())
     return Layout(type_name, built.md5, built.struct, built.md5_text, built.digest)
+
+
+def _leaves(kind: Type, path: str) -> Iterator[tuple[str, Primitive | Text]]:
+    inner = kind.element if isinstance(kind, Array) else kind
+    if isinstance(inner, Struct):
+        here = f"{path}[*]." if isinstance(kind, Array) else f"{path}." if path else ""
+        for name, member in inner.fields:
+            yield from _leaves(member, here + name)
+    elif not isinstance(inner, Array):
+        yield path, inner
 
 
 def _contains_messages(kind: Type) -> bool:

@@ -30,7 +30,7 @@ from grants.policy.lint_findings import (
 from grants.policy.lint_views import Aspect, LayoutOf, Precision, Scene, View, too_fine, too_small
 from grants.policy.model import Clause, Effect, Policy, PolicyRule, SubjectPattern
 from grants.policy.names import NODE, any_node, gives, includes, intersects, is_own, speaks_for_others
-from grants.policy.privacy import filters_of
+from grants.vocabulary.assess import filters_of
 from grants.vocabulary.levels import NARROWEST, SMALLEST, Treatment, narrowest, smallest
 
 _FASTEST: Final = 2.0  # a second: at a walk one message every half metre

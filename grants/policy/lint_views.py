@@ -18,7 +18,8 @@ from grants.model import FilterRule, Right
 from grants.policy.decision import Decider, Verdict
 from grants.policy.model import Clause, Effect, Policy, PolicyRule, Subject, SubjectPattern
 from grants.policy.names import includes, is_own
-from grants.policy.privacy import filters_of, leaf_paths
+from grants.policy.privacy import leaf_paths
+from grants.vocabulary.assess import filters_of
 from grants.vocabulary.contents import Content, Description, FieldContent
 
 

@@ -10,7 +10,7 @@ DTDs are refused before anything in them is read.
 import io
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple
 from xml.etree.ElementTree import ParseError
 
@@ -56,14 +56,8 @@ _BELOW: Final[dict[str, frozenset[str]]] = {
 _GOALS: Final = ("goal", "cancel")
 _RESULTS: Final = ("status", "feedback", "result")
 _ROS2_ONLY: Final = (
-    "parameter_events",
-    "describe_parameters",
-    "get_parameter_types",
-    "get_parameters",
-    "list_parameters",
-    "set_parameters",
-    "set_parameters_atomically",
-    "get_type_description",
+    *("parameter_events", "describe_parameters", "get_parameter_types", "get_parameters"),
+    *("list_parameters", "set_parameters", "set_parameters_atomically", "get_type_description"),
 )
 
 
@@ -72,9 +66,8 @@ def import_sros2(xml: str) -> tuple[str, list[str]]:
     root = _parse(xml)
     found = _Found()
     if root.get("version") != VERSION:
-        found.notes.append(
-            f"{_READ}the policy is of version {root.get('version', '(none)')[:20]!a}, as {VERSION}"
-        )
+        version = root.get("version", "(none)")[:20]
+        found.notes.append(f"{_READ}the policy is of version {version!a}, as {VERSION}")
     rules: list[NewRule] = []
     taken: set[str] = set()
     repeated: Counter[str] = Counter()
@@ -82,10 +75,10 @@ def import_sros2(xml: str) -> tuple[str, list[str]]:
     for profile in root.iter("profile"):
         for rule in _profile(profile, found):
             repeated[rule.id] += 1
-            duplicate = repeated[rule.id] > 1
-            name = free_id(taken, f"{rule.id}-{repeated[rule.id]}" if duplicate else rule.id)
+            number = repeated[rule.id]
+            name = free_id(taken, f"{rule.id}-{number}" if number > 1 else rule.id)
             taken.add(name)
-            rules.append(NewRule(name, rule.why, rule.who, rule.effect, rule.rights))
+            rules.append(replace(rule, id=name))
     if found.lost:
         raise PolicyRefused(
             f"{len(found.lost)} parts of this policy cannot be kept as they are: {found.lost[0]}",
@@ -210,7 +203,7 @@ def _read_group(
         pattern = _deep(asked)
         if effect == "allow" and pattern.rsplit("/", 1)[-1] in _ROS2_ONLY:
             found.notes.append(f"{read.node}: {pattern} exists in ROS 2 only")
-        elif not _is_pattern(pattern) or (effect == "deny" and not _is_kept(asked)):
+        elif not _is_pattern(pattern) or (effect == "deny" and any(mark in asked for mark in "?[]")):
             lost = found.lost if effect == "deny" else found.notes
             lost.append(f"{where} {asked} is not a pattern of whole segments")
         else:
@@ -222,11 +215,6 @@ def _read_group(
 
 def _deep(pattern: str) -> str:
     return "/".join("**" if part == "*" else part for part in pattern.split("/"))
-
-
-def _is_kept(pattern: str) -> bool:
-    # `/a/*` is also `/a/` for fnmatch, which is no name.
-    return not any(mark in pattern for mark in "?[]")
 
 
 def _rights(attribute: str, labels: tuple[str, ...], name: str) -> list[tuple[str, str]]:

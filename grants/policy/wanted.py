@@ -237,8 +237,8 @@ def in_force(
 ) -> list[Grant]:
     """The grants by which a node can use `right` on `name`, or on a part of it, at `now`.
 
-    One signed by hand, or before a rule was changed, is used by its node and accepted by every verifier until it
-    ends or is revoked, whatever the policy says today. `keys`: those the node may prove to hold; `revoked`: ids of
+    One signed by hand, or before a rule was changed, is accepted by every verifier until it ends or is
+    revoked, whatever the policy says today. `keys`: those the node may prove to hold; `revoked`: ids of
     grants and keys.
     """
     return [

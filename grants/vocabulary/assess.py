@@ -104,7 +104,10 @@ def assess(
     rates = [each for each in (rate, *(each.rate for each in given)) if each is not None]
     slots = [each.slot for each in given if each.slot is not None]
     limits = _Limits(min(rates, default=math.inf), max(slots, default=0), outdoors=description.is_outdoors)
-    treated = [(field, _of(rules, field.path)) for field in description.fields]
+    treated = [
+        (field, [Treatment(rule.operator, rule.parameters) for rule in filters_of(rules, field.path)])
+        for field in description.fields
+    ]
     asked = description.words if words is None else words
     texts = list(dict.fromkeys(text for each in given for text in each.conditions))
     return {word: _seen(word, treated, limits, texts) for word in asked if description.tells(word)}
@@ -242,13 +245,17 @@ def _cell(field: FieldContent, found: Iterable[Treatment]) -> float:
     return 0.0
 
 
-def _of(rules: Iterable[FilterRule], path: str) -> list[Treatment]:
+def filters_of(filters: Iterable[FilterRule], path: str) -> list[FilterRule]:
+    """The rules that apply to the field at `path`: its own, and those of its parents.
+
+    `sort` of an array hides which element is which, but nothing of its fields.
+    """
     steps = path.replace("[*]", "").split(".")
     found = []
-    for rule in rules:
+    for rule in filters:
         above = rule.path.replace("[*]", "").split(".")
         if steps[: len(above)] == above and rule.operator != "sort":
-            found.append(Treatment(rule.operator, rule.parameters))
+            found.append(rule)
     return found
 
 
