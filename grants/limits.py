@@ -34,6 +34,8 @@ def rate_text(rate: float) -> str:
     return f"at most {rate:g} message{'' if rate == 1 else 's'} a second"
 
 
+# A rate of whole seconds and of sums of floats gives less than it says: 0.1 a second came every 11 s, 0.7
+# every 2 s. So what a bucket holds is counted in nanoseconds, of a clock read to the microsecond.
 class RateBucket:
     """`rate` messages a second, and bursts of at most `max(1, rate)`.
 
@@ -51,7 +53,6 @@ class RateBucket:
 
     @property
     def tokens(self) -> float:
-        # How many messages it would admit at once.
         return self.left / self.interval
 
     def refill(self, now: float) -> bool:
@@ -123,7 +124,10 @@ class SlotGate:
 
 
 class TokenBucket:
-    """Full at first, unless `tokens` says otherwise; the caller takes from `tokens`."""
+    """`rate` tokens a second, at most `capacity` at once; full at first, and the caller takes from `tokens`.
+
+    The clock is the caller's, in seconds since any beginning, but always the same one.
+    """
 
     __slots__ = ("_rate", "_refilled_at", "capacity", "tokens")
 

@@ -112,8 +112,7 @@ def rows(
                 kind or "type not known",
                 access.receiver,
                 path,
-                ", then ".join(str(rule).partition(": ")[2] for rule in filters_of(filters, path))
-                or AS_IT_IS,
+                ", then ".join(str(rule).partition(": ")[2] for rule in rules) or AS_IT_IS,
                 _when(access),
                 access.why,
                 access.until,
