@@ -75,7 +75,7 @@ class Decision:
 def authorize(
     grants: Iterable[Grant], right: Right, name: str, *, holder: bytes, now: int, check: RevocationCheck
 ) -> Decision:
-    """Decide whether the key with the thumbprint `holder`, which the peer proved to hold, may use one right on a name.
+    """Decide whether the key with the thumbprint `holder` may use one right on a name.
 
     `grants` are verified, as presented by the peer. `check(grant_id, now)` raises when that grant is
     revoked or unknown; `now` is in seconds since the epoch.
@@ -155,7 +155,7 @@ def _check(grant: Grant, holder: bytes, now: int, check: RevocationCheck) -> Non
 
 
 class Reach:
-    """For each right the exact names, the prefixes of names, and the other permissions: the master checks all names.
+    """For each right the exact names, the prefixes of names, and the other permissions.
 
     The answer is that of `Permission.covers` for any of the permissions, and of `Grant.covers` for
     `chains`, in which every link must cover the name; only the work is done before. A name is compared

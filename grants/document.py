@@ -68,16 +68,11 @@ def from_draft(draft: Draft, issuer: bytes) -> Value:
 
 def scope_of(permissions: Iterable[Permission]) -> bytes:
     """The `scope` claim: a CBOR list of AIF entries."""
-    return encode(
-        [
-            [
-                each.pattern,
-                int(each.rights),
-                *([_restriction_claims(each.restriction)] if each.restriction else []),
-            ]
-            for each in permissions
-        ]
-    )
+    entries: list[Value] = []
+    for each in permissions:
+        more = [] if each.restriction is None else [_restriction_claims(each.restriction)]
+        entries.append([each.pattern, int(each.rights), *more])
+    return encode(entries)
 
 
 def _restriction_claims(restriction: Restriction) -> Value:

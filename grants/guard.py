@@ -302,7 +302,7 @@ class Guard:
             return opened and (self._bucket is None or self._bucket.refill(now))
 
     def apply(self, message: Buffer, now: float, message_id: object = None) -> list[Buffer] | None:
-        """Return `message` (without its length) in pieces, filtered for the receiver; None if it must not be sent.
+        """Return `message` in pieces, filtered for the receiver; None if it must not be sent.
 
         Limits count fractions of `now`. `message_id` is the same object for the same message on all
         connections of the holder, so that the rate counts it once; None: a new message.

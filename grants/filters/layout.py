@@ -63,7 +63,7 @@ class Array:
 
     @cached_property
     def size(self) -> int | None:
-        """Bytes on the wire when always the same, else None."""
+        # Bytes on the wire when always the same, else None.
         if self.length == 0:
             # For any element type: a loop over many of these would read nothing and never fail.
             return 0
@@ -81,13 +81,9 @@ class Struct:
 
     @cached_property
     def size(self) -> int | None:
-        """Bytes on the wire when always the same, else None."""
-        total = 0
-        for _, kind in self.fields:
-            if kind.size is None:
-                return None
-            total += kind.size
-        return total
+        sizes = [kind.size for _, kind in self.fields]
+        known = [size for size in sizes if size is not None]
+        return sum(known) if len(known) == len(sizes) else None
 
     def explain_missing(self, name: str) -> str:
         has = ", ".join(known for known, _ in self.fields) or "no fields"
@@ -141,7 +137,8 @@ class Layout:
 
     @property
     def is_proven(self) -> bool:
-        return not any(_contains_messages(kind) for _, kind in self.root.fields)
+        kinds = (kind.element if isinstance(kind, Array) else kind for _, kind in self.root.fields)
+        return not any(isinstance(kind, Struct) for kind in kinds)
 
 
 def parse(type_name: str, definition: str) -> Layout:
@@ -168,10 +165,6 @@ def _leaves(kind: Type, path: str) -> Iterator[tuple[str, Primitive | Text]]:
         yield path, inner
 
 
-def _contains_messages(kind: Type) -> bool:
-    return isinstance(kind.element if isinstance(kind, Array) else kind, Struct)
-
-
 def dependencies(type_name: str, definition: str) -> frozenset[str]:
     _, declared = _statements(type_name, definition.split("\n"))
     bases = ((_base(type_name, text)[0], text) for text in declared.values())
@@ -195,19 +188,15 @@ def _sections(type_name: str, definition: str) -> dict[str, list[str]]:
         if line != SEPARATOR:
             current.append(line)
             continue
-        name = _section_name(next(lines, ""))
+        head = next(lines, "")
+        name = head.removeprefix("MSG: ").strip()
+        if not head.startswith("MSG: ") or TYPE_NAME.fullmatch(name) is None:
+            raise DefinitionRefused(f"expected 'MSG: package/Type', found {head[:80]!r}")
         if name in sections:
             # genpy would use the last, others the first: two layouts for one text.
             raise DefinitionRefused(f"{name} is defined twice")
         current = sections[name] = []
     return sections
-
-
-def _section_name(line: str) -> str:
-    name = line.removeprefix("MSG: ").strip()
-    if not line.startswith("MSG: ") or TYPE_NAME.fullmatch(name) is None:
-        raise DefinitionRefused(f"expected 'MSG: package/Type', found {line[:80]!r}")
-    return name
 
 
 @dataclass(frozen=True)
@@ -294,7 +283,11 @@ def _statements(name: str, lines: list[str]) -> tuple[list[str], dict[str, str]]
     for line in lines:
         code = line.split("#", maxsplit=1)[0].strip()
         if "=" in code:
-            constants.append(_constant(line, code))
+            # A string constant runs to the end of the line: `#` is part of its value.
+            matched = _CONSTANT.fullmatch(line if code.startswith("string ") else code)
+            if matched is None or matched[1] not in _CONSTANT_TYPES:
+                raise DefinitionRefused(f"not a constant: {line[:80]!r}", "expected: type NAME=value")
+            constants.append(f"{matched[1]} {matched[2]}={matched[3].strip()}")
         elif code:
             kind, field_name = _field(code)
             if field_name in fields:
@@ -313,14 +306,6 @@ def _field(code: str) -> tuple[str, str]:
             "the program that publishes writes it so: update it, or report it there",
         )
     raise DefinitionRefused(f"not a field: {code[:80]!r}", "expected: type name")
-
-
-def _constant(line: str, code: str) -> str:
-    # A string constant runs to the end of the line: `#` is part of its value.
-    matched = _CONSTANT.fullmatch(line if code.startswith("string ") else code)
-    if matched is None or matched[1] not in _CONSTANT_TYPES:
-        raise DefinitionRefused(f"not a constant: {line[:80]!r}", "expected: type NAME=value")
-    return f"{matched[1]} {matched[2]}={matched[3].strip()}"
 
 
 def _bounded(kind: _Sized) -> _Sized:
@@ -420,18 +405,14 @@ class Cursor:
                     self.skip(member)
             case Text():
                 self.jump(f"{self.at(4)}+U(b,{self.at()})[0]")
+            case Array(size=None, element=element) if element.size is not None:
+                self.jump(f"{self.at(4)}+U(b,{self.at()})[0]*{element.size}")
             case Array(size=None, element=element):
-                self._skip_array(kind, element)
+                with self.each(kind):
+                    self.skip(element)
             case _:
                 assert kind.size is not None  # noqa: S101 - for the type checker
                 self.position = (self.position[0], self.position[1] + kind.size)
-
-    def _skip_array(self, kind: Array, element: Type) -> None:
-        if element.size is not None:
-            self.jump(f"{self.at(4)}+U(b,{self.at()})[0]*{element.size}")
-            return
-        with self.each(kind):
-            self.skip(element)
 
     def jump(self, target: str) -> None:
         """Continue at `target`, an expression."""

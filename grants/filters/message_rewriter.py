@@ -81,7 +81,7 @@ def _merged(found: list[Column]) -> list[Column]:
 
 @dataclass(frozen=True)
 class Table:
-    """The treated values of many elements of `size` bytes each, as columns."""
+    """The treated values of many elements, as columns; adjacent ones under one treatment are one column."""
 
     dtype: "np.dtype[Any]"
     treatments: tuple[tuple[str, Callable[[Vector], Vector]], ...]
@@ -92,7 +92,6 @@ class Table:
 
 
 def table(node: Node, size: int) -> Table:
-    """The table for elements of `size` bytes with the treatments in `node`."""
     return table_from_columns(columns(node, 0), size)
 
 
@@ -111,25 +110,19 @@ def table_from_columns(found: list[Column], size: int) -> Table:
 
 
 def table_rewriter(element: Node, size: int) -> Callable[[Buffer, int, int], Buffer]:
-    """Return a function of message, start and count of the elements, to the elements' new bytes.
-
-    It raises ValueError if the message is too short.
-    """
+    # A function of message, start and count of the elements, to their new bytes. ValueError: the message is
+    # too short.
     match element:
         case FieldTreatment(Primitive(code=code), Numbers(vector=vector)):
-            return _numbers_rewriter(f"<{code[0]}", len(code), vector)
+            dtype, values = f"<{code[0]}", len(code)
         case _:
             return _elements_rewriter(table(element, size))
 
-
-def _numbers_rewriter(
-    code: str, values: int, vector: Callable[[Vector], Vector]
-) -> Callable[[Buffer, int, int], Buffer]:
     def rewrite(message: Buffer, start: int, count: int) -> Buffer:
         if count == 0:
             return b""
-        numbers = np.frombuffer(message, code, count * values, start)
-        return vector(numbers).astype(code, copy=False).tobytes()
+        numbers = np.frombuffer(message, dtype, count * values, start)
+        return vector(numbers).astype(dtype, copy=False).tobytes()
 
     return rewrite
 
@@ -168,6 +161,10 @@ class _Region:
     columns: list[Column]
 
 
+# Treating an array of elements of different sizes value by value costs more than everything else a filter
+# does. Here the generated loop only records where the treated values are; they are then taken out of one
+# copy of the array, treated column by column with numpy, and put back. This requires treatments that
+# preserve every size: numbers, and constants of a fixed size.
 class ArrayCollector(Cursor):
     def __init__(self, source: SourceWriter) -> None:
         super().__init__(source)
@@ -186,28 +183,22 @@ class ArrayCollector(Cursor):
             case _ if isinstance(node, Keep) or not size:
                 self.skip(node.kind)
             case _:
-                self._note(node, size)
-
-    def _note(self, node: Node, size: int) -> None:
-        if not self._regions or self._regions[-1].end != self.position:
-            name = self.source.new("g")
-            self.source.line(f"{name}.append({self.at()})")
-            self._regions.append(_Region(name, self.position, 0, []))
-        region = self._regions[-1]
-        region.columns += columns(node, region.size)
-        region.size += size
-        self.skip(node.kind)
-        region.end = self.position
+                if not self._regions or self._regions[-1].end != self.position:
+                    name = self.source.new("g")
+                    self.source.line(f"{name}.append({self.at()})")
+                    self._regions.append(_Region(name, self.position, 0, []))
+                region = self._regions[-1]
+                region.columns += columns(node, region.size)
+                region.size += size
+                self.skip(node.kind)
+                region.end = self.position
 
     def finish(self) -> str:
         names = [region.name for region in self._regions]
         self.source.replace(self._declared, ";".join(f"{name}=[]" for name in names))
         tables = [table_from_columns(region.columns, region.size) for region in self._regions]
-        return f"{self.source.bind(_patcher(tables))}(({''.join(f'{name},' for name in names)}))"
-
-
-def _patcher(tables: list[Table]) -> Callable[[tuple[list[int], ...]], Callable[[Buffer, int, int], Buffer]]:
-    return lambda positions: partial(_patch, tables, positions)
+        patcher = self.source.bind(lambda positions: partial(_patch, tables, positions))
+        return f"{patcher}(({''.join(f'{name},' for name in names)}))"
 
 
 def _patch(
