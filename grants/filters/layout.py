@@ -96,21 +96,10 @@ _Sized = TypeVar("_Sized", Array, Struct)
 PRIMITIVES: Final = {
     name: Primitive(name, code, size)
     for name, code, size in (
-        ("bool", "B", 1),
-        ("char", "B", 1),
-        ("byte", "b", 1),
-        ("int8", "b", 1),
-        ("uint8", "B", 1),
-        ("int16", "h", 2),
-        ("uint16", "H", 2),
-        ("int32", "i", 4),
-        ("uint32", "I", 4),
-        ("int64", "q", 8),
-        ("uint64", "Q", 8),
-        ("float32", "f", 4),
-        ("float64", "d", 8),
-        ("time", "II", 8),
-        ("duration", "ii", 8),
+        *(("bool", "B", 1), ("char", "B", 1), ("byte", "b", 1), ("int8", "b", 1), ("uint8", "B", 1)),
+        *(("int16", "h", 2), ("uint16", "H", 2), ("int32", "i", 4), ("uint32", "I", 4)),
+        *(("int64", "q", 8), ("uint64", "Q", 8), ("float32", "f", 4), ("float64", "d", 8)),
+        *(("time", "II", 8), ("duration", "ii", 8)),
     )
 }
 _BUILT_IN: Final[dict[str, Type]] = {**PRIMITIVES, "string": Text()}
@@ -377,7 +366,6 @@ class SourceWriter:
         return "\n".join(self._lines) + "\n"
 
     def compile(self) -> Callable[..., Any]:
-        """The compiled function."""
         exec(compile(self.text, "<rossec layout>", "exec"), self._namespace)  # noqa: S102 - only names and offsets from here
         function: Callable[..., Any] = self._namespace["generated"]
         return function

@@ -69,16 +69,6 @@ def columns(node: Node, offset: int) -> list[Column]:
             return []
 
 
-def _merged(found: list[Column]) -> list[Column]:
-    merged: list[Column] = []
-    for column in found:
-        if merged and merged[-1].is_continued_by(column):
-            last = merged.pop()
-            column = Column(last.offset, last.code, last.count + column.count, last.vector)  # noqa: PLW2901 - merged
-        merged.append(column)
-    return merged
-
-
 @dataclass(frozen=True)
 class Table:
     """The treated values of many elements, as columns; adjacent ones under one treatment are one column."""
@@ -91,12 +81,15 @@ class Table:
             elements[name] = vector(elements[name])
 
 
-def table(node: Node, size: int) -> Table:
-    return table_from_columns(columns(node, 0), size)
-
-
-def table_from_columns(found: list[Column], size: int) -> Table:
-    merged = _merged(found)
+def table(found: list[Column], size: int) -> Table:
+    merged: list[Column] = []
+    for column in found:
+        if merged and merged[-1].is_continued_by(column):
+            last = merged.pop()
+            count = last.count + column.count
+            merged.append(Column(last.offset, last.code, count, last.vector))
+        else:
+            merged.append(column)
     names = [f"f{n}" for n in range(len(merged))]
     dtype: np.dtype[Any] = np.dtype(
         {
@@ -116,7 +109,7 @@ def table_rewriter(element: Node, size: int) -> Callable[[Buffer, int, int], Buf
         case FieldTreatment(Primitive(code=code), Numbers(vector=vector)):
             dtype, values = f"<{code[0]}", len(code)
         case _:
-            return _elements_rewriter(table(element, size))
+            return _elements_rewriter(table(columns(element, 0), size))
 
     def rewrite(message: Buffer, start: int, count: int) -> Buffer:
         if count == 0:
@@ -196,7 +189,7 @@ class ArrayCollector(Cursor):
     def finish(self) -> str:
         names = [region.name for region in self._regions]
         self.source.replace(self._declared, ";".join(f"{name}=[]" for name in names))
-        tables = [table_from_columns(region.columns, region.size) for region in self._regions]
+        tables = [table(region.columns, region.size) for region in self._regions]
         patcher = self.source.bind(lambda positions: partial(_patch, tables, positions))
         return f"{patcher}(({''.join(f'{name},' for name in names)}))"
 

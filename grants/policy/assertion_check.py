@@ -162,7 +162,7 @@ def _is_multiple(small: Passing, large: Passing) -> bool:
     return abs(ratio - round(ratio)) < _WHOLE and (round(ratio) % 2 == 1 or is_exact)
 
 
-class Sight:
+class Visibility:
     """What the receiver of a verdict sees of messages of one layout.
 
     A leaf is hidden if the ends of its range, both zeros and NaN become the same: that is tried, on the
@@ -250,21 +250,21 @@ def seen_too_well(policy: Policy, layout_of: LayoutOf, verdict: Verdict, seen: S
     if not paths:
         raise PolicyRefused(f"no field {seen.path!r} in {kind}")
     frames = {each.path for each in description.fields if each.content in FRAMES}
-    sight = Sight(layout, verdict, frames)
-    return next((path for path in paths if not _holds(sight, path, fields[path], seen)), "")
+    visible = Visibility(layout, verdict, frames)
+    return next((path for path in paths if not _holds(visible, path, fields[path], seen)), "")
 
 
-def _holds(sight: Sight, path: str, kind: Primitive | Text, seen: SeenField) -> bool:
+def _holds(visible: Visibility, path: str, kind: Primitive | Text, seen: SeenField) -> bool:
     if seen.limit == EXACT:
-        return sight.is_exact(path)
+        return visible.is_exact(path)
     if seen.limit == NOTHING:
-        return sight.is_hidden(path)
+        return visible.is_hidden(path)
     if isinstance(seen.limit, str):
         hint = f"write a number (no finer than that), {NOTHING} or {EXACT}"
         raise PolicyRefused(f"not how a field is seen: {seen.limit[:40]!r}", hint)
     if not isinstance(kind, Primitive) or kind.name == "bool":
         raise PolicyRefused(f"{path} is no number", f"write {NOTHING} or {EXACT}")
-    return sight.is_no_finer_than(path, seen.limit)
+    return visible.is_no_finer_than(path, seen.limit)
 
 
 def _word(description: Description, verdict: Verdict, seen: SeenField) -> str:
