@@ -1,27 +1,11 @@
 """Authorization: may the holder of a key use a right on a name now, and under which restrictions?
 
-Every grant the peer presented is evaluated. All restrictions of all usable permissions that cover
-the request apply together (conditions AND, all filters): if the first, the last or the widest won
-instead, the answer would depend on the order, or adding a grant would silently widen a right that
-was narrowed on purpose. The limit of this: a peer presents only the grants it chooses, so to narrow
-a right for good the wider grant must be revoked. Of a chain (`grants.token`) every link must
-authorize alone, and the restrictions of a narrowing see only what those before it let through: who
-signs one is restricted itself, and must learn nothing by a condition of its own.
-
-An index over the names that permissions cover: the master checks every name with it.
-
-The answer is that of `Permission.covers` for any of the permissions, and of `Grant.covers` for
-chains, in which every link must cover the name; only the work is done before.
-A name in the syntax of `ca.names` is compared whole, or with the prefix before a final `**`, in C.
-For parameters a whole namespace can be checked, without a list of the names in it.
-
-Tail patterns in grants: rights on the names of the anonymous nodes of one identity.
-
-A grant to `/rviz` may say `/rviz~/get_loggers`: for `/rviz` and for each name that its wildcard
-tail covers (ADR 0007). The form of a grant allows it only about the grant's own subject
-(`grants.model`). Here is the other half: such a grant counts only while the peer proves, by its
-certificate, that it is this node and has the tail. Without one, names beside its own could be
-certified for other keys.
+Every grant the peer presented is evaluated. All restrictions of all usable permissions that cover the request
+apply together (conditions AND, all filters): if the first, the last or the widest won instead, the answer
+would depend on the order, or adding a grant would silently widen a right that was narrowed on purpose. The
+limit of this: a peer presents only the grants it chooses, so to narrow a right for good the wider grant must
+be revoked. Of a chain (`grants.token`) every link must authorize alone, and the restrictions of a narrowing
+see only what those before it let through.
 """
 
 from bisect import bisect_left
@@ -53,21 +37,14 @@ _BY_PROGRESS: Final = (GrantNotHeld, GrantNotYetValid, GrantExpired, GrantRevoke
 
 @dataclass(frozen=True)
 class Decision:
-    """Authorized until `expires`, under `restrictions`.
-
-    Args:
-        grants: the usable grants that cover the request, ordered by id.
-        expires: the earliest end of these grants, seconds since the epoch.
-        restrictions: all that must be applied, by a `Guard`.
-        keep_when_stale: whether every one of the permissions says so.
-    """
+    """Authorized until `expires`, under `restrictions`."""
 
     right: Right
     name: str
-    grants: tuple[Grant, ...]
-    expires: int
-    restrictions: tuple[Restriction, ...]
-    keep_when_stale: bool = False
+    grants: tuple[Grant, ...]  # the usable ones that cover the request, ordered by id
+    expires: int  # the earliest end of these, seconds since the epoch
+    restrictions: tuple[Restriction, ...]  # all that must be applied, by a `Guard`
+    keep_when_stale: bool = False  # whether every one of the permissions says so
 
     @property
     def grant_ids(self) -> tuple[bytes, ...]:
@@ -98,15 +75,10 @@ class Decision:
 def authorize(
     grants: Iterable[Grant], right: Right, name: str, *, holder: bytes, now: int, check: RevocationCheck
 ) -> Decision:
-    """Decide whether the key `holder` may use `right` on `name`.
+    """Decide whether the key with the thumbprint `holder` may use one right on a name.
 
-    Args:
-        grants: verified grants, as presented by the peer.
-        right: exactly one right.
-        name: an absolute name.
-        holder: thumbprint of the key the peer proved to hold, 32 bytes.
-        now: seconds since the epoch.
-        check: called as `check(grant_id, now)`; raises when that grant is revoked or unknown.
+    `grants` are verified, as presented by the peer. `check(grant_id, now)` raises when that grant is
+    revoked or unknown; `now` is in seconds since the epoch.
     """
     check_name(name)
     if right.bit_count() != 1:
@@ -128,18 +100,16 @@ def authorize(
 
 
 def near_misses(grants: Iterable[Grant], right: Right, name: str) -> tuple[str, ...]:
-    pairs = [
-        (link, permission) for grant in grants for link in grant.links for permission in link.permissions
-    ]
+    pairs = [(link, each) for grant in grants for link in grant.links for each in link.permissions]
     same_name = [
-        f"grant {grant.short_id} gives {permission.rights.label}, not {right.label}, on {name}"
-        for grant, permission in pairs
-        if permission.matches(name, right) and right not in permission.rights
+        f"grant {grant.short_id} gives {each.rights.label}, not {right.label}, on {name}"
+        for grant, each in pairs
+        if each.matches(name, right) and right not in each.rights
     ]
     same_right = [
-        f"grant {grant.short_id} is for {permission.pattern}, not {name}"
-        for grant, permission in pairs
-        if right in permission.rights and not permission.matches(name, right)
+        f"grant {grant.short_id} is for {each.pattern}, not {name}"
+        for grant, each in pairs
+        if right in each.rights and not each.matches(name, right)
     ]
     return tuple(dict.fromkeys([*same_name, *same_right]))[:MAX_NEAR_MISSES]
 
@@ -158,8 +128,7 @@ def _usable(
 ) -> tuple[Grant, ...]:
     usable: list[Grant] = []
     refusals: list[GrantError] = []
-    for grant_id in sorted(covering):
-        grant = covering[grant_id]
+    for _, grant in sorted(covering.items()):
         try:
             _check(grant, holder, now, check)
         except GrantError as error:
@@ -167,12 +136,8 @@ def _usable(
         else:
             usable.append(grant)
     if not usable:
-        raise max(refusals, key=_progress)
+        raise max(refusals, key=lambda error: _BY_PROGRESS.index(type(error)))
     return tuple(usable)
-
-
-def _progress(error: GrantError) -> int:
-    return _BY_PROGRESS.index(type(error))
 
 
 def _check(grant: Grant, holder: bytes, now: int, check: RevocationCheck) -> None:
@@ -192,9 +157,9 @@ def _check(grant: Grant, holder: bytes, now: int, check: RevocationCheck) -> Non
 class Reach:
     """For each right the exact names, the prefixes of names, and the other permissions.
 
-    Args:
-        permissions: any of them gives a right.
-        chains: the reaches of the links of each chain: all of them together give a right.
+    The answer is that of `Permission.covers` for any of the permissions, and of `Grant.covers` for
+    `chains`, in which every link must cover the name; only the work is done before. A name is compared
+    whole, or with the prefix before a final `**`, in C.
     """
 
     __slots__ = ("_any", "_by_right", "_by_slot", "_chains", "_given", "_slot", "has_slots")
@@ -256,14 +221,12 @@ class Reach:
         if not self.has_slots:
             return 0
         found = [part.slot(rights, name) for part in self._by_slot if part.covers_any(rights, name)]
-        if not self._by_slot and self._covers_itself(rights, name):
+        single = (self._by_right[int(right)] for right in Right if right in rights)
+        if not self._by_slot and any(_covers(sets, name) for sets in single):
             found.append(self._slot)
         for links in self._linked(rights, name):
             found += [max(link.slot(rights, name) for link in links)]
         return min(found, default=0)
-
-    def _covers_itself(self, rights: Right, name: str) -> bool:
-        return any(_covers(self._by_right[int(right)], name) for right in Right if right in rights)
 
     def _linked(self, rights: Right, name: str) -> Iterator[Sequence["Reach"]]:
         single = [right for right in Right if right in rights]
@@ -272,11 +235,7 @@ class Reach:
                 yield links
 
     def covers_below(self, right: Right, namespace: str) -> bool:
-        """Whether `right`, one of parameters, is given on every name below `namespace`.
-
-        Args:
-            namespace: a name, or `/` for all names.
-        """
+        """Whether `right`, one of parameters, is given on every name below `namespace`, a name or `/`."""
         sets = self._parameter_sets(right)
         if any(all(link.covers_below(right, namespace) for link in links) for links in self._chains):
             return True
@@ -289,16 +248,19 @@ class Reach:
         """Whether `right`, one of parameters, is given on `namespace` or on any name below it.
 
         A chain may touch it by each link and yet give nothing: who asks filters name by name.
-
-        Args:
-            namespace: as for `covers_below`.
         """
         sets = self._parameter_sets(right)
         if any(all(link.touches(right, namespace) for link in links) for links in self._chains):
             return True
-        return sets is not None and (
-            _touches(_prefix(namespace), sets[1])
-            or any(names.touches(permission.pattern, namespace) for _, permission in sets[2])
+        if sets is None:
+            return False
+        prefix, prefixes = _prefix(namespace), sets[1]
+        at = bisect_left(prefixes, prefix)
+        below = at < len(prefixes) and prefixes[at].startswith(prefix)
+        return (
+            below
+            or prefix.startswith(prefixes)
+            or any(names.touches(each.pattern, namespace) for _, each in sets[2])
         )
 
     def patterns(self, right: Right) -> int:
@@ -339,13 +301,6 @@ def _prefix(namespace: str) -> str:
     return namespace if namespace == "/" else f"{namespace}/"
 
 
-def _touches(namespace: str, prefixes: tuple[str, ...]) -> bool:
-    if namespace.startswith(prefixes):
-        return True
-    at = bisect_left(prefixes, namespace)
-    return at < len(prefixes) and prefixes[at].startswith(namespace)
-
-
 def _name_sets(permissions: tuple[Permission, ...], right: Right) -> _NameSets:
     exact, prefixes, others = set(), set(), []
     for permission in permissions:
@@ -366,9 +321,10 @@ def _name_sets(permissions: tuple[Permission, ...], right: Right) -> _NameSets:
 def check_tail(grant: Grant, peer: str, *, tail: bool) -> None:
     """Return if `grant` has no tail patterns, or the peer has the tail they are about.
 
-    Args:
-        peer: the certified name of the peer, an alias if it is a foreigner.
-        tail: whether its certificate has a wildcard tail, which that of a foreigner never has here.
+    A grant to `/rviz` may say `/rviz~/get_loggers`: for `/rviz` and for each name that its wildcard tail
+    covers (ADR 0007). It counts only while the peer, by its certified name here, proves that it is this
+    node and has the tail: else names beside its own could be certified for other keys. A foreigner's
+    certificate never has one here.
     """
     if not any(link.has_tail_patterns for link in grant.links):
         return

@@ -1,13 +1,10 @@
-"""The signed form of a grant: a CWT (RFC 8392) in one closed COSE_Sign1 profile.
+"""The signed form of a grant: a CWT (RFC 8392) in one closed COSE_Sign1 profile, encoded in one way.
 
-Its claims are in `claims`. The id does not include the signature: ECDSA signatures are malleable,
-and a hash over one would let the holder of a revoked grant make a copy with another hash.
-
-The claims of a grant, a CWT (RFC 8392): encoded in one deterministic form, decoded strictly.
-
-Anything unknown refuses the grant: a claim, a restriction key, a filter operator, a right bit.
-RFC 8392 section 3 has a generic verifier *ignore* unknown claims, so a restriction in a claim of
-its own would become an unrestricted right; restrictions are inside the scope entry they apply to.
+Anything unknown refuses the grant: a claim, a restriction key, a filter operator, a right bit. RFC 8392
+section 3 has a generic verifier *ignore* unknown claims, so a restriction in a claim of its own would become
+an unrestricted right; restrictions are inside the scope entry they apply to. The id does not include the
+signature: ECDSA signatures are malleable, and a hash over one would let the holder of a revoked grant make a
+copy with another hash.
 """
 
 import base64
@@ -26,7 +23,6 @@ from grants.model import (
     ALL_RIGHTS,
     KEY_SIZE,
     Draft,
-    FilterRule,
     Grant,
     Permission,
     Restriction,
@@ -34,6 +30,9 @@ from grants.model import (
     check_time,
     filter_rules,
 )
+
+GRANT: Final = Profile("rossec-grant+cwt")
+_ID_PREFIX: Final = b"rossec-grant-id\0" + len(GRANT.protected).to_bytes(4) + GRANT.protected
 
 # RFC 8392 section 3.1; cnf: RFC 8747; scope: RFC 9200 section 8.14, here an AIF (RFC 9237) in a
 # byte string; below -65536 the numbers are for private use.
@@ -46,10 +45,7 @@ _CKT_URI: Final = "urn:ietf:params:oauth:ckt:sha-256:"  # RFC 9679 section 5: `i
 
 _TYPE, _CONDITIONS, _FILTERS, _LIMITS, _ON_STALE = 0, 1, 2, 3, 4
 _RESTRICTIONS: Final = {_TYPE, _CONDITIONS, _FILTERS, _LIMITS, _ON_STALE}
-_RATE: Final = "rate"
-_SLOT: Final = "slot"
-_BODY: Final = "body"
-_PAD: Final = "pad"
+_LIMIT_NAMES: Final = ("rate", "slot", "body", "pad")
 _KEEP: Final = "keep"
 
 _UINT, _BYTES, _TEXT, _MAP = 0x00, 0x40, 0x60, 0xA0  # major types
@@ -72,14 +68,11 @@ def from_draft(draft: Draft, issuer: bytes) -> Value:
 
 def scope_of(permissions: Iterable[Permission]) -> bytes:
     """The `scope` claim: a CBOR list of AIF entries."""
-    return encode([_scope_entry(permission) for permission in permissions])
-
-
-def _scope_entry(permission: Permission) -> Value:
-    entry: list[Value] = [permission.pattern, int(permission.rights)]
-    if permission.restriction is not None:
-        entry.append(_restriction_claims(permission.restriction))
-    return entry
+    entries: list[Value] = []
+    for each in permissions:
+        more = [] if each.restriction is None else [_restriction_claims(each.restriction)]
+        entries.append([each.pattern, int(each.rights), *more])
+    return encode(entries)
 
 
 def _restriction_claims(restriction: Restriction) -> Value:
@@ -89,16 +82,13 @@ def _restriction_claims(restriction: Restriction) -> Value:
     if restriction.conditions:
         claims[_CONDITIONS] = list(restriction.conditions)
     if restriction.filters:
-        claims[_FILTERS] = {rule.path: _filter_claim(rule) for rule in restriction.filters}
-    limits: dict[int | str, Value] = {}
-    if restriction.rate is not None:
-        limits[_RATE] = restriction.rate
-    if restriction.slot is not None:
-        limits[_SLOT] = restriction.slot
-    if restriction.body is not None:
-        limits[_BODY] = restriction.body
-    if restriction.pad is not None:
-        limits[_PAD] = restriction.pad
+        claims[_FILTERS] = {
+            rule.path: {rule.operator: {**dict(rule.parameters)} if rule.parameters else True}
+            for rule in restriction.filters
+        }
+    limits: dict[int | str, Value] = {
+        name: value for name in _LIMIT_NAMES if (value := getattr(restriction, name)) is not None
+    }
     if limits:
         claims[_LIMITS] = limits
     if restriction.keep_when_stale:
@@ -106,13 +96,13 @@ def _restriction_claims(restriction: Restriction) -> Value:
     return claims
 
 
-def _filter_claim(rule: FilterRule) -> Value:
-    return {rule.operator: {**dict(rule.parameters)} if rule.parameters else True}
-
-
 def read_claims(body: bytes, grant_id: bytes) -> Grant:
     try:
-        claims = _closed_map(_decode_claims(body), _REQUIRED, _CLAIMS, "claim")
+        # A grant has one encoding, so it is encoded again and compared, which costs a quarter of the general
+        # check; a body that differs goes through that check, which names the error.
+        read = decode_payload(body, parse)
+        read = read if _deterministic_form(read) == body else decode_payload(body)
+        claims = _closed_map(read, _REQUIRED, _CLAIMS, "claim")
         confirmation = _closed_map(claims[_CNF], {_CKT}, {_CKT}, "confirmation")
         may_narrow = _typed(claims.get(_MAY_NARROW, 0), int, "may_narrow")
         if _MAY_NARROW in claims and may_narrow == 0:
@@ -141,13 +131,6 @@ def decode_payload(body: bytes, decoder: Callable[[bytes], Value] = decode) -> V
         raise GrantMalformed(f"not a grant: {error}") from None
 
 
-def _decode_claims(body: bytes) -> Value:
-    # A grant has one encoding, so it is encoded again and compared, which costs a quarter of the general
-    # check; a body that differs goes through that check, which names the error.
-    claims = decode_payload(body, parse)
-    return claims if _deterministic_form(claims) == body else decode_payload(body)
-
-
 def _deterministic_form(claims: Value) -> bytes | None:
     # The claims in deterministic encoding; None or other bytes if they are not the usual ones.
     # Texts are assumed to be ASCII: other texts only result in bytes that differ from the body.
@@ -166,31 +149,17 @@ def _deterministic_form(claims: Value) -> bytes | None:
         } if min(exp, nbf, cap) >= 0:
             count = more.get(_MAY_NARROW)
             narrowable = head(_UINT, count) if type(count) is int and count > 0 else b""
+            texts = ((b"\x01", iss), (b"\x02", sub), (b"\x03", aud))
             return b"".join(
                 (
                     head(_MAP, len(_REQUIRED) + bool(narrowable)),
-                    b"\x01",
-                    head(_TEXT, len(iss)),
-                    iss.encode(),
-                    b"\x02",
-                    head(_TEXT, len(sub)),
-                    sub.encode(),
-                    b"\x03",
-                    head(_TEXT, len(aud)),
-                    aud.encode(),
-                    b"\x04",
-                    head(_UINT, exp),
-                    b"\x05",
-                    head(_UINT, nbf),
-                    b"\x07\x50",
-                    cti,
-                    b"\x08\xa1\x05\x58\x20",
-                    ckt,
-                    b"\x09",
-                    head(_BYTES, len(scope)),
-                    scope,
-                    b"\x3a\0\1\0\0",
-                    head(_UINT, cap),
+                    *(key + head(_TEXT, len(text)) + text.encode() for key, text in texts),
+                    b"\x04" + head(_UINT, exp),
+                    b"\x05" + head(_UINT, nbf),
+                    b"\x07\x50" + cti,
+                    b"\x08\xa1\x05\x58\x20" + ckt,
+                    b"\x09" + head(_BYTES, len(scope)) + scope,
+                    b"\x3a\0\1\0\0" + head(_UINT, cap),
                     narrowable and b"\x3a\0\1\x11\x91" + narrowable,
                 )
             )
@@ -236,8 +205,7 @@ def _permission(entry: Value) -> Permission:
         case [str() as pattern, bits, restriction]:
             return Permission(pattern, _rights(bits), _restriction(restriction))
         case _:
-            pass
-    raise GrantMalformed("an entry of the scope is not [pattern, rights, restrictions]")
+            raise GrantMalformed("an entry of the scope is not [pattern, rights, restrictions]")
 
 
 def _rights(value: Value) -> Right:
@@ -265,22 +233,17 @@ def _restriction(value: Value) -> Restriction:
     texts = tuple(_typed(text, str, "a condition") for text in conditions)
     if claims.get(_ON_STALE, _KEEP) != _KEEP:
         raise GrantMalformed("on_stale of a grant is not keep")
-    rate, slot, body, pad = _limits(claims)
-    stale = _ON_STALE in claims
-    return Restriction(kind, texts, rules, rate, stale, slot=slot, body=body, pad=pad)
-
-
-def _limits(claims: dict[Any, Any]) -> tuple[float | None, int | None, str | None, int | None]:
     limits = _optional(claims, _LIMITS, dict)
-    if unknown := limits.keys() - {_RATE, _SLOT, _BODY, _PAD}:
+    if unknown := limits.keys() - {*_LIMIT_NAMES}:
         raise GrantMalformed(f"unknown limit {min(map(str, unknown))[:40]} in a grant")
-    rate: float | None = limits.get(_RATE)
+    rate: float | None = limits.get("rate")
     if rate is not None and type(rate) not in (int, float):
         raise GrantMalformed("rate of a grant is of a wrong type")
-    slot = _typed(limits[_SLOT], int, "slot") if _SLOT in limits else None
-    body = _typed(limits[_BODY], str, "body") if _BODY in limits else None
-    pad = _typed(limits[_PAD], int, "pad") if _PAD in limits else None
-    return rate, slot, body, pad
+    slot = _typed(limits["slot"], int, "slot") if "slot" in limits else None
+    body = _typed(limits["body"], str, "body") if "body" in limits else None
+    pad = _typed(limits["pad"], int, "pad") if "pad" in limits else None
+    stale = _ON_STALE in claims
+    return Restriction(kind, texts, rules, rate, stale, slot=slot, body=body, pad=pad)
 
 
 def _optional(claims: dict[Any, Any], key: int, kind: type[Any]) -> Any:
@@ -308,11 +271,6 @@ def _typed(value: Any, kind: type[Any], what: str) -> Any:
     if type(value) is not kind:
         raise GrantMalformed(f"{what} of a grant is of a wrong type")
     return value
-
-
-GRANT: Final = Profile("rossec-grant+cwt")
-
-_ID_PREFIX: Final = b"rossec-grant-id\0" + len(GRANT.protected).to_bytes(4) + GRANT.protected
 
 
 def sign(signer: Signer, draft: Draft) -> bytes:

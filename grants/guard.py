@@ -1,22 +1,11 @@
 """The restrictions for one receiver: expiry, conditions, limits, filters, in this order.
 
-Those of narrowings come after, layer by layer: the conditions and filters of one see what the
-filters before it left. Else whoever may narrow its right could ask, by conditions of its own, what
-the filters hide from it. Conditions that read no message are checked first, whoever wrote them.
-
-Built once per connection from the layout the wire proved and the decision; then called for every
-message. Its limits belong to the holder and outlive the connection (`grants.guard`); hysteresis is
-common to all holders (`grants.filters.coarsening`). It fails closed: what it cannot process is not sent.
-
-State of rights that are limited over time: rates, slots and hysteresis. Pure.
-
-It belongs to a key, a right and a name, never to a connection: a peer that reconnects, or opens a
-hundred connections, continues with the same state; hysteresis is common to all keys
-(`grants.filters.coarsening`). For a chain the key is its first holder's: who
-hands a right on, to however many, gets no more by it. A message counts once: under one message id
-it is admitted on every connection of the key. `MemoryStore` keeps the state of one process and is
-bounded: only state that equals fresh state and is not in use is evicted, so eviction gains a peer
-nothing; otherwise a new peer is refused.
+Those of narrowings come after, layer by layer: the conditions and filters of one see what the filters before
+it left. Else whoever may narrow its right could ask, by conditions of its own, what the filters hide from it.
+Conditions that read no message are checked first, whoever wrote them. A guard is built once per connection
+and fails closed: what it cannot process is not sent. The state of limits belongs to a key (of a chain, its
+first holder's), a right and a name, never to a connection: a peer that reconnects, opens a hundred
+connections, or hands a right on, gets no more by it.
 """
 
 from collections.abc import Callable, Hashable, Iterable, Iterator
@@ -56,9 +45,8 @@ _MemoryKey: TypeAlias = tuple[tuple[str, ...], bytes, Right, str]
 class Memory:
     """The state of one key, one right and one name.
 
-    Args:
-        lock: held around `take` and the use of any other state; one thread needs none.
-        find_common: finds what is common to the keys of a group.
+    `lock` is held around `take` and the use of any other state; `find_common` finds what is common to the
+    keys of a group.
     """
 
     def __init__(
@@ -131,12 +119,11 @@ class Memory:
 
 
 class MemoryStore:
-    """All memories of one process.
+    """All memories of one process, `limit` at most.
 
-    Args:
-        clock: the present time, seconds since the epoch, as the guards are given it.
-        lock: makes the locks, if threads share the store.
-        limit: the maximum number of memories.
+    Only state that equals fresh state and is not in use is evicted, so eviction gains a peer nothing;
+    otherwise a new peer is refused. `clock` is that of the guards; `lock` makes the locks, if threads share
+    the store.
     """
 
     def __init__(
@@ -153,7 +140,11 @@ class MemoryStore:
 
     def find(self, scope: tuple[str, ...], decision: Decision) -> Memory:
         """The memory for the key, right and name of `decision` within `scope`."""
-        key = (scope, _first_holder(decision), decision.right, decision.name)
+        # The key the state belongs to. A chain's comes first, so that a grant of the last holder's own
+        # beside it opens no other account; of several chains, that of one of them.
+        chains = [grant for grant in decision.grants if grant.chain]
+        holder = min(grant.links[0].holder for grant in chains or decision.grants)
+        key = (scope, holder, decision.right, decision.name)
         with self._lock:
             found = self._stored.get(key)
             if found is None:
@@ -168,8 +159,7 @@ class MemoryStore:
             found = self._commons.get(key)
             if found is None:
                 if len(self._commons) >= self._limit:
-                    unused = [each for each, item in self._commons.items() if item.is_fresh]
-                    for each in unused:
+                    for each in [each for each, item in self._commons.items() if item.is_fresh]:
                         del self._commons[each]
                 _check_limit(len(self._commons), self._limit, "topics with hysteresis")
                 found = self._commons[key] = CommonState(self._make_lock())
@@ -203,13 +193,6 @@ class MemoryScope:
         return replace(self, scope=(*self.scope, part))
 
 
-def _first_holder(decision: Decision) -> bytes:
-    # The key the state belongs to. A chain's comes first, so that a grant of the last holder's own beside it
-    # opens no other account; of several chains, that of one of them.
-    chains = [grant for grant in decision.grants if grant.chain]
-    return min(grant.links[0].holder for grant in chains or decision.grants)
-
-
 def _check_limit(count: int, limit: int, what: str) -> None:
     if count >= limit:
         raise MemoryExhausted(
@@ -226,17 +209,11 @@ class _Layer(NamedTuple):
 class Guard:
     """Applies restrictions to serialized messages of one type for one receiver.
 
-    Args:
-        layout: of the messages; may be None only if no restriction reads them.
-        decision: from `authorize`.
-        keys: the publisher's keys for `hash`, 32 bytes each, by name (see `needed_keys`).
-        find_memory: finds the state of the holder's earlier connections; without it the guard
-            starts with fresh state, which is for trials only.
-
-    Attributes:
-        memory: state of the holder, if the guard needs any.
-        key: equal for guards with the same result for every message: apply once, send to all.
-            Expiry is not part of it: call `check` for every receiver.
+    `layout` may be None only if no restriction reads the messages. `keys` are the publisher's for `hash`,
+    by name (`needed_keys`). `find_memory` finds the state of the holder's earlier connections; without it
+    the guard starts with fresh state, which is for trials only. Guards with the same `key` have the same
+    result for every message: apply once, send to all. Expiry is not part of it: call `check` for every
+    receiver.
     """
 
     def __init__(
@@ -254,16 +231,21 @@ class Guard:
         self._group = group_of(decision)
         self._common: CommonState | None = None
         self._body: BodyFields | None = None
-        header = layout is not None and _begins_with_header(layout)
-        self._frame = frame_reader(has_header=header)
+        fields = layout.root.fields if layout is not None else ()
+        self._frame = frame_reader(has_header=bool(fields) and fields[0][1].name == "std_msgs/Header")
         ordered = sorted(decision.restrictions, key=lambda each: each.layer)
         blind = _compile_conditions(None, (each for each in ordered if each.type is None))
         own = receiver_keys(keys or {}, _receiver(decision))
         first, *later = [*self._compile_layers(layout, ordered, own)] or [_Layer()]
         self._conditions = (*blind, *first.conditions)
         self._layers = (first._replace(conditions=()), *later)
-        self._bucket = self._rate_bucket(decision.restrictions)
-        self._gate = self._slot_gate(decision.restrictions)
+        rates = [each.rate for each in ordered if each.rate is not None]
+        slots = [each.slot for each in ordered if each.slot is not None]
+        self._bucket = self._require_memory().bucket(min(rates)) if rates else None
+        if self._group[0]:
+            self._require_common()
+        self._slot = max(slots, default=0)
+        self._gate = self._require_memory().gate(self._slot) if slots else None
         shape = layout.digest if layout is not None else None
         personal = any(is_personal(restriction.filters) for restriction in decision.restrictions)
         receiver = _receiver(decision) if personal else None
@@ -303,17 +285,6 @@ class Guard:
             typed = (each for each in here if each.type is not None)
             yield _Layer(_compile_conditions(layout, typed), tuple(filters))
 
-    def _rate_bucket(self, restrictions: Iterable[Restriction]) -> RateBucket | None:
-        rates = [restriction.rate for restriction in restrictions if restriction.rate is not None]
-        return self._require_memory().bucket(min(rates)) if rates else None
-
-    def _slot_gate(self, restrictions: Iterable[Restriction]) -> SlotGate | None:
-        slots = [restriction.slot for restriction in restrictions if restriction.slot is not None]
-        if self._group[0]:
-            self._require_common()
-        self._slot = max(slots, default=0)
-        return self._require_memory().gate(self._slot) if slots else None
-
     def check(self, now: float) -> None:
         """Return if the right still holds at `now`."""
         if now >= self.expires:
@@ -333,11 +304,8 @@ class Guard:
     def apply(self, message: Buffer, now: float, message_id: object = None) -> list[Buffer] | None:
         """Return `message` in pieces, filtered for the receiver; None if it must not be sent.
 
-        Args:
-            message: without its length prefix.
-            now: seconds since the epoch; limits count its fractions.
-            message_id: the same object for the same message on all connections of the holder, so
-                that the rate counts it once. None: a new message.
+        Limits count fractions of `now`. `message_id` is the same object for the same message on all
+        connections of the holder, so that the rate counts it once; None: a new message.
         """
         try:
             return self._apply(message, now, object() if message_id is None else message_id)
@@ -364,32 +332,28 @@ class Guard:
             if self._common is None:
                 return self._filter(message, whole)
             with self._common.lock:
-                return self._filter_in_common(message, whole)
-
-    def _filter_in_common(self, message: Buffer, now: int) -> list[Buffer] | None:
-        if self._body is None:
-            return self._filter(message, now)
-        frame = self._frame(message)
-        self._body.load(frame)
-        pieces = self._filter(message, now)
-        self._body.store(frame)
-        return pieces
+                if self._body is None:
+                    return self._filter(message, whole)
+                frame = self._frame(message)
+                self._body.load(frame)
+                pieces = self._filter(message, whole)
+                self._body.store(frame)
+                return pieces
 
     def _admits(self, memory: Memory, message: Buffer, message_id: object, now: float) -> bool:
         gate = self._gate
         if gate is not None and not (gate.note(message_id, now) and memory.is_longest(gate, now)):
             return False
-        if self._body is not None and not self._leads(message, now):
-            return False
+        if self._body is not None:
+            common = self._require_common()
+            with common.lock:
+                if not common.leads(self._frame(message), now, self._slot):
+                    return False
         if self._bucket is not None and not memory.take(self._bucket, message_id, now):
             return False
         if gate is not None:
             gate.charge(message_id)
         return True
-
-    def _leads(self, message: Buffer, now: float) -> bool:
-        with self._require_common().lock:
-            return self._require_common().leads(self._frame(message), now, self._slot)
 
     def _filter(self, message: Buffer, now: int) -> list[Buffer] | None:
         pieces: list[Buffer] = [message]
@@ -401,11 +365,6 @@ class Guard:
             for rewrite in layer.filters:
                 pieces = rewrite(_joined(pieces))
         return pieces
-
-
-def _begins_with_header(layout: Layout) -> bool:
-    fields = layout.root.fields
-    return bool(fields) and fields[0][1].name == "std_msgs/Header"
 
 
 _Stage: TypeAlias = dict[str, FilterRule]
@@ -445,20 +404,17 @@ def _stages(restrictions: Iterable[Restriction]) -> list[_Stage]:
     # As few passes as possible: rules for the same field must be in separate passes.
     # Every pass can only remove information, so the order of the passes affects the form of the result, but
     # never makes it reveal more than a single pass would.
-    stages: list[_Stage] = []
+    stages: list[_Stage] = [{}]
     for restriction in restrictions:
-        _add_to_stages(stages, {rule.path: rule for rule in restriction.filters})
+        last, rules = stages[-1], {rule.path: rule for rule in restriction.filters}
+        if all(
+            last.get(path) == rule or not any(_overlap(path, other) for other in last)
+            for path, rule in rules.items()
+        ):
+            last.update(rules)
+        else:
+            stages.append(rules)
     return [stage for stage in stages if stage]
-
-
-def _add_to_stages(stages: list[_Stage], rules: _Stage) -> None:
-    if stages and all(
-        stages[-1].get(path) == rule or not any(_overlap(path, other) for other in stages[-1])
-        for path, rule in rules.items()
-    ):
-        stages[-1].update(rules)
-    else:
-        stages.append(dict(rules))
 
 
 def _overlap(one: str, other: str) -> bool:

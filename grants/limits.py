@@ -1,19 +1,10 @@
 """How many messages a right admits: a rate, counted exactly, and slots of time. Pure.
 
-A rate of whole seconds and of sums of floats gives less than it says: 0.1 a second came every 11 s,
-0.7 every 2 s. So what a bucket holds is counted in nanoseconds, of a clock read to the microsecond.
-
-A rate hides nothing of when something begins: its first message passes at once. With a slot the
-time is divided into slots of so many seconds, at the same moments for everybody. A message passes
-in the beginning of a slot, one in each, and only if there was one in the slot before. So what
-begins, ends or happens once is known to a slot, and what happens seldom not at all.
-
-Padding hides from who watches the network how long a message is: what is sent for the right has,
-encrypted, a multiple of so many bytes (docs/spec/channel.md section 5).
-
-A token bucket: `rate` tokens a second, and at most `capacity` at once. Pure.
-
-The clock is the caller's, in seconds since any beginning, but always the same one.
+A rate hides nothing of when something begins: its first message passes at once. With a slot the time is
+divided into slots of so many seconds, at the same moments for everybody. A message passes in the beginning of
+a slot, one in each, and only if there was one in the slot before. So what begins, ends or happens once is
+known to a slot, and what happens seldom not at all. Padding hides from who watches the network how long a
+message is (docs/spec/channel.md section 5).
 """
 
 import re
@@ -43,6 +34,8 @@ def rate_text(rate: float) -> str:
     return f"at most {rate:g} message{'' if rate == 1 else 's'} a second"
 
 
+# A rate of whole seconds and of sums of floats gives less than it says: 0.1 a second came every 11 s, 0.7
+# every 2 s. So what a bucket holds is counted in nanoseconds, of a clock read to the microsecond.
 class RateBucket:
     """`rate` messages a second, and bursts of at most `max(1, rate)`.
 
@@ -60,7 +53,6 @@ class RateBucket:
 
     @property
     def tokens(self) -> float:
-        # How many messages it would admit at once.
         return self.left / self.interval
 
     def refill(self, now: float) -> bool:
@@ -132,7 +124,10 @@ class SlotGate:
 
 
 class TokenBucket:
-    """Full at first, unless `tokens` says otherwise; the caller takes from `tokens`."""
+    """`rate` tokens a second, at most `capacity` at once; full at first, and the caller takes from `tokens`.
+
+    The clock is the caller's, in seconds since any beginning, but always the same one.
+    """
 
     __slots__ = ("_rate", "_refilled_at", "capacity", "tokens")
 

@@ -50,22 +50,14 @@ RevocationCheck = Callable[[bytes, int], None]
 
 @dataclass(frozen=True)
 class Delegation:
-    """Authorizes one key to renew grants of one authority in one domain.
-
-    Args:
-        domain: the trust domain.
-        holder: thumbprint of the key that may sign tickets, 32 bytes.
-        not_before, expires: seconds since the epoch; at most 90 days apart.
-        max_ttl: maximum lifetime of a ticket in seconds, at most 7 days.
-        serial: 16 random bytes.
-    """
+    """Authorizes one key to renew grants of one authority in one domain."""
 
     domain: str
-    holder: bytes
-    not_before: int
+    holder: bytes  # thumbprint of the key that may sign tickets
+    not_before: int  # seconds since the epoch, as `expires`; at most 90 days apart
     expires: int
-    max_ttl: int
-    serial: bytes
+    max_ttl: int  # maximum lifetime of a ticket in seconds, at most 7 days
+    serial: bytes  # random
 
     def __post_init__(self) -> None:
         if not 0 < len(self.domain.encode()) <= 255:
@@ -139,16 +131,9 @@ def open_delegation(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> OpenDeleg
             -70010: ttl,
             **rest,
         } if not rest and not more:
-            opened = OpenDelegation(
-                aud,
-                ckt,
-                _number(nbf),
-                _number(exp),
-                _number(ttl),
-                cti,
-                hashlib.sha256(_ID_PREFIX + body).digest()[:ID_SIZE],
-                _issuer(iss),
-            )
+            delegation_id = hashlib.sha256(_ID_PREFIX + body).digest()[:ID_SIZE]
+            times = (_number(nbf), _number(exp), _number(ttl))
+            opened = OpenDelegation(aud, ckt, *times, cti, delegation_id, _issuer(iss))
         case _:
             raise RenewalMalformed("the delegation has missing or unknown claims")
     if opened.issuer != thumbprint(ca_key):
@@ -200,12 +185,9 @@ def renew(
 def _check_bounds(grant: Grant, ticket: Ticket, delegation: Delegation) -> None:
     if grant.cap <= grant.expires:
         raise RenewalTooWide(f"grant {grant.short_id} is not renewable", "ask for a new grant")
-    if ticket.expires > grant.cap:
-        raise RenewalTooWide(f"the ticket extends beyond {format_time(grant.cap)}, the grant's cap")
-    if ticket.expires > delegation.expires:
-        raise RenewalTooWide(
-            f"the ticket extends beyond {format_time(delegation.expires)}, the delegation's end"
-        )
+    for end, whose in ((grant.cap, "grant's cap"), (delegation.expires, "delegation's end")):
+        if ticket.expires > end:
+            raise RenewalTooWide(f"the ticket extends beyond {format_time(end)}, the {whose}")
     if ticket.expires - ticket.not_before > delegation.max_ttl:
         raise RenewalTooWide(f"a ticket for more than {delegation.max_ttl} s")
 

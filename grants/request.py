@@ -1,21 +1,9 @@
-"""The request for a grant, signed by the node with its own key. Pure.
+"""The request for a grant, signed by the node's own key; the words for rights that no rule gives. Pure.
 
-The format is that of a grant (closed COSE_Sign1, AIF scope), so the same attacks are prevented; the
-reason is the node's text, and shown as such. A request gives no right: a replayed request only asks
-again for the same node, and the record accepts a request once only.
-
-What the client library of every ROS program asks for by itself, whatever the program is for.
-
-rospy and roscpp publish their log, offer two services to change its levels, follow `/clock` where
-time is simulated, and read the settings below. A program works without them; `basics` of a policy
-(`grants.policy.rules`) gives them. Names of the node's own are written after `{node}/`.
-Sources: rospy `client.py`, `impl/{simtime,statistics,tcpros_base,rosout}.py`; roscpp
-`init.cpp`, `rosout_appender.cpp`, `statistics.cpp`, `topic_manager.cpp`.
-
-The words for rights that no rule gives: the same on every screen, in the audit, in `explain`.
-
-A node is told nothing but what it asked for itself; which rules nearly match only the authority
-knows (`rossec explain`). A refusal for another reason, such as an expired grant, is not of these.
+The format is that of a grant (closed COSE_Sign1, AIF scope), so the same attacks are prevented; the reason is
+the node's text, and shown as such. A request gives no right: a replayed request only asks again for the same
+node, and the record accepts a request once only. A node is told nothing but what it asked for itself; which
+rules nearly match only the authority knows (`rossec explain`).
 """
 
 import hashlib
@@ -33,6 +21,11 @@ from ca.names import check_name, check_tail_pattern, covers, tail_base
 from grants.errors import GrantForged, GrantMalformed
 from grants.model import ALL_RIGHTS, Right
 
+# What the client library of every ROS program asks for by itself: rospy and roscpp publish their log, offer
+# two services to change its levels, follow `/clock` where time is simulated, and read the settings. A
+# program works without them; `basics` of a policy (`grants.policy.rules`) gives them. Names of the node's
+# own are after `{node}/`. Sources: rospy `client.py`, `impl/{simtime,statistics,tcpros_base,rosout}.py`;
+# roscpp `init.cpp`, `rosout_appender.cpp`, `statistics.cpp`, `topic_manager.cpp`.
 OWN: Final = "{node}/"
 TRANSFORMS: Final = ("/tf", "/tf_static")
 BASICS: Final[Mapping[Right, tuple[str, ...]]] = {
@@ -40,16 +33,12 @@ BASICS: Final[Mapping[Right, tuple[str, ...]]] = {
     Right.PROVIDE: (f"{OWN}get_loggers", f"{OWN}set_logger_level"),
     Right.SUBSCRIBE: ("/clock",),
     Right.PARAM_GET: (
-        "/use_sim_time",
-        "/tcp_keepalive",
-        "/rosout_disable_topics_generation",
-        "/enable_statistics",
-        "/statistics_window_min_elements",
-        "/statistics_window_max_elements",
-        "/statistics_window_min_size",
-        "/statistics_window_max_size",
+        *("/use_sim_time", "/tcp_keepalive", "/rosout_disable_topics_generation", "/enable_statistics"),
+        *(f"/statistics_window_{end}_{what}" for what in ("elements", "size") for end in ("min", "max")),
     ),
 }
+
+_RIGHTS: Final = {right.label: right for right in ALL_RIGHTS}
 
 # rospy ends the name of an anonymous node with its start in ms, roscpp in ns.
 _TIMED: Final = re.compile(r"(?:_[A-Za-z0-9]+)*_[0-9]{9,}", re.ASCII)
@@ -89,7 +78,6 @@ def is_dispensable(right: Right, own: str) -> bool:
     return right is not Right.SUBSCRIBE and is_basic(right, own)
 
 
-_RIGHTS: Final = {right.label: right for right in ALL_RIGHTS}
 _STATUS: Final = re.compile(
     r"(?:rossec: )?(\S+?)(?: \(certified as (\S+)\))? needs the right ([a-z-]+) on (\S+):"
     r" no grant .*",
@@ -144,17 +132,16 @@ def needed_rule(node: str, rights: Iterable[tuple[Right, str]]) -> str:
 
 def grant_command(node: str, rights: Iterable[tuple[Right, str]]) -> str:
     """The command that gives `node` these rights, for who holds the authority."""
-    options = dict.fromkeys(_option(right, name) for right, name in rights)
+    options = dict.fromkeys(
+        "--graph" if right is Right.GRAPH else f"--{right.label} {in_shell(name)}" for right, name in rights
+    )
     return f"rossec grant sign {node} {' '.join(options)}"
 
 
 def remedy(node: str, right: Right, name: str) -> str:
-    """The commands that give `node` a right it lacks: at its authority, or as a request.
+    """The commands that give `node` a right it lacks, on a name as `MissingRight.in_rule` has it.
 
     Short: an answer to many calls in one says it for each of them.
-
-    Args:
-        name: as `MissingRight.in_rule` has it.
     """
     sign = grant_command(node, [(right, name)])
     return sign if right is Right.ADMIN else f"{sign}, or ask: `rossec grant request`"
@@ -163,10 +150,6 @@ def remedy(node: str, right: Right, name: str) -> str:
 def in_shell(name: str) -> str:
     """A name or pattern as it is typed in a shell."""
     return name if _IN_SHELL.fullmatch(name) else f"'{name}'"
-
-
-def _option(right: Right, name: str) -> str:
-    return "--graph" if right is Right.GRAPH else f"--{right.label} {in_shell(name)}"
 
 
 def refusal(node: str, missing: Iterable[tuple[Right, str]]) -> str:
@@ -275,26 +258,23 @@ def _claims(request: GrantRequest) -> Value:
 def _read(payload: Value) -> GrantRequest:
     match payload:
         case {**claims} if claims.keys() == _CLAIMS:
+            rights: list[RequestedRight] = []
+            for entry in _typed(decode(_typed(claims[_SCOPE], bytes)), list):
+                match entry:
+                    case [str() as pattern, int() as bits] if 0 < bits <= int(ALL_RIGHTS):
+                        rights.append(RequestedRight(Right(bits), pattern))
+                    case _:
+                        raise GrantMalformed("a requested right is not [pattern, right]")
             return GrantRequest(
                 domain=_typed(claims[_AUD], str),
                 node=_typed(claims[_SUB], str),
                 issued=_typed(claims[_IAT], int),
                 serial=_typed(claims[_CTI], bytes),
-                rights=tuple(_requested_rights(_typed(decode(_typed(claims[_SCOPE], bytes)), list))),
+                rights=tuple(rights),
                 why=_typed(claims[_WHY], str),
             )
         case _:
-            pass
-    raise GrantMalformed("not the claims of a request")
-
-
-def _requested_rights(entries: list[Value]) -> Iterable[RequestedRight]:
-    for entry in entries:
-        match entry:
-            case [str() as pattern, int() as bits] if 0 < bits <= int(ALL_RIGHTS):
-                yield RequestedRight(Right(bits), pattern)
-            case _:
-                raise GrantMalformed("a requested right is not [pattern, right]")
+            raise GrantMalformed("not the claims of a request")
 
 
 def _typed(value: Any, kind: type[Any]) -> Any:

@@ -1,16 +1,11 @@
-"""What a node presents: a grant as signed, one with a ticket that renews it, or a chain.
+"""What a node presents: a grant as signed, one with a ticket that renews it, or a chain of narrowings.
 
-A renewed grant is sent as the deterministic CBOR array [grant, ticket, delegation], each as signed;
-a chain as [one of these, [narrowing, ...]]. The verifier also needs the key of the delegate, its
-master. That key is not in the token, so a peer cannot choose who renewed its grant.
-
-Narrowing: the holder of a grant hands it on, restricted further, to another key of its domain.
-
-A chain is a grant and up to three narrowings, each signed by the holder of the link before. Nothing
-compares what two links say: every link must authorize alone, and all restrictions add up
-(`grants.decision`), so a link that "grants" more has no effect. Who signs a narrowing is no
-authority: its conditions and filters see what the links before let through, and a rate counts for
-the first holder, whomever it hands the right to. Pure; docs/spec/domains.md section 4.
+A renewed grant is sent as the deterministic CBOR array [grant, ticket, delegation], each as signed; a chain
+as [one of these, [narrowing, ...]]. The key of the delegate is not in the token, so a peer cannot choose who
+renewed its grant. A narrowing hands a grant on to another key of its domain, signed by the holder of the link
+before. Every link must authorize alone, and all restrictions add up (`grants.decision`), so a link that
+"grants" more has no effect; conditions and filters of a narrowing see what the links before let through, and
+a rate counts for the first holder, whomever it hands the right to. Pure; docs/spec/domains.md section 4.
 """
 
 import hashlib
@@ -22,7 +17,6 @@ from typing import Any, Final, NamedTuple
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.encoding import MAX_SIZE, Value, decode, encode
-from ca.encoding import MAX_SIZE as MAX_GRANT
 from ca.errors import CAError, EncodingError, KeyRefused, SignatureError
 from ca.keys.signing import Profile, Signer, from_coordinates, thumbprint, thumbprint_of, to_coordinates
 from ca.names import split_alias
@@ -41,8 +35,11 @@ from grants.renewal import MAX_STATEMENT, open_delegation, renew
 
 NARROWING: Final = Profile("rossec-narrowing+cwt")
 MAX_NARROWING: Final = MAX_SIZE
+MAX_SINGLE: Final = MAX_SIZE + 2 * MAX_STATEMENT + 16  # a grant with what renews it
+MAX_TOKEN: Final = 64 * 1024
 COORDINATE: Final = 32
-
+_ARRAY_OF_2: Final = b"\x82"
+_ARRAY_OF_3: Final = b"\x83"  # a grant begins with its tag, 0xd2
 _ID_PREFIX: Final = b"rossec-narrowing-id\0" + len(NARROWING.protected).to_bytes(4) + NARROWING.protected
 
 # As in `grants.document`; these three are private use.
@@ -149,7 +146,11 @@ def _joined(chain: tuple[Grant, ...]) -> Grant:
 def _open_link(data: bytes, before: Grant) -> Grant:
     body, claims = _unverified(data)
     try:
-        named = _named_key(claims)
+        match claims:
+            case {-70033: [bytes() as x, bytes() as y]} if len(x) == len(y) == COORDINATE:
+                named = x + y
+            case _:
+                raise GrantMalformed("a narrowing without the key that signed it")
         if thumbprint_of(named) != before.holder:
             raise NarrowingForged("a narrowing by another key than the one that holds the grant")
         NARROWING.open_body(data, _key(named), limit=MAX_NARROWING)
@@ -185,14 +186,6 @@ def _unverified(data: bytes) -> tuple[bytes, Value]:
         raise GrantMalformed(f"not a narrowing: {error}") from None
 
 
-def _named_key(claims: Value) -> bytes:
-    match claims:
-        case {-70033: [bytes() as x, bytes() as y]} if len(x) == len(y) == COORDINATE:
-            return x + y
-        case _:
-            raise GrantMalformed("a narrowing without the key that signed it")
-
-
 def _read(claims: Value, body: bytes) -> tuple[Grant, bytes]:
     match claims:
         case {
@@ -212,21 +205,11 @@ def _read(claims: Value, body: bytes) -> tuple[Grant, bytes]:
             pass
         case _:
             raise GrantMalformed("a narrowing has missing or unknown claims")
-    end = _number(exp)
+    begin, end = _number(nbf), _number(exp)
     try:
-        link = Grant(
-            aud,
-            sub,
-            ckt,
-            _number(nbf),
-            end,
-            end,
-            cti,
-            read_scope(scope),
-            hashlib.sha256(_ID_PREFIX + body).digest()[:ID_SIZE],
-            read_issuer(iss),
-            may_narrow=_number(count),
-        )
+        link_id = hashlib.sha256(_ID_PREFIX + body).digest()[:ID_SIZE]
+        of = (aud, sub, ckt, begin, end, end, cti, read_scope(scope), link_id, read_issuer(iss))
+        link = Grant(*of, may_narrow=_number(count))
     except CAError as error:
         raise GrantMalformed(f"in a narrowing: {error}", error.hint) from None
     if link.has_tail_patterns:
@@ -240,22 +223,11 @@ def _number(value: Any) -> int:
     return value
 
 
-MAX_SINGLE: Final = MAX_GRANT + 2 * MAX_STATEMENT + 16
-MAX_TOKEN: Final = 64 * 1024
-_ARRAY_OF_2: Final = b"\x82"
-_ARRAY_OF_3: Final = b"\x83"  # a grant begins with its tag, 0xd2
-
-
 class TokenParts(NamedTuple):
-    """The parts of a token; `ticket` and `delegation` are empty for a grant without renewal.
-
-    `narrowings` are those of a chain, in order.
-    """
-
     grant: bytes
-    ticket: bytes = b""
+    ticket: bytes = b""  # empty for a grant without renewal, as `delegation`
     delegation: bytes = b""
-    narrowings: tuple[bytes, ...] = ()
+    narrowings: tuple[bytes, ...] = ()  # of a chain, in order
 
 
 @dataclass(frozen=True)
@@ -278,25 +250,22 @@ class Verifier:
     def open(self, token: bytes, now: int) -> Grant:
         """Verify a token and return the grant, with the expiry of its ticket if renewed.
 
-        That a chain stays in one domain is checked by who knows the peer
-        (`narrowing.check_one_domain`).
+        That a chain stays in one domain is checked by who knows the peer (`check_one_domain`).
         """
         parts = unpack(token)
-        grant = self._open_single(parts, now)
-        return follow(grant, parts.narrowings, now) if parts.narrowings else grant
-
-    def _open_single(self, parts: TokenParts, now: int) -> Grant:
         if not parts.ticket:
-            return open_grant(parts.grant, self.ca_key, now, domain=self.domain)
-        if not self.delegates:
+            grant = open_grant(parts.grant, self.ca_key, now, domain=self.domain)
+        elif not self.delegates:
             raise RenewalForOther(
                 "a renewed grant, but the master's key is not known", "connect to the master first"
             )
-        grant = verify(parts.grant, self.ca_key, domain=self.domain)
-        delegation = open_delegation(parts.delegation, self.ca_key)
-        of_holder = (key for key in self.delegates if thumbprint(key) == delegation.holder)
-        key = next(of_holder, self.delegates[0])  # another one's: refused as such
-        return renew(grant, parts.ticket, delegation, key, now=now, seq=self.seq, check=self.check)
+        else:
+            grant = verify(parts.grant, self.ca_key, domain=self.domain)
+            delegation = open_delegation(parts.delegation, self.ca_key)
+            of_holder = (key for key in self.delegates if thumbprint(key) == delegation.holder)
+            key = next(of_holder, self.delegates[0])  # another one's: refused as such
+            grant = renew(grant, parts.ticket, delegation, key, now=now, seq=self.seq, check=self.check)
+        return follow(grant, parts.narrowings, now) if parts.narrowings else grant
 
 
 def pack(grant: bytes, ticket: bytes, delegation: bytes) -> bytes:

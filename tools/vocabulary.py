@@ -50,7 +50,7 @@ def levels() -> str:
 def types() -> str:
     """The contents of the fields of each type."""
     rows = ["```"]
-    for name, fields in TYPES.items():
+    for name, fields in sorted(TYPES.items()):
         by_content: dict[Content, list[str]] = {}
         for field, content in fields.items():
             by_content.setdefault(content, []).append(field)

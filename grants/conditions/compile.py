@@ -1,16 +1,10 @@
 """Conditions on messages and time: typed against the layout, compiled to read only what they name.
 
-A condition admits a message if its value is exactly True. An error denies, and so does a NaN in
-any field it names: implementations of CEL disagree on `!(x > 0.0)` for NaN, and ROS messages
-contain NaN routinely. Deviations from CEL: `false && error` and `true || error` deny when a named
-field cannot be read, because all named fields are read first; integers of all sizes are `int`;
-`int` and `double` may be compared, not added. `now` is the host's clock. Time stamps of messages
-cannot be read: the publisher sets them.
-
-Fields of a time for conditions: hours, days, in a time zone, with CEL's names and numbering.
-
-Months and days of the year count from 0 as in CEL, `getDate` from 1, Sunday is 0. Time zones come
-from the system's database and are loaded when the condition is compiled, never later.
+A condition admits a message if its value is exactly True. An error denies, and so does a NaN in any field it
+names: implementations of CEL disagree on `!(x > 0.0)` for NaN, and ROS messages contain NaN routinely.
+Deviations from CEL: `false && error` and `true || error` deny when a named field cannot be read, because all
+named fields are read first; integers of all sizes are `int`; `int` and `double` may be compared, not added.
+`now` is the host's clock. Time stamps of messages cannot be read: the publisher sets them.
 """
 
 import math
@@ -48,6 +42,8 @@ from grants.filters.layout import (
     expression,
 )
 
+# Months and days of the year count from 0 as in CEL, `getDate` from 1, Sunday is 0. Time zones come from
+# the system's database and are loaded when the condition is compiled, never later.
 FIELDS: Final[dict[str, Callable[[datetime], int]]] = {
     "getFullYear": lambda time: time.year,
     "getMonth": lambda time: time.month - 1,
@@ -60,6 +56,13 @@ FIELDS: Final[dict[str, Callable[[datetime], int]]] = {
     "getSeconds": lambda time: time.second,
 }
 
+_METHODS: Final[dict[str, Callable[[str, str], bool]]] = {
+    "startsWith": str.startswith,
+    "endsWith": str.endswith,
+    "contains": contains,
+}
+_NUMBERS: Final = ("int", "double")
+_ERRORS: Final = (*LAYOUT_ERRORS, ArithmeticError, OSError)  # OSError: a time beyond the calendar
 _ZONE: Final = re.compile(r"[A-Za-z][A-Za-z0-9_+-]*(?:/[A-Za-z0-9_+-]+)*", re.ASCII)
 _TIMESTAMP: Final = re.compile(
     r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:Z|[+-]\d\d:\d\d)", re.ASCII
@@ -97,15 +100,6 @@ def _datetime_in(zone: str) -> Callable[[int], datetime]:
             f"unknown time zone {zone[:40]!r}", "for example Europe/Zurich or UTC"
         ) from None
     return lru_cache(maxsize=1)(lambda now: datetime.fromtimestamp(now, info))
-
-
-_METHODS: Final[dict[str, Callable[[str, str], bool]]] = {
-    "startsWith": str.startswith,
-    "endsWith": str.endswith,
-    "contains": contains,
-}
-_NUMBERS: Final = ("int", "double")
-_ERRORS: Final = (*LAYOUT_ERRORS, ArithmeticError, OSError)  # OSError: a time beyond the calendar
 
 
 @dataclass(frozen=True)
@@ -251,13 +245,10 @@ class _FieldReader(Cursor):
             if here in self._fields:
                 self._value(member, self._fields[here])
                 self._left -= 1
-            elif isinstance(member, Struct) and self._inside(here):
+            elif isinstance(member, Struct) and any(field[: len(here)] == here for field in self._fields):
                 self._struct(member, here)
             else:
                 self.skip(member)
-
-    def _inside(self, path: tuple[str, ...]) -> bool:
-        return any(field[: len(path)] == path for field in self._fields)
 
     def _value(self, kind: Type, variable: str) -> None:
         start = self.position
@@ -279,7 +270,10 @@ def _field_type(root: Struct, names: tuple[str, ...]) -> str:
     for n, name in enumerate(names):
         members = dict(kind.fields) if isinstance(kind, Struct) else {}
         if name not in members:
-            raise ConditionRefused(_missing(kind, names[:n], name))
+            where = ".".join(("msg", *names[:n]))
+            if isinstance(kind, Struct):
+                raise ConditionRefused(f"{where}.{name}: {kind.explain_missing(name)}")
+            raise ConditionRefused(f"{where} is a {kind.name} and has no fields")
         kind = members[name]
     if isinstance(kind, Text):
         return "string"
@@ -289,13 +283,6 @@ def _field_type(root: Struct, names: tuple[str, ...]) -> str:
             "name a field inside it" if isinstance(kind, Struct) else "",
         )
     return "bool" if kind.name == "bool" else "double" if kind.code in "fd" else "int"
-
-
-def _missing(kind: Type, above: tuple[str, ...], name: str) -> str:
-    where = ".".join(("msg", *above))
-    if isinstance(kind, Struct):
-        return f"{where}.{name}: {kind.explain_missing(name)}"
-    return f"{where} is a {kind.name} and has no fields"
 
 
 def _type_of(value: bool | float | str) -> str:
@@ -313,8 +300,7 @@ def _zone(arguments: tuple[Expression, ...]) -> str:
         case (Literal(str() as zone),):
             return zone
         case _:
-            pass
-    raise ConditionRefused("a time zone must be text", 'for example now.getHours("Europe/Zurich")')
+            raise ConditionRefused("a time zone must be text", 'for example now.getHours("Europe/Zurich")')
 
 
 def _in_64_bits(value: int) -> int:

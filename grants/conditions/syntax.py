@@ -1,11 +1,9 @@
 """The parser of conditions: text to tokens to a tree. Syntax only; no types, no evaluation.
 
-The language is a subset of CEL (the Common Expression Language, cel.dev) with CEL's syntax and
-precedence: literals, `msg.<path>`, `now`, `timestamp("...")`, `! && ||`, one comparison or `in`
-per operand, `+ - *`, and method calls. No macros, no regular expressions, no user functions: the
-cost of a condition is bounded by its text.
-
-Which fields a condition reads: that a message comes tells something of each of them. Pure.
+The language is a subset of CEL (the Common Expression Language, cel.dev) with CEL's syntax and precedence:
+literals, `msg.<path>`, `now`, `timestamp("...")`, `! && ||`, one comparison or `in` per operand, `+ - *`, and
+method calls. No macros, no regular expressions, no user functions: the cost of a condition is bounded by its
+text.
 """
 
 import re

@@ -1,43 +1,10 @@
-"""numpy, imported when the first array is treated: a process that filters none need not load it.
+"""How values are made coarse: hysteresis, rounding, rooms, and squares of pictures. Pure.
 
-It takes a third of a sidecar's memory. Attributes are looked up once and cached.
-
-Hysteresis that is common to all holders of a right, and to all topics of one body. Pure.
-
-Two receivers with a hysteresis each, or one receiver of two topics, get two samples of one
-position, and the cells of both together are smaller than one. So a value is held for all alike:
-for all holders of a topic, and with a `body` in the restrictions for all topics of a publisher that
-show the same thing. There the state of a coordinate is kept for each frame, by the name of the
-field, and one frame is told at a time: cells of two frames are shifted and intersect.
-
-Rounding to multiples of a step, for every number type, one value or a whole array.
-
-`floor(x / step + 1/2) * step`: equal values always have the same cell; unlike "half to even" all
-cells have the same size. Values stay in their type's range (the last multiple in it), NaN and
-infinities pass. One value and an array of it give the same bits: tests compare them.
-
-Rooms: a position becomes the point of the room it is in, so a receiver learns the room alone.
-
-A plan is a text for each room: the corners of a polygon, or two opposite corners of a rectangle. A
-position in no room has no value (NaN): zero, or the nearest room, would name a place where it is
-not. With hysteresis a room is kept until the position is that far outside of it, or a position at
-a door would tell by the changes exactly where it is. docs/spec/grant.md, section 6.4.
-
-Pixelation: every square of a picture shows the colour of its first pixel, or its mean in grey.
-
-The first pixel of a square moves with what moves: ten pictures of a face gave ten samples of it. A
-mean alone tells more than one pixel does; few levels of grey are what hides a face (measured:
-`python -m bench privacy`). So means come with `levels`, and only in bytes whose meaning is known.
-
-Squares of a fixed number of pixels hide a face in a small picture and show it in a large one, so
-they can be given by how many there are across. Whatever sizes a message then claims for its bytes,
-no more squares than that leave it in either direction.
-
-Squares are aligned with the picture's corner, also in a region, so a moving region reveals no more
-than its squares, which are those of the whole picture: a grey is the mean of its whole square, also
-of what lies outside the region. Padding between the rows of pixels is zeroed. An encoding that is
-not in the table is refused: its pixel size is unknown, and a Bayer pattern or YUV 4:2:2 shares
-colours between pixels.
+Equal values always have the same cell, and all cells have the same size. One value and an array of it give
+the same bits: tests compare them. A value at a border would tell by its changes where it is, so cells have
+hysteresis; it is common to all holders of a right, and with a `body` to all topics of a publisher that show
+the same thing: two samples of one position would make the cells of both together smaller than one. There the
+state is kept for each frame, and one frame is told at a time: cells of two frames are shifted and intersect.
 """
 
 import math
@@ -58,6 +25,7 @@ __all__ = ["Vector", "np"]
 
 
 class _LazyNumpy:
+    # Imported when the first array is treated: it takes a third of a sidecar's memory.
     def __getattr__(self, name: str) -> Any:
         found = getattr(import_module("numpy"), name)
         setattr(self, name, found)
@@ -90,11 +58,7 @@ class HysteresisState:
 
 
 class CommonState:
-    """The hysteresis of one group.
-
-    Args:
-        lock: held while a message is filtered; one thread needs none.
-    """
+    """The hysteresis of one group; `lock` is held while a message is filtered."""
 
     def __init__(self, lock: AbstractContextManager[Any] | None = None) -> None:
         self.lock: Final = nullcontext() if lock is None else lock
@@ -103,15 +67,11 @@ class CommonState:
         self._until = 0.0
 
     def hysteresis(self, field: FieldKey) -> HysteresisState:
-        """The state of a field."""
-        found = self._states.get(field)
-        if found is None:
-            if len(self._states) >= _MAX_FIELDS:
-                raise MemoryExhausted(
-                    f"{_MAX_FIELDS} fields with hysteresis are stored already", "restart this node"
-                )
-            found = self._states[field] = HysteresisState()
-        return found
+        if field not in self._states and len(self._states) >= _MAX_FIELDS:
+            raise MemoryExhausted(
+                f"{_MAX_FIELDS} fields with hysteresis are stored already", "restart this node"
+            )
+        return self._states.setdefault(field, HysteresisState())
 
     def leads(self, frame: bytes, now: float, slot: int) -> bool:
         """Whether messages of `frame` are told now: that which was told first, while it comes."""
@@ -182,6 +142,8 @@ _SECOND: Final = 10**9
 _FLOAT_MAX: Final = {"f": float.fromhex("0x1.fffffep+127"), "d": sys.float_info.max}
 
 
+# `floor(x / step + 1/2) * step`: unlike "half to even" all cells have the same size. Values stay in their
+# type's range (the last multiple in it), NaN and infinities pass.
 def round_floats(kind: Primitive, step: float) -> Rounding:
     step = float(step)
     largest = _FLOAT_MAX[kind.code]
@@ -224,8 +186,8 @@ def round_integers(kind: Primitive, step: float) -> Rounding:
     low, high = (0, (1 << bits) - 1) if kind.code.isupper() else (-(1 << bits - 1), (1 << bits - 1) - 1)
     if not float(step).is_integer() or step > high:
         raise FilterRefused(f"a step for {kind.name} must be whole and at most {high}")
-    scalar = _exact(int(step), low, high)
     whole = int(step)
+    scalar = _exact(whole, low, high)
     first, last = -(-low // whole) * whole, high // whole * whole
 
     def small(values: Vector) -> Vector:
@@ -269,11 +231,7 @@ def _exact(step: int, low: int, high: int) -> Callable[[int], int]:
 def with_hysteresis(
     scalar: Callable[[float], float], step: float, hysteresis: float
 ) -> Callable[[HysteresisState], Callable[[float], float]]:
-    """Rounding that stays in its cell until the value is `hysteresis` beyond the border.
-
-    A value that varies around a border would otherwise reveal, by the changes, exactly where it
-    is. Returns a function from state to `scalar`: one state for each field of each holder.
-    """
+    # Stays in its cell until the value is `hysteresis` beyond the border. A function from state to `scalar`.
     reach = step / 2 + hysteresis
 
     def bind(state: HysteresisState) -> Callable[[float], float]:
@@ -295,6 +253,9 @@ def with_hysteresis(
 Point: TypeAlias = tuple[float, float]
 Place: TypeAlias = tuple[float, ...]  # the values of a message with a position
 
+# A position becomes the point of the room it is in. A plan is a text for each room: the corners of a
+# polygon, or two opposite corners of a rectangle. A position in no room has no value (NaN): zero, or the
+# nearest room, would name a place where it is not. docs/spec/grant.md, section 6.4.
 MAX_ROOMS: Final = 64
 MAX_CORNERS: Final = 512  # of all rooms
 MAX_TEXT: Final = 1000  # characters of one room
@@ -351,16 +312,12 @@ def _room(name: str, text: object) -> Room:
         raise FilterRefused(f"not the name of a room: {name[:40]!r}", _EXAMPLE)
     if not isinstance(text, str) or len(text) > MAX_TEXT or _CORNERS.fullmatch(text) is None:
         raise FilterRefused(f"room {name} has no corners: {str(text)[:40]!r}", _EXAMPLE)
-    corners = tuple(_corner(pair) for pair in text.split(","))
+    pairs = (pair.split() for pair in text.split(","))
+    corners = tuple((float(x), float(y)) for x, y in pairs)
     if len(corners) == 2:  # opposite corners
         (x0, y0), (x1, y1) = corners
         corners = ((x0, y0), (x1, y0), (x1, y1), (x0, y1))
     return Room(name, corners, _middle(name, corners))
-
-
-def _corner(pair: str) -> Point:
-    x, y = pair.split()
-    return float(x), float(y)
 
 
 def _middle(name: str, corners: tuple[Point, ...]) -> Point:
@@ -384,19 +341,15 @@ def _middle(name: str, corners: tuple[Point, ...]) -> Point:
 def snapping(
     rooms: tuple[Room, ...], reach: float | None
 ) -> Callable[[HysteresisState], Callable[..., Place]]:
-    """The function from x, y and the rest of a position to the point of its room.
-
-    With `reach`, the hysteresis, a state holds the number of the room a position was last in.
-    """
-
-    def room_of(x: float, y: float) -> int | None:
-        return next((number for number, room in enumerate(rooms) if room.covers(x, y)), None)
+    # With `reach`, the hysteresis, a state holds the number of the room a position was last in: a position
+    # at a door would tell by the changes exactly where it is.
 
     def bind(state: HysteresisState) -> Callable[..., Place]:
         def snap(x: float, y: float, *rest: float) -> Place:
             last = state.value
             if reach is None or last is None or not rooms[int(last)].is_within(reach, x, y):
-                last = state.value = room_of(x, y)
+                found = (number for number, room in enumerate(rooms) if room.covers(x, y))
+                last = state.value = next(found, None)
             if last is None:
                 return (math.nan,) * (2 + len(rest))
             return *rooms[int(last)].point, *(0.0 for _ in rest)
@@ -414,6 +367,15 @@ def snap_rows(snap: Callable[..., Place], width: int) -> Callable[[Vector], Vect
     return vector
 
 
+# Pixelation: every square of a picture shows the colour of its first pixel, or its mean in grey. The first
+# pixel moves with what moves: ten pictures of a face gave ten samples of it. A mean alone tells more than
+# one pixel does; few levels of grey are what hides a face (measured: `python -m bench privacy`). So means
+# come with `levels`, and only in bytes whose meaning is known. Squares of a fixed number of pixels hide a
+# face in a small picture and show it in a large one, so they can be given by how many there are across:
+# whatever sizes a message claims, no more leave it in either direction. They are aligned with the picture's
+# corner, also in a region, so a moving region reveals no more than its squares: a grey is the mean of its
+# whole square. Padding between the rows is zeroed. An encoding that is not in the table is refused: its
+# pixel size is unknown, and a Bayer pattern or YUV 4:2:2 shares colours between pixels.
 Region: TypeAlias = tuple[int, ...]  # x, y, width, height
 _Pixels: TypeAlias = Vector
 
@@ -424,18 +386,8 @@ _IN_32_BITS: Final = ((1 << 32) - 1) // 255  # so many bytes can be summed
 SIBLINGS: Final = (("height", "uint32"), ("width", "uint32"), ("encoding", "string"), ("step", "uint32"))
 
 # Bytes of a pixel: sensor_msgs/image_encodings.h.
-_NAMED: Final = {
-    "rgb8": 3,
-    "bgr8": 3,
-    "rgba8": 4,
-    "bgra8": 4,
-    "mono8": 1,
-    "rgb16": 6,
-    "bgr16": 6,
-    "rgba16": 8,
-    "bgra16": 8,
-    "mono16": 2,
-}
+_COLOURS: Final = {"rgb": 3, "bgr": 3, "rgba": 4, "bgra": 4, "mono": 1}
+_NAMED: Final = {f"{name}{8 * size}": size * count for name, count in _COLOURS.items() for size in (1, 2)}
 _DEPTHS: Final = {"8U": 1, "8S": 1, "16U": 2, "16S": 2, "32S": 4, "32F": 4, "64F": 8}
 _GENERIC: Final = {
     f"{depth}C{channels}": size * channels for depth, size in _DEPTHS.items() for channels in range(1, 5)
@@ -443,26 +395,19 @@ _GENERIC: Final = {
 PIXEL_SIZES: Final = _NAMED | _GENERIC
 # Channels of a byte each: their number, and how many of them are colours. The rest is opacity.
 _CHANNELS: Final = {
-    "mono8": (1, 1),
-    "8UC1": (1, 1),
-    "rgb8": (3, 3),
-    "bgr8": (3, 3),
-    "8UC3": (3, 3),
-    "rgba8": (4, 3),
-    "bgra8": (4, 3),
+    **dict.fromkeys(("mono8", "8UC1"), (1, 1)),
+    **dict.fromkeys(("rgb8", "bgr8", "8UC3"), (3, 3)),
+    **dict.fromkeys(("rgba8", "bgra8"), (4, 3)),
 }
 
 
 def pixelation(
     block: int, region: Region | None, levels: int | None = None, across: int | None = None
 ) -> Callable[[Buffer, int, int, str, int], tuple[Buffer, int]]:
-    """The function from the data, height, width, encoding and step of a picture to its new data.
-
-    Squares have a side of `block` pixels; with `across` a larger one if more than so many would fit
-    along the longer side of the picture. With `levels`, they show their mean in so many levels of
-    grey. The function raises ValueError for an unknown encoding (with `levels`: also for one of
-    more than a byte a channel), or when the data is not `height` rows.
-    """
+    # The function from the data, height, width, encoding and step of a picture to its new data. Squares
+    # have a side of `block` pixels; with `across` a larger one if more than so many would fit along the
+    # longer side. It raises ValueError for an unknown encoding (with `levels`: also for one of more than a
+    # byte a channel), or when the data is not `height` rows.
 
     def rewrite(content: Buffer, height: int, width: int, encoding: str, step: int) -> tuple[Buffer, int]:
         size = PIXEL_SIZES.get(encoding) if levels is None else _CHANNELS.get(encoding, (None,))[0]

@@ -1,15 +1,10 @@
-"""Field filters: from rules and a layout to a function on serialized messages.
+"""Field filters: from rules and a layout to a function on serialized messages; presets by name.
 
-The rules are matched against the layout here; the operators are in `grants.filters.operators`, the
-rewriting of bytes in `grants.filters.message_rewriter`. A message is filtered without being
-deserialized, so no message classes are needed, and previously unknown types can be filtered.
-
-Named restrictions for common needs: what they hide, and what they still reveal.
-
-Rounding a position alone hides little: changes at a cell's border, an exact velocity, stamps and
-sequence numbers reveal the rest. A preset treats the field with its related fields. Every text here
-is shown to the operator; `python -m bench privacy` attacks each preset, `docs/spec/grant.md` lists
-the attacks. A grant holds what its preset said when it was signed, so a preset may change.
+A message is filtered without being deserialized, so no message classes are needed, and previously unknown
+types can be filtered. Rounding a position alone hides little, so a preset treats the field with its related
+fields. Every text of a preset is shown to the operator; `python -m bench privacy` attacks each,
+`docs/spec/grant.md` lists the attacks. A grant holds what its preset said when it was signed, so a preset may
+change.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -101,8 +96,11 @@ def _insert(branch: _Branch, rule: FilterRule, treat: TreatmentForType) -> None:
         if not isinstance(below, _Branch):
             raise _overlap(rule.path)
         branch = below
-    if last in branch.children or last.endswith("[*]"):
-        raise _overlap(rule.path) if last in branch.children else _no_element(rule.path)
+    if last in branch.children:
+        raise _overlap(rule.path)
+    if last.endswith("[*]"):
+        hint = f"{rule.path[:-3]} filters all of the elements"
+        raise FilterRefused(f"{rule.path}: [*] must be followed by a field", hint)
     branch.children[last] = treat
 
 
@@ -110,12 +108,6 @@ def _overlap(path: str) -> FilterRefused:
     return FilterRefused(
         f"{path} is inside a field that has a filter, or contains one",
         "the order would matter: keep one of them",
-    )
-
-
-def _no_element(path: str) -> FilterRefused:
-    return FilterRefused(
-        f"{path}: [*] must be followed by a field", f"{path[:-3]} filters all of the elements"
     )
 
 
@@ -127,20 +119,18 @@ def _resolve(kind: Struct, branch: _Branch, path: str) -> Node:
         if step.endswith("[*]") and step[:-3] in branch.children:
             raise _overlap(path + step)
     parts = [_field(name, member, branch, path) for name, member in kind.fields]
-    for (name, _), part in zip(kind.fields, parts, strict=True):
-        if isinstance(part, FieldTreatment) and isinstance(part.treatment, SiblingTreatment):
-            _check_siblings(kind, name, part.treatment, path)
+    before: set[tuple[str, str]] = set()
+    for (name, member), part in zip(kind.fields, parts, strict=True):
+        # A field that needs others of its message: they must precede it and have the right types.
+        treatment = part.treatment if isinstance(part, FieldTreatment) else None
+        if isinstance(treatment, SiblingTreatment) and (
+            kind.name != treatment.message or not before.issuperset(treatment.siblings)
+        ):
+            raise FilterRefused(
+                f"{path}{name} of a {kind.name}: the operator needs the data of a {treatment.message}"
+            )
+        before.add((name, member.name))
     return _parts(kind, parts)
-
-
-def _check_siblings(kind: Struct, name: str, treatment: SiblingTreatment, path: str) -> None:
-    # The field needs others of its message: they must precede it and have the right types.
-    before = [(field, member.name) for field, member in kind.fields]
-    before = before[: before.index((name, dict(kind.fields)[name].name))]
-    if kind.name != treatment.message or not set(treatment.siblings) <= set(before):
-        raise FilterRefused(
-            f"{path}{name} of a {kind.name}: the operator needs the data of a {treatment.message}"
-        )
 
 
 def _bind_hysteresis(node: Node, states: Callable[[FieldKey], HysteresisState], path: FieldKey) -> Node:
@@ -174,31 +164,24 @@ def _field(name: str, kind: Type, branch: _Branch, path: str) -> Node:
     return _resolve(kind, below, f"{path}{name}.")
 
 
-_Memo: TypeAlias = dict[Type, Node]
-
-
-def _apply(treat: TreatmentForType, kind: Type, path: str, memo: _Memo) -> Node:
+def _apply(treat: TreatmentForType, kind: Type, path: str, memo: dict[Type, Node]) -> Node:
     # One treatment for everything in `kind`; equal types share it, so arrays can merge them.
     if kind not in memo:
         try:
             found = treat(kind)
         except FilterRefused as error:
             raise FilterRefused(f"{path}: {error}", error.hint) from None
-        if found == DESCEND:
-            memo[kind] = _descend(treat, kind, path, memo)
-        else:
+        if found != DESCEND:
             whole = found.kind if isinstance(found, Numbers) else None
             memo[kind] = FieldTreatment(whole or kind, found)
+        elif isinstance(kind, Array):
+            memo[kind] = _each(kind, _apply(treat, kind.element, path, memo))
+        elif isinstance(kind, Struct):
+            parts = [_apply(treat, member, f"{path}.{name}", memo) for name, member in kind.fields]
+            memo[kind] = _parts(kind, parts)
+        else:
+            raise FilterRefused(f"{path}: no treatment for {kind.name}")
     return memo[kind]
-
-
-def _descend(treat: TreatmentForType, kind: Type, path: str, memo: _Memo) -> Node:
-    if isinstance(kind, Array):
-        return _each(kind, _apply(treat, kind.element, path, memo))
-    if isinstance(kind, Struct):
-        parts = [_apply(treat, member, f"{path}.{name}", memo) for name, member in kind.fields]
-        return _parts(kind, parts)
-    raise FilterRefused(f"{path}: no treatment for {kind.name}")
 
 
 def _parts(kind: Struct, parts: list[Node]) -> Node:
@@ -228,24 +211,15 @@ _DEGREES: Final[dict[str, object]] = {"round": {"step": 0.02, "hysteresis": 0.01
 
 @dataclass(frozen=True)
 class Preset:
-    """A restriction by name.
-
-    Args:
-        name: as users write it.
-        hides: what the receiver no longer learns.
-        reveals: what an attacker who keeps all messages still learns.
-        rate: messages a second, if limited.
-        slot: seconds of a slot, if messages are limited to one in each.
-        outdoors: the same for a NavSatFix, whose cells are as much larger.
-    """
+    """A restriction by name."""
 
     name: str
-    hides: str
-    reveals: str
+    hides: str  # what the receiver no longer learns
+    reveals: str  # what an attacker who keeps all messages still learns
     _rules: Callable[[Layout], _Rules]
-    rate: float | None = None
-    slot: int | None = None
-    outdoors: int | None = None
+    rate: float | None = None  # messages a second
+    slot: int | None = None  # seconds
+    outdoors: int | None = None  # the same for a NavSatFix, whose cells are as much larger
 
     def restriction(self, layout: Layout) -> Restriction:
         large = layout.type_name == _OUTDOORS and self.outdoors is not None

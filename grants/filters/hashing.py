@@ -35,13 +35,8 @@ def check_key_name(name: object) -> str:
 
 def key_names(rules: Iterable[FilterRule]) -> frozenset[str]:
     """The keys that `rules` need."""
-    return frozenset(
-        check_key_name(value)
-        for rule in rules
-        if rule.operator == "hash"
-        for name, value in rule.parameters
-        if name == "key"
-    )
+    hashes = (dict(rule.parameters) for rule in rules if rule.operator == "hash")
+    return frozenset(check_key_name(given["key"]) for given in hashes if "key" in given)
 
 
 def is_personal(rules: Iterable[FilterRule]) -> bool:
@@ -67,17 +62,13 @@ def pseudonyms(
     name: object, length: int, keys: Keys | None, *, personal: bool = False
 ) -> "Callable[[Buffer], tuple[Buffer, int]]":
     name = check_key_name(name)
-    if keys is None:
-        return _no_key
-    key = keys.get(_personal(name) if personal else name)
-    if key is None or len(key) != FILTER_KEY_SIZE:
+    key = None if keys is None else keys.get(_personal(name) if personal else name)
+    if keys is not None and (key is None or len(key) != FILTER_KEY_SIZE):
         raise FilterRefused(f"the publisher has no key {name!r} of {FILTER_KEY_SIZE} bytes")
 
     def rewrite(content: "Buffer") -> "tuple[Buffer, int]":
+        if key is None:
+            raise ValueError  # of `LAYOUT_ERRORS`: the message is refused
         return hmac.digest(key, bytes(content), "sha256").hex()[:length].encode(), length
 
     return rewrite
-
-
-def _no_key(_: "Buffer") -> "tuple[Buffer, int]":
-    raise ValueError  # of `codegen.LAYOUT_ERRORS`: the message is refused

@@ -1,17 +1,11 @@
-"""From the text of a message definition to the layout of its bytes.
+"""From the text of a message definition to the layout of its bytes, and generated readers of them.
 
-The text is the `message_definition` field of a TCPROS connection header: the definition, then
-each definition it needs after a line of 80 `=` and `MSG: package/Type`. It may come from a peer,
-so every size is checked before it is used. `Layout.md5` is computed as in genmsg
-(`genmsg/gentools.py`, `compute_md5_text`), which omits array brackets after the name of a message
-type: an md5 proves the layout only if `Layout.is_proven`. `Layout.digest` covers all of it.
-
-Generated readers of serialized messages: positions, loops, and safe construction of the source.
-
-The source contains only text made by this module and its users: numbers, and names from a counter.
-Values from outside (texts, parameters, functions) are bound in the namespace and referred to by
-such a name; field names never appear at all. The namespace has no builtins but the ones listed
-here.
+The text is the `message_definition` field of a TCPROS connection header. It may come from a peer, so every
+size is checked before it is used. `Layout.md5` is computed as in genmsg (`genmsg/gentools.py`,
+`compute_md5_text`), which omits array brackets after the name of a message type: an md5 proves the layout
+only if `Layout.is_proven`. `Layout.digest` covers all of it. Generated source contains only text made by this
+package: numbers, and names from a counter; values from outside are bound in the namespace, which has no
+builtins but the ones listed, and field names never appear at all.
 """
 
 import hashlib
@@ -69,7 +63,7 @@ class Array:
 
     @cached_property
     def size(self) -> int | None:
-        """Bytes on the wire when always the same, else None."""
+        # Bytes on the wire when always the same, else None.
         if self.length == 0:
             # For any element type: a loop over many of these would read nothing and never fail.
             return 0
@@ -87,13 +81,9 @@ class Struct:
 
     @cached_property
     def size(self) -> int | None:
-        """Bytes on the wire when always the same, else None."""
-        total = 0
-        for _, kind in self.fields:
-            if kind.size is None:
-                return None
-            total += kind.size
-        return total
+        sizes = [kind.size for _, kind in self.fields]
+        known = [size for size in sizes if size is not None]
+        return sum(known) if len(known) == len(sizes) else None
 
     def explain_missing(self, name: str) -> str:
         has = ", ".join(known for known, _ in self.fields) or "no fields"
@@ -106,21 +96,10 @@ _Sized = TypeVar("_Sized", Array, Struct)
 PRIMITIVES: Final = {
     name: Primitive(name, code, size)
     for name, code, size in (
-        ("bool", "B", 1),
-        ("char", "B", 1),
-        ("byte", "b", 1),
-        ("int8", "b", 1),
-        ("uint8", "B", 1),
-        ("int16", "h", 2),
-        ("uint16", "H", 2),
-        ("int32", "i", 4),
-        ("uint32", "I", 4),
-        ("int64", "q", 8),
-        ("uint64", "Q", 8),
-        ("float32", "f", 4),
-        ("float64", "d", 8),
-        ("time", "II", 8),
-        ("duration", "ii", 8),
+        *(("bool", "B", 1), ("char", "B", 1), ("byte", "b", 1), ("int8", "b", 1), ("uint8", "B", 1)),
+        *(("int16", "h", 2), ("uint16", "H", 2), ("int32", "i", 4), ("uint32", "I", 4)),
+        *(("int64", "q", 8), ("uint64", "Q", 8), ("float32", "f", 4), ("float64", "d", 8)),
+        *(("time", "II", 8), ("duration", "ii", 8)),
     )
 }
 _BUILT_IN: Final[dict[str, Type]] = {**PRIMITIVES, "string": Text()}
@@ -141,9 +120,14 @@ class Layout:
     md5_text: str
     digest: bytes
 
+    def leaves(self) -> "dict[str, Primitive | Text]":
+        """The fields without fields of their own by path, as in filters; an array as its element."""
+        return dict(_leaves(self.root, ""))
+
     @property
     def is_proven(self) -> bool:
-        return not any(_contains_messages(kind) for _, kind in self.root.fields)
+        kinds = (kind.element if isinstance(kind, Array) else kind for _, kind in self.root.fields)
+        return not any(isinstance(kind, Struct) for kind in kinds)
 
 
 def parse(type_name: str, definition: str) -> Layout:
@@ -160,8 +144,14 @@ def parse(type_name: str, definition: str) -> Layout:
     return Layout(type_name, built.md5, built.struct, built.md5_text, built.digest)
 
 
-def _contains_messages(kind: Type) -> bool:
-    return isinstance(kind.element if isinstance(kind, Array) else kind, Struct)
+def _leaves(kind: Type, path: str) -> Iterator[tuple[str, Primitive | Text]]:
+    inner = kind.element if isinstance(kind, Array) else kind
+    if isinstance(inner, Struct):
+        here = f"{path}[*]." if isinstance(kind, Array) else f"{path}." if path else ""
+        for name, member in inner.fields:
+            yield from _leaves(member, here + name)
+    elif not isinstance(inner, Array):
+        yield path, inner
 
 
 def dependencies(type_name: str, definition: str) -> frozenset[str]:
@@ -187,19 +177,15 @@ def _sections(type_name: str, definition: str) -> dict[str, list[str]]:
         if line != SEPARATOR:
             current.append(line)
             continue
-        name = _section_name(next(lines, ""))
+        head = next(lines, "")
+        name = head.removeprefix("MSG: ").strip()
+        if not head.startswith("MSG: ") or TYPE_NAME.fullmatch(name) is None:
+            raise DefinitionRefused(f"expected 'MSG: package/Type', found {head[:80]!r}")
         if name in sections:
             # genpy would use the last, others the first: two layouts for one text.
             raise DefinitionRefused(f"{name} is defined twice")
         current = sections[name] = []
     return sections
-
-
-def _section_name(line: str) -> str:
-    name = line.removeprefix("MSG: ").strip()
-    if not line.startswith("MSG: ") or TYPE_NAME.fullmatch(name) is None:
-        raise DefinitionRefused(f"expected 'MSG: package/Type', found {line[:80]!r}")
-    return name
 
 
 @dataclass(frozen=True)
@@ -286,7 +272,11 @@ def _statements(name: str, lines: list[str]) -> tuple[list[str], dict[str, str]]
     for line in lines:
         code = line.split("#", maxsplit=1)[0].strip()
         if "=" in code:
-            constants.append(_constant(line, code))
+            # A string constant runs to the end of the line: `#` is part of its value.
+            matched = _CONSTANT.fullmatch(line if code.startswith("string ") else code)
+            if matched is None or matched[1] not in _CONSTANT_TYPES:
+                raise DefinitionRefused(f"not a constant: {line[:80]!r}", "expected: type NAME=value")
+            constants.append(f"{matched[1]} {matched[2]}={matched[3].strip()}")
         elif code:
             kind, field_name = _field(code)
             if field_name in fields:
@@ -305,14 +295,6 @@ def _field(code: str) -> tuple[str, str]:
             "the program that publishes writes it so: update it, or report it there",
         )
     raise DefinitionRefused(f"not a field: {code[:80]!r}", "expected: type name")
-
-
-def _constant(line: str, code: str) -> str:
-    # A string constant runs to the end of the line: `#` is part of its value.
-    matched = _CONSTANT.fullmatch(line if code.startswith("string ") else code)
-    if matched is None or matched[1] not in _CONSTANT_TYPES:
-        raise DefinitionRefused(f"not a constant: {line[:80]!r}", "expected: type NAME=value")
-    return f"{matched[1]} {matched[2]}={matched[3].strip()}"
 
 
 def _bounded(kind: _Sized) -> _Sized:
@@ -384,7 +366,6 @@ class SourceWriter:
         return "\n".join(self._lines) + "\n"
 
     def compile(self) -> Callable[..., Any]:
-        """The compiled function."""
         exec(compile(self.text, "<rossec layout>", "exec"), self._namespace)  # noqa: S102 - only names and offsets from here
         function: Callable[..., Any] = self._namespace["generated"]
         return function
@@ -412,18 +393,14 @@ class Cursor:
                     self.skip(member)
             case Text():
                 self.jump(f"{self.at(4)}+U(b,{self.at()})[0]")
+            case Array(size=None, element=element) if element.size is not None:
+                self.jump(f"{self.at(4)}+U(b,{self.at()})[0]*{element.size}")
             case Array(size=None, element=element):
-                self._skip_array(kind, element)
+                with self.each(kind):
+                    self.skip(element)
             case _:
                 assert kind.size is not None  # noqa: S101 - for the type checker
                 self.position = (self.position[0], self.position[1] + kind.size)
-
-    def _skip_array(self, kind: Array, element: Type) -> None:
-        if element.size is not None:
-            self.jump(f"{self.at(4)}+U(b,{self.at()})[0]*{element.size}")
-            return
-        with self.each(kind):
-            self.skip(element)
 
     def jump(self, target: str) -> None:
         """Continue at `target`, an expression."""

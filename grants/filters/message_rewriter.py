@@ -1,21 +1,9 @@
 """From a treated layout to a function on bytes: kept parts are sliced, treated parts are computed.
 
-The generated function returns the pieces of the new message in order, for scatter-gather
-sending: kept parts are slices of the message (an image is never copied), adjacent treated
-numbers go through one `struct` call, arrays of numbers and arrays of fixed-size messages through
-numpy. It raises one of `codegen.LAYOUT_ERRORS` if the message does not have the layout.
-
-Arrays of fixed-size elements, treated column by column with numpy.
-
-One copy of the elements is made, read as a table with the treated values as its columns; adjacent
-values under one treatment are one column, so a thousand points cost three calls.
-
-Arrays of elements of different sizes, whose treated values keep their position.
-
-Treating such an array value by value costs more than everything else a filter does. Here the
-generated loop only records where the treated values are; they are then taken out of one copy of the
-array, treated column by column with numpy, and put back. This requires treatments that preserve
-every size: numbers, and constants of a fixed size.
+The generated function returns the pieces of the new message in order, for scatter-gather sending: kept parts
+are slices of the message (an image is never copied), adjacent treated numbers go through one `struct` call,
+arrays of numbers and arrays of fixed-size messages through numpy, column by column in one copy. It raises one
+of `LAYOUT_ERRORS` if the message does not have the layout.
 """
 
 import struct
@@ -81,19 +69,9 @@ def columns(node: Node, offset: int) -> list[Column]:
             return []
 
 
-def _merged(found: list[Column]) -> list[Column]:
-    merged: list[Column] = []
-    for column in found:
-        if merged and merged[-1].is_continued_by(column):
-            last = merged.pop()
-            column = Column(last.offset, last.code, last.count + column.count, last.vector)  # noqa: PLW2901 - merged
-        merged.append(column)
-    return merged
-
-
 @dataclass(frozen=True)
 class Table:
-    """The treated values of many elements of `size` bytes each, as columns."""
+    """The treated values of many elements, as columns; adjacent ones under one treatment are one column."""
 
     dtype: "np.dtype[Any]"
     treatments: tuple[tuple[str, Callable[[Vector], Vector]], ...]
@@ -103,13 +81,15 @@ class Table:
             elements[name] = vector(elements[name])
 
 
-def table(node: Node, size: int) -> Table:
-    """The table for elements of `size` bytes with the treatments in `node`."""
-    return table_from_columns(columns(node, 0), size)
-
-
-def table_from_columns(found: list[Column], size: int) -> Table:
-    merged = _merged(found)
+def table(found: list[Column], size: int) -> Table:
+    merged: list[Column] = []
+    for column in found:
+        if merged and merged[-1].is_continued_by(column):
+            last = merged.pop()
+            count = last.count + column.count
+            merged.append(Column(last.offset, last.code, count, last.vector))
+        else:
+            merged.append(column)
     names = [f"f{n}" for n in range(len(merged))]
     dtype: np.dtype[Any] = np.dtype(
         {
@@ -123,25 +103,19 @@ def table_from_columns(found: list[Column], size: int) -> Table:
 
 
 def table_rewriter(element: Node, size: int) -> Callable[[Buffer, int, int], Buffer]:
-    """Return a function of message, start and count of the elements, to the elements' new bytes.
-
-    It raises ValueError if the message is too short.
-    """
+    # A function of message, start and count of the elements, to their new bytes. ValueError: the message is
+    # too short.
     match element:
         case FieldTreatment(Primitive(code=code), Numbers(vector=vector)):
-            return _numbers_rewriter(f"<{code[0]}", len(code), vector)
+            dtype, values = f"<{code[0]}", len(code)
         case _:
-            return _elements_rewriter(table(element, size))
+            return _elements_rewriter(table(columns(element, 0), size))
 
-
-def _numbers_rewriter(
-    code: str, values: int, vector: Callable[[Vector], Vector]
-) -> Callable[[Buffer, int, int], Buffer]:
     def rewrite(message: Buffer, start: int, count: int) -> Buffer:
         if count == 0:
             return b""
-        numbers = np.frombuffer(message, code, count * values, start)
-        return vector(numbers).astype(code, copy=False).tobytes()
+        numbers = np.frombuffer(message, dtype, count * values, start)
+        return vector(numbers).astype(dtype, copy=False).tobytes()
 
     return rewrite
 
@@ -180,6 +154,10 @@ class _Region:
     columns: list[Column]
 
 
+# Treating an array of elements of different sizes value by value costs more than everything else a filter
+# does. Here the generated loop only records where the treated values are; they are then taken out of one
+# copy of the array, treated column by column with numpy, and put back. This requires treatments that
+# preserve every size: numbers, and constants of a fixed size.
 class ArrayCollector(Cursor):
     def __init__(self, source: SourceWriter) -> None:
         super().__init__(source)
@@ -198,28 +176,22 @@ class ArrayCollector(Cursor):
             case _ if isinstance(node, Keep) or not size:
                 self.skip(node.kind)
             case _:
-                self._note(node, size)
-
-    def _note(self, node: Node, size: int) -> None:
-        if not self._regions or self._regions[-1].end != self.position:
-            name = self.source.new("g")
-            self.source.line(f"{name}.append({self.at()})")
-            self._regions.append(_Region(name, self.position, 0, []))
-        region = self._regions[-1]
-        region.columns += columns(node, region.size)
-        region.size += size
-        self.skip(node.kind)
-        region.end = self.position
+                if not self._regions or self._regions[-1].end != self.position:
+                    name = self.source.new("g")
+                    self.source.line(f"{name}.append({self.at()})")
+                    self._regions.append(_Region(name, self.position, 0, []))
+                region = self._regions[-1]
+                region.columns += columns(node, region.size)
+                region.size += size
+                self.skip(node.kind)
+                region.end = self.position
 
     def finish(self) -> str:
         names = [region.name for region in self._regions]
         self.source.replace(self._declared, ";".join(f"{name}=[]" for name in names))
-        tables = [table_from_columns(region.columns, region.size) for region in self._regions]
-        return f"{self.source.bind(_patcher(tables))}(({''.join(f'{name},' for name in names)}))"
-
-
-def _patcher(tables: list[Table]) -> Callable[[tuple[list[int], ...]], Callable[[Buffer, int, int], Buffer]]:
-    return lambda positions: partial(_patch, tables, positions)
+        tables = [table(region.columns, region.size) for region in self._regions]
+        patcher = self.source.bind(lambda positions: partial(_patch, tables, positions))
+        return f"{patcher}(({''.join(f'{name},' for name in names)}))"
 
 
 def _patch(

@@ -1,28 +1,10 @@
 """The operators of filters: one entry in `OPERATORS` each.
 
-An operator reads its named parameters and returns a function from the type of a field to a
-treatment: a constant in its place, a function of its numbers, or a function of its bytes. An
-operator that does not treat a type itself returns `DESCEND`, and is then applied to a message's
-fields or an array's elements. Nothing here is source text: generated code only *calls* it.
-
-The types between rules and generated code: treatments of a field, and the treated layout.
-
-A treatment is the result of an operator for one type; a node says for every part of a message
-whether it is kept, treated, or entered.
-
-The parameters of an operator: exactly its own, each of its type and in its range.
-
-They come from a signed grant or from a policy, so everything that is not expected is refused.
-
-The operator `rooms`, on the messages that have a position: x and y, and z or theta.
-
-Such a message is read as one value of two or three numbers, whatever its type is called: which room
-it is in depends on all of them. Everything but x and y is cleared.
-
-Sorting: the order of an array's elements says which is which, also without their names.
-
-Elements are put in the order of their bytes as they are sent, so what is left of them decides
-alone: nothing of the order in which the publisher wrote them remains.
+An operator reads its named parameters and returns a function from the type of a field to a treatment: a
+constant in its place, a function of its numbers, or a function of its bytes. An operator that does not treat
+a type itself returns `DESCEND`, and is then applied to a message's fields or an array's elements. Nothing
+here is source text: generated code only *calls* it. Parameters come from a signed grant or from a policy:
+exactly the operator's own, each of its type and in its range, or they are refused.
 """
 
 import difflib
@@ -74,12 +56,9 @@ class Constant:
 
 @dataclass(frozen=True)
 class HysteresisBinding:
-    """A `scalar` with hysteresis: `bind` makes it from the state of the field.
+    """A `scalar` with hysteresis: `bind` makes it from the state of the field."""
 
-    `parameters` are part of the state's key, so that only equal treatments share the state.
-    """
-
-    parameters: tuple[object, ...]
+    parameters: tuple[object, ...]  # part of the state's key, so that only equal treatments share the state
     bind: Callable[[HysteresisState], Callable[..., Any]]
 
 
@@ -189,12 +168,18 @@ def integer(parameters: Parameters, name: str, maximum: int, minimum: int = 1) -
     return value
 
 
+_EMPTY: Final = Constant(bytes(4))
+_INTEGERS: Final = frozenset("bBhHiIqQ")
+_REGION: Final = ("x", "y", "width", "height")
+_SMALLEST: Final = 2  # pixels: a square of one is the picture
 _HYSTERESIS: Final = "hysteresis"  # so no room has this name
 _MAX_REACH: Final = 1000  # metres
 _POSITIONS: Final = (("x", "y"), ("x", "y", "z"), ("x", "y", "theta"))
 _FLOATS: Final = (PRIMITIVES["float32"], PRIMITIVES["float64"])
 
 
+# A message of x, y and z or theta is read as one value, whatever its type is called: which room it is in
+# depends on all of them. Everything but x and y is cleared.
 def rooms(parameters: Parameters) -> TreatmentForType:
     reach = number(parameters, _HYSTERESIS) if _HYSTERESIS in parameters else None
     if reach is not None and not 0 < reach <= _MAX_REACH:
@@ -206,7 +191,15 @@ def rooms(parameters: Parameters) -> TreatmentForType:
     def treat(kind: Type) -> Treatment:
         if isinstance(kind, Array):
             return DESCEND
-        position = _as_one_value(kind)
+        names = tuple(name for name, _ in kind.fields) if isinstance(kind, Struct) else ()
+        members = [member for _, member in kind.fields] if isinstance(kind, Struct) else []
+        of = next((one for one in _FLOATS if all(member is one for member in members)), None)
+        if names not in _POSITIONS or of is None:
+            raise FilterRefused(
+                f"rooms needs a message of x, y and maybe z or theta, not {kind.name}",
+                "for example pose.position of a geometry_msgs/PoseStamped",
+            )
+        position = Primitive(kind.name, of.code * len(names), of.size * len(names))
         snap = bind(HysteresisState())
         found = Numbers(snap, snap_rows(snap, len(position.code)), kind=position)
         return found if reach is None else replace(found, hysteresis=HysteresisBinding(identity, bind))
@@ -214,24 +207,11 @@ def rooms(parameters: Parameters) -> TreatmentForType:
     return treat
 
 
-def _as_one_value(kind: Type) -> Primitive:
-    if isinstance(kind, Struct) and tuple(name for name, _ in kind.fields) in _POSITIONS:
-        for float_type in _FLOATS:
-            if all(member is float_type for _, member in kind.fields):
-                count = len(kind.fields)
-                return Primitive(kind.name, float_type.code * count, float_type.size * count)
-    raise FilterRefused(
-        f"rooms needs a message of x, y and maybe z or theta, not {kind.name}",
-        "for example pose.position of a geometry_msgs/PoseStamped",
-    )
-
-
 def sorting(element: Type) -> Callable[[Buffer], tuple[Buffer, int]]:
-    """The function from the elements of an array to the same in order, and how many they are.
-
-    An element has at least one byte, as else nothing would say how many there are. It raises one
-    of `codegen.LAYOUT_ERRORS` for bytes that are no such elements.
-    """
+    # The function from the elements of an array to the same in the order of their bytes, and how many they
+    # are: which is which would show by the order also without their names, and so what is left of them
+    # decides alone. An element has at least one byte, as else nothing would say how many there are. It
+    # raises one of `LAYOUT_ERRORS` for others.
     source = SourceWriter("b")
     source.line("p=0;l=[]")
     with source.block("while p<len(b)"):
@@ -252,20 +232,16 @@ def sorting(element: Type) -> Callable[[Buffer], tuple[Buffer, int]]:
     return rewrite
 
 
-_EMPTY: Final = Constant(bytes(4))
-_INTEGERS: Final = frozenset("bBhHiIqQ")
-
-
 def _clear(parameters: Parameters) -> TreatmentForType:
     expect(parameters)
-    return _zero_value
 
+    def treat(kind: Type) -> Treatment:
+        if kind.size is not None:
+            return Constant(bytes(kind.size))
+        variable = isinstance(kind, Text) or (isinstance(kind, Array) and kind.length is None)
+        return _EMPTY if variable else DESCEND
 
-def _zero_value(kind: Type) -> Treatment:
-    if kind.size is not None:
-        return Constant(bytes(kind.size))
-    variable = isinstance(kind, Text) or (isinstance(kind, Array) and kind.length is None)
-    return _EMPTY if variable else DESCEND
+    return treat
 
 
 def _drop(parameters: Parameters) -> TreatmentForType:
@@ -392,28 +368,23 @@ def _truncate(parameters: Parameters) -> TreatmentForType:
     if not isinstance(length, int) or not 0 <= length < 1 << 32:
         raise FilterRefused("truncate needs a non-negative whole length")
 
+    def characters(content: Buffer) -> tuple[Buffer, int]:
+        text = str(content, "utf-8")[:length].encode()
+        return text, len(text)
+
     def treat(kind: Type) -> Treatment:
         if isinstance(kind, Text):
-            return ContentTreatment(lambda content: _first_characters(content, length))
+            return ContentTreatment(characters)
         if isinstance(kind, Array) and kind.length is None and kind.element.size:
             size = kind.element.size
-            return ContentTreatment(lambda content: _first_elements(content, length, size))
+            most = length * size
+            return ContentTreatment(lambda content: (content[:most], len(content[:most]) // size))
         raise FilterRefused(
             "truncate needs a string or an array of variable length whose elements have a fixed"
             f" size above zero, not {kind.name}"
         )
 
     return treat
-
-
-def _first_characters(content: Buffer, length: int) -> tuple[bytes, int]:
-    text = str(content, "utf-8")[:length].encode()
-    return text, len(text)
-
-
-def _first_elements(content: Buffer, length: int, size: int) -> tuple[Buffer, int]:
-    kept = content[: length * size]
-    return kept, len(kept) // size
 
 
 _Operator: TypeAlias = Callable[[Parameters, Keys | None], TreatmentForType]
@@ -439,10 +410,6 @@ def _hash(parameters: Parameters, keys: Keys | None) -> TreatmentForType:
         raise FilterRefused(f"hash needs a string, not {kind.name}")
 
     return treat
-
-
-_REGION: Final = ("x", "y", "width", "height")
-_SMALLEST: Final = 2  # pixels: a square of one is the picture
 
 
 def _pixelate(parameters: Parameters) -> TreatmentForType:
@@ -500,9 +467,7 @@ AFTER_OTHERS: Final = frozenset({"sort"})
 def treatment_for(rule: FilterRule, keys: Keys | None = None) -> TreatmentForType:
     """The function from field type to treatment that `rule` names.
 
-    Args:
-        rule: the rule.
-        keys: by name, for `hash`. None: only check the rule; messages to be hashed are refused.
+    `keys` are by name, for `hash`. None: only check the rule; messages to be hashed are refused.
     """
     if rule.operator not in OPERATORS:
         close = difflib.get_close_matches(rule.operator, OPERATORS, 1)

@@ -1,27 +1,12 @@
 """Whether the tests of a policy hold: each claim decided as requests are, each field tried. Pure.
 
-A failure names the rule that decided, with its line, and what would be needed. What cannot be
-evaluated, such as a field that a type does not have, fails: a test that tests nothing would pass.
+A failure names the rule that decided, with its line, and what would be needed. What cannot be evaluated, such
+as a field that a type does not have, fails: a test that tests nothing would pass.
 
-What each operator lets through of one value: nothing, steps, a range, or all of it. Pure.
-
-By the operators' algebra, for the whole range of a type and not for values that were tried. A
-number goes through functions that never decrease, so what lies between two values lies between
-what becomes of them; NaN and infinities pass `round`, and `clamp` makes NaN its lower end. A cell
-that the type's range cuts off, as that of 0 of an unsigned number, counts as a whole one.
-
-How precisely a receiver sees a field, by the algebra of the filters of a verdict. Pure.
-
-What each operator lets through is a table (`grants.policy.assertion_check`), which holds for every value
-of the field's type. Numbers pass functions that never decrease, so one is hidden if the ends of its
-range, both zeros and NaN become the same: that is tried, on the filters the publisher would run.
-A field that a condition reads is not hidden, and finer than any step: that a message comes tells.
-
-Whether a field, or a word of the vocabulary, is seen as a test of a policy says. Pure.
-
-A field is judged by what its filters let through (`sight`), of a word all fields count that tell it
-(`grants.vocabulary.assess`). A name that is both, such as `position`, is the word where the type
-tells it; a part of the field is written `position.x`.
+How precisely a field is seen follows from the operators' algebra, for the whole range of its type and not for
+values that were tried. A word of the vocabulary is seen by all fields that tell it
+(`grants.vocabulary.assess`); a name that is both, such as `position`, is the word where the type tells it,
+and a part of the field `position.x`.
 """
 
 import math
@@ -52,21 +37,27 @@ from grants.policy.assertions import (
     SeenField,
     Value,
     below,
-    leaves,
     read_back,
     serialize,
 )
 from grants.policy.decision import Decider, Verdict, is_pattern
 from grants.policy.model import Clause, Effect, Policy, PolicyRule, Subject, SubjectPattern
-from grants.policy.names import gives, is_own, overlaps, resolve
-from grants.policy.privacy import filters_of
+from grants.policy.names import gives, overlaps, resolve
 from grants.policy.rules import is_basics
 from grants.policy.source import suggest
-from grants.vocabulary.assess import assess
+from grants.vocabulary.assess import assess, filters_of
 from grants.vocabulary.contents import FRAMES, LEVELS, DataWord, Description
 
 Kind = Primitive | Text
+LayoutOf = Callable[[str], Layout]
 _Parameters = Mapping[str, Scalar]
+_FOREVER: Final = 1 << 53
+_NOW: Final = 1_000_000
+_TOLERANCE: Final = 1e-6
+_WORDS: Final = frozenset(word.value for word in DataWord)
+_ANY_KEY: Final = bytes(32)
+_BY_DEFAULT: Final = "no rule matches, so the default decides"
+_EFFECTS: Final = {Effect.ALLOW: "may", Effect.DENY: "may not", Effect.PROMPT: "may, if a person says so,"}
 _WHOLE: Final = 1e-9  # how far from a whole number the ratio of two steps may be
 _EXACT_UNIT: Final = 1 << 20  # multiples of its inverse, up to 2^32, are exact in 64 bits
 _ROOM_FIELDS: Final = ("x", "y")
@@ -90,10 +81,6 @@ def passing(rule: FilterRule, kind: Kind, path: str) -> Passing:
     return _OPERATORS[rule.operator](dict(rule.parameters), kind, path)
 
 
-def _nothing(_: _Parameters, _kind: Kind, _path: str) -> Passing:
-    return Passing(Through.NOTHING)
-
-
 def _round(parameters: _Parameters, kind: Kind, _path: str) -> Passing:
     step = float(parameters["step"])
     is_integer = isinstance(kind, Primitive) and len(kind.code) == 1 and kind.code not in "fd"
@@ -108,14 +95,6 @@ def _clamp(parameters: _Parameters, kind: Kind, _path: str) -> Passing:
         if (low, high) == (least, least + (1 << bits) - 1):
             return Passing(Through.ALL)
     return Passing(Through.NOTHING if low == high != 0 else Through.RANGE)
-
-
-def _truncate(parameters: _Parameters, _kind: Kind, _path: str) -> Passing:
-    return Passing(Through.NOTHING if parameters["length"] == 0 else Through.TOLD)
-
-
-def _hash(_: _Parameters, _kind: Kind, _path: str) -> Passing:
-    return Passing(Through.TOLD)
 
 
 def _pixelate(_: _Parameters, _kind: Kind, path: str) -> Passing:
@@ -133,30 +112,29 @@ def _rooms(parameters: _Parameters, _kind: Kind, path: str) -> Passing:
 def _inner(room: Room, axis: int) -> float:
     # Of a rectangle along the axes its side; of another polygon a line through a corner is as short as one
     # likes.
-    is_rectangle = len(room.corners) == 4 and all(
-        (x0 == x1) != (y0 == y1) for (x0, y0), (x1, y1) in room.edges
-    )
+    upright = all((x0 == x1) != (y0 == y1) for (x0, y0), (x1, y1) in room.edges)
     sides = [corner[axis] for corner in room.corners]
-    return max(sides) - min(sides) if is_rectangle else 0.0
+    return max(sides) - min(sides) if upright and len(sides) == 4 else 0.0
 
 
-def _all(_: _Parameters, _kind: Kind, _path: str) -> Passing:
-    return Passing(Through.ALL)
-
-
-_OPERATORS: Final[Mapping[str, Callable[[_Parameters, Kind, str], Passing]]] = {
-    "clear": _nothing,
-    "set": _nothing,
-    "redact": _nothing,
-    "drop": _nothing,
-    "zero": _nothing,
+_Passes = Callable[[_Parameters, Kind, str], Passing]
+# A number goes through functions that never decrease, so what lies between two values lies between what
+# becomes of them; NaN and infinities pass `round`, and `clamp` makes NaN its lower end. A cell that the
+# type's range cuts off, as that of 0 of an unsigned number, counts as a whole one.
+_OPERATORS: Final[Mapping[str, _Passes]] = {
+    **dict.fromkeys(
+        ("clear", "set", "redact", "drop", "zero"), lambda _parameters, _kind, _path: Passing(Through.NOTHING)
+    ),
     "round": _round,
     "clamp": _clamp,
-    "truncate": _truncate,
-    "hash": _hash,
+    "truncate": lambda parameters, _kind, _path: Passing(
+        Through.TOLD if parameters["length"] else Through.NOTHING
+    ),
+    "hash": lambda _parameters, _kind, _path: Passing(Through.TOLD),
     "pixelate": _pixelate,
     "rooms": _rooms,
-    "sort": _all,  # which element is which is hidden, but no value
+    # Which element is which is hidden, but no value.
+    "sort": lambda _parameters, _kind, _path: Passing(Through.ALL),
 }
 
 
@@ -184,22 +162,19 @@ def _is_multiple(small: Passing, large: Passing) -> bool:
     return abs(ratio - round(ratio)) < _WHOLE and (round(ratio) % 2 == 1 or is_exact)
 
 
-_FOREVER: Final = 1 << 53
-_NOW: Final = 1_000_000
-_TOLERANCE: Final = 1e-6
-
-
-class Sight:
+class Visibility:
     """What the receiver of a verdict sees of messages of one layout.
 
-    `frames`: the leaves that name frames, which conditions may read: as in `vocabulary.assess` a
-    frame is a setting of the robot, which the condition names, and no value that changes.
+    A leaf is hidden if the ends of its range, both zeros and NaN become the same: that is tried, on the
+    filters the publisher would run. One that a condition reads is not hidden, and finer than any step: that
+    a message comes tells. But conditions may read `frames`, the leaves that name them: a frame is a
+    setting, no value that changes.
     """
 
     def __init__(self, layout: Layout, verdict: Verdict, frames: Collection[str] = frozenset()) -> None:
         self._frames = frames
         self._layout = layout
-        self._leaves = leaves(layout)
+        self._leaves = layout.leaves()
         self._conditions = [text for each in verdict.restrictions for text in each.conditions]
         restrictions = tuple(
             replace(each, conditions=(), rate=None, slot=None, filters=tuple(map(_stateless, each.filters)))
@@ -260,12 +235,7 @@ def _ends(kind: Primitive) -> tuple[Value, ...]:
     return (-(1 << bits - 1), (1 << bits - 1) - 1) if kind.code.islower() else (0, (1 << bits) - 1)
 
 
-_WORDS: Final = frozenset(word.value for word in DataWord)
-
-
-def seen_too_well(
-    policy: Policy, layout_of: Callable[[str], Layout], verdict: Verdict, seen: SeenField
-) -> str:
+def seen_too_well(policy: Policy, layout_of: LayoutOf, verdict: Verdict, seen: SeenField) -> str:
     """The first field, or the word, that is seen otherwise than `seen` says; empty if none is."""
     kind = policy.type_of(seen.topic)
     if kind is None:
@@ -275,26 +245,26 @@ def seen_too_well(
     description = policy.vocabulary.describe(layout, seen.topic)
     if seen.path in _WORDS and description.tells(DataWord(seen.path)):
         return _word(description, verdict, seen)
-    fields = leaves(layout)
+    fields = layout.leaves()
     paths = below(fields, seen.path)
     if not paths:
         raise PolicyRefused(f"no field {seen.path!r} in {kind}")
     frames = {each.path for each in description.fields if each.content in FRAMES}
-    sight = Sight(layout, verdict, frames)
-    return next((path for path in paths if not _holds(sight, path, fields[path], seen)), "")
+    visible = Visibility(layout, verdict, frames)
+    return next((path for path in paths if not _holds(visible, path, fields[path], seen)), "")
 
 
-def _holds(sight: Sight, path: str, kind: Primitive | Text, seen: SeenField) -> bool:
+def _holds(visible: Visibility, path: str, kind: Primitive | Text, seen: SeenField) -> bool:
     if seen.limit == EXACT:
-        return sight.is_exact(path)
+        return visible.is_exact(path)
     if seen.limit == NOTHING:
-        return sight.is_hidden(path)
+        return visible.is_hidden(path)
     if isinstance(seen.limit, str):
         hint = f"write a number (no finer than that), {NOTHING} or {EXACT}"
         raise PolicyRefused(f"not how a field is seen: {seen.limit[:40]!r}", hint)
     if not isinstance(kind, Primitive) or kind.name == "bool":
         raise PolicyRefused(f"{path} is no number", f"write {NOTHING} or {EXACT}")
-    return sight.is_no_finer_than(path, seen.limit)
+    return visible.is_no_finer_than(path, seen.limit)
 
 
 def _word(description: Description, verdict: Verdict, seen: SeenField) -> str:
@@ -314,26 +284,16 @@ def _word(description: Description, verdict: Verdict, seen: SeenField) -> str:
     return f"{word} ({found.level}{by})".replace(",)", ")")
 
 
-LayoutOf = Callable[[str], Layout]
-
-
 @dataclass(frozen=True)
 class Outcome:
-    """Of one claim, or of one field.
-
-    Args:
-        says: what was asserted, for people.
-        failure: why it does not hold; empty: it does.
-        rules: the deciding rules by id.
-        needed: what would be needed.
-    """
+    """Of one claim, or of one field."""
 
     line: int
     node: str
-    says: str
-    failure: str = ""
-    rules: tuple[str, ...] = ()
-    needed: str = ""
+    says: str  # what was asserted, for people
+    failure: str = ""  # why it does not hold; empty: it does
+    rules: tuple[str, ...] = ()  # that decided, by id
+    needed: str = ""  # what would be needed
 
     def __bool__(self) -> bool:
         return not self.failure
@@ -408,6 +368,7 @@ class _Checker:
         # Why the claim does not hold, and what would be needed; empty if it holds.
         what = f"{claim.right.label} {claim.name}"
         wanted = {Says.MAY: Effect.ALLOW, Says.MAY_NOT: Effect.DENY, Says.ASKS: Effect.PROMPT}
+        changes = "; ".join(self._decider.changes(verdict))
         is_whole = is_pattern(verdict.name) or (not verdict and claim.right & TREE_RIGHTS)
         if claim.says is Says.MAY_NOT and is_whole:
             return self._some_allowed(test.subject, claim)
@@ -416,42 +377,31 @@ class _Checker:
             if not open_at:
                 return "", ""
             when = f" at {format_time(open_at[0])}"
-            return f"may {what}{when}: {_decided(verdict)}", self._changes(verdict)
+            return f"may {what}{when}: {_decided(verdict)}", changes
         if verdict.effect is not wanted[claim.says]:
-            return f"{_EFFECTS[verdict.effect]} {what}: {_decided(verdict)}", self._changes(verdict)
+            return f"{_EFFECTS[verdict.effect]} {what}: {_decided(verdict)}", changes
         for now in test.at if claim.says is Says.MAY else ():
-            closed = self._closed(verdict, test, now)
-            if closed:
+            if closed := self._closed(verdict, test, now):
                 needed = "change the condition, or the time of the test"
                 return f"may not {what} at {format_time(now)}: not true: {closed}", needed
         return "", ""
 
     def _some_allowed(self, subject: Subject, claim: Claim) -> tuple[str, str]:
         # No part of it may be given: who sets /safety/max_speed has set a part of /safety.
-        name = claim.name
-        if is_own(name):
-            own = resolve(name, subject.name, tail=subject.tail)
-            if own is None:
-                return "", ""
-            name = own
+        name = resolve(claim.name, subject.name, tail=subject.tail)
+        if name is None:
+            return "", ""
         rules = self._decider.rules_of(subject)
-        denied = [
-            clause.pattern
-            for rule in rules
-            if rule.effect is Effect.DENY
-            for clause in _clauses(rule, subject, claim.right)
-        ]
+        denials = (rule for rule in rules if rule.effect is Effect.DENY)
+        denied = [each.pattern for rule in denials for each in _clauses(rule, subject, claim.right)]
         for rule in rules:
             if rule.effect is Effect.DENY or (is_basics(rule) and is_pattern(name)):
                 continue
             for clause in _clauses(rule, subject, claim.right):
-                common = overlaps(clause.pattern, claim.right, name)
-                covered = any(
-                    gives(no, claim.right, each) for no in denied for each in (clause.pattern, name)
-                )
-                if common and not covered:
-                    may = _EFFECTS[rule.effect]
-                    failure = f"{may} {claim.right.label} {clause.pattern}: {_named(rule)}"
+                pair = (clause.pattern, name)
+                covered = any(gives(no, claim.right, each) for no in denied for each in pair)
+                if overlaps(clause.pattern, claim.right, name) and not covered:
+                    failure = f"{_EFFECTS[rule.effect]} {claim.right.label} {clause.pattern}: {_named(rule)}"
                     return failure, f"take {clause.pattern} out of {rule.id}, or deny it"
         default = self._policy.defaults.decision
         if default is not Effect.DENY and not any(gives(no, claim.right, name) for no in denied):
@@ -465,7 +415,7 @@ class _Checker:
             layout, message = None, b""
             if restriction.type is not None:
                 layout = self._layout_of(restriction.type)
-                unknown = test.message.keys() - leaves(layout).keys()
+                unknown = test.message.keys() - layout.leaves().keys()
                 if unknown:
                     raise PolicyRefused(f"{restriction.type} has no field {min(unknown)!r}")
                 message = serialize(layout, test.message)
@@ -474,12 +424,14 @@ class _Checker:
                     return text
         return ""
 
-    def _changes(self, verdict: Verdict) -> str:
-        return "; ".join(self._decider.changes(verdict))
-
     def _seen(self, test: Assertion, seen: SeenField) -> Outcome:
         node = shown(test.subject.name)
-        says = f"sees {seen.path} of {seen.topic}: {_limit(seen)}"
+        if isinstance(seen.limit, float):
+            limit, more = f"no finer than {seen.limit:g}", f"finer than {seen.limit:g}"
+        else:
+            words = {EXACT: "otherwise than it is", NOTHING: "at all"}
+            limit, more = seen.limit, words.get(seen.limit, f"closer than {seen.limit}")
+        says = f"sees {seen.path} of {seen.topic}: {limit}"
         verdict = self._decider.decide(test.subject, Right.SUBSCRIBE, seen.topic)
         rules = tuple(dict.fromkeys(rule.id for rule in verdict.rules))
         if not verdict:
@@ -493,7 +445,7 @@ class _Checker:
             return Outcome(seen.line, node, says, failure, rules, error.hint or "correct the test")
         if not found:
             return Outcome(seen.line, node, says, "", rules)
-        failure = f"{node} sees {found} of {seen.topic} {_more(seen)}: {_decided(verdict)}"
+        failure = f"{node} sees {found} of {seen.topic} {more}: {_decided(verdict)}"
         needed = f"a filter on {seen.path} in {' and '.join(rules)}"
         return Outcome(seen.line, node, says, failure, rules, needed)
 
@@ -516,11 +468,6 @@ def _keys_of(named: Iterable[SubjectPattern], name: str, subject: Subject) -> li
     return [who.key for who in named if who.key and (not who.node or pattern_covers(who.node, name))]
 
 
-_ANY_KEY = bytes(32)
-_BY_DEFAULT = "no rule matches, so the default decides"
-_EFFECTS = {Effect.ALLOW: "may", Effect.DENY: "may not", Effect.PROMPT: "may, if a person says so,"}
-
-
 def _shown(subject: Subject) -> str:
     name = shown(subject.name)
     return f"{name}, if it is certified with --anonymous," if subject.tail else name
@@ -538,14 +485,3 @@ def _decided(verdict: Verdict) -> str:
 
 def _named(rule: PolicyRule) -> str:
     return f"rule {rule.id}, line {rule.line}"
-
-
-def _limit(seen: SeenField) -> str:
-    return f"no finer than {seen.limit:g}" if isinstance(seen.limit, float) else seen.limit
-
-
-def _more(seen: SeenField) -> str:
-    if isinstance(seen.limit, float):
-        return f"finer than {seen.limit:g}"
-    words = {EXACT: "otherwise than it is", NOTHING: "at all"}
-    return words.get(seen.limit, f"closer than {seen.limit}")

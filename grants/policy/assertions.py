@@ -1,24 +1,19 @@
-"""`tests` of a policy: what must stay true of it, read from the file. Values and their reader.
+"""`tests` of a policy: what must stay true of it, read from the file; and messages made for trying filters.
 
-Each assertion is about one node: what it `may` use, what it `may_not`, for what a person is asked
-(`asks`), and how precisely it `sees` fields of topics. With `at`, times, the conditions of rules
-count as they are then, for a `message` if one is given. `assertion_check` evaluates.
-
-Messages of a layout made from values by path, and values read back. Pure.
-
-For trying filters: a field that is not given is zero, an array has one element. Paths are those of
-filters; `times` are seconds. What does not have the layout is refused, as a message from a peer is.
+Each assertion is about one node: what it `may` use, what it `may_not`, for what a person is asked (`asks`),
+and how precisely it `sees` fields of topics. With `at`, times, the conditions of rules count as they are
+then, for a `message` if one is given. `assertion_check` evaluates.
 """
 
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final, TypeAlias
 
 from grants.conditions.compile import parse_timestamp
 from grants.errors import ConditionRefused, MessageRefused
-from grants.filters.layout import Array, Layout, Primitive, Struct, Text, Type
+from grants.filters.layout import Array, Layout, Struct, Text, Type
 from grants.model import Right
 from grants.policy import source
 from grants.policy.model import EVERYONE, Subject, SubjectPattern
@@ -29,19 +24,20 @@ Value: TypeAlias = int | float | str
 _NANO: Final = 10**9
 
 
-def leaves(layout: Layout) -> dict[str, Primitive | Text]:
-    return dict(_leaves(layout.root, ""))
+_KEYS: Final = ("who", "may", "may_not", "asks", "sees", "at", "message")
+EXACT: Final = "exact"
+NOTHING: Final = "no"
+# Seen no finer than this; or `no`, not at all; or `exact`, as it is; or a level of a word.
+Limit: TypeAlias = float | str
 
 
-def below(paths: Mapping[str, Primitive | Text], path: str) -> list[str]:
+def below(paths: Iterable[str], path: str) -> list[str]:
     plain = path.replace("[*]", "")
-    return [
-        leaf
-        for leaf in paths
-        if leaf.replace("[*]", "") == plain or leaf.replace("[*]", "").startswith(f"{plain}.")
-    ]
+    return [leaf for leaf in paths if f"{leaf.replace('[*]', '')}.".startswith(f"{plain}.")]
 
 
+# Messages for trying filters: a field that is not given is zero, an array has one element. Paths are those of
+# filters; times are seconds.
 def serialize(layout: Layout, values: Mapping[str, Value]) -> bytes:
     return b"".join(_write(layout.root, "", values))
 
@@ -55,17 +51,7 @@ def read_back(layout: Layout, message: bytes) -> dict[str, Value | None]:
         raise MessageRefused("the message does not have its layout") from error
     if end != len(message):
         raise MessageRefused("the message does not end where its layout ends")
-    return {path: found.get(path) for path in leaves(layout)}
-
-
-def _leaves(kind: Type, path: str) -> Iterator[tuple[str, Primitive | Text]]:
-    inner = kind.element if isinstance(kind, Array) else kind
-    if isinstance(inner, Struct):
-        here = f"{path}[*]." if isinstance(kind, Array) else f"{path}." if path else ""
-        for name, member in inner.fields:
-            yield from _leaves(member, here + name)
-    elif not isinstance(inner, Array):
-        yield path, inner
+    return {path: found.get(path) for path in layout.leaves()}
 
 
 def _member(kind: Array | Struct, path: str, name: str = "") -> str:
@@ -87,18 +73,15 @@ def _write(kind: Type, path: str, values: Mapping[str, Value]) -> Iterator[bytes
         text = str(values.get(path, "")).encode()
         yield struct.pack("<I", len(text)) + text
     else:
-        yield _packed(kind, values.get(path, 0))
+        value = values.get(path, 0)
+        number = float(value) if kind.code in "fd" or len(kind.code) > 1 else int(value)
+        # A time or a duration is two numbers.
+        numbers = divmod(round(number * _NANO), _NANO) if len(kind.code) == 2 else (number,)
+        yield struct.pack(f"<{kind.code}", *numbers)
 
 
 def _count(data: bytes, at: int) -> int:
     return int(struct.unpack_from("<I", data, at)[0])
-
-
-def _packed(kind: Primitive, value: Value) -> bytes:
-    number = float(value) if kind.code in "fd" or len(kind.code) > 1 else int(value)
-    if len(kind.code) == 2:  # time, duration
-        return struct.pack(f"<{kind.code}", *divmod(round(number * _NANO), _NANO))
-    return struct.pack(f"<{kind.code}", number)
 
 
 def _read(kind: Type, path: str, data: bytes, at: int, found: dict[str, Value | None]) -> int:
@@ -121,15 +104,6 @@ def _read(kind: Type, path: str, data: bytes, at: int, found: dict[str, Value | 
     value = numbers[0] + numbers[1] / _NANO if len(numbers) == 2 else numbers[0]
     found.setdefault(path, value)
     return at + kind.size
-
-
-_KEYS: Final = ("who", "may", "may_not", "asks", "sees", "at", "message")
-EXACT: Final = "exact"
-NOTHING: Final = "no"
-_LIMITS: Final = f"a number (no finer than that), {NOTHING} or {EXACT}"
-
-Limit: TypeAlias = float | str
-"""Seen no finer than this; or `no`, not at all; or `exact`, as it is; or a level of a word."""
 
 
 class Says(StrEnum):
@@ -156,22 +130,13 @@ class SeenField:
 
 @dataclass(frozen=True)
 class Assertion:
-    """One item of `tests`.
-
-    Args:
-        subject: the node; of an identity that is a pattern, one that it covers.
-        at: seconds since the epoch; none: conditions are not evaluated.
-        message: values by path, for conditions on messages.
-        pattern: the nodes it is about, if it is about an identity that is a pattern.
-    """
-
-    subject: Subject
+    subject: Subject  # the node; of an identity that is a pattern, one that it covers
     claims: tuple[Claim, ...] = ()
     seen: tuple[SeenField, ...] = ()
-    at: tuple[int, ...] = ()
-    message: Mapping[str, Value] = field(default_factory=dict)
+    at: tuple[int, ...] = ()  # seconds since the epoch; none: conditions are not evaluated
+    message: Mapping[str, Value] = field(default_factory=dict)  # by path, for conditions on messages
     line: int = 0
-    pattern: str = ""
+    pattern: str = ""  # the nodes it is about, if it is about an identity that is a pattern
 
 
 def read_tests(
@@ -185,10 +150,10 @@ def read_tests(
     return tuple(each for item in source.items(part) for each in reader.read(item))
 
 
+@dataclass
 class _Reader:
-    def __init__(self, named: Mapping[str, tuple[SubjectPattern, ...]], mistakes: Mistakes) -> None:
-        self._named = named
-        self._mistakes = mistakes
+    _named: Mapping[str, tuple[SubjectPattern, ...]]
+    _mistakes: Mistakes
 
     def read(self, part: Part) -> list[Assertion]:
         mapping = source.mapping(part, "a test", self._mistakes)
@@ -215,7 +180,8 @@ class _Reader:
         if label is None or part is None:
             return []
         if label in self._named:
-            return [_sample(who) for who in self._named[label]]
+            found = self._named[label]
+            return [(who.sample, who.node if who.node and "*" in who.node else "") for who in found]
         if not (label.startswith("/") or ":" in label) or "*" in label or label == EVERYONE:
             hint = suggest(label, self._named) if self._named else "for example /heating"
             self._mistakes.add(part, f"not a node, identity or group: {label[:60]!r}", hint)
@@ -249,19 +215,15 @@ class _Reader:
                 continue
             fields = source.mapping(value, f"sees {topic}", self._mistakes)
             for path, (at, limit) in fields.entries.items() if fields is not None else ():
-                read = self._limit(limit)
-                if read is not None:
-                    found.append(SeenField(topic, path, read, at.line))
+                said = limit.value if isinstance(limit, YamlScalar) else None
+                if isinstance(said, str):
+                    found.append(SeenField(topic, path, said, at.line))
+                elif isinstance(said, int | float) and not isinstance(said, bool) and said > 0:
+                    found.append(SeenField(topic, path, float(said), at.line))
+                else:
+                    hint = f"write a number (no finer than that), {NOTHING} or {EXACT}"
+                    self._mistakes.add(limit, "how a field is seen is said otherwise", hint)
         return found
-
-    def _limit(self, part: Part) -> Limit | None:
-        value = part.value if isinstance(part, YamlScalar) else None
-        if isinstance(value, str):
-            return value
-        if isinstance(value, int | float) and not isinstance(value, bool) and value > 0:
-            return float(value)
-        self._mistakes.add(part, "how a field is seen is said otherwise", f"write {_LIMITS}")
-        return None
 
     def _times(self, part: Part | None) -> list[int]:
         found: list[int] = []
@@ -292,9 +254,3 @@ class _Reader:
             for name, (_, inner) in entries
             for value in self._values(inner, f"{path}.{name}" if path else name)
         ]
-
-
-def _sample(who: SubjectPattern) -> tuple[Subject, str]:
-    written = who.node or "/x"
-    node = written.replace("**", "x").replace("*", "x")
-    return Subject(node, who.key or bytes(32)), "" if node == written else written

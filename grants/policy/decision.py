@@ -1,19 +1,13 @@
 """The decision of a policy: deny > allow > prompt > default, and its explanation.
 
-All rules that match are evaluated, whatever their order: one denial overrides everything, and of
-the allowing rules *all* restrictions apply together, so adding a rule never silently widens what
-another narrowed. An unknown right, an invalid name or no matching rule is never allowed.
-
-An index of clauses by name: a tree over segments, so the cost does not grow with the rules.
-
-A lookup follows the segments of the name and the wildcards beside them, nothing else. In a tree
-node, clauses for one exact node name are found by that name; the others are compared one by one.
-`hits` gives the same result by comparing every clause: the tests compare both, and whole patterns
-are only ever looked up with it. Clauses on own names (`{node}/pose`) are found by the node, and
-what is found has the pattern that they are for it.
+All rules that match are evaluated, whatever their order: one denial overrides everything, and of the allowing
+rules *all* restrictions apply together, so adding a rule never silently widens what another narrowed. An
+unknown right, an invalid name or no matching rule is never allowed. Clauses are found by a tree over the
+segments of names, so the cost does not grow with the rules; `hits` gives the same by comparing every clause:
+tests compare both, and whole patterns are only looked up with it.
 """
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Final, TypeAlias
 
@@ -27,6 +21,8 @@ from grants.policy.names import check_rule_pattern, gives, is_own, overlaps, res
 Hit: TypeAlias = tuple[PolicyRule, Clause]
 
 _ANY_NODE: Final = ""
+MAX_NEAR_MISSES: Final = 5
+_STRENGTH: Final = (Effect.DENY, Effect.ALLOW, Effect.PROMPT)
 
 
 @dataclass
@@ -35,6 +31,9 @@ class _Branch:
     hits: dict[str, list[Hit]] = field(default_factory=dict)  # by exact node name, or _ANY_NODE
 
 
+# In a tree node, clauses for one exact node name are found by that name; the others are compared one by
+# one. Clauses on own names (`{node}/pose`) are found by the node, and what is found has the pattern that
+# they are for it.
 class Index:
     def __init__(self, policy: Policy) -> None:
         self._roots: dict[Right, _Branch] = {}
@@ -49,32 +48,27 @@ class Index:
     def find(self, subject: Subject, right: Right, name: str) -> list[Hit]:
         if is_pattern(name):
             return list(hits(self.rules_of(subject), subject, right, name))
-        return [*self._find_own(subject, right, name), *self._find(subject, right, name)]
-
-    def _find_own(self, subject: Subject, right: Right, name: str) -> Iterator[Hit]:
+        found: list[Hit] = []
         for key in (subject.name, _ANY_NODE):
             for rule, clause in self._own.get((right, key), ()):
-                found = clause.of(subject) if rule.applies_to(subject) else None
-                if found is not None and _decides(rule, found, name):
-                    yield rule, found
-
-    def _find(self, subject: Subject, right: Right, name: str) -> list[Hit]:
+                own = clause.of(subject) if rule.applies_to(subject) else None
+                if own is not None and _decides(rule, own, name):
+                    found.append((rule, own))
         root = self._roots.get(right)
-        if root is None:
-            return []
+        return found if root is None else [*found, *self._find(root, subject, right, name)]
+
+    def _find(self, root: _Branch, subject: Subject, right: Right, name: str) -> Iterator[Hit]:
         branches: dict[int, tuple[_Branch, bool]] = {}
         tree = bool(right & TREE_RIGHTS)
         for branch, whole in _reach(root, name, tree=tree):
             _, before = branches.get(id(branch), (branch, False))
             branches[id(branch)] = (branch, whole or before)  # reached by `**` in several ways
-        found: list[Hit] = []
         for branch, whole in branches.values():
             for key in (subject.name, _ANY_NODE):
                 for rule, clause in branch.hits.get(key, ()):
                     decides = whole or tree or rule.effect is Effect.DENY
                     if decides and rule.applies_to(subject):
-                        found.append((rule, clause))
-        return found
+                        yield rule, clause
 
     def rules_of(self, subject: Subject) -> list[PolicyRule]:
         named = {**self._rules.get(_ANY_NODE, {}), **self._rules.get(subject.name, {})}
@@ -161,27 +155,20 @@ def _below(branch: _Branch) -> Iterator[tuple[_Branch, bool]]:
         yield from _below(child)
 
 
-MAX_NEAR_MISSES: Final = 5
-_STRENGTH: Final = (Effect.DENY, Effect.ALLOW, Effect.PROMPT)
-
-
 @dataclass(frozen=True)
 class Verdict:
     """The decision, and everything needed to explain it. True only for ALLOW.
 
-    Args:
-        rules: the deciding rules, by id; none if the default decided.
-        restrictions, rate: all that must be applied together, for ALLOW and PROMPT.
-        lifetime, renew_until: seconds; the shortest of the deciding rules.
+    `restrictions` and `rate` are all that must be applied together, for ALLOW and PROMPT.
     """
 
     effect: Effect
     subject: Subject
     right: Right
     name: str
-    rules: tuple[PolicyRule, ...] = ()
+    rules: tuple[PolicyRule, ...] = ()  # those that decide, by id; none if the default does
     clauses: tuple[Clause, ...] = ()
-    lifetime: int = 0
+    lifetime: int = 0  # seconds, as `renew_until`; the shortest of the deciding rules
     renew_until: int = 0
 
     def __bool__(self) -> bool:
@@ -205,8 +192,6 @@ class Verdict:
 
 
 class Decider:
-    """Decides by one policy."""
-
     def __init__(self, policy: Policy) -> None:
         self.policy = policy
         self._index = Index(policy)
@@ -233,18 +218,9 @@ class Decider:
 
     def decide_by(self, rules: Iterable[PolicyRule], subject: Subject, right: Right, name: str) -> Verdict:
         """As `decide`, with all checked before; `rules` are those of the subject (`rules_of`)."""
-        found = (
-            list(applied(rules, subject, right, name))
-            if is_pattern(name)
-            else self._index.find(subject, right, name)
-        )
-        return self._evaluate(subject, right, name, found)
-
-    def decide_without(self, verdict: Verdict) -> Verdict:
-        """The verdict without the rules that decided it."""
-        rules = [rule for rule in self.policy.rules if rule not in verdict.rules]
-        found = hits(rules, verdict.subject, verdict.right, verdict.name)
-        return self._evaluate(verdict.subject, verdict.right, verdict.name, list(found))
+        if not is_pattern(name):
+            return self._evaluate(subject, right, name, self._index.find(subject, right, name))
+        return self._evaluate(subject, right, name, list(applied(rules, subject, right, name)))
 
     def explain(self, verdict: Verdict) -> list[str]:
         """The verdict as text, line by line."""
@@ -262,18 +238,19 @@ class Decider:
         """For a decision by default: the rules that nearly matched, and why they did not."""
         if verdict.rules:
             return []
-        found = (_near_miss(rule, verdict) for rule in self.policy.rules)
-        return [miss for miss in found if miss][:MAX_NEAR_MISSES]
+        return [miss for rule in self.policy.rules if (miss := _near_miss(rule, verdict))][:MAX_NEAR_MISSES]
 
     def changes(self, verdict: Verdict) -> list[str]:
         """The change of the policy that would change the decision."""
-        subject, right, name = verdict.subject.name, verdict.right.label, verdict.name
-        if verdict.rules:
-            ids = " and ".join(dict.fromkeys(rule.id for rule in verdict.rules))
-            alternative = self.decide_without(verdict)
-            return [f"without {ids} it would be {alternative.effect}{_deciding_rules(alternative)}"]
-        rule = f"an allow rule for {subject} with {right}: [{name}]"
-        return [f"{rule} would change it"]
+        subject, right, name = verdict.subject, verdict.right, verdict.name
+        if not verdict.rules:
+            return [f"an allow rule for {subject.name} with {right.label}: [{name}] would change it"]
+        others = [rule for rule in self.policy.rules if rule not in verdict.rules]
+        alternative = self._evaluate(subject, right, name, list(hits(others, subject, right, name)))
+        ids, by = (
+            " and ".join(dict.fromkeys(rule.id for rule in each.rules)) for each in (verdict, alternative)
+        )
+        return [f"without {ids} it would be {alternative.effect}, by {by or 'default'}"]
 
     def _evaluate(self, subject: Subject, right: Right, name: str, found: list[Hit]) -> Verdict:
         base = Verdict(Effect.DENY, subject, right, name)
@@ -282,8 +259,18 @@ class Decider:
         partly: list[Hit] = []  # of a pattern or a tree: what restricts or shortens a part of it
         for effect in _STRENGTH:
             matching = sorted((hit for hit in found if hit[0].effect is effect), key=_order)
-            if matching and (effect is Effect.DENY or _complete(matching, right, name)):
-                return _verdict(base, effect, sorted([*matching, *partly], key=_order))
+            # One rule must give the *whole* request; others only add their restrictions.
+            whole = effect is Effect.DENY or any(gives(each.pattern, right, name) for _, each in matching)
+            if matching and whole:
+                rules, clauses = zip(*sorted([*matching, *partly], key=_order), strict=True)
+                return replace(
+                    base,
+                    effect=effect,
+                    rules=rules,
+                    clauses=clauses,
+                    lifetime=min(rule.lifetime for rule in rules),
+                    renew_until=min(rule.renew_until for rule in rules),
+                )
             partly += (hit for hit in matching if right & TREE_RIGHTS or hit[1].lines())
         default, lasting = self.policy.defaults, [rule for rule, _ in partly]
         if default.decision is Effect.DENY:
@@ -299,23 +286,6 @@ class Decider:
 
 def _order(hit: Hit) -> tuple[str, str]:
     return hit[0].id, hit[1].pattern
-
-
-def _complete(matching: Iterable[Hit], right: Right, name: str) -> bool:
-    # Whether some rule gives the *whole* request; others only add their restrictions.
-    return any(gives(clause.pattern, right, name) for _, clause in matching)
-
-
-def _verdict(base: Verdict, effect: Effect, matching: Collection[Hit]) -> Verdict:
-    rules = tuple(rule for rule, _ in matching)
-    return replace(
-        base,
-        effect=effect,
-        rules=rules,
-        clauses=tuple(clause for _, clause in matching),
-        lifetime=min(rule.lifetime for rule in rules),
-        renew_until=min(rule.renew_until for rule in rules),
-    )
 
 
 def restriction_lines(verdict: Verdict) -> list[str]:
@@ -335,11 +305,6 @@ def span(seconds: int) -> str:
         if seconds and seconds % size == 0:
             return f"{seconds // size}{unit}"
     return f"{seconds}s"
-
-
-def _deciding_rules(verdict: Verdict) -> str:
-    ids = " and ".join(dict.fromkeys(rule.id for rule in verdict.rules))
-    return f", by {ids}" if ids else ", by default"
 
 
 def _near_miss(rule: PolicyRule, verdict: Verdict) -> str:

@@ -1,15 +1,10 @@
 """The difference between what a policy wants for one node and the grants it has.
 
-A grant that says exactly what the policy says is kept, byte for byte, whoever asked for it. A grant
-of the policy that says anything else goes whole, and what is wanted and in no kept grant is signed
-anew: one grant for each set of rules, so that a changed rule touches no other grant. Each kept or
-signed grant alone gives no more than the policy: a peer presents only the grants it chooses.
-Grants made by hand are left alone; what they give against a denial is a contradiction.
-
-One right of one node before and after a policy is applied: new, narrower, wider, gone, or kept.
-
-Wider and narrower are compared by what is certain: one set of restrictions includes the other, one
-rate or validity is the lower. What is neither is "changed".
+A grant that says exactly what the policy says is kept, byte for byte, whoever asked for it. A grant of the
+policy that says anything else goes whole, and what is wanted and in no kept grant is signed anew: one grant
+for each set of rules, so that a changed rule touches no other grant. Each kept or signed grant alone gives no
+more than the policy: a peer presents only the grants it chooses. Grants made by hand are left alone; what
+they give against a denial is a contradiction.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -28,8 +23,6 @@ from grants.policy.wanted import Atom, Wanted, WantedRight, WantedState, Withhel
 
 
 class Kind(StrEnum):
-    """What happens to a right."""
-
     NEW = "new"
     NARROWER = "narrower"
     WIDER = "wider"
@@ -44,21 +37,15 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True)
 class Change:
-    """One right on one pattern for one node.
-
-    Args:
-        restrictions: as text, with the validity; of the new grant, or of the one that goes.
-        before: what it was as text, where it is changed.
-        rules: those that decide, or that deny it now; none if no rule allows it any more.
-    """
+    """One right on one pattern for one node, before and after a policy is applied."""
 
     kind: Kind
     subject: Subject
     right: Right
     pattern: str
-    restrictions: tuple[str, ...]
-    rules: tuple[PolicyRule, ...] = ()
-    before: tuple[str, ...] = ()
+    restrictions: tuple[str, ...]  # as text, with the validity; of the new grant, or of the one that goes
+    rules: tuple[PolicyRule, ...] = ()  # that decide, or deny it now; none if none allows it any more
+    before: tuple[str, ...] = ()  # what it was as text, where it is changed
 
 
 class Before(NamedTuple):
@@ -67,9 +54,6 @@ class Before(NamedTuple):
     entries: frozenset[Permission]
     lifetime: int
     longest: int
-
-    def lines(self) -> tuple[str, ...]:
-        return (*_lines(self.entries), _validity(self.lifetime, self.longest))
 
 
 def kept(subject: Subject, wanted: WantedRight) -> Change:
@@ -82,7 +66,18 @@ def change_of(subject: Subject, wanted: WantedRight, before: "Before | None" = N
     longest = max(wanted.lifetime, wanted.renew_until)
     new = _measure(wanted.permissions, wanted.lifetime, longest)
     old = _measure(before.entries, before.lifetime, before.longest)
-    kind, was = _kind(old, new), () if old == new else before.lines()
+    was = () if old == new else (*_lines(before.entries), _validity(before.lifetime, before.longest))
+    # Wider and narrower is what is certain: one set of restrictions includes the other, no rate or time is
+    # higher.
+    match old.allows(new), new.allows(old):
+        case True, False:
+            kind = Kind.NARROWER
+        case False, True:
+            kind = Kind.WIDER
+        case True, True:
+            kind = Kind.KEPT
+        case _:
+            kind = Kind.CHANGED
     return Change(kind, subject, *wanted.atom, _text(wanted), wanted.rules, was)
 
 
@@ -132,18 +127,6 @@ def _facts(restriction: Restriction) -> Iterator[str]:
             yield line
 
 
-def _kind(old: _Measure, new: _Measure) -> Kind:
-    match old.allows(new), new.allows(old):
-        case True, False:
-            return Kind.NARROWER
-        case False, True:
-            return Kind.WIDER
-        case True, True:
-            return Kind.KEPT
-        case _:
-            return Kind.CHANGED
-
-
 # Below what a node presents: it has grants by hand too, and both of a renewal for a while.
 MAX_GRANTS: Final = 24  # with more, rules with the same validity share a grant
 MAX_PRESENTED: Final = 64
@@ -157,8 +140,7 @@ class RecordedGrant(NamedTuple):
 
 
 class Contradiction(NamedTuple):
-    """A right of a grant made by hand which `rule` denies."""
-
+    # A right of a grant made by hand which `rule` denies.
     grant: Grant
     right: Right
     pattern: str
@@ -167,26 +149,17 @@ class Contradiction(NamedTuple):
 
 @dataclass(frozen=True)
 class NodeDifference:
-    """What applying the policy changes for one node.
-
-    Args:
-        changes: each right on each pattern, also those that are kept.
-        sign: the grants to sign, each as the rights in it.
-        revoke: the grants that go.
-        replaced: of these, what the policy says exactly, and that only shares a grant from now on.
-        refused: why some of what the policy allows is in no grant, for people; all else is done.
-        due: kept grants of which two thirds of the time are over, and that nothing replaces.
-        ends: when the first of its rights from the policy ends, seconds; None without any.
-    """
+    """What applying the policy changes for one node."""
 
     subject: Subject
-    changes: tuple[Change, ...] = ()
-    sign: tuple[tuple[WantedRight, ...], ...] = ()
-    revoke: tuple[Grant, ...] = ()
+    changes: tuple[Change, ...] = ()  # each right on each pattern, also those that are kept
+    sign: tuple[tuple[WantedRight, ...], ...] = ()  # the grants to sign, each as the rights in it
+    revoke: tuple[Grant, ...] = ()  # the grants that go
+    # Of these, what the policy says exactly, and that only shares a grant from now on.
     replaced: tuple[Grant, ...] = ()
-    refused: tuple[str, ...] = ()
-    due: tuple[Grant, ...] = ()
-    ends: int | None = None
+    refused: tuple[str, ...] = ()  # why some of what the policy allows is in no grant; all else is done
+    due: tuple[Grant, ...] = ()  # kept, with two thirds of the time over, and that nothing replaces
+    ends: int | None = None  # when the first of its rights from the policy ends, seconds
     withheld: tuple[Withheld, ...] = ()
     contradictions: tuple[Contradiction, ...] = ()
 
@@ -210,21 +183,13 @@ class NodeDifference:
 
 @dataclass(frozen=True)
 class Moment:
-    """When and how the difference is made.
-
-    Args:
-        now: seconds since the epoch.
-        skew: seconds by which grants are backdated.
-        renews: whether the master can renew grants now: then they end with their cap.
-        renew_due: sign anew what is due.
-        renewed_until: when that ends, if it is known; nothing is renewed beyond it.
-    """
+    """When and how the difference is made; times in seconds."""
 
     now: int
-    skew: int = 0
-    renews: bool = False
-    renew_due: bool = False
-    renewed_until: int | None = None
+    skew: int = 0  # by which grants are backdated
+    renews: bool = False  # whether the master can renew grants now: then they end with their cap
+    renew_due: bool = False  # sign anew what is due
+    renewed_until: int | None = None  # when that ends, if it is known; nothing is renewed beyond it
 
     def end(self, grant: Grant) -> int:
         return self._end(grant.expires, grant.cap)
@@ -265,10 +230,9 @@ def difference(
     ending = [grant for grant in chosen.held if not new >= atoms(grant).keys()]
     ends = [moment.end(grant) for grant in ending]
     ends += [moment.end_of(group[0]) for group in chosen.sign]
-    changes = _changes(state, subject, chosen.rights, chosen.held, chosen.gone, moment.skew)
     return NodeDifference(
         subject,
-        tuple(changes),
+        tuple(_changes(state, subject, chosen, moment.skew)),
         tuple(chosen.sign),
         tuple(chosen.gone),
         tuple(chosen.replaced),
@@ -312,7 +276,10 @@ def _choose(
             return _Chosen(every, shared, ours, [], exact, refused)
     room = max(MAX_PRESENTED - len(lasting), 0)
     if len(sign) > room:
-        refused.append(_too_many(subject, number))
+        refused.append(
+            f"{subject.name} would need {number} grants where at most {MAX_PRESENTED} are allowed:"
+            " give patterns instead of names in the rules for it"
+        )
         for each in (each for group in sign for each in group):
             del rights[each.atom]
         sign = []
@@ -335,16 +302,11 @@ def _is_exact(state: WantedState, subject: Subject, grant: Grant, skew: int) -> 
         verdict = state.decide(subject, atom)
         if verdict.effect is not Effect.ALLOW:
             return False
-        wanted = WantedRight.of(verdict)
-        if frozenset(wanted.permissions) != entries or not _lasts(wanted, grant, skew):
+        wanted, begin = WantedRight.of(verdict), grant.not_before + skew
+        lasts = (wanted.lifetime, max(wanted.lifetime, wanted.renew_until))
+        if frozenset(wanted.permissions) != entries or (grant.expires - begin, grant.cap - begin) != lasts:
             return False
     return True
-
-
-def _lasts(wanted: WantedRight, grant: Grant, skew: int) -> bool:
-    renewal = max(wanted.lifetime, wanted.renew_until)
-    begin = grant.not_before + skew
-    return (grant.expires - begin, grant.cap - begin) == (wanted.lifetime, renewal)
 
 
 def _still_allowed(
@@ -381,48 +343,29 @@ def _drop_unsignable(
             yield f"{subject.name}: {what}: {reason}"
 
 
-def _too_many(subject: Subject, number: int) -> str:
-    return (
-        f"{subject.name} would need {number} grants where at most {MAX_PRESENTED} are allowed:"
-        " give patterns instead of names in the rules for it"
-    )
-
-
 def _groups(rights: Iterable[WantedRight], *, by_rules: bool = True) -> list[tuple[WantedRight, ...]]:
     # Tail patterns have grants of their own: a verifier that does not know them refuses the grant.
     groups: dict[tuple[str, int, int, bool], list[WantedRight]] = {}
     for each in rights:
         rules, tail = each.rule_ids if by_rules else "", tail_base(each.pattern) is not None
         groups.setdefault((rules, each.lifetime, each.renew_until, tail), []).append(each)
-    return [part for group in groups.values() for part in divide(group, _entries)]
+    return [part for group in groups.values() for part in divide(group, lambda right: right.permissions)]
 
 
-def _entries(right: WantedRight) -> tuple[Permission, ...]:
-    return right.permissions
-
-
-def _changes(
-    state: WantedState,
-    subject: Subject,
-    rights: Mapping[Atom, WantedRight],
-    held: list[Grant],
-    gone: list[Grant],
-    skew: int,
-) -> Iterator[Change]:
-    before = {atom: each for grant in gone for atom, each in _before(grant, skew)}
-    now = {atom for grant in held for atom in atoms(grant)}
+def _changes(state: WantedState, subject: Subject, chosen: _Chosen, skew: int) -> Iterator[Change]:
+    rights = chosen.rights
+    before = {
+        atom: Before(entries, *(end - grant.not_before - skew for end in (grant.expires, grant.cap)))
+        for grant in chosen.gone
+        for atom, entries in atoms(grant).items()
+    }
+    now = {atom for grant in chosen.held for atom in atoms(grant)}
     for atom, each in rights.items():
         yield kept(subject, each) if atom in now else change_of(subject, each, before.get(atom))
     for atom in sorted(now - rights.keys()):
         yield kept(subject, WantedRight.of(state.decide(subject, atom)))
     for atom in sorted(before.keys() - rights.keys() - now):
         yield withdrawn(subject, atom, state.decide(subject, atom), before[atom])
-
-
-def _before(grant: Grant, skew: int) -> Iterator[tuple[Atom, Before]]:
-    begin = grant.not_before + skew
-    for atom, entries in atoms(grant).items():
-        yield atom, Before(entries, grant.expires - begin, grant.cap - begin)
 
 
 def _contradictions(

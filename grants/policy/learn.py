@@ -1,22 +1,10 @@
-"""From observed use to rules: exact names, one rule per node, marked for review.
+"""A policy file to begin with, rules added to its text, and rules learned from observed use.
 
-Two sources. The graph of a running master names publishers, subscribers and providers; callers
-and parameters are not part of it. The denial log holds what enforcing nodes and masters would have
-denied: one JSON object a line, `{"at": seconds, "node": name, "right": label, "name": name}` and
-optionally `"type"`. What a rule already decides is not learned again, in particular no denial; of
-names of other masters (`/remote/...`) nothing is learned: no rule of this policy can be about them.
-A name below the node's own is learned as `{node}/...`, so it is right for every run of an anonymous
-node; what `basics` gives is left to `basics`.
-
-The commented beginning of a policy, which `rossec policy init` writes. Pure.
-
-It is a valid policy: every node gets what every ROS program needs, and nothing else.
-
-Adding rules to a policy file without changing the rest: comments, order and quotes stay.
-
-Text in, text out; `load` must have accepted the text (it bounds the cost of its YAML). What writes
-is another parser than what reads, so both texts are read by the one of policies: the result is the
-old policy and the new rules, value by value, or it is refused.
+Two sources of use: the graph of a running master (publishers, subscribers, providers), and the denial log,
+one JSON object a line: `{"at": seconds, "node": name, "right": label, "name": name}` and optionally `"type"`.
+What a rule already decides is not learned again, in particular no denial. A name below the node's own is
+learned as `{node}/...`, so it is right for every run of an anonymous node; what `basics` gives is left to
+`basics`.
 """
 
 import json
@@ -24,6 +12,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from io import StringIO
+from itertools import count
 from typing import Any, Final
 
 from ruamel.yaml import YAML
@@ -72,21 +61,25 @@ tests: []
 """
 
 
-def beginning(robot: str) -> str:
-    """The text, for the robot or home of this name."""
-    return _TEXT.format(robot=json.dumps(robot))
-
-
-EMPTY: Final = """# A policy of rossec; see docs/spec/policy.md.
+_EMPTY: Final = """# A policy of rossec; see docs/spec/policy.md.
 rossec: 1
 robot: {robot}
 defaults: {{decision: deny, lifetime: 7d}}
 types: {{}}
 rules: []
 """
-
-
 _NO_FOLDING: Final = 1 << 30  # columns: a folded text loses its spaces at the end of a line
+MAX_LINE: Final = 4096
+MAX_OBSERVATIONS: Final = 100_000
+_FIELDS: Final = {"at", "node", "right", "name", "type"}
+_LEARNED: Final = "learned-"
+_MAX_ID: Final = 70  # of 80: a number follows where two names begin alike
+_NO_TYPE: Final = ("", "*")
+
+
+def beginning(robot: str) -> str:
+    """The commented text that `rossec policy init` writes: every node gets what every ROS program needs."""
+    return _TEXT.format(robot=json.dumps(robot))
 
 
 @dataclass(frozen=True)
@@ -104,7 +97,7 @@ class NewRule:
 
 def empty(robot: str = "robot") -> str:
     """A policy that denies everything."""
-    return EMPTY.format(robot=robot)
+    return _EMPTY.format(robot=robot)
 
 
 def add_rules(text: str, rules: Iterable[NewRule]) -> str:
@@ -125,9 +118,7 @@ def add_rules(text: str, rules: Iterable[NewRule]) -> str:
         for label, patterns in rule.rights.items():
             present = rights.get(label, [])
             present = present if isinstance(present, list) else [present]
-            new = [name for name in patterns if name not in present]
-            items = [*present, *new]
-            row = CommentedSeq(items)
+            row = CommentedSeq([*present, *(name for name in patterns if name not in present)])
             row.fa.set_flow_style()
             rights[label] = row
     out = StringIO()
@@ -139,30 +130,28 @@ def add_rules(text: str, rules: Iterable[NewRule]) -> str:
 def free_id(taken: Iterable[str], preferred: str) -> str:
     """`preferred`, or `preferred-2` and so on."""
     used = taken if isinstance(taken, AbstractSet) else set(taken)
-    number = 1
-    name = preferred
-    while name in used:
-        number += 1
-        name = f"{preferred}-{number}"
-    return name
+    names = (preferred if number == 1 else f"{preferred}-{number}" for number in count(1))
+    return next(name for name in names if name not in used)
 
 
 class _TextResolver(VersionedResolver):
     @property
-    def versioned_resolver(self) -> dict[str, Any]:
+    def versioned_resolver(self) -> dict[str, Any]:  # every plain scalar is a text
         return {}
 
 
 def _check(before: str, after: str, rules: Iterable[NewRule]) -> None:
+    # What writes is another parser than what reads, so both texts are read by the one of policies: the
+    # result is the old policy and the new rules, value by value, or it is refused.
     expected, found = _values(before), _values(after)
     assert isinstance(expected, dict)  # noqa: S101 - it was loaded as a policy
     for rule in rules:
         _add_values(expected, rule)
     if found != expected:
+        listed = ", ".join(f"{rule.effect} for {rule.who} ({rule.id})" for rule in rules)
         raise PolicyRefused(
             "this policy cannot be rewritten without changing what it says, nothing was written",
-            "add the rules by hand: "
-            + ", ".join(f"{rule.effect} for {rule.who} ({rule.id})" for rule in rules),
+            f"add the rules by hand: {listed}",
         )
 
 
@@ -230,14 +219,6 @@ def _rules(data: Any) -> dict[str, Any]:
     if isinstance(data["rules"], CommentedMap):  # a single rule may be written without a dash
         data["rules"] = CommentedSeq([data["rules"]])
     return {item["id"]: item for item in data["rules"]}
-
-
-MAX_LINE: Final = 4096
-MAX_OBSERVATIONS: Final = 100_000
-_FIELDS: Final = {"at", "node", "right", "name", "type"}
-_LEARNED: Final = "learned-"
-_MAX_ID: Final = 70  # of 80: a number follows where two names begin alike
-_NO_TYPE: Final = ("", "*")
 
 
 @dataclass(frozen=True, order=True)
@@ -333,13 +314,9 @@ def _id_for(rules: Iterable[PolicyRule], taken: Collection[str], node: str) -> s
 
 
 def _is_learned(rule: PolicyRule, node: str) -> bool:
-    plain = not any(clause.restriction or clause.rate for clause in rule.clauses)
-    return (
-        rule.effect is Effect.ALLOW
-        and rule.who == (SubjectPattern(node, node),)
-        and not (rule.exceptions or rule.has_lifetime or rule.keep_when_stale)
-        and plain
-    )
+    restricted = any(clause.restriction or clause.rate for clause in rule.clauses)
+    further = restricted or rule.exceptions or rule.has_lifetime or rule.keep_when_stale
+    return rule.effect is Effect.ALLOW and rule.who == (SubjectPattern(node, node),) and not further
 
 
 def _rule(
@@ -367,22 +344,17 @@ def _decided(decider: Decider, observed: Observation) -> bool:
 
 def _line(number: int, line: str) -> Observation:
     try:
-        row = _row(line)
+        if len(line) > MAX_LINE:
+            raise ValueError(f"more than {MAX_LINE} characters")
+        row = json.loads(line)
+        if not isinstance(row, dict) or not {"node", "right", "name"} <= row.keys() <= _FIELDS:
+            raise ValueError("fields other than at, node, right, name, type")
         return _observation(row["node"], RIGHTS[row["right"]], row["name"], row.get("type", ""))
     except (ValueError, TypeError, KeyError, RecursionError, GrantError) as error:
         raise PolicyRefused(
             f"line {number} of the denial log is invalid: {error}",
             '{"at": 0, "node": "/a", "right": "publish", "name": "/b"}',
         ) from error
-
-
-def _row(line: str) -> dict[str, Any]:
-    if len(line) > MAX_LINE:
-        raise ValueError(f"more than {MAX_LINE} characters")
-    row = json.loads(line)
-    if not isinstance(row, dict) or not {"node", "right", "name"} <= row.keys() <= _FIELDS:
-        raise ValueError("fields other than at, node, right, name, type")
-    return row
 
 
 def _observation(node: object, right: Right, name: object, kind: object) -> Observation:

@@ -1,15 +1,9 @@
-"""What lint can say: one entry in `ADVICE` for each code, and a finding in a policy.
+"""What lint can say, one entry in `ADVICE` for each code, and what to write instead.
 
-A code is an interface: scripts compare it, documents explain it (docs/spec/policy.md has the same
-table), so a code keeps its meaning and is never given to anything else. A finding carries the
-change of the rule that it suggests where there is one, so that tests apply every suggestion:
-what lint advises, `rossec policy check` accepts.
-
-What to write instead: treatments that lint suggests, each tried against the message type first.
-
-Advice that `rossec policy check` refuses is worse than none, so no text is made by rule of thumb:
-a candidate is compiled together with the other filters of the topic, and the first that compiles
-is suggested. If none does, the advice names the field and leaves the treatment to the reader.
+A code is an interface: scripts compare it, documents explain it (docs/spec/policy.md has the same table), so
+it keeps its meaning and is never given to anything else. Advice that `rossec policy check` refuses is worse
+than none: a suggested treatment is compiled together with the other filters of the topic, and the first that
+compiles is taken. If none does, the advice names the field and leaves the treatment to the reader.
 """
 
 import json
@@ -147,39 +141,23 @@ ADVICE: Final[dict[str, Advice]] = {
 }
 
 
-FORM: Final = frozenset(
-    {
-        "no-reason",
-        "no-lifetime",
-        "long-lifetime",
-        "never-decides",
-        "unused-identity",
-        "unused-group",
-        "unused-filter",
-        "unused-type",
-    }
-)
-"""Codes of what gives nothing away; every other code is a leak, or a right that is too wide."""
+# Codes of what gives nothing away; every other code is a leak, or a right that is too wide.
+FORM: Final = {
+    *("no-reason", "no-lifetime", "long-lifetime", "never-decides"),
+    *("unused-identity", "unused-group", "unused-filter", "unused-type"),
+}
 
 
 @dataclass(frozen=True)
 class Suggestion:
-    """A change of rule `rule`: a treatment of a field, a rate, a condition less, another pattern.
-
-    Args:
-        topic: the topic or pattern of the rule whose filter gets `treatment`, in place of any
-            treatment of the same field.
-        rate: messages a second.
-        without: the condition to remove.
-        instead: the pattern to write in place of `topic`.
-    """
+    """A change of rule `rule`: a treatment of a field, a rate, a condition less, another pattern."""
 
     rule: str
-    topic: str = ""
+    topic: str = ""  # the one whose filter gets `treatment`, in place of any treatment of the same field
     treatment: FilterRule | None = None
-    rate: float | None = None
-    without: str = ""
-    instead: str = ""
+    rate: float | None = None  # messages a second
+    without: str = ""  # the condition to remove
+    instead: str = ""  # the pattern to write in place of `topic`
 
 
 @dataclass(frozen=True, order=True)
@@ -195,8 +173,7 @@ class Finding:
         return self.code not in FORM
 
     def as_json(self) -> dict[str, object]:
-        names = ("line", "code", "message", "hint")
-        return {name: getattr(self, name) for name in names}
+        return {name: getattr(self, name) for name in ("line", "code", "message", "hint")}
 
 
 COARSE_STEP: Final = 4.0  # metres, as the preset coarse-position
@@ -211,18 +188,8 @@ ROOM_REACH: Final = 0.5  # metres
 SHARE: Final = 2  # the hysteresis is this part of a step
 
 _TELLING: Final = (
-    Aspect.POSITION,
-    Aspect.HEADING,
-    Aspect.MOVEMENT,
-    Aspect.COVARIANCE,
-    Aspect.SURROUNDINGS,
-    Aspect.IMAGE,
-    Aspect.JOINT,
-    Aspect.JOINT_RATE,
-    Aspect.STATE,
-    Aspect.WARMTH,
-    Aspect.HUMIDITY,
-    Aspect.LIGHT,
+    *(Aspect.POSITION, Aspect.HEADING, Aspect.MOVEMENT, Aspect.COVARIANCE, Aspect.SURROUNDINGS, Aspect.IMAGE),
+    *(Aspect.JOINT, Aspect.JOINT_RATE, Aspect.STATE, Aspect.WARMTH, Aspect.HUMIDITY, Aspect.LIGHT),
     Aspect.SOUND,
 )
 
@@ -244,14 +211,11 @@ def closing(view: View, open_fields: Sequence[str]) -> Closed:
 def _wholes(view: View, open_fields: Sequence[str]) -> Iterable[list[str]]:
     depth = max(path.count(".") for path in open_fields)
     for steps in range(1, depth + 1):
-        paths = list(dict.fromkeys(_first_steps(path, steps) for path in open_fields))
+        begins = (".".join(path.split(".")[:steps]).removesuffix("[*]") for path in open_fields)
+        paths = list(dict.fromkeys(begins))
         if all(_is_only(view, path, open_fields) for path in paths):
             yield paths
     yield list(open_fields)
-
-
-def _first_steps(path: str, steps: int) -> str:
-    return ".".join(path.split(".")[:steps]).removesuffix("[*]")
 
 
 def _is_only(view: View, path: str, open_fields: Sequence[str]) -> bool:
@@ -260,8 +224,7 @@ def _is_only(view: View, path: str, open_fields: Sequence[str]) -> bool:
 
 
 def _is_below(leaf: str, path: str) -> bool:
-    bare = leaf.replace("[*]", "")
-    above = path.replace("[*]", "")
+    bare, above = leaf.replace("[*]", ""), path.replace("[*]", "")
     return bare == above or bare.startswith(f"{above}.")
 
 
@@ -285,7 +248,7 @@ def replacing(view: View, old: FilterRule, better: FilterRule) -> tuple[str, tup
 
 def coarsening(view: View) -> tuple[str, tuple[Suggestion, ...]]:
     if view.is_below_pattern:
-        return f"name the topics it needs instead of {view.verdict.clauses[0].pattern}", ()
+        return f"name the topics it needs instead of {view.pattern}", ()
     if view.layout is None:
         return f"withhold {view.topic}, or add its type to types and filter it", ()
     begin = f"filter {view.topic} as well"
@@ -301,18 +264,14 @@ def coarsening(view: View) -> tuple[str, tuple[Suggestion, ...]]:
 
 def closing_all(view: View, telling: Sequence[str]) -> tuple[str, tuple[Suggestion, ...]]:
     if view.is_below_pattern:
-        return f"name the topics it needs instead of {view.verdict.clauses[0].pattern}", ()
-    rules, begin = _cleared(view, telling), f"filter {view.topic} as well"
-    if not fits(view, rules):
-        return begin, ()
-    return f"{begin}: {', '.join(map(written, rules))}", changes(view, rules)
-
-
-def _cleared(view: View, telling: Sequence[str]) -> tuple[FilterRule, ...]:
+        return f"name the topics it needs instead of {view.pattern}", ()
     arrays = dict.fromkeys(path.partition("[*]")[0] for path in telling if "[*]" in path)
     alone = [path for path in telling if "[*]" not in path]
     wholes = next(iter(_wholes(view, alone)), []) if alone else []
-    return tuple(_closed(view, path) for path in (*arrays, *wholes))
+    rules, begin = tuple(_closed(view, path) for path in (*arrays, *wholes)), f"filter {view.topic} as well"
+    if not fits(view, rules):
+        return begin, ()
+    return f"{begin}: {', '.join(map(written, rules))}", changes(view, rules)
 
 
 def limiting(view: View, rate: float = COARSE_RATE) -> tuple[str, tuple[Suggestion, ...]]:

@@ -1,17 +1,8 @@
-"""Advice on fields of one message: what is left open beside a filtered field gives it away.
+"""Advice on what else tells what is hidden: fields beside it, other topics, services, other receivers.
 
-The attackers' figures are in docs/spec/policy.md, "Lint": a rounded position with an exact twist
-is the path to 0.05 m; a rounded joint with an exact velocity is the joint.
-
-Advice on what else tells the movement, the sound, the home, names or presence that is hidden.
-
-Of a position `lint_relatives` says it. What tells what is data: a treated kind is given away by an
-exact one of its row, on any other topic of the same receiver.
-
-Advice on other topics: what one receiver, or one owner, sees exactly beside something coarse.
-
-Two nodes are of one owner if they have one key, are of one foreign domain, or one is below the
-other's name: what one of them sees, the other knows.
+What tells what is data: a treated kind is given away by an exact one of its row. The attackers' figures are
+in docs/spec/policy.md, "Lint": a rounded position with an exact twist is the path to 0.05 m; a rounded joint
+with an exact velocity is the joint.
 """
 
 import re
@@ -26,9 +17,10 @@ from grants.policy.lint_findings import Finding, closing, closing_all, coarsenin
 from grants.policy.lint_views import Aspect, Receiver, Scene, View, conventional
 
 _PLACES: Final = (Aspect.POSITION, Aspect.JOINT)
+_INTEGRATED: Final = ("movement-open", "the exact path follows from it by integration")
 _BESIDE: Final[dict[Aspect, tuple[str, str]]] = {
-    Aspect.MOVEMENT: ("movement-open", "the exact path follows from it by integration"),
-    Aspect.JOINT_RATE: ("movement-open", "the exact path follows from it by integration"),
+    Aspect.MOVEMENT: _INTEGRATED,
+    Aspect.JOINT_RATE: _INTEGRATED,
     Aspect.COVARIANCE: ("covariance-open", "it reveals the precision of the hidden value"),
     Aspect.HEADING: ("heading-open", "turns reveal the direction of movement"),
     Aspect.TIME: ("time-open", "the exact time of a cell change reveals the exact position"),
@@ -94,34 +86,17 @@ RELATED: Final[tuple[Related, ...]] = (
     Related((Aspect.PLAN,), (Aspect.PLAN, Aspect.SURROUNDINGS)),
     Related((Aspect.NAME,), (Aspect.NAME, Aspect.MARK)),
 )
+# Services by the last segment of their names: a policy says no types of services.
 _ASKED: Final = frozenset(
-    {
-        "make_plan",
-        "get_plan",
-        "get_map",
-        "static_map",
-        "dynamic_map",
-        "get_pose",
-        "get_robot_pose",
-        "current_pose",
-        "get_odom",
-        "get_model_state",
-        "get_link_state",
-        "get_costmap",
-        "get_path",
-        "get_state",
-        "lookup_transform",
-        "tf2_frames",
-    }
+    (
+        *("make_plan", "get_plan", "get_map", "static_map", "dynamic_map", "get_pose", "get_robot_pose"),
+        *("current_pose", "get_odom", "get_model_state", "get_link_state", "get_costmap", "get_path"),
+        *("get_state", "lookup_transform", "tf2_frames"),
+    )
 )
-"""Services by the last segment of their names: a policy says no types of services."""
 _EVERYWHERE: Final = (
-    "/move_base/make_plan",
-    "/static_map",
-    "/dynamic_map",
-    "/map_server/get_map",
-    "/gazebo/get_model_state",
-    "/tf2_frames",
+    *("/move_base/make_plan", "/static_map", "/dynamic_map", "/map_server/get_map"),
+    *("/gazebo/get_model_state", "/tf2_frames"),
 )
 
 
@@ -135,18 +110,18 @@ def related(scene: Scene) -> Iterator[Finding]:
                     pair = hidden.topic, view.topic
                     found.setdefault(pair, (hidden, view, []))[2].extend(told)
         for hidden, view, told in found.values():
-            yield _given_away(hidden, view, told)
+            hint, suggestions = closing_all(view, told)
+            message = f"{_begin(hidden)}, but {view.topic} exactly"
+            yield Finding(hidden.rule.line, "exact-relative", message, hint, suggestions)
 
 
 def _is_hidden(view: View, row: Related) -> bool:
     if row.own == _MOVES and view.treated(Aspect.POSITION):
         return False  # that of a position
     told = row.own if row.own == (Aspect.NAME,) else row.told_by  # marks of a device are beside
-    hidden, shown = (
-        [path for path in paths if not _is_list(view, path, row)]
-        for paths in (view.treated(*row.own), view.exact(*told))
+    return bool(_of_devices(view, view.treated(*row.own), row)) and not _of_devices(
+        view, view.exact(*told), row
     )
-    return bool(hidden) and not shown
 
 
 def _told(view: View, row: Related, hidden: View) -> list[str]:
@@ -156,26 +131,19 @@ def _told(view: View, row: Related, hidden: View) -> list[str]:
         return []  # the state of a battery is not that of a task
     if row.own == (Aspect.NAME,) and view.layout is hidden.layout:
         return []  # `lint_relatives` says it
-    return [path for path in view.exact(*row.told_by) if not _is_list(view, path, row)]
+    return _of_devices(view, view.exact(*row.told_by), row)
 
 
-def _is_list(view: View, path: str, row: Related) -> bool:
-    # Whether it is a list of names, as of joints: those are not the names of devices.
-    fields = view.described.fields if view.described is not None else ()
-    return row.own == (Aspect.NAME,) and any(
-        field.path == path and isinstance(field.kind, Array) and view.aspects[path] is Aspect.NAME
-        for field in fields
-    )
+def _of_devices(view: View, paths: list[str], row: Related) -> list[str]:
+    # Without lists of names, as of joints: those are not the names of devices.
+    if row.own != (Aspect.NAME,) or view.described is None:
+        return paths
+    arrays = {field.path for field in view.described.fields if isinstance(field.kind, Array)}
+    return [path for path in paths if path not in arrays or view.aspects[path] is not Aspect.NAME]
 
 
-def _given_away(hidden: View, view: View, told: list[str]) -> Finding:
-    hint, suggestions = closing_all(view, told)
-    message = f"{_begin(hidden)}, but {view.topic} exactly"
-    return Finding(hidden.rule.line, "exact-relative", message, hint, suggestions)
-
-
-def _begin(view: View) -> str:
-    return f"rule {view.rule.id}: {view.receiver.label} sees {view.topic} coarsely"
+def _begin(view: View, how: str = "coarsely") -> str:
+    return f"rule {view.rule.id}: {view.receiver.label} sees {view.topic} {how}"
 
 
 def presence(scene: Scene) -> Iterator[Finding]:
@@ -185,10 +153,7 @@ def presence(scene: Scene) -> Iterator[Finding]:
         for view in views if slotted is not None else ():
             if slotted is None or view.has_slot or not _is_beside(view, slotted):
                 continue
-            message = (
-                f"rule {slotted.rule.id}: {slotted.receiver.label} sees {slotted.topic} in slots,"
-                f" but messages of {view.topic} as they come"
-            )
+            message = f"{_begin(slotted, 'in slots')}, but messages of {view.topic} as they come"
             hint = f"filter {view.topic} as well: {{use: presence-only}}"
             yield Finding(slotted.rule.line, "presence-open", message, hint)
 
@@ -204,7 +169,7 @@ def _is_beside(view: View, slotted: View) -> bool:
 
 def services(scene: Scene) -> Iterator[Finding]:
     for receiver, views in scene.views.items():
-        coarse = next((view for view in views if view.treated(Aspect.POSITION)), None)
+        coarse = _first_treated(views, Aspect.POSITION)
         for name in _callable(scene, receiver) if coarse is not None else ():
             verdict = scene.decider.decide(receiver.subject, Right.CALL, name)
             if coarse is not None and verdict:
@@ -229,35 +194,28 @@ def graph(scene: Scene) -> Iterator[Finding]:
     """The right to see the graph: who publishes, since when, how many messages, also withheld."""
     for receiver, views in scene.views.items():
         hidden = next((view for view in views if view.has_slot or view.treated(Aspect.NAME)), None)
-        coarse = hidden or next((view for view in views if view.treated(Aspect.POSITION)), None)
+        coarse = hidden or _first_treated(views, Aspect.POSITION)
         if coarse is None:
             continue
         verdict = scene.decider.decide(receiver.subject, Right.GRAPH, coarse.topic)
         if verdict:
-            message = (
-                f"{_begin(coarse)}, but its right to the graph tells who publishes it, when, and"
-                " how many messages"
-            )
+            told = "who publishes it, when, and how many messages"
+            message = f"{_begin(coarse)}, but its right to the graph tells {told}"
             hint = "take the graph right out, or limit it to other names"
             yield Finding(verdict.rules[0].line, "graph-tells", message, hint)
 
 
 _FRAME: Final = re.compile(r"""frame_id\s*==\s*(["'])([^"']*)\1""")
 SAVED_POSE: Final = "/amcl/initial_pose_x"
+# A treated aspect, and what else gives it away if it is seen exactly on another topic.
 _SHOWN_BY: Final[dict[Aspect, tuple[Aspect, ...]]] = {
     Aspect.POSITION: (
-        Aspect.MOVEMENT,
-        Aspect.SURROUNDINGS,
-        Aspect.IMAGE,
-        Aspect.JOINT,
-        Aspect.JOINT_RATE,
-        Aspect.HEADING,
-        Aspect.STATE,
+        *(Aspect.MOVEMENT, Aspect.SURROUNDINGS, Aspect.IMAGE, Aspect.JOINT, Aspect.JOINT_RATE),
+        *(Aspect.HEADING, Aspect.STATE),
     ),
     Aspect.IMAGE: (),
     Aspect.NAME: (),
 }
-"""A treated aspect, and what else gives it away if it is seen exactly on another topic."""
 
 
 def relatives(scene: Scene) -> Iterator[Finding]:
@@ -276,23 +234,33 @@ def saved_poses(scene: Scene) -> Iterator[Finding]:
             continue
         verdict = scene.decider.decide(receiver.subject, Right.PARAM_GET, SAVED_POSE)
         if verdict:
-            message = (
-                f"{_lint_relatives_begin(coarse)}, but may read {SAVED_POSE}, where amcl saves the position"
-            )
-            pattern = verdict.clauses[0].pattern
-            hint = f"name the parameters it needs instead of {pattern}"
+            message = f"{_begin(coarse)}, but may read {SAVED_POSE}, where amcl saves the position"
+            hint = f"name the parameters it needs instead of {verdict.clauses[0].pattern}"
             yield Finding(verdict.rules[0].line, "exact-relative", message, hint)
 
 
 def unknown(scene: Scene) -> Iterator[Finding]:
     for views in scene.views.values():
         coarse = _first_treated(views, Aspect.POSITION, Aspect.IMAGE)
-        told = {_pattern(view) for view in views if view.is_below_pattern}
+        told = {view.pattern for view in views if view.is_below_pattern}
         for view in views if coarse is not None else ():
-            if coarse is None or view.is_known or _is_own(view) or view.topic in told:
+            is_own = view.topic.startswith(f"{view.receiver.subject.name}/")
+            if coarse is None or view.is_known or is_own or view.topic in told:
                 continue
-            message = f"{_lint_relatives_begin(coarse)}, and {view.topic}, {_unknown(view)}"
-            yield Finding(coarse.rule.line, "unknown-type", message, _judge(view))
+            if view.layout is None:
+                what, hint = (
+                    "of which no type is given",
+                    f"add its type to types: {{{view.topic}: package/Type}}",
+                )
+            else:
+                kind = view.layout.type_name
+                what = f"and of {kind} nothing is known here"
+                hint = f"say what it tells: vocabulary: {{{kind}: {{FIELD: WORD}}}}, or withhold {view.topic}"
+            if "*" in view.topic:
+                hint = "name the topics it needs, with their types"
+            yield Finding(
+                coarse.rule.line, "unknown-type", f"{_begin(coarse)}, and {view.topic}, {what}", hint
+            )
 
 
 def _first_treated(views: Iterable[View], *aspects: Aspect) -> View | None:
@@ -304,53 +272,15 @@ def _exact(
 ) -> Iterator[Finding]:
     below: dict[str, list[View]] = {}
     for view in views:
-        if view is coarse or (aspect is Aspect.NAME and not _same_type(view, coarse)):
-            continue
-        if view.shows(aspect, *others) or _shows_by_type(view, aspect):
-            pattern = _pattern(view) if view.is_below_pattern else view.topic
-            below.setdefault(pattern, []).append(view)
+        if view is coarse or (aspect is Aspect.NAME and view.layout is not coarse.layout):
+            continue  # names of joints are not those of devices
+        by_type = aspect is Aspect.POSITION and view.shows_climate
+        if view.shows(aspect, *others) or by_type or (aspect is Aspect.IMAGE and view.shows_depth):
+            below.setdefault(view.pattern if view.is_below_pattern else view.topic, []).append(view)
     for found in below.values():
         hint, suggestions = coarsening(found[0])
-        message = f"{_lint_relatives_begin(coarse)}, but {', '.join(view.topic for view in found)} exactly"
+        message = f"{_begin(coarse)}, but {', '.join(view.topic for view in found)} exactly"
         yield Finding(coarse.rule.line, "exact-relative", message, hint, suggestions)
-
-
-def _shows_by_type(view: View, aspect: Aspect) -> bool:
-    if aspect is Aspect.IMAGE:
-        return view.shows_depth
-    return aspect is Aspect.POSITION and view.shows_climate
-
-
-def _pattern(view: View) -> str:
-    return view.verdict.clauses[0].pattern
-
-
-def _same_type(one: View, other: View) -> bool:
-    # Whether two topics have one type: names of joints are not those of devices.
-    return one.layout is not None and one.layout is other.layout
-
-
-def _lint_relatives_begin(coarse: View) -> str:
-    return f"rule {coarse.rule.id}: {coarse.receiver.label} sees {coarse.topic} coarsely"
-
-
-def _unknown(view: View) -> str:
-    if view.layout is None:
-        return "of which no type is given"
-    return f"and of {view.layout.type_name} nothing is known here"
-
-
-def _judge(view: View) -> str:
-    if "*" in view.topic:
-        return "name the topics it needs, with their types"
-    if view.layout is None:
-        return f"add its type to types: {{{view.topic}: package/Type}}"
-    kind = view.layout.type_name
-    return f"say what it tells: vocabulary: {{{kind}: {{FIELD: WORD}}}}, or withhold {view.topic}"
-
-
-def _is_own(view: View) -> bool:
-    return view.topic.startswith(f"{view.receiver.subject.name}/")
 
 
 def second_receivers(scene: Scene) -> Iterator[Finding]:
@@ -363,44 +293,32 @@ def second_receivers(scene: Scene) -> Iterator[Finding]:
             shows = view.shows(Aspect.POSITION, *_SHOWN_BY[Aspect.POSITION])
             if shows and view.topic not in known:
                 hint, suggestions = coarsening(view)
-                message = (
-                    f"rule {coarse.rule.id}: {one.label} sees {coarse.topic} coarsely, but"
-                    f" {other.label}, of the same owner, sees {view.topic} exactly"
-                )
-                line = coarse.rule.line
-                yield Finding(line, "second-receiver", message, hint, suggestions)
+                message = f"{_begin(coarse)}, but {other.label}, of the same owner, sees {view.topic} exactly"
+                yield Finding(coarse.rule.line, "second-receiver", message, hint, suggestions)
 
 
 def versions(scene: Scene) -> Iterator[Finding]:
     """Two grids of one position, of which one is not a multiple of the other."""
-    grids = {receiver: list(_grids(views)) for receiver, views in scene.views.items()}
+    grids = {
+        receiver: [(view, _step(view)) for view in views if _step(view) or _plan(view)]
+        for receiver, views in scene.views.items()
+    }
     gridded = [receiver for receiver, found in grids.items() if found]
     for one, other in (*zip(gridded, gridded, strict=True), *_of_one_owner(gridded)):
         for (first, step), (second, other_step) in product(grids[one], grids[other]):
             here, there = (one.subject.name, first.topic), (other.subject.name, second.topic)
             small, large = sorted((step, other_step))
+            begin = f"rule {first.rule.id}: {one.label} sees {first.topic}"
             if here < there and _differ(first, second):
-                message = (
-                    f"rule {first.rule.id}: {one.label} sees {first.topic}, {other.label}"
-                    f" {second.topic}, in cells that do not lie on each other: together they are"
-                    " finer"
-                )
+                cells = "in cells that do not lie on each other: together they are finer"
+                message = f"{begin}, {other.label} {second.topic}, {cells}"
                 hint = "use one frame and one plan of rooms for both"
                 yield Finding(first.rule.line, "two-versions", message, hint)
             elif here < there and small > 0 and not (large / small).is_integer():
-                message = (
-                    f"rule {first.rule.id}: {one.label} sees {first.topic} in steps of"
-                    f" {step:g}, {other.label} {second.topic} in steps of {other_step:g}:"
-                    " together they are finer"
-                )
+                theirs = f"{other.label} {second.topic} in steps of {other_step:g}: together they are finer"
                 hint = "use the same step for both, or a multiple of it"
+                message = f"{begin} in steps of {step:g}, {theirs}"
                 yield Finding(first.rule.line, "two-versions", message, hint)
-
-
-def _grids(views: Iterable[View]) -> Iterator[tuple[View, float]]:
-    for view in views:
-        if (step := _step(view)) or _plan(view):
-            yield view, step
 
 
 def _differ(one: View, other: View) -> bool:
@@ -431,12 +349,17 @@ def _step(view: View) -> float:
 
 
 def _of_one_owner(receivers: list[Receiver]) -> Iterator[tuple[Receiver, Receiver]]:
+    # Two nodes are of one owner if they have one key, are of one foreign domain, or one is below the
+    # other's name: what one of them sees, the other knows.
     owned: dict[object, list[Receiver]] = {}
     below: dict[str, list[Receiver]] = {}
     for receiver in receivers:
-        for owner in _owners(receiver):
-            owned.setdefault(owner, []).append(receiver)
-        for name in _names_above(receiver):
+        name = receiver.subject.name
+        if any(receiver.subject.key):  # else none is pinned
+            owned.setdefault(receiver.subject.key, []).append(receiver)
+        if is_alias(name):
+            owned.setdefault(tuple(name.split("/")[:3]), []).append(receiver)  # /remote/LABEL
+        while not is_alias(name) and (name := name.rpartition("/")[0]):
             below.setdefault(name, []).append(receiver)
     pairs = [pair for together in owned.values() for pair in permutations(together, 2)]
     for receiver in receivers:
@@ -445,19 +368,6 @@ def _of_one_owner(receivers: list[Receiver]) -> Iterator[tuple[Receiver, Receive
     for one, other in dict.fromkeys(pairs):
         if one.subject.name != other.subject.name:
             yield one, other
-
-
-def _owners(receiver: Receiver) -> Iterator[object]:
-    if any(receiver.subject.key):  # else none is pinned
-        yield receiver.subject.key
-    if is_alias(receiver.subject.name):
-        yield tuple(receiver.subject.name.split("/")[:3])  # /remote/LABEL
-
-
-def _names_above(receiver: Receiver) -> Iterator[str]:
-    name = receiver.subject.name
-    while not is_alias(name) and (name := name.rpartition("/")[0]):
-        yield name
 
 
 def pseudonyms(scene: Scene) -> Iterator[Finding]:
@@ -476,14 +386,12 @@ def pseudonyms(scene: Scene) -> Iterator[Finding]:
 
 
 def _shared(one: View, other: View, rule: FilterRule) -> Finding:
-    better = FilterRule(
-        rule.path, "hash", tuple(sorted((dict(rule.parameters) | {"per": "receiver"}).items()))
-    )
+    parameters = dict(rule.parameters) | {"per": "receiver"}
+    better = FilterRule(rule.path, "hash", tuple(sorted(parameters.items())))
     hint, suggestions = replacing(other, rule, better)
     place, _ = other.place(rule)
-    both = f"{one.receiver.label} and {other.receiver.label}"
-    if one is other:
-        both = f"all of {one.receiver.label}"
+    one_label = one.receiver.label
+    both = f"all of {one_label}" if one is other else f"{one_label} and {other.receiver.label}"
     message = f"rule {place.id}: {both} get the same pseudonyms for {rule.path} of {other.topic}"
     return Finding(place.line, "shared-pseudonym", message, f"write {hint}", suggestions)
 
@@ -494,10 +402,7 @@ def wheels(scene: Scene) -> Iterator[Finding]:
         for view in views if coarse is not None else ():
             found = view.coarse(Aspect.JOINT)
             if coarse is not None and found:
-                message = (
-                    f"{_lint_relatives_begin(coarse)}, and joints of {view.topic} in steps: wheels tell it"
-                )
+                message = f"{_begin(coarse)}, and joints of {view.topic} in steps: wheels tell it"
                 old = view.filter_on(found[0])
                 hint, suggestions = replacing(view, old, FilterRule(old.path, "clear"))
-                line = coarse.rule.line
-                yield Finding(line, "wheels-open", message, f"write {hint}", suggestions)
+                yield Finding(coarse.rule.line, "wheels-open", message, f"write {hint}", suggestions)

@@ -1,14 +1,9 @@
 """What each receiver of a policy sees: every topic, with all that holds for it together.
 
-Lint judges what a node gets, not what a rule says: two rules that are wise alone may undo each
-other. A receiver is one sample node for each subject of the policy, once for each key that is
-pinned for such a node; what a person may still approve counts as seen.
-
-What the fields of a message show, as lint tells them apart: by the vocabulary, then by names.
-
-`grants.vocabulary` says what each field of a standard type contains, wherever that is nested. Where
-it knows nothing of a number, its name may say it; where a topic has no type, the topic's name. The
-map of a house is not where the robot is, so only local maps count.
+Lint judges what a node gets, not what a rule says: two rules that are wise alone may undo each other. A
+receiver is one sample node for each subject of the policy, once for each key that is pinned for such a node;
+what a person may still approve counts as seen. What a field shows (`Aspect`) is said by `grants.vocabulary`;
+where that knows nothing of a number, by its name, and where a topic has no type, by the topic's.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -18,12 +13,13 @@ from functools import cached_property
 from typing import Final
 
 from ca.names import pattern_covers
-from grants.filters.layout import Array, Layout, Primitive, Type
+from grants.filters.layout import Array, Layout, Primitive
 from grants.model import FilterRule, Right
 from grants.policy.decision import Decider, Verdict
 from grants.policy.model import Clause, Effect, Policy, PolicyRule, Subject, SubjectPattern
 from grants.policy.names import includes, is_own
-from grants.policy.privacy import filters_of, leaf_paths
+from grants.policy.privacy import leaf_paths
+from grants.vocabulary.assess import filters_of
 from grants.vocabulary.contents import Content, Description, FieldContent
 
 
@@ -80,14 +76,12 @@ _OF: Final[Mapping[Content, Aspect]] = {
     Content.AMBIENT_BRIGHTNESS: Aspect.LIGHT,
     Content.JOINT: Aspect.JOINT,
 }
+# Beside the values these have sizes and states, which alone show little.
 _NUMBERS_ONLY: Final = frozenset({Content.UNCERTAINTY, Content.DISTANCE, Content.MAP})
-"""Beside the values these have sizes and states, which alone show little."""
-AMBIENT: Final = frozenset(
-    {Content.AMBIENT_TEMPERATURE, Content.AMBIENT_HUMIDITY, Content.AMBIENT_BRIGHTNESS}
-)
-"""Of a sensor that may be carried about, so the room follows from it."""
+# Of a sensor that may be carried about, so the room follows from it.
+AMBIENT: Final = (Content.AMBIENT_TEMPERATURE, Content.AMBIENT_HUMIDITY, Content.AMBIENT_BRIGHTNESS)
+# Types in whose points a person is recognised as in a picture; the names of their topics.
 DEPTH: Final = frozenset({"sensor_msgs/PointCloud", "sensor_msgs/PointCloud2", "stereo_msgs/DisparityImage"})
-"""Types in whose points a person is recognised as in a picture; the names of their topics."""
 CLOUDS: Final = ("points", "pointcloud")
 _STEADY: Final = ("diagnostic_msgs/", "tf2_msgs/")  # their states hardly tell where something is
 _RATES: Final = ("velocity", "velocities", "accelerations", "effort")
@@ -109,8 +103,8 @@ _CONVENTIONS: Final[Mapping[str, Aspect]] = {
     **dict.fromkeys(("camera", "image", "image_raw", "image_color", "compressed"), Aspect.IMAGE),
     **dict.fromkeys(("clock", "rosout", "rosout_agg", "map", "camera_info", "tf_static"), Aspect.NOTHING),
 }
+# Topics of most robots, which a pattern may cover though no line names them.
 EVERYWHERE: Final = ("/tf", "/odom", "/amcl_pose", "/scan", "/cmd_vel", "/camera/image_raw", "/fix")
-"""Topics of most robots, which a pattern may cover though no line names them."""
 
 
 def aspects(described: Description, topic: str = "") -> dict[str, Aspect]:
@@ -133,10 +127,14 @@ def conventional(topic: str) -> Aspect | None:
 def _aspect(field: FieldContent, described: Description, topic: str) -> Aspect:
     if field.content is Content.UNKNOWN:
         return _by_name(field)
-    if _shows_little(field, described):
+    is_value = isinstance(field.kind, Array) or (
+        isinstance(field.kind, Primitive) and field.kind.code in "fd"
+    )
+    steady = field.content is Content.STATE and described.type_name.startswith(_STEADY)
+    if steady or (field.content in _NUMBERS_ONLY and not is_value):
         return Aspect.NOTHING
     if field.content is Content.MAP and "local" not in topic:
-        return Aspect.PLAN
+        return Aspect.PLAN  # the map of a house is not where the robot is
     if field.content is Content.UNCERTAINTY:
         return _of_uncertainty(field, described)
     if field.content is Content.JOINT and _last(field.path) in _RATES:
@@ -144,28 +142,14 @@ def _aspect(field: FieldContent, described: Description, topic: str) -> Aspect:
     return _OF.get(field.content, Aspect.NOTHING)
 
 
-def _shows_little(field: FieldContent, described: Description) -> bool:
-    steady = field.content is Content.STATE and described.type_name.startswith(_STEADY)
-    return steady or (field.content in _NUMBERS_ONLY and not _is_value(field.kind))
-
-
 def _of_uncertainty(field: FieldContent, described: Description) -> Aspect:
-    if _is_of_velocity(field, described):
+    above = field.path.rpartition(".")[0]
+    velocities = (one.path for one in described.fields if one.content is Content.VELOCITY)
+    if any(path.startswith(above) for path in velocities):
         return Aspect.MOVEMENT  # to be cleared with it, as one message
     if field.path.endswith("covariance"):
         return Aspect.COVARIANCE
     return Aspect.POSITION  # a policy says of its own type that the field tells a position
-
-
-def _is_value(kind: Type) -> bool:
-    return isinstance(kind, Array) or (isinstance(kind, Primitive) and kind.code in ("f", "d"))
-
-
-def _is_of_velocity(field: FieldContent, described: Description) -> bool:
-    above = field.path.rpartition(".")[0]
-    return any(
-        other.content is Content.VELOCITY and other.path.startswith(above) for other in described.fields
-    )
 
 
 def _by_name(field: FieldContent) -> Aspect:
@@ -182,9 +166,9 @@ LayoutOf = Callable[[str], Layout]
 
 _HIDES: Final = frozenset({"clear", "set", "redact", "drop", "zero"})
 _DEGREES: Final = frozenset({"latitude", "longitude"})
+# Squares by which attackers' programs recognise few faces: 96 pixels in squares of 32 are 53 %.
 SMALLEST_BLOCK: Final = 32
 MOST_ACROSS: Final = 20
-"""Squares by which attackers' programs recognise few faces: 96 pixels in squares of 32 are 53 %."""
 _FLOORS: Final[dict[Aspect, float]] = {
     Aspect.POSITION: 0.1,  # metres; localisation indoors errs by half of it
     Aspect.SURROUNDINGS: 0.1,
@@ -265,7 +249,7 @@ class View:
     @property
     def shows_climate(self) -> bool:
         fields = self.described.fields if self.described is not None else ()
-        ambient = {field.path for field in fields if field.content in AMBIENT}
+        ambient = (field.path for field in fields if field.content in AMBIENT)
         return any(self.left(path) is Precision.EXACT for path in ambient)
 
     @property
@@ -276,13 +260,7 @@ class View:
         return self.layout.type_name in DEPTH and bool(self.exact(Aspect.SURROUNDINGS))
 
     @property
-    def is_slow(self) -> bool:
-        # Whether something limits how often messages come, or tells only in which slot.
-        return self.verdict.rate is not None or self.has_slot
-
-    @property
     def has_slot(self) -> bool:
-        # Whether only one message in each slot comes.
         return any(item.slot is not None for item in self.verdict.restrictions)
 
     @property
@@ -307,6 +285,10 @@ class View:
             if of in own or (of is None and own):
                 return rule, clause
         return places[0]
+
+    @property
+    def pattern(self) -> str:
+        return self.verdict.clauses[0].pattern
 
     @property
     def is_below_pattern(self) -> bool:
@@ -361,17 +343,18 @@ class Scene:
     def views(self) -> dict[Receiver, list[View]]:
         return {receiver: list(self._views(receiver)) for receiver in receivers(self.policy)}
 
-    def contents(self, topic: str) -> tuple[Layout, Description] | tuple[None, None]:
-        if topic not in self._contents:
-            kind = self.policy.type_of(topic)
-            self._contents[topic] = (None, None) if kind is None else self._read(kind, topic)
-        return self._contents[topic]
+    @property
+    def all_views(self) -> Iterator[View]:
+        return (view for views in self.views.values() for view in views)
 
-    def _read(self, kind: str, topic: str) -> tuple[Layout, Description]:
-        if kind not in self._layouts:
-            self._layouts[kind] = self.layout_of(kind)
-        layout = self._layouts[kind]
-        return layout, self.policy.vocabulary.describe(layout, topic)
+    def contents(self, topic: str) -> tuple[Layout, Description] | tuple[None, None]:
+        kind = self.policy.type_of(topic) if topic not in self._contents else None
+        if kind is not None:
+            if kind not in self._layouts:
+                self._layouts[kind] = self.layout_of(kind)
+            layout = self._layouts[kind]
+            self._contents[topic] = layout, self.policy.vocabulary.describe(layout, topic)
+        return self._contents.setdefault(topic, (None, None))
 
     def _views(self, receiver: Receiver) -> Iterator[View]:
         rules = self.decider.rules_of(receiver.subject)
@@ -391,34 +374,19 @@ def _topics(policy: Policy, rules: Iterable[PolicyRule], subject: Subject) -> li
     }
     wide = [pattern for pattern in named if "*" in pattern]
     known = [*policy.types, *EVERYWHERE] if wide else []
-    below = {
-        topic for topic in known if not is_own(topic) and any(includes(pattern, topic) for pattern in wide)
-    }
-    return sorted(named | below)
+    topics = (topic for topic in known if not is_own(topic))
+    return sorted(named.union(each for each in topics if any(includes(pattern, each) for pattern in wide)))
 
 
 def receivers(policy: Policy) -> list[Receiver]:
     found: dict[Subject, Receiver] = {}
-    pinned = [who for who in _subjects(policy) if who.key is not None]
-    for who in _subjects(policy):
-        name = sample_subject(who).name
-        keys = {who.key} if who.key is not None else {None, *_pinned_for(name, pinned)}
+    rules = (rule for rule in policy.rules if rule.effect is not Effect.DENY)
+    subjects = list(dict.fromkeys(who for rule in rules for who in rule.who))
+    for who in subjects:
+        name, keys = who.sample.name, {who.key}
+        if who.key is None:
+            keys |= {each.key for each in subjects if each.node is None or pattern_covers(each.node, name)}
         for key in keys:
             subject = Subject(name, key or bytes(32))
             found.setdefault(subject, Receiver(subject, who))
     return list(found.values())
-
-
-def _subjects(policy: Policy) -> list[SubjectPattern]:
-    rules = (rule for rule in policy.rules if rule.effect is not Effect.DENY)
-    return list(dict.fromkeys(who for rule in rules for who in rule.who))
-
-
-def _pinned_for(name: str, pinned: Iterable[SubjectPattern]) -> set[bytes | None]:
-    return {who.key for who in pinned if who.node is None or pattern_covers(who.node, name)}
-
-
-def sample_subject(who: SubjectPattern) -> Subject:
-    """A subject that matches `who`, for trial decisions."""
-    node = (who.node or "/x").replace("**", "x").replace("*", "x")
-    return Subject(node, who.key or bytes(32))

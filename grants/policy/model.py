@@ -1,14 +1,10 @@
 """A policy as values: identities, rules, and the names and rights in each rule.
 
-All values are made by `grants.policy.read`, which checked them; nothing refers to the file any
-more, except the line number of a rule.
-
-The vocabulary of a policy: what the fields of its own types tell, and of bare values.
-
-`vocabulary` names types (`acme_msgs/Bed`) and topics (`/door/open`, for a value such as a
-std_msgs/Bool, whose meaning only the topic knows). A field tells a word, and is then hidden at
-every level but `exact`, or has a content of `grants.vocabulary.contents`, and is then treated as
-these are. What the standard table knows cannot be said otherwise.
+All values are made by `grants.policy.read`, which checked them; nothing refers to the file any more, except
+the line number of a rule. The vocabulary of a policy names types (`acme_msgs/Bed`) and topics (`/door/open`,
+for a value whose meaning only the topic knows). A field tells a word, and is then hidden at every level but
+`exact`, or has a content of `grants.vocabulary.contents`, and is then treated as these are. What the standard
+table knows cannot be said otherwise.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -30,9 +26,13 @@ from grants.vocabulary.levels import Treatment, plan_treatment
 if TYPE_CHECKING:
     from grants.policy.assertions import Assertion
 
+EVERYONE: Final = "*"
+MINUTE, HOUR, DAY = 60, 3600, 86400
+LIFETIME: Final = 7 * DAY
+PROMPT_TIMEOUT: Final = MINUTE
 
 # A word alone: a content of that word that no level shows in part.
-_HIDDEN: Final[Mapping[str, Content]] = {
+_HIDDEN: Final[dict[str, Content]] = {
     DataWord.POSITION: Content.UNCERTAINTY,
     DataWord.MOVEMENT: Content.JOINT,
     DataWord.IMAGE: Content.COMPRESSED_PICTURE,
@@ -42,11 +42,12 @@ _HIDDEN: Final[Mapping[str, Content]] = {
     DataWord.HOME: Content.READING,
 }
 # Pixels can only be treated where their size is said, in a sensor_msgs/Image.
-_NAMED: Final = {
-    content.value: content for content in Content if content not in NOT_KNOWN | {Content.PICTURE}
+_UNSAID: Final = NOT_KNOWN | {Content.PICTURE}
+# What a policy can say of a field.
+SAYABLE: Final[Mapping[str, Content]] = {
+    **{one.value: one for one in Content if one not in _UNSAID},
+    **_HIDDEN,
 }
-SAYABLE: Final[Mapping[str, Content]] = {**_NAMED, **_HIDDEN}
-"""What a policy can say of a field."""
 
 
 @dataclass(frozen=True)
@@ -84,15 +85,14 @@ class Vocabulary:
     def _said(self, topic: str) -> dict[str, Content]:
         covering = [pattern for pattern in self.topics if topic and self._covers(pattern, topic)]
         here: dict[str, Content] = {}
-        for pattern in sorted(covering, key=lambda one: self._narrower(one, covering), reverse=True):
+        # The narrower, the later, so that it decides.
+        wider = {one: sum(self._covers(one, other) for other in covering) for one in covering}
+        for pattern in sorted(covering, key=wider.__getitem__, reverse=True):
             here.update(self.topics[pattern])
         return here
 
     def _covers(self, pattern: str, topic: str) -> bool:
         return includes(any_node(pattern), any_node(topic))
-
-    def _narrower(self, pattern: str, others: Iterable[str]) -> int:
-        return sum(self._covers(pattern, other) for other in others)
 
     def _decides(self, pattern: str, topic: str) -> bool:
         # Whether `pattern` covers `topic`, and what it says is said again or not contradicted.
@@ -104,8 +104,8 @@ class Vocabulary:
         )
 
 
+# The layout of a type; None if it is unknown, which is then recorded as a mistake.
 LayoutOfType = Callable[[str, YamlScalar], Layout | None]
-"""The layout of a type; None if it is unknown, which is then recorded as a mistake."""
 
 
 def read_rooms(part: Part | None, mistakes: Mistakes) -> Treatment | None:
@@ -138,32 +138,20 @@ def read_vocabulary(
 
     for name, key, value in source.by_name(mapping, "vocabulary", read_key, mistakes):
         is_topic = name.startswith(BEGINS_TOPIC)
-        type_name = _type_of_topic(name, key, types, mistakes) if is_topic else name
+        type_name = types.get(name) if is_topic else name
         fields = source.mapping(value, f"vocabulary of {name}", mistakes)
-        if type_name is None or fields is None or not _is_type(type_name, key, mistakes):
-            continue
-        layout = layout_of(type_name, key)
-        if layout is not None:
+        if type_name is None:
+            hint = suggest(name, types) or f"add it to types: {{{name}: package/Type}}"
+            mistakes.add(key, f"the message type of {name[:80]} is unknown", hint)
+        elif fields is not None and TYPE_NAME.fullmatch(type_name) is None:
+            mistakes.add(key, f"not a type or a topic: {type_name[:80]!r}", "package/Type, or /topic")
+        elif fields is not None and (layout := layout_of(type_name, key)) is not None:
             found[is_topic][name] = _fields(layout, fields, mistakes)
     return Vocabulary(found[False], found[True], read_rooms(rooms, mistakes))
 
 
 def _is_below(leaf: str, path: str) -> bool:
     return f"{leaf}.".replace("[*]", "").startswith(f"{path}.")
-
-
-def _type_of_topic(name: str, key: YamlScalar, types: Mapping[str, str], mistakes: Mistakes) -> str | None:
-    if name not in types:
-        hint = suggest(name, types) or f"add it to types: {{{name}: package/Type}}"
-        mistakes.add(key, f"the message type of {name[:80]} is unknown", hint)
-    return types.get(name)
-
-
-def _is_type(name: str, key: YamlScalar, mistakes: Mistakes) -> bool:
-    if TYPE_NAME.fullmatch(name) is None:
-        mistakes.add(key, f"not a type or a topic: {name[:80]!r}", "package/Type, or /topic")
-        return False
-    return True
 
 
 def _fields(layout: Layout, mapping: YamlMapping, mistakes: Mistakes) -> Fields:
@@ -173,28 +161,18 @@ def _fields(layout: Layout, mapping: YamlMapping, mistakes: Mistakes) -> Fields:
         mapping, known.type_name, lambda key: str(key.value).replace("[*]", ""), mistakes
     ):
         said = source.choice(value, "word or content", SAYABLE, mistakes)
-        if said is not None and _may_be_said(known, path, key, mistakes):
+        if said is None:
+            continue
+        below = [one for one in known.fields if _is_below(one.path, path)]
+        if not below:
+            hint = suggest(path, [one.path for one in known.fields])
+            mistakes.add(key, f"no field {path[:80]!r} in {known.type_name}", hint)
+        elif any(one.content not in NOT_KNOWN for one in below):
+            message = f"{path} of {known.type_name} is in the standard vocabulary"
+            mistakes.add(key, message, f"it is: {below[0].content}; remove this line")
+        else:
             fields[path] = SAYABLE[said]
     return fields
-
-
-def _may_be_said(known: Description, path: str, key: YamlScalar, mistakes: Mistakes) -> bool:
-    below = [one for one in known.fields if _is_below(one.path, path)]
-    if not below:
-        hint = suggest(path, [one.path for one in known.fields])
-        mistakes.add(key, f"no field {path[:80]!r} in {known.type_name}", hint)
-        return False
-    if any(one.content not in NOT_KNOWN for one in below):
-        message = f"{path} of {known.type_name} is in the standard vocabulary"
-        mistakes.add(key, message, f"it is: {below[0].content}; remove this line")
-        return False
-    return True
-
-
-EVERYONE: Final = "*"
-MINUTE, HOUR, DAY = 60, 3600, 86400
-LIFETIME: Final = 7 * DAY
-PROMPT_TIMEOUT: Final = MINUTE
 
 
 class Effect(StrEnum):
@@ -237,17 +215,23 @@ class SubjectPattern:
     group: str = ""
 
     def matches(self, subject: Subject) -> bool:
-        return self._name_fits(subject) and self.key in (None, subject.key)
+        named = self.node is not None and pattern_covers(self.node, subject.name)
+        if is_alias(subject.name):
+            named = named and is_alias(self.node or "")
+        elif self.node is None:
+            named = True
+        return named and self.key in (None, subject.key)
 
     def may_match(self, subject: Subject) -> bool:
         by_key = self.key is not None and self.key == subject.key
         by_name = self.node is not None and pattern_covers(self.node, subject.name)
         return by_key or by_name
 
-    def _name_fits(self, subject: Subject) -> bool:
-        if is_alias(subject.name):
-            return self.node is not None and is_alias(self.node) and pattern_covers(self.node, subject.name)
-        return self.node is None or pattern_covers(self.node, subject.name)
+    @property
+    def sample(self) -> Subject:
+        """A subject that it matches, for trial decisions."""
+        node = (self.node or "/x").replace("**", "x").replace("*", "x")
+        return Subject(node, self.key or bytes(32))
 
 
 @dataclass(frozen=True)
@@ -284,8 +268,7 @@ class PolicyRule:
     """One rule.
 
     Args:
-        lifetime, renew_until: seconds; `renew_until` 0 is never. The policy's defaults if the
-            rule has none; `has_lifetime` says whether it has.
+        lifetime, renew_until: seconds, 0 is never renewed; the policy's defaults if not `has_lifetime`.
         keep_when_stale: connections stay open on stale revocation data (`on_stale: keep`).
     """
 
@@ -365,12 +348,7 @@ def type_of(types: Mapping[str, str], name: str) -> str | None:
         found = {kind for of, kind in types.items() if includes(any_node(of), any_node(name))}
     elif "*" in name:
         return None
-    else:
-        found = {kind for of, kind in types.items() if _is_of(of, name)}
+    else:  # most are names, which cover no other one
+        patterns = ((of, kind) for of, kind in types.items() if "*" in of or is_own(of))
+        found = {kind for of, kind in patterns if includes(any_node(of), name)}
     return found.pop() if len(found) == 1 else None
-
-
-def _is_of(pattern: str, name: str) -> bool:
-    if "*" not in pattern and not is_own(pattern):
-        return pattern == name  # most are names, and each is compared for each name without a type
-    return includes(any_node(pattern), name)

@@ -1,16 +1,12 @@
-"""Comparison of two patterns: does one include the other, do they intersect?
+"""Patterns of rules: does one include the other, do they intersect, and the asking node's own names.
 
-Needed where a right is requested for a whole pattern: `/a/**` may only be granted if every name in
-it is allowed, and not if one of them is denied. Names are infinite, so both are decided on the
-automata of the patterns: a position in each, moved segment by segment. Both may be tail patterns
-(`ca.names`): their segment `rviz~` is included only by one of the same tail, or by a wildcard.
+Needed where a right is requested for a whole pattern: `/a/**` may only be granted if every name in it is
+allowed, and not if one of them is denied. Names are infinite, so both are decided on the automata of the
+patterns: a position in each, moved segment by segment.
 
-The asking node's own names in a rule: `{node}`, `{node}/pose`, `{node}/**`; `~/pose` for short.
-
-`{node}` stands for the whole certified name of the node that asks, so it stands first, alone or
-before a `/`: what results is that name or a name below it, never a name beside it. Of an identity
-with a wildcard tail it stands for every name of the tail too, as a tail pattern (`ca.names`),
-which only its own grants can have. A node of another domain has no own names here.
+`{node}` (`~/pose` for `{node}/pose`) stands for the whole certified name of the node that asks, so it stands
+first: what results is that name or one below it, never one beside it. With an anonymous suffix it stands for
+every name of the suffix too, as a tail pattern (`ca.names`), which only its own grants can have.
 """
 
 import re
@@ -23,6 +19,12 @@ from ca.names import TAIL, check_pattern, check_tail_pattern, fits, is_alias
 from ca.names import covers as names_cover
 from grants.model import TREE_RIGHTS, Right
 
+NODE: Final = "{node}"
+_SHORT: Final = "~"
+BEGINS_TOPIC: Final = ("/", _SHORT, "{")  # of a key that is a topic, and not a field or a word
+_HINT: Final = 'the asking node\'s own names are ~/pose, or in quotes "{node}/pose" and "{node}"'
+_HINT_FIRST: Final = '{node} is the whole name of the asking node, so it stands first: "{node}/pose"'
+_BRACES: Final = re.compile(r"\{[^{}]*\}|[{}]")
 _ANY: Final = "*"  # a segment that only wildcards match
 
 
@@ -105,14 +107,6 @@ def _step(pattern: tuple[str, ...], reached: frozenset[int], segment: str) -> fr
     )
 
 
-NODE: Final = "{node}"
-_SHORT: Final = "~"
-BEGINS_TOPIC: Final = ("/", _SHORT, "{")  # of a key that is a topic, and not a field or a word
-_HINT: Final = 'the asking node\'s own names are ~/pose, or in quotes "{node}/pose" and "{node}"'
-_HINT_FIRST: Final = '{node} is the whole name of the asking node, so it stands first: "{node}/pose"'
-_BRACES: Final = re.compile(r"\{[^{}]*\}|[{}]")
-
-
 def is_own(text: str) -> bool:
     return text.startswith(NODE)
 
@@ -125,7 +119,8 @@ def check_rule_pattern(text: str) -> str:
     if slash and head in (_SHORT, NODE) and not _is_marked(rest):
         return NODE + check_pattern(f"/{rest}")
     if _is_marked(text):
-        raise PatternRefused(f"not a name pattern: {text[:80]!r} {_fault(text)}", _hint(text))
+        fault, hint = _fault(text)
+        raise PatternRefused(f"not a name pattern: {text[:80]!r} {fault}", hint)
     if has_partial_star(text):
         raise PatternRefused(
             f"not a name pattern: {text[:80]!r} has a * for part of a segment",
@@ -165,11 +160,8 @@ def own_form(name: str, node: str, *, tail: bool = False) -> str | None:
 
 
 def speaks_for_others(pattern: str, nodes: Collection[str | None]) -> str | None:
-    """What to write instead of a pattern that gives several nodes each other's names, if any.
-
-    `/*/pose` for more than one node lets each of them be `/robot2/pose`: it is `{node}/pose` that
-    was meant. None for every other pattern, and where the rule is for one node only.
-    """
+    # What to write instead of a pattern that gives several nodes each other's names, else None: `/*/pose`
+    # for more than one node lets each of them be `/robot2/pose`, and it is `{node}/pose` that was meant.
     head, _, rest = pattern[1:].partition("/")
     several = len(nodes) > 1 or any(node is None or "*" in node for node in nodes)
     if is_own(pattern) or head not in ("*", "**") or not several:
@@ -186,24 +178,14 @@ def _is_marked(text: str) -> bool:
     return any(mark in text for mark in (*"{}", _SHORT))
 
 
-def _fault(text: str) -> str:
+def _fault(text: str) -> tuple[str, str]:
     if text == _SHORT:
-        return "is no name"
+        return "is no name", f'write "{NODE}"'
     words = [word for word in _BRACES.findall(text) if word != NODE]
     if words:
-        return f"has {words[0][:40]!r}, which stands for nothing"
-    if _SHORT in text:
-        return "has a ~ that is not before the first /"
-    return "has {node} where it does not stand for a whole name"
-
-
-def _hint(text: str) -> str:
-    if text == _SHORT:
-        return f'write "{NODE}"'
-    words = [word for word in _BRACES.findall(text) if word != NODE]
-    if words:
-        return _HINT
+        return f"has {words[0][:40]!r}, which stands for nothing", _HINT
     if _SHORT not in text:
-        return _HINT_FIRST
+        return "has {node} where it does not stand for a whole name", _HINT_FIRST
     private = re.fullmatch(r"~([A-Za-z][A-Za-z0-9_/*]*)", text, re.ASCII)
-    return f"write ~/{private[1]}" if private is not None else _HINT
+    hint = f"write ~/{private[1]}" if private is not None else _HINT
+    return "has a ~ that is not before the first /", hint

@@ -1,17 +1,9 @@
-"""Which data is collected, who has access and why: every field, every receiver, until when.
+"""Which data is collected, who has access and why: every field, every receiver, until when. Pure.
 
-The effect of a right field by field, for a record of processing (GDPR article 30) as much as for
-users at home. Built from what the policy allows or from live grants: both are `ReceiverAccess`.
-
-What a policy lets a node see of a topic, in the words of people. Pure.
-
-For explanations, reports and assertions: from the verdict, whichever rules, filters and presets it
-came from. A topic of unknown type says nothing.
-
-The effect of a verdict on one message: sent or withheld, and which fields change. Pure.
-
-For answers before anything is granted: the guard of a publisher is built from the verdict, so the
-answer is the actual result, not a description of it.
+The effect of a right field by field, for a record of processing (GDPR article 30) as much as for users at
+home. Built from what the policy allows or from live grants: both are `ReceiverAccess`. A `Trial` is the
+effect on one message before anything is granted, by the guard that a publisher would have: not a description
+of it.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -21,20 +13,22 @@ from typing import Final
 from grants.conditions.compile import compile_condition
 from grants.decision import Decision
 from grants.errors import GrantError
-from grants.filters.hashing import FILTER_KEY_SIZE, key_names
-from grants.filters.layout import Array, Buffer, Layout, Struct, Type
-from grants.guard import Guard
+from grants.filters.hashing import FILTER_KEY_SIZE
+from grants.filters.layout import Buffer, Layout
+from grants.guard import Guard, needed_keys
 from grants.limits import rate_text
-from grants.model import FilterRule, Restriction, Right
+from grants.model import Restriction, Right
 from grants.policy.decision import Decider, Verdict, span
-from grants.policy.model import Effect, Policy, Subject, SubjectPattern, Vocabulary
+from grants.policy.model import Effect, Policy, SubjectPattern, Vocabulary
 from grants.policy.wanted import permissions
-from grants.vocabulary.assess import Seen, assess, details, seen, sentence
+from grants.vocabulary.assess import Seen, assess, details, filters_of, seen, sentence
 from grants.vocabulary.contents import DataWord
 
 AS_IT_IS: Final = "as it is"
 WHOLE: Final = "(everything)"
 _MAX_LEAVES: Final = 512
+_FOREVER: Final = 1 << 53
+LayoutOf = Callable[[str], Layout]
 
 
 @dataclass(frozen=True)
@@ -73,15 +67,13 @@ def from_policy(decider: Decider) -> list[ReceiverAccess]:
             continue
         for clause in rule.clauses:
             for who in rule.who if clause.right is Right.SUBSCRIBE else ():
-                access = _access(decider, who, clause.pattern)
-                if access is not None:
+                if (access := _access(decider, who, clause.pattern)) is not None:
                     found.setdefault((access.topic, access.receiver), access)
     return list(found.values())
 
 
 def _access(decider: Decider, who: SubjectPattern, pattern: str) -> ReceiverAccess | None:
-    node = (who.node or "/x").replace("**", "x").replace("*", "x")
-    verdict = decider.decide(Subject(node, who.key or bytes(32)), Right.SUBSCRIBE, pattern)
+    verdict = decider.decide(who.sample, Right.SUBSCRIBE, pattern)
     if not verdict:
         return None
     topic = pattern if "*" in (who.node or "*") else verdict.name
@@ -99,9 +91,7 @@ def _access(decider: Decider, who: SubjectPattern, pattern: str) -> ReceiverAcce
 
 
 def rows(
-    accesses: Iterable[ReceiverAccess],
-    layout_of: Callable[[str], Layout],
-    vocabulary: Vocabulary | None = None,
+    accesses: Iterable[ReceiverAccess], layout_of: LayoutOf, vocabulary: Vocabulary | None = None
 ) -> list[PrivacyRow]:
     found: list[PrivacyRow] = []
     for access in accesses:
@@ -109,34 +99,30 @@ def rows(
         kind = access.type
         layout = None if kind is None else layout_of(kind)
         fields = [WHOLE] if layout is None else leaf_paths(layout)
-        tells, sees = _in_words(access, layout, vocabulary or Vocabulary())
+        treated = {path: filters_of(filters, path) for path in fields}
+        tells: dict[str, str] = {}
+        in_words = ""
+        if layout is not None:
+            described = (vocabulary or Vocabulary()).describe(layout, access.topic)
+            tells = {each.path: str(each.meaning.own or each.content) for each in described.fields}
+            in_words = sees(access, layout, vocabulary)
         found += [
             PrivacyRow(
                 access.topic,
                 kind or "type not known",
                 access.receiver,
                 path,
-                ", then ".join(map(_text, filters_of(filters, path))) or AS_IT_IS,
+                ", then ".join(str(rule).partition(": ")[2] for rule in rules) or AS_IT_IS,
                 _when(access),
                 access.why,
                 access.until,
                 access.by,
                 tells.get(path, ""),
-                sees,
+                in_words,
             )
-            for path in fields
+            for path, rules in treated.items()
         ]
     return sorted(found)
-
-
-def _in_words(
-    access: ReceiverAccess, layout: Layout | None, vocabulary: Vocabulary
-) -> tuple[dict[str, str], str]:
-    if layout is None:
-        return {}, ""
-    described = vocabulary.describe(layout, access.topic)
-    tells = {each.path: str(each.meaning.own or each.content) for each in described.fields}
-    return tells, sees(access, layout, vocabulary)
 
 
 def sees(access: ReceiverAccess, layout: Layout, vocabulary: Vocabulary | None = None) -> str:
@@ -154,40 +140,9 @@ def _when(access: ReceiverAccess) -> str:
     return " and ".join(dict.fromkeys(parts)) or "always"
 
 
-def _text(rule: FilterRule) -> str:
-    return " ".join([rule.operator, *(f"{name} {value}" for name, value in rule.parameters)])
-
-
-def filters_of(filters: Iterable[FilterRule], path: str) -> list[FilterRule]:
-    """The rules that apply to the field at `path`: its own, and those of its parents.
-
-    `sort` of an array hides which element is which, but nothing of its fields.
-    """
-    steps = path.replace("[*]", "").split(".")
-    found = []
-    for rule in filters:
-        parent = rule.path.replace("[*]", "").split(".")
-        if steps[: len(parent)] == parent and rule.operator != "sort":
-            found.append(rule)
-    return found
-
-
 def leaf_paths(layout: Layout) -> list[str]:
-    """The paths of all leaf fields, in the notation of filters."""
-    found: list[str] = []
-    _walk(layout.root, "", found)
-    return found[:_MAX_LEAVES]
-
-
-def _walk(kind: Type, path: str, found: list[str]) -> None:
-    inner = kind.element if isinstance(kind, Array) else kind
-    if not isinstance(inner, Struct):
-        found.append(path)
-        return
-    here = f"{path}[*]." if isinstance(kind, Array) else f"{path}." if path else ""
-    for name, member in inner.fields:
-        if len(found) < _MAX_LEAVES:
-            _walk(member, here + name, found)
+    """The paths of the leaf fields, in the notation of filters; of so many at most."""
+    return list(layout.leaves())[:_MAX_LEAVES]
 
 
 def lines(found: Sequence[PrivacyRow]) -> list[str]:
@@ -209,9 +164,6 @@ def as_json(found: Sequence[PrivacyRow]) -> list[dict[str, str]]:
     return [asdict(row) for row in found]
 
 
-LayoutOf = Callable[[str], Layout]
-
-
 def shown(
     policy: Policy, verdict: Verdict, layout_of: LayoutOf, words: Sequence[DataWord] | None = None
 ) -> dict[DataWord, Seen]:
@@ -229,20 +181,14 @@ def shown(
 
 def level_lines(found: dict[DataWord, Seen]) -> list[str]:
     """One line for each word: `sees where it is: the room (no finer than 4 m, ...)`."""
-    return [_line(one) for one in found.values()]
-
-
-def _line(one: Seen) -> str:
-    numbers = details(one)
-    return f"sees {seen(one)}" + (f" ({numbers})" if numbers else "")
+    return [
+        f"sees {seen(one)}" + (f" ({numbers})" if (numbers := details(one)) else "") for one in found.values()
+    ]
 
 
 def levels_json(found: dict[DataWord, Seen]) -> dict[str, str]:
     """The level by word; a position between two levels is `2 m`."""
     return {word.value: one.size_text or one.level for word, one in found.items()}
-
-
-_FOREVER = 1 << 53
 
 
 @dataclass(frozen=True)
@@ -259,10 +205,18 @@ class Trial:
     def __init__(self, layout: Layout, verdict: Verdict) -> None:
         self._layout = layout
         self._verdict = verdict
-        self._reason = "" if verdict else f"{verdict.effect}: {_deciding_rule(verdict)}"
         self._guard: Guard | None = None
-        if verdict:
-            self._guard = self._build()
+        if not verdict:
+            why = verdict.rules[0].reason if verdict.rules else "no rule matches"
+            self._reason = f"{verdict.effect}: {why}"
+            return
+        given = tuple(item.restriction for item in permissions(verdict) if item.restriction is not None)
+        decision = Decision(verdict.right, verdict.name, (), _FOREVER, given)
+        try:
+            keys = dict.fromkeys(needed_keys(given), bytes(FILTER_KEY_SIZE))  # placeholders
+            self._guard = Guard(layout, decision, keys)
+        except GrantError as error:
+            self._reason = str(error)
 
     def __call__(self, message: Buffer, now: int) -> TrialOutcome:
         """Try `message` (serialized) at `now`, seconds since the epoch."""
@@ -276,17 +230,6 @@ class Trial:
             return TrialOutcome(None, self._failed_condition(message, now))
         return TrialOutcome(b"".join(pieces))
 
-    def _build(self) -> Guard | None:
-        verdict = self._verdict
-        found = (item.restriction for item in permissions(verdict))
-        restrictions = tuple(item for item in found if item is not None)
-        decision = Decision(verdict.right, verdict.name, (), _FOREVER, restrictions)
-        try:
-            return Guard(self._layout, decision, _placeholder_keys(verdict))
-        except GrantError as error:
-            self._reason = str(error)
-            return None
-
     def _failed_condition(self, message: Buffer, now: int) -> str:
         # The reason why the message is withheld: the first condition that is not true.
         for restriction in self._verdict.restrictions:
@@ -299,12 +242,3 @@ class Trial:
             return f"not the one message at the start of each {max(slots)} s"
         rate = self._verdict.rate
         return "not admitted" if rate is None else f"more than {rate:g} messages a second"
-
-
-def _placeholder_keys(verdict: Verdict) -> dict[str, bytes]:
-    rules = (rule for item in verdict.restrictions for rule in item.filters)
-    return {name: bytes(FILTER_KEY_SIZE) for name in key_names(rules)}
-
-
-def _deciding_rule(verdict: Verdict) -> str:
-    return verdict.rules[0].reason if verdict.rules else "no rule matches"

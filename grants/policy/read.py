@@ -1,25 +1,14 @@
-"""The closed schema of a policy: from the tree of the file to a `Policy`, or to its mistakes.
+"""The closed schema of a policy: from the tree of the file to a `Policy`, or to its mistakes. Pure.
 
-Any other key is a mistake. Conditions and filters are compiled against the message type of every
-topic they are for, so a rule that cannot be applied is never accepted.
-
-Names for people: `title:` says what a node or a topic is called at home. Pure.
-
-    title: {/doctor: Dr. Meier, /robot/pose: where the robot is, lamps: a lamp of the house}
-
-A title decides nothing: it is shown beside the name of ROS, never instead of it. So that it can
-imitate neither a name nor another title, it is one short line without control, format or direction
-characters, has no slash, and no two names have the same; that of a group is for its members.
-
-The JSON Schema of a policy, for editors: completion and errors while typing. Pure.
-
-It covers the structure and the keys, not the message types; `rossec policy check` covers all.
-`policy.schema.json` beside this module is its text; a test compares the two.
+Any other key is a mistake. Conditions and filters are compiled against the message type of every topic they
+are for, so a rule that cannot be applied is never accepted. At the end: the JSON Schema of a policy for
+editors (structure and keys, not message types); `policy.schema.json` beside this module is its text.
 """
 
 import json
 import unicodedata
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
 from typing import Any, Final
 
 from ca.errors import HintedError
@@ -49,92 +38,10 @@ from grants.policy.rules import ID as BASICS_ID
 from grants.policy.source import Mistake, Mistakes, Part, YamlMapping, YamlScalar, read_source, suggest
 from grants.vocabulary.contents import LEVELS
 
-MAX_TITLE: Final = 60  # characters
-_MAX_MARKS: Final = 2  # combining ones in a row: more of them cover the lines above and below
-_MARKS: Final = (["Mn"], ["Me"], ["Mc"])
-_HARMFUL: Final = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
-
-
-def flaw_of(title: str) -> str:
-    kinds = [unicodedata.category(char) for char in title]
-    spaces = {char for kind, char in zip(kinds, title, strict=True) if kind == "Zs"}
-    flaws = (
-        (not 1 <= len(title) <= MAX_TITLE, f"1 to {MAX_TITLE} characters"),
-        (not _HARMFUL.isdisjoint(kinds), "no control, format or direction characters"),
-        (not spaces <= {" "}, "no other spaces than the usual one"),
-        (" ".join(title.split()) != title, "single spaces, and none at its ends"),
-        (unicodedata.normalize("NFC", title) != title, "the composed form of Unicode (NFC)"),
-        (kinds[:1] in _MARKS or _longest_run(kinds) > _MAX_MARKS, "few combining marks"),
-        ("/" in title, "no slash: it would look like a name"),
-    )
-    return next((f"a title has {said}" for is_flawed, said in flaws if is_flawed), "")
-
-
-def _longest_run(kinds: Iterable[str]) -> int:
-    longest = run = 0
-    for kind in kinds:
-        run = run + 1 if kind in ("Mn", "Me") else 0
-        longest = max(longest, run)
-    return longest
-
-
-def read_titles(
-    part: Part | None, groups: Mapping[str, tuple[SubjectPattern, ...]], mistakes: Mistakes
-) -> dict[str, str]:
-    mapping = source.mapping(part, "title", mistakes)
-    found: dict[str, str] = {}
-    of_groups: dict[str, str] = {}
-    first: dict[str, YamlScalar] = {}
-    for text, (key, value) in mapping.entries.items() if mapping is not None else ():
-        title = _title(text, value, mistakes)
-        names = _names(text, key, groups, mistakes)
-        if title is None or not names:
-            continue
-        same = title.casefold()
-        if same in first:
-            source.again(value, f"title: {title!r}", first[same], mistakes)
-        first.setdefault(same, key)
-        (of_groups if text in groups else found).update(dict.fromkeys(names, title))
-    return {**of_groups, **found}
-
-
-def _title(name: str, part: Part, mistakes: Mistakes) -> str | None:
-    title = source.text(part, f"the title of {name[:60]}", mistakes)
-    flaw = "" if title is None else flaw_of(title)
-    if flaw:
-        mistakes.add(part, f"the title of {name[:60]}: {flaw}", "for example: Dr. Meier")
-        return None
-    return title
-
-
-def _names(
-    text: str, key: YamlScalar, groups: Mapping[str, tuple[SubjectPattern, ...]], mistakes: Mistakes
-) -> tuple[str, ...]:
-    if text.startswith("/") or ":" in text:
-        name = source.subject(key, "title", mistakes)
-        return () if name is None else (name,)
-    if text in groups:
-        return tuple(each.node for each in groups[text] if each.node is not None)
-    hint = suggest(text, groups) if groups else "a name begins with /: /doctor, /robot/pose"
-    mistakes.add(key, f"title: {text[:60]!r} is neither a name nor a group", hint)
-    return ()
-
-
 VERSION: Final = 1
 _TOP: Final = (
-    "rossec",
-    "robot",
-    "basics",
-    "defaults",
-    "identities",
-    "groups",
-    "types",
-    "vocabulary",
-    "rooms",
-    "filters",
-    "rules",
-    "tests",
-    "title",
+    *("rossec", "robot", "basics", "defaults", "identities", "groups", "types", "vocabulary", "rooms"),
+    *("filters", "rules", "tests", "title"),
 )
 _REQUIRED: Final = {
     "rossec": "rossec: 1",
@@ -142,6 +49,11 @@ _REQUIRED: Final = {
     "rules": "rules: []",
 }
 _DEFAULTS: Final = ("decision", "lifetime", "renew_until", "prompt_timeout")
+
+MAX_TITLE: Final = 60  # characters
+_MAX_MARKS: Final = 2  # combining ones in a row: more of them cover the lines above and below
+_MARKS: Final = (["Mn"], ["Me"], ["Mc"])
+_HARMFUL: Final = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
 
 Definition = Callable[[str], str]
 
@@ -167,15 +79,14 @@ def load(
 
 def mistakes_in(error: Exception) -> tuple[Mistake, ...]:
     """The mistakes a `PolicyRefused` carries."""
-    found = getattr(error, "mistakes", ())
-    return tuple(item for item in found if isinstance(item, Mistake))
+    return tuple(item for item in getattr(error, "mistakes", ()) if isinstance(item, Mistake))
 
 
+@dataclass
 class _PolicyReader:
-    def __init__(self, mistakes: Mistakes, definition: Definition, known_types: Collection[str]) -> None:
-        self._mistakes = mistakes
-        self._definition = definition
-        self._known_types = known_types
+    _mistakes: Mistakes
+    _definition: Definition
+    _known_types: Collection[str]
 
     def read(self, top: Part | None) -> Policy:
         if not isinstance(top, YamlMapping):
@@ -183,7 +94,12 @@ class _PolicyReader:
             self._mistakes.add(position, "a policy is a mapping", "begin with: rossec: 1")
             top = YamlMapping({}, 1, 1)
         source.check_keys(top, "the policy", _TOP, _REQUIRED, self._mistakes)
-        self._version(top.get("rossec"))
+        version = top.get("rossec")
+        if version is not None and (
+            not isinstance(version, YamlScalar) or version.value is True or version.value != VERSION
+        ):
+            hint = f"this rossec reads version {VERSION}"
+            self._mistakes.add(version, "a policy of an unknown version", hint)
         defaults = self._defaults(top.get("defaults"))
         identities = self._identities(top.get("identities"))
         layouts, types = self._types(top.get("types"))
@@ -223,21 +139,13 @@ class _PolicyReader:
                 self._mistakes.add(at, f"the rule of basics is called {rule.id!r}", "rename it")
         return (basics_rule(extras, part.line, defaults, rules),)
 
-    def _version(self, part: Part | None) -> None:
-        if part is not None and not (
-            isinstance(part, YamlScalar) and part.value is not True and part.value == VERSION
-        ):
-            hint = f"this rossec reads version {VERSION}"
-            self._mistakes.add(part, "a policy of an unknown version", hint)
-
     def _defaults(self, part: Part | None) -> Defaults:
         mapping = source.mapping(part, "defaults", self._mistakes)
         if mapping is None:
             return Defaults()
         source.check_keys(mapping, "defaults", _DEFAULTS, (), self._mistakes)
-        decision = source.choice(
-            mapping.get("decision"), "default decision", ("deny", "prompt"), self._mistakes
-        )
+        choices = ("deny", "prompt")
+        decision = source.choice(mapping.get("decision"), "default decision", choices, self._mistakes)
         lifetime = source.duration(mapping.get("lifetime"), "lifetime", self._mistakes)
         renew = source.duration(mapping.get("renew_until"), "renew_until", self._mistakes, never=True)
         timeout = source.duration(mapping.get("prompt_timeout"), "prompt_timeout", self._mistakes)
@@ -253,25 +161,20 @@ class _PolicyReader:
         mapping = source.mapping(part, "identities", self._mistakes)
         found: dict[str, SubjectPattern] = {}
         for name, (key, value) in mapping.entries.items() if mapping is not None else ():
-            who = self._identity(name, key, value)
+            if name == EVERYONE or name.startswith("/") or ":" in name:
+                self._mistakes.add(key, f"{name[:60]!r} cannot be the name of an identity")
             # Kept even if invalid, so that rules with it are not reported as well.
-            found[name] = who or SubjectPattern(name)
+            found[name] = SubjectPattern(name)
+            who = source.mapping(value, f"identity {name}", self._mistakes)
+            if who is None:
+                continue
+            source.check_keys(who, f"identity {name}", ("node", "key"), (), self._mistakes)
+            node = source.subject(who.get("node"), f"node of {name}", self._mistakes)
+            found[name] = SubjectPattern(name, node, source.key(who.get("key"), self._mistakes))
+            if who.get("node") is None and who.get("key") is None:
+                hint = "add node: /name, or key: ..."
+                self._mistakes.add(who, f"identity {name} has neither node nor key", hint)
         return found
-
-    def _identity(self, name: str, key: YamlScalar, part: Part) -> SubjectPattern | None:
-        if name == EVERYONE or name.startswith("/") or ":" in name:
-            self._mistakes.add(key, f"{name[:60]!r} cannot be the name of an identity")
-        mapping = source.mapping(part, f"identity {name}", self._mistakes)
-        if mapping is None:
-            return None
-        source.check_keys(mapping, f"identity {name}", ("node", "key"), (), self._mistakes)
-        node = source.subject(mapping.get("node"), f"node of {name}", self._mistakes)
-        pinned = source.key(mapping.get("key"), self._mistakes)
-        if mapping.get("node") is None and mapping.get("key") is None:
-            self._mistakes.add(
-                mapping, f"identity {name} has neither node nor key", "add node: /name, or key: ..."
-            )
-        return SubjectPattern(name, node, pinned)
 
     def _types(self, part: Part | None) -> tuple[dict[str, Layout], dict[str, str]]:
         layouts: dict[str, Layout] = {}
@@ -311,8 +214,9 @@ class _PolicyReader:
                 self._layout(name, position, known)
             return known.get(name)
 
-        said, rooms = source.get("vocabulary"), source.get("rooms")
-        return read_vocabulary(said, rooms, types, layout_of, self._mistakes)
+        return read_vocabulary(
+            source.get("vocabulary"), source.get("rooms"), types, layout_of, self._mistakes
+        )
 
     def _filters(self, part: Part | None) -> dict[str, tuple[FieldRule, ...]]:
         found: dict[str, tuple[FieldRule, ...]] = {}
@@ -327,15 +231,72 @@ class _PolicyReader:
         rules: list[PolicyRule] = []
         for item in source.items(part):
             rule = reader.read(item)
-            if rule is None:
-                continue
-            if rule.id in first:
+            if rule is not None and rule.id in first:
                 at = f"{first[rule.id].line}:{first[rule.id].column}"
                 message = f"duplicate rule {rule.id!r}; the first is in {at}"
                 self._mistakes.add(item, message, "use a unique id")
-            first.setdefault(rule.id, item)
-            rules.append(rule)
+            if rule is not None:
+                first.setdefault(rule.id, item)
+                rules.append(rule)
         return tuple(rules)
+
+
+# Titles: `title: {/doctor: Dr. Meier, /robot/pose: where the robot is, lamps: a lamp of the house}`, that
+# of a group for its members. A title decides nothing, and is shown beside the name of ROS, never instead of
+# it. So that it can imitate neither a name nor another title, no two names have the same, and `flaw_of`
+# bounds it.
+
+
+def flaw_of(title: str) -> str:
+    kinds = [unicodedata.category(char) for char in title]
+    spaces = {char for kind, char in zip(kinds, title, strict=True) if kind == "Zs"}
+    runs = "".join("M" if kind in ("Mn", "Me") else " " for kind in kinds).split()
+    flaws = (
+        (not 1 <= len(title) <= MAX_TITLE, f"1 to {MAX_TITLE} characters"),
+        (not _HARMFUL.isdisjoint(kinds), "no control, format or direction characters"),
+        (not spaces <= {" "}, "no other spaces than the usual one"),
+        (" ".join(title.split()) != title, "single spaces, and none at its ends"),
+        (unicodedata.normalize("NFC", title) != title, "the composed form of Unicode (NFC)"),
+        (kinds[:1] in _MARKS or max(map(len, runs), default=0) > _MAX_MARKS, "few combining marks"),
+        ("/" in title, "no slash: it would look like a name"),
+    )
+    return next((f"a title has {said}" for is_flawed, said in flaws if is_flawed), "")
+
+
+def read_titles(
+    part: Part | None, groups: Mapping[str, tuple[SubjectPattern, ...]], mistakes: Mistakes
+) -> dict[str, str]:
+    mapping = source.mapping(part, "title", mistakes)
+    found: dict[str, str] = {}
+    of_groups: dict[str, str] = {}
+    first: dict[str, YamlScalar] = {}
+    for text, (key, value) in mapping.entries.items() if mapping is not None else ():
+        title = source.text(value, f"the title of {text[:60]}", mistakes)
+        names = _names(text, key, groups, mistakes)
+        if title is not None and (flaw := flaw_of(title)):
+            mistakes.add(value, f"the title of {text[:60]}: {flaw}", "for example: Dr. Meier")
+            continue
+        if title is None or not names:
+            continue
+        same = title.casefold()
+        if same in first:
+            source.again(value, f"title: {title!r}", first[same], mistakes)
+        first.setdefault(same, key)
+        (of_groups if text in groups else found).update(dict.fromkeys(names, title))
+    return {**of_groups, **found}
+
+
+def _names(
+    text: str, key: YamlScalar, groups: Mapping[str, tuple[SubjectPattern, ...]], mistakes: Mistakes
+) -> tuple[str, ...]:
+    if text.startswith("/") or ":" in text:
+        name = source.subject(key, "title", mistakes)
+        return () if name is None else (name,)
+    if text in groups:
+        return tuple(each.node for each in groups[text] if each.node is not None)
+    hint = suggest(text, groups) if groups else "a name begins with /: /doctor, /robot/pose"
+    mistakes.add(key, f"title: {text[:60]!r} is neither a name nor a group", hint)
+    return ()
 
 
 _NAME: Final = r"[A-Za-z][A-Za-z0-9_]*"
@@ -344,6 +305,7 @@ _PATTERN: Final = {"type": "string", "pattern": rf"^(?:/{_SEGMENT})+$"}
 _OWN_NAMES: Final = rf"\{{node\}}(?:/{_SEGMENT})*|~(?:/{_SEGMENT})+"
 _RULE_PATTERN: Final = {"type": "string", "pattern": rf"^(?:(?:/{_SEGMENT})+|{_OWN_NAMES})$"}
 _TOPIC: Final = r"^(?:/|~/|\{node\})"
+_FIELD: Final = rf"^{_NAME}(?:\[\*\])?(?:\.{_NAME}(?:\[\*\])?)*$"
 _DURATION: Final = {"type": "string", "pattern": "^[1-9][0-9]{0,5}[smhdw]$"}
 _RENEW: Final = {"anyOf": [_DURATION, {"const": "never"}]}
 _TEXT: Final = {"type": "string", "minLength": 1, "maxLength": 1000}
@@ -374,38 +336,12 @@ def _one_or_many(item: dict[str, Any]) -> dict[str, Any]:
     return {"anyOf": [item, {"type": "array", "items": item, "minItems": 1}]}
 
 
-def _operator() -> dict[str, Any]:
-    found = _object(dict.fromkeys(sorted(OPERATORS), True))
-    return {**found, "minProperties": 1, "maxProperties": 1}
+def _named(item: dict[str, Any], names: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "object", "additionalProperties": item, "propertyNames": names}
 
 
-def _fields() -> dict[str, Any]:
-    path = rf"^{_NAME}(?:\[\*\])?(?:\.{_NAME}(?:\[\*\])?)*$"
-    return {
-        "type": "object",
-        "patternProperties": {path: {"$ref": "#/$defs/operator"}},
-        "additionalProperties": False,
-    }
-
-
-def _see() -> dict[str, Any]:
-    levels = {word.value: {"enum": list(names)} for word, names in LEVELS.items()}
-    return {**_object(levels), "minProperties": 1}
-
-
-def _vocabulary() -> dict[str, Any]:
-    path = rf"^{_NAME}(?:\[\*\])?(?:\.{_NAME}(?:\[\*\])?)*$"
-    fields = {
-        "type": "object",
-        "patternProperties": {path: {"enum": sorted(SAYABLE)}},
-        "additionalProperties": False,
-    }
-    names = {"pattern": rf"^(?:{_NAME}/{_NAME}|(?:/{_SEGMENT})+|{_OWN_NAMES})$"}
-    return {"type": "object", "additionalProperties": fields, "propertyNames": names}
-
-
-def _by_topic(item: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "object", "patternProperties": {_TOPIC: item}, "additionalProperties": False}
+def _by(pattern: str, item: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "object", "patternProperties": {pattern: item}, "additionalProperties": False}
 
 
 def _rule() -> dict[str, Any]:
@@ -421,8 +357,8 @@ def _rule() -> dict[str, Any]:
             "except": _one_or_many(_TEXT),
             **{effect: {"$ref": "#/$defs/rights"} for effect in effects},
             "when": _one_or_many(_TEXT),
-            "filter": {"anyOf": [plain, _by_topic(plain)]},
-            "see": {"anyOf": [{"$ref": "#/$defs/see"}, _by_topic({"$ref": "#/$defs/see"})]},
+            "filter": {"anyOf": [plain, _by(_TOPIC, plain)]},
+            "see": {"anyOf": [{"$ref": "#/$defs/see"}, _by(_TOPIC, {"$ref": "#/$defs/see"})]},
             "limit": _LIMIT,
             "on_stale": {"enum": ["cut", "keep"]},
             "lifetime": _DURATION,
@@ -451,17 +387,12 @@ def _test() -> dict[str, Any]:
         {
             "who": _TEXT,
             **{says.value: rights for says in Says},
-            "sees": {"type": "object", "patternProperties": {_TOPIC: seen}, "additionalProperties": False},
+            "sees": _by(_TOPIC, seen),
             "at": _one_or_many({"type": "string", "format": "date-time"}),
             "message": {"type": "object"},
         },
         "who",
     )
-
-
-def _titles() -> dict[str, Any]:
-    title = {"type": "string", "minLength": 1, "maxLength": MAX_TITLE, "pattern": "^[^/]*$"}
-    return {"type": "object", "additionalProperties": title}
 
 
 def schema() -> dict[str, Any]:
@@ -477,34 +408,26 @@ def schema() -> dict[str, Any]:
         }
     )
     types = {"type": "string", "pattern": f"^{_NAME}/{_NAME}$"}
+    title = {"type": "string", "minLength": 1, "maxLength": MAX_TITLE, "pattern": "^[^/]*$"}
+    said_of = {"pattern": rf"^(?:{_NAME}/{_NAME}|(?:/{_SEGMENT})+|{_OWN_NAMES})$"}
+    extras = {"type": "array", "items": {"enum": sorted(EXTRAS)}, "minItems": 1}
+    operator = _object(dict.fromkeys(sorted(OPERATORS), True))
+    levels = {word.value: {"enum": list(names)} for word, names in LEVELS.items()}
     top = _object(
         {
             "rossec": {"const": 1},
             "robot": _TEXT,
             "defaults": defaults,
-            "basics": {
-                "anyOf": [
-                    {"type": "boolean"},
-                    {"type": "array", "items": {"enum": sorted(EXTRAS)}, "minItems": 1},
-                ]
-            },
-            "identities": {
-                "type": "object",
-                "additionalProperties": {**identity, "minProperties": 1},
-                "propertyNames": {"pattern": "^[^/*]"},
-            },
-            "groups": {
-                "type": "object",
-                "additionalProperties": _one_or_many(_TEXT),
-                "propertyNames": {"pattern": "^(?!node$)[A-Za-z][A-Za-z0-9_-]{0,79}$"},
-            },
-            "types": {"type": "object", "additionalProperties": types, "propertyNames": _RULE_PATTERN},
-            "vocabulary": _vocabulary(),
+            "basics": {"anyOf": [{"type": "boolean"}, extras]},
+            "identities": _named({**identity, "minProperties": 1}, {"pattern": "^[^/*]"}),
+            "groups": _named(_one_or_many(_TEXT), {"pattern": "^(?!node$)[A-Za-z][A-Za-z0-9_-]{0,79}$"}),
+            "types": _named(types, _RULE_PATTERN),
+            "vocabulary": _named(_by(_FIELD, {"enum": sorted(SAYABLE)}), said_of),
             "rooms": {"type": "object", "additionalProperties": _TEXT, "minProperties": 1},
             "filters": {"type": "object", "additionalProperties": {"$ref": "#/$defs/fields"}},
             "rules": {"type": "array", "items": {"$ref": "#/$defs/rule"}},
             "tests": {"type": "array", "items": {"$ref": "#/$defs/test"}},
-            "title": _titles(),
+            "title": {"type": "object", "additionalProperties": title},
         },
         "rossec",
         "robot",
@@ -514,9 +437,9 @@ def schema() -> dict[str, Any]:
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "rossec policy",
         "$defs": {
-            "operator": _operator(),
-            "fields": _fields(),
-            "see": _see(),
+            "operator": {**operator, "minProperties": 1, "maxProperties": 1},
+            "fields": _by(_FIELD, {"$ref": "#/$defs/operator"}),
+            "see": {**_object(levels), "minProperties": 1},
             "rights": rights,
             "rule": rule,
             "test": _test(),

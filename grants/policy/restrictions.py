@@ -1,19 +1,9 @@
-"""Field filters and conditions in a policy: their notation, and whether they fit a type.
+"""The restrictions of a rule: filters, conditions, `limit` and `see`; whether they fit a type.
 
-The notation is shorter than in a grant: `{round: 2.0}` for `{round: {step: 2.0}}`. The operators
-are those of `grants.filters.operators`, so a policy supports exactly what its grants support.
-
-The `limit` of a rule: a rate, a slot, the body that its topics show, and padding.
-
-`see` in a rule: levels of words, for all topics of the rule or by topic, as a filter of each.
-
-`see: {position: room, image: no}`, or `see: {/robot/pose: {position: room}}`. What is said is an
-upper limit; a word that is not mentioned is shown as it is, unless it gives away one that is.
-
-Whether a right of a policy can be in a grant at all: checked before anything is signed.
-
-What is valid in a policy, rule by rule, may be too much for one grant: conditions of several rules
-on one topic hold together, so they cannot be divided. Such a right is refused alone, by its name.
+The notation is shorter than in a grant: `{round: 2.0}` for `{round: {step: 2.0}}`. The operators are those of
+`grants.filters.operators`, so a policy supports exactly what its grants support. Of `see` (`{position: room,
+image: no}`, or the same by topic) what is said is an upper limit; a word that is not mentioned is shown as it
+is, unless it gives away one that is.
 """
 
 import re
@@ -31,7 +21,7 @@ from grants.filters.compile import compile_filter, preset
 from grants.filters.layout import Array, Layout, Struct, Type
 from grants.filters.operators import OPERATORS, treatment_for
 from grants.limits import MAX_PAD, MAX_SLOT, MIN_PAD, MIN_SLOT, is_body
-from grants.model import FilterRule, Permission, Scalar
+from grants.model import FilterRule, Permission, Right, Scalar
 from grants.policy import source
 from grants.policy.model import Vocabulary
 from grants.policy.names import BEGINS_TOPIC
@@ -57,6 +47,11 @@ _SHORT: Final = {
     "hash": ("key",),
 }
 _FIELD: Final = re.compile(r"\bmsg((?:\.[A-Za-z]\w*)+)", re.ASCII)
+_KEYS: Final = ("rate", "slot", "body", "pad")
+MAX_ENTRIES: Final = 64  # of one grant, where what it says can be divided
+_MAX_TEXT: Final = 8 * 1024  # of one grant as text, which is longer than its encoding
+MAX_SCOPE: Final = MAX_SIZE - 2048  # the rest of a grant: names, keys, times and the signature
+_Right = TypeVar("_Right")
 
 
 @dataclass(frozen=True)
@@ -73,32 +68,30 @@ class ConditionRule:
 
 
 def read_fields(part: YamlMapping, mistakes: Mistakes) -> tuple[FieldRule, ...]:
-    rules = (_read_field(key, value, mistakes) for key, value in part.entries.values())
-    return tuple(rule for rule in rules if rule is not None)
-
-
-def _read_field(key: YamlScalar, part: Part, mistakes: Mistakes) -> FieldRule | None:
-    path = str(key.value)
-    if not isinstance(part, YamlMapping) or len(part.entries) != 1:
-        hint = "for example {round: 0.5} or {clear: true}"
-        mistakes.add(part, f"{path}: exactly one operator per field", hint)
-        return None
-    [(operator, (position, value))] = part.entries.items()
-    if operator not in OPERATORS:
-        hint = suggest(operator, OPERATORS)
-        mistakes.add(position, f"{path}: unknown operator {operator[:60]!r}", hint)
-        return None
-    parameters = _parameters(operator, value)
-    if parameters is None:
-        mistakes.add(value, f"{path}: invalid parameters of {operator}", _example(operator))
-        return None
-    try:
-        rule = FilterRule(path, operator, tuple(sorted(parameters.items())))
-        treatment_for(rule)
-    except GrantError as error:
-        mistakes.add(position, str(error), error.hint or _example(operator))
-        return None
-    return FieldRule(key, rule)
+    rules: list[FieldRule] = []
+    for key, treatment in part.entries.values():
+        path = str(key.value)
+        if not isinstance(treatment, YamlMapping) or len(treatment.entries) != 1:
+            hint = "for example {round: 0.5} or {clear: true}"
+            mistakes.add(treatment, f"{path}: exactly one operator per field", hint)
+            continue
+        [(operator, (position, value))] = treatment.entries.items()
+        if operator not in OPERATORS:
+            hint = suggest(operator, OPERATORS)
+            mistakes.add(position, f"{path}: unknown operator {operator[:60]!r}", hint)
+            continue
+        parameters = _parameters(operator, value)
+        if parameters is None:
+            mistakes.add(value, f"{path}: invalid parameters of {operator}", _example(operator))
+            continue
+        try:
+            rule = FilterRule(path, operator, tuple(sorted(parameters.items())))
+            treatment_for(rule)
+        except GrantError as error:
+            mistakes.add(position, str(error), error.hint or _example(operator))
+        else:
+            rules.append(FieldRule(key, rule))
+    return tuple(rules)
 
 
 def _parameters(operator: str, part: Part) -> dict[str, Scalar] | None:
@@ -130,10 +123,8 @@ def _example(operator: str) -> str:
 def check_fields(
     layout: Layout, rules: tuple[FieldRule, ...], position: SourcePosition, mistakes: Mistakes
 ) -> bool:
-    fits = True
-    for item in rules:
-        fits = _fits(layout, (item,), item.position, mistakes) and fits
-    return fits and _fits(layout, rules, position, mistakes)
+    single = [_fits(layout, (item,), item.position, mistakes) for item in rules]
+    return all(single) and _fits(layout, rules, position, mistakes)
 
 
 def _fits(layout: Layout, rules: tuple[FieldRule, ...], position: SourcePosition, mistakes: Mistakes) -> bool:
@@ -156,7 +147,7 @@ def check_preset(layout: Layout, name: str, position: SourcePosition, mistakes: 
 
 
 def read_condition(part: Part, mistakes: Mistakes) -> ConditionRule | None:
-    """Read one condition: its syntax is checked, not yet its types."""
+    # Its syntax is checked, not yet its types.
     text = part.value if isinstance(part, YamlScalar) else None
     if not isinstance(text, str):
         mistakes.add(part, "a condition must be text", "put it in single quotes")
@@ -182,8 +173,8 @@ def check_condition(layout: Layout, condition: ConditionRule, mistakes: Mistakes
     except ConditionRefused as error:
         paths = (found[1][1:] for found in _FIELD.finditer(condition.text))
         hints = [hint for path in paths if (hint := suggest_field(layout, path))]
-        message = f"{layout.type_name}: {error}"
-        mistakes.add(condition.position, message, hints[0] if hints else error.hint)
+        hint = hints[0] if hints else error.hint
+        mistakes.add(condition.position, f"{layout.type_name}: {error}", hint)
         return False
     return True
 
@@ -203,9 +194,6 @@ def suggest_field(layout: Layout, path: str) -> str:
     return ""
 
 
-_KEYS: Final = ("rate", "slot", "body", "pad")
-
-
 class _Whole(NamedTuple):
     key: str
     wrong: str
@@ -219,8 +207,6 @@ _PAD: Final = _Whole("pad", "padding to {:g} bytes", "bytes", MIN_PAD, MAX_PAD)
 
 
 class Limit(NamedTuple):
-    """What limits the messages of a rule's subscriptions; None where nothing does."""
-
     rate: float | None = None
     slot: int | None = None
     body: str | None = None
@@ -230,10 +216,7 @@ class Limit(NamedTuple):
 def read_limit(
     part: Part | None, topics: list[str], name: str, mistakes: Mistakes, *, seen: bool = True
 ) -> Limit:
-    """The limit of the rule `name` on `topics`; mistakes are added.
-
-    `seen`: it subscribes to them; what it only publishes has no slot and no body.
-    """
+    # `seen`: the rule subscribes to the topics; what it only publishes has no slot and no body.
     mapping = source.mapping(part, f"limit of rule {name}", mistakes)
     if mapping is None:
         return Limit()
@@ -244,13 +227,17 @@ def read_limit(
     elif not given:
         mistakes.add(mapping, f"rule {name}: an empty limit", "for example {rate: 1}")
     if not seen and given & {"slot", "body"}:
-        hint = "a rule that only publishes may have a rate"
         message = f"rule {name}: a slot or a body is of what is subscribed to"
-        mistakes.add(mapping, message, hint)
+        mistakes.add(mapping, message, "a rule that only publishes may have a rate")
+    body = source.text(mapping.get("body"), "body", mistakes) if "body" in given else None
+    if body is not None and not is_body(body):
+        hint = "a letter, then at most 63 letters, digits, - and _"
+        mistakes.add(mapping.entries["body"][1], f"not a name of a body: {body[:40]!r}", hint)
+        body = None
     return Limit(
         source.number(mapping.get("rate"), "rate", mistakes) if "rate" in given else None,
         _whole(mapping.get("slot"), _SLOT, mistakes) if "slot" in given else None,
-        _body(mapping.get("body"), mistakes) if "body" in given else None,
+        body,
         _whole(mapping.get("pad"), _PAD, mistakes) if "pad" in given else None,
     )
 
@@ -262,21 +249,7 @@ def _whole(part: Part | None, kind: _Whole, mistakes: Mistakes) -> int | None:
     if float(found).is_integer() and kind.least <= found <= kind.most:
         return int(found)
     if part is not None:
-        hint = f"whole {kind.units}, from {kind.least} to {kind.most}"
-        mistakes.add(part, kind.wrong.format(found), hint)
-    return None
-
-
-def _body(part: Part | None, mistakes: Mistakes) -> str | None:
-    found = source.text(part, "body", mistakes)
-    if found is None or is_body(found):
-        return found
-    if part is not None:
-        mistakes.add(
-            part,
-            f"not a name of a body: {found[:40]!r}",
-            "a letter, then at most 63 letters, digits, - and _",
-        )
+        mistakes.add(part, kind.wrong.format(found), f"whole {kind.units}, from {kind.least} to {kind.most}")
     return None
 
 
@@ -293,23 +266,12 @@ def read_see(
     if mapping is None:
         return {}
     if not topics or not mapping.entries:
-        hint = "add a subscribe right, or remove see"
-        mistakes.add(mapping, f"rule {name}: nothing to see", hint)
+        mistakes.add(mapping, f"rule {name}: nothing to see", "add a subscribe right, or remove see")
         return {}
     if not any(key.startswith(BEGINS_TOPIC) for key in mapping.entries):
         return dict.fromkeys(topics, _levels(mapping, mistakes))
-    found: dict[str, TopicLevels] = {}
-    what = f"see of rule {name}"
-    for topic, key, value in source.by_name(
-        mapping, what, lambda key: source.pattern(key, what, mistakes), mistakes
-    ):
-        inner = source.mapping(value, f"see of {topic}", mistakes)
-        if topic not in topics:
-            message = f"rule {name} has no subscribe right on {topic[:80]!r}"
-            mistakes.add(key, message, suggest(topic, topics))
-        elif inner is not None:
-            found[topic] = _levels(inner, mistakes)
-    return found
+    found = source.by_topic(mapping, "see", name, topics, Right.SUBSCRIBE, mistakes)
+    return {topic: _levels(inner, mistakes) for topic, (_, inner) in found.items()}
 
 
 def _levels(mapping: YamlMapping, mistakes: Mistakes) -> TopicLevels:
@@ -317,15 +279,11 @@ def _levels(mapping: YamlMapping, mistakes: Mistakes) -> TopicLevels:
     for name, (key, value) in mapping.entries.items():
         if name not in list(DataWord):
             mistakes.add(key, f"unknown word {name[:60]!r} in see", suggest(name, list(DataWord)))
-            continue
-        word = DataWord(name)
-        if word is DataWord.PRESENCE and getattr(value, "value", None) == NO:
+        elif name == DataWord.PRESENCE and getattr(value, "value", None) == NO:
             hint = "write minute or hour, or take the topic out of the rule"
             mistakes.add(value, "presence: a message that arrives tells it", hint)
-            continue
-        level = source.choice(value, f"level of {word}", LEVELS[word], mistakes)
-        if level is not None:
-            levels[word] = level
+        elif level := source.choice(value, f"level of {name}", LEVELS[DataWord(name)], mistakes):
+            levels[DataWord(name)] = level
     return TopicLevels(mapping, levels)
 
 
@@ -337,10 +295,7 @@ def resolve_levels(
     others: Iterable[FilterRule],
     mistakes: Mistakes,
 ) -> Resolved | None:
-    """The filter for messages of `layout` on `topic`; None if a level cannot be held.
-
-    `others` are the rules of a `filter` beside it: they may not be for the same fields.
-    """
+    # `others` are the rules of a `filter` beside it: they may not be for the same fields.
     coarse = any(level != EXACT for level in said.levels.values())
     for path, other in vocabulary.contradictions(layout, topic).items() if coarse else ():
         message = f"{topic}: the vocabulary says something else of {path} on {other}"
@@ -356,13 +311,8 @@ def resolve_levels(
     return found
 
 
-MAX_ENTRIES: Final = 64  # of one grant, where what it says can be divided
-_MAX_TEXT: Final = 8 * 1024  # of one grant as text, which is longer than its encoding
-MAX_SCOPE: Final = MAX_SIZE - 2048  # the rest of a grant: names, keys, times and the signature
-_Right = TypeVar("_Right")
-_TOO_LARGE: Final = "its conditions and filters are too large for one grant"
-
-
+# Conditions of several rules on one topic hold together, so what is valid rule by rule may be too much for
+# one grant and cannot be divided. Such a right is refused alone, by its name, before anything is signed.
 @lru_cache(maxsize=4096)
 def why_unsignable(permissions: tuple[Permission, ...]) -> str:
     """Why no grant can have these entries together, as every verifier would say; empty: it can."""
@@ -372,7 +322,7 @@ def why_unsignable(permissions: tuple[Permission, ...]) -> str:
                 check_syntax(text)
         scope = document.scope_of(permissions)
         if len(scope) > MAX_SCOPE:
-            return _TOO_LARGE
+            return "its conditions and filters are too large for one grant"
         document.read_scope(scope)
     except HintedError as error:
         return str(error)

@@ -1,20 +1,11 @@
-"""One rule of a policy: its subjects, its rights on names, and their restrictions.
+"""One rule of a policy: its subjects, its rights on names, and their restrictions; and the rule of `basics`.
 
-The restriction of a rule is determined for every topic of the rule separately, against the type of
-that topic: a filter that fits one of two topics is a mistake, not half a filter.
+The restriction of a rule is determined for every topic of the rule separately, against the type of that
+topic: a filter that fits one of two topics is a mistake, not half a filter.
 
-Who a rule is for: names and patterns, nodes of other domains, identities, and groups of these.
-
-A group is a list under a name (`groups: {robots: [/robot1, /robot2]}`) and may name other groups,
-never itself. It stands for its members wherever a rule says `who` or `except`; nothing else is a
-member. Identities and groups share one space of names, so that a word means one thing.
-
-`basics` of a policy: one more rule, which gives every node what every ROS program needs.
-
-`basics: true` is the table of `grants.request` and no more; `basics: [tf]` also lets every node
-subscribe to the transforms. The rule is a rule like any other: a denial overrides it, and `explain`
-names it. It lasts as long as the longest rule of the policy: else it would shorten the grants of
-wide rules, such as `param-get: /**`, that give its names too.
+A group (`groups: {robots: [/robot1, /robot2]}`) stands for its members wherever a rule says `who` or
+`except`; it may name other groups, never itself. Identities and groups share one space of names: a word means
+one thing.
 """
 
 import re
@@ -61,16 +52,17 @@ from grants.vocabulary.levels import Resolved, together
 MAX_MEMBERS: Final = 1000  # of one group, with those of the groups in it
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,79}", re.ASCII)
 
+_ID: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}", re.ASCII)
+_EFFECTS: Final = tuple(effect.value for effect in Effect)
+_RESTRICTING: Final = ("when", "filter", "see", "limit", "on_stale", "lifetime", "renew_until")
+_KEYS: Final = ("id", "why", "who", "except", *_EFFECTS, *_RESTRICTING)
+RIGHTS: Final = {right.label: right for right in ALL_RIGHTS}
+
 _Members = tuple[SubjectPattern, ...]
+_Fields = tuple[FieldRule, ...]
 
 
 class Subjects:
-    """Reads subjects in the context of the identities and groups of one policy.
-
-    Attributes:
-        groups: the members of each group, without groups.
-    """
-
     def __init__(
         self, mistakes: Mistakes, identities: Mapping[str, SubjectPattern], part: Part | None
     ) -> None:
@@ -79,7 +71,7 @@ class Subjects:
         self._parts = dict(self._named(source.mapping(part, "groups", mistakes)))
         self._within: dict[str, frozenset[str]] = {}  # the groups in each, itself among them
         self._used: set[str] = set()
-        self.groups: dict[str, _Members] = {}
+        self.groups: dict[str, _Members] = {}  # the members of each, without groups
         for name in self._parts:
             self._members_of(name, ())
 
@@ -133,9 +125,8 @@ class Subjects:
             found: dict[SubjectPattern, None] = {}
             for item in source.items(self._parts[name]):
                 found.update(dict.fromkeys(self._item(item, (*above, name))))
-            number = len(found)
             part = self._parts[name]
-            if number > MAX_MEMBERS:
+            if len(found) > MAX_MEMBERS:
                 hint = "give the nodes a namespace of their own: /robots/*"
                 self._mistakes.add(part, f"group {name} has more than {MAX_MEMBERS} members", hint)
             if not source.items(part):
@@ -163,16 +154,6 @@ class Subjects:
         return self._single(part, label)
 
 
-_ID: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}", re.ASCII)
-_EFFECTS: Final = tuple(effect.value for effect in Effect)
-_RESTRICTING: Final = ("when", "filter", "see", "limit", "on_stale", "lifetime", "renew_until")
-_ON_STALE: Final = ("cut", "keep")
-_KEYS: Final = ("id", "why", "who", "except", *_EFFECTS, *_RESTRICTING)
-RIGHTS: Final = {right.label: right for right in ALL_RIGHTS}
-
-_Fields = tuple[FieldRule, ...]
-
-
 @dataclass(frozen=True)
 class _TopicFilter:
     position: SourcePosition
@@ -181,24 +162,15 @@ class _TopicFilter:
     see: TopicLevels | None = None
 
 
+@dataclass
 class RuleReader:
-    def __init__(
-        self,
-        mistakes: Mistakes,
-        defaults: Defaults,
-        subjects: Subjects,
-        types: Mapping[str, str],
-        layouts: Mapping[str, Layout],
-        filters: Mapping[str, _Fields],
-        vocabulary: Vocabulary,
-    ) -> None:
-        self._mistakes = mistakes
-        self._defaults = defaults
-        self._subjects = subjects
-        self._types = types
-        self._layouts = layouts
-        self._filters = filters
-        self._vocabulary = vocabulary
+    _mistakes: Mistakes
+    _defaults: Defaults
+    _subjects: Subjects
+    _types: Mapping[str, str]
+    _layouts: Mapping[str, Layout]
+    _filters: Mapping[str, _Fields]
+    _vocabulary: Vocabulary
 
     def read(self, part: Part) -> PolicyRule | None:
         mapping = source.mapping(part, "a rule", self._mistakes)
@@ -213,7 +185,7 @@ class RuleReader:
             return None
         lifetime = source.duration(mapping.get("lifetime"), "lifetime", self._mistakes)
         renew = source.duration(mapping.get("renew_until"), "renew_until", self._mistakes, never=True)
-        stale = source.choice(mapping.get("on_stale"), "on_stale", _ON_STALE, self._mistakes)
+        stale = source.choice(mapping.get("on_stale"), "on_stale", ("cut", "keep"), self._mistakes)
         return PolicyRule(
             id=name,
             effect=effect,
@@ -235,17 +207,16 @@ class RuleReader:
             self._mistakes.add(mapping, f"rule {name} needs one of allow, deny and prompt", hint)
             return None, None
         [effect] = effects
-        for key in _RESTRICTING if effect is Effect.DENY else ():
-            if key in mapping.entries:
-                position = mapping.entries[key][0]
-                message = f"rule {name}: a deny rule cannot have {key!r}"
-                self._mistakes.add(position, message, "remove it, or write an allow rule")
+        present = [key for key in _RESTRICTING if key in mapping.entries]
+        for key in present if effect is Effect.DENY else ():
+            message = f"rule {name}: a deny rule cannot have {key!r}"
+            self._mistakes.add(mapping.entries[key][0], message, "remove it, or write an allow rule")
         rights = mapping.get(effect.value)
         return effect, source.mapping(rights, f"{effect.value} of rule {name}", self._mistakes)
 
     def _clauses(self, mapping: YamlMapping, rights: YamlMapping, name: str) -> tuple[Clause, ...]:
         named = self._named_rights(rights, name)
-        read = [read_condition(item, self._mistakes) for item in source.items(mapping.get("when"))]
+        read = (read_condition(item, self._mistakes) for item in source.items(mapping.get("when")))
         conditions = [when for when in read if when is not None]
         seen = [pattern for right, pattern, _ in named if right is Right.SUBSCRIBE]
         filtered = Right.SUBSCRIBE if seen else Right.PUBLISH
@@ -254,31 +225,20 @@ class RuleReader:
         for topic, see in read_see(mapping.get("see"), seen, name, self._mistakes).items():
             filters[topic] = replace(filters.get(topic, _TopicFilter(see.position)), see=see)
         limit = read_limit(mapping.get("limit"), topics, name, self._mistakes, seen=bool(seen))
-        if not seen:
-            self._check_written(filters)
+        for each in filters.values() if not seen else ():
+            if each.preset is not None or key_names(item.rule for item in each.fields):
+                message = "a preset or a pseudonym is for what is subscribed to, not published"
+                hint = "name the fields and their treatment, or add a subscribe right"
+                self._mistakes.add(each.position, message, hint)
         clauses: list[Clause] = []
         for right, pattern, position in named:
-            if right is filtered:
-                clauses += self._clause(right, pattern, position, conditions, filters, limit)
-            else:
-                clauses += self._clause(right, pattern, position, conditions, {}, Limit())
+            mine = (filters, limit) if right is filtered else ({}, Limit())
+            clauses += self._clause(right, pattern, position, conditions, *mine)
         restricting = conditions or filters or any(limit) or mapping.get("on_stale") is not None
         if restricting and any(right & ~MESSAGE_RIGHTS for right, _, _ in named):
-            self._mistakes.add(
-                rights,
-                f"rule {name}: parameters, graph and admin rights cannot have restrictions",
-                "put these rights into a separate rule",
-            )
+            message = f"rule {name}: parameters, graph and admin rights cannot have restrictions"
+            self._mistakes.add(rights, message, "put these rights into a separate rule")
         return tuple(clauses)
-
-    def _check_written(self, filters: Mapping[str, _TopicFilter]) -> None:
-        for each in filters.values():
-            if each.preset is not None or key_names(item.rule for item in each.fields):
-                self._mistakes.add(
-                    each.position,
-                    "a preset or a pseudonym is for what is subscribed to, not published",
-                    "name the fields and their treatment, or add a subscribe right",
-                )
 
     def _named_rights(self, rights: YamlMapping, name: str) -> list[tuple[Right, str, SourcePosition]]:
         if not rights.entries:
@@ -309,19 +269,14 @@ class RuleReader:
     ) -> list[Clause]:
         topic_filter = filters.get(pattern, _TopicFilter(position))
         kind = type_of(self._types, pattern)
-        reads_message = (
-            topic_filter.fields
-            or topic_filter.preset
-            or topic_filter.see
-            or any(when.reads_message for when in conditions)
-        )
+        treated = topic_filter.fields or topic_filter.preset or topic_filter.see
+        reads_message = treated or any(when.reads_message for when in conditions)
         if reads_message and not self._fits(right, pattern, position, kind, conditions, topic_filter):
             return []
         levels = self._levels(topic_filter, pattern, kind)
         if levels is None:
             return []
-        own = Resolved((), limit.rate, limit.slot)
-        given = self._treatment(topic_filter, kind, own, levels)
+        given = self._treatment(topic_filter, kind, Resolved((), limit.rate, limit.slot), levels)
         limits = (given.slot, limit.body, limit.pad)
         if not conditions and not given.rules and limits == (None, None, None):
             return [Clause(right, pattern, None, given.rate, kind)]
@@ -332,14 +287,8 @@ class RuleReader:
                     "for example limit: {slot: 30}",
                 )
             texts = tuple(dict.fromkeys(when.text for when in conditions))
-            restriction = Restriction(
-                kind if reads_message else None,
-                texts,
-                given.rules,
-                slot=given.slot,
-                body=limit.body,
-                pad=limit.pad,
-            )
+            of = kind if reads_message else None
+            restriction = Restriction(of, texts, given.rules, slot=given.slot, body=limit.body, pad=limit.pad)
             entry = Permission(any_node(pattern), right, replace(restriction, rate=given.rate))
             if reason := why_unsignable((entry,)):
                 raise GrantMalformed(reason, "write fewer or shorter conditions and filters")
@@ -352,9 +301,8 @@ class RuleReader:
         # What `see` of the rule adds for one topic; None if it does not fit.
         if topic_filter.see is None or kind is None:
             return Resolved()
-        layout = self._layouts[kind]
         others = self._treatment(topic_filter, kind).rules
-        see = topic_filter.see
+        layout, see = self._layouts[kind], topic_filter.see
         return resolve_levels(layout, self._vocabulary, pattern, see, others, self._mistakes)
 
     def _treatment(self, topic_filter: _TopicFilter, kind: str | None, *given: Resolved) -> Resolved:
@@ -384,12 +332,12 @@ class RuleReader:
             return False
         if kind not in self._layouts:
             return False  # the type itself is the mistake, and recorded
-        layout = self._layouts[kind]
+        layout, at = self._layouts[kind], topic_filter.position
         checked = [check_condition(layout, when, self._mistakes) for when in conditions]
         if topic_filter.preset is not None:
-            checked.append(check_preset(layout, topic_filter.preset, topic_filter.position, self._mistakes))
+            checked.append(check_preset(layout, topic_filter.preset, at, self._mistakes))
         if topic_filter.fields:
-            checked.append(check_fields(layout, topic_filter.fields, topic_filter.position, self._mistakes))
+            checked.append(check_fields(layout, topic_filter.fields, at, self._mistakes))
         return all(checked)
 
     def _filters_of(
@@ -404,19 +352,8 @@ class RuleReader:
             return {}
         if not any(key.startswith(BEGINS_TOPIC) for key in mapping.entries):
             return dict.fromkeys(topics, self._topic_filter(mapping, mapping))
-        found: dict[str, _TopicFilter] = {}
-        what = f"filter of rule {name}"
-        for topic, key, value in source.by_name(
-            mapping, what, lambda key: source.pattern(key, what, self._mistakes), self._mistakes
-        ):
-            if topic not in topics:
-                message = f"rule {name} has no {right.label} right on {topic[:80]!r}"
-                self._mistakes.add(key, message, suggest(topic, topics))
-                continue
-            inner = source.mapping(value, f"filter of {topic}", self._mistakes)
-            if inner is not None:
-                found[topic] = self._topic_filter(key, inner)
-        return found
+        found = source.by_topic(mapping, "filter", name, topics, right, self._mistakes)
+        return {topic: self._topic_filter(key, inner) for topic, (key, inner) in found.items()}
 
     def _topic_filter(self, position: SourcePosition, mapping: YamlMapping) -> _TopicFilter:
         if "use" not in mapping.entries:
@@ -429,21 +366,23 @@ class RuleReader:
         return _TopicFilter(position, preset=name)
 
 
+# `basics` of a policy: one more rule, which gives every node what every ROS program needs. `basics: true`
+# is the table of `grants.request`; `basics: [tf]` also lets every node subscribe to the transforms. A
+# denial overrides it, and `explain` names it.
 ID: Final = "basics"
 EXTRAS: Final = {"tf": (Right.SUBSCRIBE, TRANSFORMS)}
-_WHY: Final = "what every ROS program needs"
-_HINT: Final = "write basics: true, or basics: [tf] for the transforms too"
 
 
 def read_basics(part: Part | None, mistakes: Mistakes) -> tuple[str, ...] | None:
-    """What `basics` adds to the table: `tf`, or nothing; None without basics."""
+    # What it adds to the table: `tf`, or nothing; None without basics.
     if part is None or (isinstance(part, YamlScalar) and part.value is False):
         return None
     if isinstance(part, YamlScalar) and part.value is True:
         return ()
     items = source.items(part)
     if not items or isinstance(part, YamlScalar):
-        mistakes.add(part, "basics is true, false or a list", _HINT)
+        hint = "write basics: true, or basics: [tf] for the transforms too"
+        mistakes.add(part, "basics is true, false or a list", hint)
         return None
     found = (source.choice(item, "part of basics", EXTRAS, mistakes) for item in items)
     return tuple(dict.fromkeys(name for name in found if name is not None))
@@ -457,12 +396,14 @@ def basics_rule(
         right, names = EXTRAS[extra]
         clauses += [Clause(right, name) for name in names]
     lasting = [each for each in rules if each.effect is not Effect.DENY]
+    # It lasts as long as the longest rule: else it would shorten the grants of wide rules, such as
+    # `param-get: /**`.
     return PolicyRule(
         ID,
         Effect.ALLOW,
         (SubjectPattern(EVERYONE, "/**"),),
         tuple(clauses),
-        _WHY,
+        "what every ROS program needs",
         lifetime=max((each.lifetime for each in lasting), default=defaults.lifetime),
         renew_until=max((each.renew_until for each in lasting), default=defaults.renew_until),
         has_lifetime=True,

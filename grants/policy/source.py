@@ -1,27 +1,12 @@
-"""From YAML text to a tree in which every part has its position. A subset of YAML 1.2.
+"""From YAML text to a tree in which every part has its position. The only YAML reader.
 
-`grants.policy.source` bounds the text and refuses anchors, aliases, tags, directives and further
-documents; duplicate keys are refused here: otherwise the second of two equal keys would silently
-win. Plain scalars are texts unless they are clearly a number or true/false: `22:00`, `no` and
-`2026-11-20` stay as written.
-
-The only YAML reader: a stream of events, bounded before and while the text is parsed.
-
-The cost of YAML is in its structure, not in its bytes: an alias stands for a tree, a bracket for a
-level that the scanner checks with each token, a merge for another map. So the size is checked
-before parsing; anchors, aliases, tags outside the core schema, directives, further documents,
-depth and the number of events are checked with each event. No value is built before its event was
-checked. A merge key `<<` is an ordinary key. Pure.
-
-Mistakes in a policy file: position, message, and the value that was probably meant.
-
-Reading continues after a mistake, so that all of them are reported at once; then the file is
-refused as a whole. A `Policy` never has mistakes.
-
-Readers of the parts of a policy: text, duration, name pattern, key thumbprint.
-
-Each function takes a part and records a mistake if it is something else; it then returns None,
-and reading continues with the rest of the file.
+The cost of YAML is in its structure, not in its bytes: an alias stands for a tree, a merge for another map.
+So the size is checked before parsing, and anchors, aliases, tags, directives, further documents, depth and
+the number of events with each event, before a value is built. Duplicate keys are refused: the second would
+silently win. A merge key `<<` is an ordinary key; plain scalars are texts unless they are clearly a number or
+true/false (`22:00`, `no`, `2026-11-20` stay as written). Readers of a part record a mistake if it is
+something else and return None; reading goes on, so that all mistakes are reported at once. A file with one is
+refused: a `Policy` never has any.
 """
 
 import base64
@@ -31,7 +16,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Any, Final, Literal, NoReturn, Protocol, TypeAlias
+from typing import Any, Final, NoReturn, Protocol, TypeAlias
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
@@ -81,6 +66,12 @@ class Bounds:
     events: int = 300_000  # a few seconds of work; a rule of a policy has 30
 
 
+BOUNDS: Final = Bounds()  # 10,000 rules of 400 characters and 30 events
+MAX_SIZE: Final = BOUNDS.size
+MAX_MISTAKES: Final = 200  # more are not useful, and a hostile file must not cause a long report
+_MAX_SUGGESTIONS: Final = 12
+
+
 def events(text: str, bounds: Bounds, *, tags: bool = False) -> Iterator[Any]:
     if len(text) > bounds.size:
         raise YamlRefused(f"{len(text)} characters where at most {bounds.size} are allowed")
@@ -90,13 +81,15 @@ def events(text: str, bounds: Bounds, *, tags: bool = False) -> Iterator[Any]:
             documents += isinstance(event, DocumentStartEvent)
             depth += isinstance(event, _BEGINS)
             depth -= isinstance(event, _ENDS)
-            problem = _unsupported(event, tags=tags) or _over_limit(depth, documents, number, bounds)
+            problem = _unsupported(event, tags=tags)
+            if not problem and depth > bounds.depth:
+                problem = f"nested deeper than {bounds.depth}"
+            elif not problem and number > bounds.events:
+                problem = f"more than {bounds.events} YAML events"
+            elif not problem and documents > 1:
+                problem = "more than one document"
             if problem:
-                raise YamlRefused(
-                    problem,
-                    "write it without this feature, or in a smaller file",
-                    *position(event.start_mark),
-                )
+                _refuse(event, problem, "write it without this feature, or in a smaller file")
             yield event
     except MarkedYAMLError as error:
         raise YamlRefused(
@@ -125,16 +118,12 @@ def load_yaml(text: str, bounds: Bounds | None = None) -> object:
     invalid date stays a text. The tags `!!str`, `!!int`, `!!float`, `!!bool`, `!!null` and
     `!!binary` are accepted if the text is a value of that type.
     """
-    stream = events(text, bounds or Bounds(), tags=True)
+    stream = events(text, bounds or BOUNDS, tags=True)
     found = None
     for event in stream:  # to the end: a second document is refused there
         if isinstance(event, NodeEvent):
             found = _value(event, stream)
     return found
-
-
-def is_quoted(event: Any) -> bool:
-    return event.style in _QUOTED
 
 
 def _value(event: Any, stream: Iterator[Any]) -> object:
@@ -145,10 +134,6 @@ def _value(event: Any, stream: Iterator[Any]) -> object:
         while not isinstance(after := next(stream), SequenceEndEvent):
             items.append(_value(after, stream))
         return items
-    return _mapping(stream)
-
-
-def _mapping(stream: Iterator[Any]) -> dict[object, object]:
     found: dict[object, object] = {}
     while not isinstance(event := next(stream), MappingEndEvent):
         if not isinstance(event, ScalarEvent):
@@ -162,7 +147,7 @@ def _mapping(stream: Iterator[Any]) -> dict[object, object]:
 
 def _scalar(event: Any) -> object:
     kind, text = _tag(event), str(event.value)
-    if kind == "str" or (kind is None and is_quoted(event)):
+    if kind == "str" or (kind is None and event.style in _QUOTED):
         return text
     value = _bytes(text) if kind == "binary" else _plain(text)
     if kind == "float" and type(value) is int:
@@ -209,14 +194,6 @@ def _unsupported(event: Any, *, tags: bool) -> str:
     return "tags are not allowed"
 
 
-def _over_limit(depth: int, documents: int, number: int, bounds: Bounds) -> str:
-    if depth > bounds.depth:
-        return f"nested deeper than {bounds.depth}"
-    if number > bounds.events:
-        return f"more than {bounds.events} YAML events"
-    return "more than one document" if documents > 1 else ""
-
-
 def position(mark: Any) -> tuple[int, int]:
     return (1, 1) if mark is None else (mark.line + 1, mark.column + 1)
 
@@ -225,11 +202,9 @@ def _refuse(event: Any, problem: str, hint: str = "") -> NoReturn:
     raise YamlRefused(problem, hint, *position(event.start_mark))
 
 
-MAX_MISTAKES = 200  # more are not useful, and a hostile file must not cause a long report
-_MAX_SUGGESTIONS = 12
-
-
 class SourcePosition(Protocol):
+    """A part of the tree, or a refusal of its text."""
+
     @property
     def line(self) -> int: ...
 
@@ -259,7 +234,6 @@ class Mistakes:
     found: list[Mistake] = field(default_factory=list)
 
     def add(self, position: SourcePosition, message: str, hint: str = "") -> None:
-        """Record one mistake."""
         self.found.append(Mistake(position.line, position.column, message, hint, self.file))
         if len(self.found) >= MAX_MISTAKES:
             self.raise_all()
@@ -272,8 +246,8 @@ class Mistakes:
     def raise_all(self) -> NoReturn:
         """Raise `PolicyRefused` with all mistakes so far, at least one."""
         ordered = tuple(sorted(set(self.found)))
-        more = len(ordered) - 1
-        rest = f" (and {more} more, see: rossec policy check {self.file})" if more else ""
+        more = f" (and {len(ordered) - 1} more, see: rossec policy check {self.file})"
+        rest = more if len(ordered) > 1 else ""
         raise PolicyRefused(f"{ordered[0]}{rest}", ordered[0].hint, ordered)
 
 
@@ -288,9 +262,6 @@ def suggest(value: str, known: Iterable[str]) -> str:
     return f"expected one of {', '.join(values[:_MAX_SUGGESTIONS])}{more}"
 
 
-BOUNDS: Final = Bounds()  # 10,000 rules of 400 characters and 30 events
-MAX_SIZE: Final = BOUNDS.size
-
 _SOURCE_INT: Final = re.compile(r"[-+]?[0-9]{1,18}", re.ASCII)
 _SOURCE_FLOAT: Final = re.compile(
     r"[-+]?(?:[0-9]+\.[0-9]*|\.[0-9]+|[0-9]+)(?:[eE][-+]?[0-9]{1,3})?", re.ASCII
@@ -301,8 +272,6 @@ _BOOLEANS: Final = {"true": True, "false": False}
 
 @dataclass(frozen=True, eq=False)
 class YamlScalar:
-    """A single value."""
-
     value: Scalar
     line: int
     column: int
@@ -331,64 +300,52 @@ Part: TypeAlias = YamlScalar | YamlSequence | YamlMapping
 
 def read_source(text: str, mistakes: Mistakes, bounds: Bounds = BOUNDS) -> Part | None:
     """Read one YAML document; duplicate keys are recorded as mistakes and omitted."""
+    found = None
     try:
-        return _Builder(events(text, bounds), mistakes).document()
+        builder = _Builder(events(text, bounds), mistakes)
+        for event in builder.events:  # to the end: a second document is refused there
+            if isinstance(event, NodeEvent):
+                found = builder.part(event)
     except YamlRefused as error:
         mistakes.found.clear()  # earlier mistakes may be wrong
-        mistakes.add(error, str(error), _unquoted_own_name(text, error.line) or error.hint)
-    return mistakes.raise_all()
+        # `{node}/pose` without quotes begins a mapping of YAML.
+        lines = text.splitlines()[error.line - 1 : error.line] if error.line > 0 else []
+        own = any(_UNQUOTED.search(each) for each in lines)
+        hint = 'put own names in quotes: "{node}/pose", or write ~/pose' if own else error.hint
+        mistakes.add(error, str(error), hint)
+        mistakes.raise_all()
+    return found
 
 
-def _unquoted_own_name(text: str, line: int) -> str:
-    # What to write where `{node}/pose` has no quotes, and so begins a mapping of YAML.
-    lines = text.splitlines()[line - 1 : line] if line > 0 else []
-    found = any(_UNQUOTED.search(each) for each in lines)
-    return 'put own names in quotes: "{node}/pose", or write ~/pose' if found else ""
-
-
+@dataclass
 class _Builder:
-    def __init__(self, events: Iterator[Any], mistakes: Mistakes) -> None:
-        self._events = events
-        self._mistakes = mistakes
+    events: Iterator[Any]
+    mistakes: Mistakes
 
-    def document(self) -> Part | None:
-        found = None
-        for event in self._events:
-            if isinstance(event, NodeEvent):
-                found = self._part(event)
-        return found
-
-    def _part(self, event: Any) -> Part:
+    def part(self, event: Any) -> Part:
         if isinstance(event, ScalarEvent):
-            value: Scalar = event.value if is_quoted(event) else _source_plain(event.value)
-            return YamlScalar(value, *position(event.start_mark))
+            plain: Scalar = event.value if event.style in _QUOTED else _plain_scalar(event.value)
+            return YamlScalar(plain, *position(event.start_mark))
         line, column = position(event.start_mark)
         if isinstance(event, SequenceStartEvent):
             items = []
-            while not isinstance(item := next(self._events), SequenceEndEvent):
-                items.append(self._part(item))
+            while not isinstance(item := next(self.events), SequenceEndEvent):
+                items.append(self.part(item))
             return YamlSequence(tuple(items), line, column)
-        return YamlMapping(self._entries(), line, column)
-
-    def _entries(self) -> dict[str, tuple[YamlScalar, Part]]:
         entries: dict[str, tuple[YamlScalar, Part]] = {}
-        while not isinstance(event := next(self._events), MappingEndEvent):
-            key = self._part(event)
-            value = self._part(next(self._events))
+        while not isinstance(after := next(self.events), MappingEndEvent):
+            key, value = self.part(after), self.part(next(self.events))
             if not isinstance(key, YamlScalar):
-                self._mistakes.add(key, "a key must be a scalar")
-                continue
-            name = str(key.value)
-            if name in entries:
+                self.mistakes.add(key, "a key must be a scalar")
+            elif (name := str(key.value)) in entries:
                 first = f"{entries[name][0].line}:{entries[name][0].column}"
-                hint = "keep one of them"
-                self._mistakes.add(key, f"duplicate key {name!r}, first in {first}", hint)
-                continue
-            entries[name] = (key, value)
-        return entries
+                self.mistakes.add(key, f"duplicate key {name!r}, first in {first}", "keep one of them")
+            else:
+                entries[name] = (key, value)
+        return YamlMapping(entries, line, column)
 
 
-def _source_plain(text: str) -> Scalar:
+def _plain_scalar(text: str) -> Scalar:
     if text in _BOOLEANS:
         return _BOOLEANS[text]
     if _SOURCE_INT.fullmatch(text):
@@ -396,7 +353,6 @@ def _source_plain(text: str) -> Scalar:
     return float(text) if _SOURCE_FLOAT.fullmatch(text) else text
 
 
-NEVER: Final = "never"
 _UNITS: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
 _DURATION: Final = re.compile(r"([1-9][0-9]{0,5})([smhdw])", re.ASCII)
 _KEY: Final = re.compile(r"sha256:([0-9a-f]{64})", re.ASCII)
@@ -405,8 +361,6 @@ _PARTIAL_STAR: Final = (
     " anonymous nodes, /rviz_..., are one identity: /rviz"
 )
 _MAX_TEXT: Final = 1000
-
-What: TypeAlias = Literal["mapping", "text", "list"]
 
 
 def mapping(part: Part | None, what: str, mistakes: Mistakes) -> YamlMapping | None:
@@ -444,18 +398,31 @@ def by_name(
     first: dict[str, YamlScalar] = {}
     for key, value in part.entries.values() if part is not None else ():
         name = read(key)
-        if name is None:
-            continue
-        if name in first:
+        if name is not None and name in first:
             again(key, f"{what}: {name[:80]!r}", first[name], mistakes)
-            continue
-        first[name] = key
-        yield name, key, value
+        elif name is not None:
+            first[name] = key
+            yield name, key, value
+
+
+def by_topic(
+    part: YamlMapping, what: str, rule: str, topics: Collection[str], right: Right, mistakes: Mistakes
+) -> dict[str, tuple[YamlScalar, YamlMapping]]:
+    """What a rule says for some of its topics, `filter` or `see`: a mapping for each."""
+    found: dict[str, tuple[YamlScalar, YamlMapping]] = {}
+    of_rule = f"{what} of rule {rule}"
+    for topic, key, value in by_name(part, of_rule, lambda key: pattern(key, of_rule, mistakes), mistakes):
+        inner = mapping(value, f"{what} of {topic}", mistakes)
+        if topic not in topics:
+            message = f"rule {rule} has no {right.label} right on {topic[:80]!r}"
+            mistakes.add(key, message, suggest(topic, topics))
+        elif inner is not None:
+            found[topic] = (key, inner)
+    return found
 
 
 def again(key: Part, what: str, first: Part, mistakes: Mistakes) -> None:
-    message = f"{what} a second time, first in {first.line}:{first.column}"
-    mistakes.add(key, message, "keep one of them")
+    mistakes.add(key, f"{what} a second time, first in {first.line}:{first.column}", "keep one of them")
 
 
 def text(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
@@ -478,7 +445,7 @@ def duration(part: Part | None, what: str, mistakes: Mistakes, *, never: bool = 
     if part is None:
         return None
     value = part.value if isinstance(part, YamlScalar) else None
-    if never and value == NEVER:
+    if never and value == "never":
         return 0
     match = _DURATION.fullmatch(value) if isinstance(value, str) else None
     if match is None:
@@ -489,7 +456,10 @@ def duration(part: Part | None, what: str, mistakes: Mistakes, *, never: bool = 
 
 
 def pattern(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
-    value = _pattern_text(part, what, mistakes)
+    if isinstance(part, YamlMapping) and list(part.entries) == [NODE[1:-1]]:
+        mistakes.add(part, f"{what}: {NODE} without quotes", f'put it in quotes: "{NODE}"')
+        return None
+    value = text(part, what, mistakes)
     if value is None or part is None:
         return None
     try:
@@ -499,21 +469,12 @@ def pattern(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
         return None
 
 
-def _pattern_text(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
-    if isinstance(part, YamlMapping) and list(part.entries) == [NODE[1:-1]]:
-        mistakes.add(part, f"{what}: {NODE} without quotes", f'put it in quotes: "{NODE}"')
-        return None
-    return text(part, what, mistakes)
-
-
 def own_pattern(part: Part | None, what: str, right: Right, mistakes: Mistakes) -> str | None:
-    value = _pattern_text(part, what, mistakes)
-    if value is None or part is None:
-        return None
-    foreign = ":" in value or is_alias(value)
-    if foreign and (right is not Right.GRAPH or ":" in value):
+    value = part.value if isinstance(part, YamlScalar) else None
+    said = value if isinstance(value, str) and len(value) <= _MAX_TEXT else ""
+    if part is not None and (":" in said or (is_alias(said) and right is not Right.GRAPH)):
         hint = "its own authority grants rights on it, by its name there"
-        mistakes.add(part, f"{what}: {value[:80]!r} is a name of another domain", hint)
+        mistakes.add(part, f"{what}: {said[:80]!r} is a name of another domain", hint)
         return None
     return pattern(part, what, mistakes)
 

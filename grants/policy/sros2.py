@@ -1,17 +1,16 @@
 """Conversion of SROS2 policies (XML): kept exactly, or narrower and said, or refused.
 
-Read: `policy/enclaves/enclave/profiles/profile(ns, node)` with `topics`, `services` and `actions`
-(design article "ROS 2 access control policies"). DTDs are refused before anything in them is
-read. SROS2 matches with fnmatch, whose `*` stands for any characters, `/` too: a last segment `*`
-is `**` here, and a `*` before it is so as well. What is allowed may become narrower or be left out,
-and is reported; what is denied is kept as wide as it is, or the policy is refused, as is one with
-parts that are not read: they may deny.
+Read: `policy/enclaves/enclave/profiles/profile(ns, node)` with `topics`, `services` and `actions` (design
+article "ROS 2 access control policies"). SROS2 matches with fnmatch, whose `*` stands for any characters, `/`
+too: so it is `**` here. What is allowed may become narrower or be left out, and is reported; what is denied
+is kept as wide as it is, or the policy is refused, as is one with parts that are not read: they may deny.
+DTDs are refused before anything in them is read.
 """
 
 import io
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple
 from xml.etree.ElementTree import ParseError
 
@@ -57,14 +56,8 @@ _BELOW: Final[dict[str, frozenset[str]]] = {
 _GOALS: Final = ("goal", "cancel")
 _RESULTS: Final = ("status", "feedback", "result")
 _ROS2_ONLY: Final = (
-    "parameter_events",
-    "describe_parameters",
-    "get_parameter_types",
-    "get_parameters",
-    "list_parameters",
-    "set_parameters",
-    "set_parameters_atomically",
-    "get_type_description",
+    *("parameter_events", "describe_parameters", "get_parameter_types", "get_parameters"),
+    *("list_parameters", "set_parameters", "set_parameters_atomically", "get_type_description"),
 )
 
 
@@ -73,9 +66,8 @@ def import_sros2(xml: str) -> tuple[str, list[str]]:
     root = _parse(xml)
     found = _Found()
     if root.get("version") != VERSION:
-        found.notes.append(
-            f"{_READ}the policy is of version {root.get('version', '(none)')[:20]!a}, as {VERSION}"
-        )
+        version = root.get("version", "(none)")[:20]
+        found.notes.append(f"{_READ}the policy is of version {version!a}, as {VERSION}")
     rules: list[NewRule] = []
     taken: set[str] = set()
     repeated: Counter[str] = Counter()
@@ -83,10 +75,10 @@ def import_sros2(xml: str) -> tuple[str, list[str]]:
     for profile in root.iter("profile"):
         for rule in _profile(profile, found):
             repeated[rule.id] += 1
-            duplicate = repeated[rule.id] > 1
-            name = free_id(taken, f"{rule.id}-{repeated[rule.id]}" if duplicate else rule.id)
+            number = repeated[rule.id]
+            name = free_id(taken, f"{rule.id}-{number}" if number > 1 else rule.id)
             taken.add(name)
-            rules.append(NewRule(name, rule.why, rule.who, rule.effect, rule.rights))
+            rules.append(replace(rule, id=name))
     if found.lost:
         raise PolicyRefused(
             f"{len(found.lost)} parts of this policy cannot be kept as they are: {found.lost[0]}",
@@ -211,7 +203,7 @@ def _read_group(
         pattern = _deep(asked)
         if effect == "allow" and pattern.rsplit("/", 1)[-1] in _ROS2_ONLY:
             found.notes.append(f"{read.node}: {pattern} exists in ROS 2 only")
-        elif not _is_pattern(pattern) or (effect == "deny" and not _is_kept(asked)):
+        elif not _is_pattern(pattern) or (effect == "deny" and any(mark in asked for mark in "?[]")):
             lost = found.lost if effect == "deny" else found.notes
             lost.append(f"{where} {asked} is not a pattern of whole segments")
         else:
@@ -223,11 +215,6 @@ def _read_group(
 
 def _deep(pattern: str) -> str:
     return "/".join("**" if part == "*" else part for part in pattern.split("/"))
-
-
-def _is_kept(pattern: str) -> bool:
-    # `/a/*` is also `/a/` for fnmatch, which is no name.
-    return not any(mark in pattern for mark in "?[]")
 
 
 def _rights(attribute: str, labels: tuple[str, ...], name: str) -> list[tuple[str, str]]:

@@ -1,25 +1,14 @@
 """What a policy gives a node outright: the wanted state, which `rossec policy apply` makes true.
 
-Each clause of an allowing rule is decided whole, as a request for its pattern would be. Only what
-is allowed is wanted: what a person decides is left to a person, and a pattern of which one name is
-denied is withheld whole: a grant cannot say "except". Both are reported with their rules.
-
-From verdicts to grants: what the authority may sign for a node, no more than was decided.
-
-A right that the policy restricts in several rules becomes several permissions in one grant, each
-with its restriction: the verifier of the grant applies all of them.
-
-What is signed and in force for a right, whatever the policy says of it today. Pure.
-
-A grant holds until it ends or is revoked: one signed by hand, or before a rule was changed, is used
-by its node and accepted by every verifier. So what a policy says is said beside what is in force.
-
-What a policy would grant to a name: shown before the name is certified for a key.
+Each clause of an allowing rule is decided whole, as a request for its pattern would be. Only what is allowed
+is wanted: what a person decides is left to a person, and a pattern of which one name is denied is withheld
+whole: a grant cannot say "except". Both are reported with their rules. Also here: from verdicts to grants, no
+more than was decided, and what is in force for a right, whatever the policy says of it today.
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from ca.names import is_alias, shown, tail_base
 from grants.errors import PolicyRefused
@@ -40,9 +29,7 @@ class Plan:
 
 
 def plan(decider: Decider, subject: Subject, rights: Iterable[RequestedRight]) -> Plan:
-    verdicts = [
-        decider.decide(subject, requested.right, requested.pattern) for requested in sorted(set(rights))
-    ]
+    verdicts = [decider.decide(subject, each.right, each.pattern) for each in sorted(set(rights))]
     by = {effect: tuple(v for v in verdicts if v.effect is effect) for effect in Effect}
     return Plan(by[Effect.ALLOW], by[Effect.PROMPT], by[Effect.DENY])
 
@@ -114,45 +101,30 @@ def drafts(
 
 def permissions(verdict: Verdict) -> list[Permission]:
     """The permissions of a grant for `verdict`."""
-    restrictions: list[Restriction | None] = list(verdict.restrictions) or [None]
-    if verdict.rate is not None:
-        restrictions = [_limited(item, verdict.rate) for item in restrictions]
+    # Several restrictions become several entries of one grant: its verifier applies all of them.
+    more: dict[str, Any] = {} if verdict.rate is None else {"rate": verdict.rate}
     if verdict.keep_when_stale:
-        restrictions = [_keep_when_stale(item) for item in restrictions]
+        more["keep_when_stale"] = True
+    restrictions = [replace(item, **more) for item in verdict.restrictions]
+    if not restrictions:
+        return [Permission(verdict.name, verdict.right, Restriction(**more) if more else None)]
     return [Permission(verdict.name, verdict.right, item) for item in restrictions]
 
 
-def _keep_when_stale(restriction: Restriction | None) -> Restriction:
-    base = Restriction(keep_when_stale=True)
-    return base if restriction is None else replace(restriction, keep_when_stale=True)
-
-
-def _limited(restriction: Restriction | None, rate: float) -> Restriction:
-    return Restriction(rate=rate) if restriction is None else replace(restriction, rate=rate)
-
-
-Atom = tuple[Right, str]
-"""One right on one name or pattern."""
-
+Atom = tuple[Right, str]  # one right on one name or pattern
 _Key = tuple[bool | str | int, ...]
 
 
 @dataclass(frozen=True)
 class WantedRight:
-    """One right on one pattern, as the policy gives it.
-
-    Args:
-        permissions: the entries of a grant that say so; all of them hold together.
-        rules: the deciding rules.
-        lifetime, renew_until: seconds; `renew_until` 0 is never.
-    """
+    """One right on one pattern, as the policy gives it."""
 
     right: Right
     pattern: str
-    permissions: tuple[Permission, ...]
-    rules: tuple[PolicyRule, ...]
-    lifetime: int
-    renew_until: int
+    permissions: tuple[Permission, ...]  # the entries of a grant that say so; all of them hold together
+    rules: tuple[PolicyRule, ...]  # those that decide
+    lifetime: int  # seconds
+    renew_until: int  # 0 is never
 
     @classmethod
     def of(cls, verdict: Verdict) -> "WantedRight":
@@ -226,17 +198,16 @@ class WantedState:
     def decide(self, subject: Subject, atom: Atom) -> Verdict:
         """As `Decider.decide`, of a right and a pattern that were checked before."""
         rules, key = self._rules_of(subject)
-        verdict = self._verdicts.get((key, atom))
-        if verdict is None:
-            verdict = self._decider.decide_by(rules, subject, *atom)
-            self._verdicts[key, atom] = verdict
-        return replace(verdict, subject=subject)
+        if (key, atom) not in self._verdicts:
+            self._verdicts[key, atom] = self._decider.decide_by(rules, subject, *atom)
+        return replace(self._verdicts[key, atom], subject=subject)
 
     def _rules_of(self, subject: Subject) -> tuple[list[PolicyRule], _Key]:
         if self._last[0] != subject:
             rules = self._decider.rules_of(subject)
             # No master renews grants of foreigners, so they share nothing with own nodes.
-            own = (subject.name,) if subject.tail or any(map(_has_own_names, rules)) else ()
+            own_names = any(is_own(clause.pattern) for rule in rules for clause in rule.clauses)
+            own = (subject.name,) if subject.tail or own_names else ()
             key = (is_alias(subject.name), subject.tail, *own, *map(id, rules))
             self._last = (subject, rules, key)
         return self._last[1:]
@@ -245,10 +216,6 @@ class WantedState:
 def rule_ids(rules: Iterable[PolicyRule]) -> str:
     """The ids of `rules`, as text."""
     return " ".join(sorted({rule.id for rule in rules}))
-
-
-def _has_own_names(rule: PolicyRule) -> bool:
-    return any(is_own(clause.pattern) for clause in rule.clauses)
 
 
 def _clauses(rules: list[PolicyRule], subject: Subject) -> Iterator[tuple[PolicyRule, Atom]]:
@@ -270,10 +237,9 @@ def in_force(
 ) -> list[Grant]:
     """The grants by which a node can use `right` on `name`, or on a part of it, at `now`.
 
-    Args:
-        keys: those the node may prove to hold.
-        name: a name or a pattern; of a parameter with all that is below it.
-        revoked: ids of grants and keys.
+    One signed by hand, or before a rule was changed, is accepted by every verifier until it ends or is
+    revoked, whatever the policy says today. `keys`: those the node may prove to hold; `revoked`: ids of
+    grants and keys.
     """
     return [
         grant

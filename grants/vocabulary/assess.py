@@ -1,14 +1,10 @@
 """What filters and a rate let through, in the words of people: from the rules back to levels.
 
-For rules of any origin: a level of a policy, a preset, a filter by hand, a grant of long ago. Only
-what is certain counts: a word is at a level if every field that tells it is treated at least as
-strictly as by that level, and the rate is no higher; one open relative makes it exact, and so does
-a condition on one: conditions read messages as they are, and that one comes tells what held. Times
-do not count (every attack used the time of arrival), nor what may be recognised in a picture.
-
-How words and levels are said: `where it is: the room; not how it moves`.
-
-One table, for the command line and the console. The numbers are those of the table of levels.
+For rules of any origin: a level of a policy, a preset, a filter by hand, a grant of long ago. Only what is
+certain counts: a word is at a level if every field that tells it is treated at least as strictly as by that
+level, and the rate is no higher; one open relative makes it exact, and so does a condition on one: conditions
+read messages as they are, and that one comes tells what held. Times do not count (every attack used the time
+of arrival), nor what may be recognised in a picture.
 """
 
 import math
@@ -43,34 +39,52 @@ _UNCOUNTED: Final = TIMES | FRAMES
 # once leaves 0.82 m): movement through the borders averages the steps away.
 _SELDOM: Final = 0.2
 _PER_RECEIVER: Final = ("per", RECEIVER)
+_MAX_CONDITIONS: Final = 3
+_MAX_TEXT: Final = 80
+TOPICS: Final[Mapping[DataWord, str]] = {
+    DataWord.POSITION: "where it is",
+    DataWord.MOVEMENT: "how it moves",
+    DataWord.IMAGE: "pictures",
+    DataWord.SOUND: "sound",
+    DataWord.PRESENCE: "when it is there",
+    DataWord.IDENTITY: "names and numbers of devices",
+    DataWord.HOME: "the state of the home",
+}
+HIDDEN: Final[Mapping[DataWord, str]] = {
+    DataWord.POSITION: "not where it is",
+    DataWord.MOVEMENT: "not how it moves",
+    DataWord.IMAGE: "no pictures",
+    DataWord.SOUND: "no sound",
+    DataWord.IDENTITY: "no names and numbers of devices",
+    DataWord.HOME: "nothing of the state of the home",
+}
+SAID: Final[Mapping[tuple[DataWord, str], str]] = {
+    (DataWord.POSITION, "room"): "the room",
+    (DataWord.POSITION, "area"): "the area",
+    (DataWord.MOVEMENT, "rough"): "roughly",
+    (DataWord.IMAGE, "blurred"): "blurred",
+    (DataWord.PRESENCE, "minute"): "to the minute",
+    (DataWord.PRESENCE, "hour"): "to the hour",
+    (DataWord.IDENTITY, "pseudonym"): "as pseudonyms",
+    (DataWord.HOME, "rough"): "roughly",
+}
 
 
 class Seen(NamedTuple):
-    """How one word is let through.
-
-    Args:
-        level: the coarsest that holds; `exact` holds always.
-        size: of a position, metres of the finest step if no relative gives it away, infinite if
-            it is hidden; else 0. At full rate it is less than it says: `level` needs the rate.
-        open: the fields that keep it from being coarser than `exact`.
-        by: with all its own fields hidden: the words whose fields still tell it.
-        conditions: those on fields that tell it, as they are written: `level` is then `exact`.
-        besides: the level if these conditions were not there.
-        is_often: whether messages come so often that a position is known better than by `size`.
-        is_shared: whether names are pseudonyms that are the same for every receiver.
-        outdoors: the type is of degrees on the earth.
-    """
+    """How one word is let through."""
 
     word: DataWord
-    level: str
+    level: str  # the coarsest that holds; `exact` holds always
+    # Of a position, metres of the finest step if no relative gives it away, infinite if it is hidden; else
+    # 0. At full rate it is less than it says: `level` needs the rate.
     size: float = 0.0
-    open: tuple[str, ...] = ()
-    by: tuple[DataWord, ...] = ()
-    conditions: tuple[str, ...] = ()
-    besides: str = EXACT
-    is_often: bool = False
-    is_shared: bool = False
-    outdoors: bool = False
+    open: tuple[str, ...] = ()  # the fields that keep it from being coarser than `exact`
+    by: tuple[DataWord, ...] = ()  # with all its own fields hidden: the words whose fields still tell it
+    conditions: tuple[str, ...] = ()  # those on fields that tell it, as written: `level` is then `exact`
+    besides: str = EXACT  # the level if these conditions were not there
+    is_often: bool = False  # messages come so often that a position is known better than by `size`
+    is_shared: bool = False  # names are pseudonyms that are the same for every receiver
+    outdoors: bool = False  # the type is of degrees on the earth
 
     @property
     def size_text(self) -> str:
@@ -94,21 +108,20 @@ def assess(
     rate: float | None = None,
     words: Sequence[DataWord] | None = None,
 ) -> dict[DataWord, Seen]:
-    """How messages are let through under all of these restrictions together.
+    """How messages are let through under all of these restrictions of one right together.
 
-    Args:
-        description: of the type.
-        restrictions: those of one right; a condition makes what it reads exact.
-        rate: a further one, messages a second.
-        words: which; without them those the type carries as its own. A word that the type tells
-            only by relatives, as a velocity the position, can be asked for.
+    `rate` is a further one, messages a second. Without `words` those the type carries as its own; a word
+    that it tells only by relatives, as a velocity the position, can be asked for.
     """
     given = list(restrictions)
     rules = [rule for each in given for rule in each.filters]
     rates = [each for each in (rate, *(each.rate for each in given)) if each is not None]
     slots = [each.slot for each in given if each.slot is not None]
     limits = _Limits(min(rates, default=math.inf), max(slots, default=0), outdoors=description.is_outdoors)
-    treated = [(field, _of(rules, field.path)) for field in description.fields]
+    treated = [
+        (field, [Treatment(rule.operator, rule.parameters) for rule in filters_of(rules, field.path)])
+        for field in description.fields
+    ]
     asked = description.words if words is None else words
     texts = list(dict.fromkeys(text for each in given for text in each.conditions))
     return {word: _seen(word, treated, limits, texts) for word in asked if description.tells(word)}
@@ -126,10 +139,6 @@ class _Limits(NamedTuple):
         if word is DataWord.PRESENCE:
             return self.slot >= slot
         return interval * _ALMOST >= slot and (level.rate is None or interval * _ALMOST * level.rate >= 1)
-
-    @property
-    def are_often(self) -> bool:
-        return max(1 / self.rate, self.slot) * _SELDOM * _ALMOST < 1
 
 
 _Treated = list[tuple[FieldContent, list[Treatment]]]
@@ -151,20 +160,16 @@ def _seen(word: DataWord, treated: _Treated, limits: _Limits, conditions: Sequen
         for field, found in telling
         if is_open and (not found or any(reads(text, field.path) for text in told))
     )
-    is_often = limits.are_often and 0 < size < math.inf
-    shared = _are_shared(word, telling, limits) if level == EXACT else False
-    by = _others(word, telling)
-    rest = (told, besides, is_often, shared, limits.outdoors)
-    return Seen(word, level, size, open_fields, by, *rest)
-
-
-def _are_shared(word: DataWord, telling: _Treated, limits: _Limits) -> bool:
-    # Whether only `per: receiver` is missing to a level of pseudonyms.
+    is_often = max(1 / limits.rate, limits.slot) * _SELDOM * _ALMOST < 1 and 0 < size < math.inf
+    # Only `per: receiver` is missing to a level of pseudonyms.
     personal = [
         (field, [each._replace(parameters=(*each.parameters, _PER_RECEIVER)) for each in found])
         for field, found in telling
     ]
-    return word is DataWord.IDENTITY and _level(word, personal, limits) != EXACT
+    is_shared = word is DataWord.IDENTITY and level == EXACT and _level(word, personal, limits) != EXACT
+    shown = {field.meaning.own for field, found in telling if not any(map(_hides, found))}
+    by = () if word in shown else tuple(other for other in DataWord if other in shown)
+    return Seen(word, level, size, open_fields, by, told, besides, is_often, is_shared, limits.outdoors)
 
 
 def _level(word: DataWord, telling: _Treated, limits: _Limits) -> str:
@@ -186,16 +191,14 @@ def _holds(level: Level, telling: _Treated) -> bool:
     return True
 
 
-def _others(word: DataWord, telling: _Treated) -> tuple[DataWord, ...]:
-    shown = {field.meaning.own for field, found in telling if not any(map(_hides, found))}
-    return () if word in shown else tuple(other for other in DataWord if other in shown)
-
-
 def _is_at_least(found: Treatment, wanted: Treatment) -> bool:
     if _hides(found):
         return True
     if found.operator == levels.OPERATOR:
-        return wanted == _ROOM and _are_rooms(found)
+        # As large, and with a hysteresis as wide, as a policy's `rooms` must be.
+        kept = float(dict(found.parameters).get("hysteresis", 0))
+        wide = levels.narrowest(found) >= levels.NARROWEST and levels.smallest(found) >= levels.SMALLEST
+        return wanted == _ROOM and wide and kept >= levels.HYSTERESIS
     if found.operator != wanted.operator:
         return False
     has, needs = dict(found.parameters), dict(wanted.parameters)
@@ -208,13 +211,6 @@ def _is_at_least(found: Treatment, wanted: Treatment) -> bool:
     return all(float(has.get(name, 0)) >= float(needs[name]) for name in at_least) and all(
         float(has.get(name, math.inf)) <= float(needs[name]) for name in at_most
     )
-
-
-def _are_rooms(found: Treatment) -> bool:
-    # Whether they are as large, and their hysteresis as wide, as a policy's `rooms` must be.
-    kept = float(dict(found.parameters).get("hysteresis", 0))
-    wide = levels.narrowest(found) >= levels.NARROWEST and levels.smallest(found) >= levels.SMALLEST
-    return wide and kept >= levels.HYSTERESIS
 
 
 def _hides(treatment: Treatment) -> bool:
@@ -250,56 +246,25 @@ def _cell(field: FieldContent, found: Iterable[Treatment]) -> float:
     return 0.0
 
 
-def _of(rules: Iterable[FilterRule], path: str) -> list[Treatment]:
+def filters_of(filters: Iterable[FilterRule], path: str) -> list[FilterRule]:
+    """The rules that apply to the field at `path`: its own, and those of its parents.
+
+    `sort` of an array hides which element is which, but nothing of its fields.
+    """
     steps = path.replace("[*]", "").split(".")
     found = []
-    for rule in rules:
+    for rule in filters:
         above = rule.path.replace("[*]", "").split(".")
         if steps[: len(above)] == above and rule.operator != "sort":
-            found.append(Treatment(rule.operator, rule.parameters))
+            found.append(rule)
     return found
-
-
-TOPICS: Final[Mapping[DataWord, str]] = {
-    DataWord.POSITION: "where it is",
-    DataWord.MOVEMENT: "how it moves",
-    DataWord.IMAGE: "pictures",
-    DataWord.SOUND: "sound",
-    DataWord.PRESENCE: "when it is there",
-    DataWord.IDENTITY: "names and numbers of devices",
-    DataWord.HOME: "the state of the home",
-}
-SAID: Final[Mapping[tuple[DataWord, str], str]] = {
-    (DataWord.POSITION, "room"): "the room",
-    (DataWord.POSITION, "area"): "the area",
-    (DataWord.MOVEMENT, "rough"): "roughly",
-    (DataWord.IMAGE, "blurred"): "blurred",
-    (DataWord.PRESENCE, "minute"): "to the minute",
-    (DataWord.PRESENCE, "hour"): "to the hour",
-    (DataWord.IDENTITY, "pseudonym"): "as pseudonyms",
-    (DataWord.HOME, "rough"): "roughly",
-}
-
-
-HIDDEN: Final[Mapping[DataWord, str]] = {
-    DataWord.POSITION: "not where it is",
-    DataWord.MOVEMENT: "not how it moves",
-    DataWord.IMAGE: "no pictures",
-    DataWord.SOUND: "no sound",
-    DataWord.IDENTITY: "no names and numbers of devices",
-    DataWord.HOME: "nothing of the state of the home",
-}
-
-
-_MAX_CONDITIONS: Final = 3
-_MAX_TEXT: Final = 80
 
 
 def seen(one: Seen) -> str:
     """One word: `where it is: the room`, `not how it moves`."""
     if one.conditions:
         return f"{TOPICS[one.word]}: {_told(one)}"
-    return HIDDEN[one.word] if one.level == NO else f"{TOPICS[one.word]}: {_sentences_level(one)}"
+    return HIDDEN[one.word] if one.level == NO else f"{TOPICS[one.word]}: {_level_text(one)}"
 
 
 def sentence(found: Iterable[Seen]) -> str:
@@ -331,7 +296,7 @@ def _told(one: Seen) -> str:
     told = f"whether {texts}" + (f" and {more} more" if more > 0 else "")
     if one.besides == NO:
         return told
-    return f"{_sentences_level(one._replace(conditions=(), level=one.besides))}, and {told}"
+    return f"{_level_text(one._replace(conditions=(), level=one.besides))}, and {told}"
 
 
 def _condition(text: str) -> str:
@@ -340,7 +305,7 @@ def _condition(text: str) -> str:
     return shown if len(shown) <= _MAX_TEXT else f"{shown[: _MAX_TEXT - 3]}..."
 
 
-def _sentences_level(one: Seen) -> str:
+def _level_text(one: Seen) -> str:
     if one.by:
         return f"only by {' and '.join(TOPICS[word] for word in one.by)}"
     if (one.word, one.level) in SAID:

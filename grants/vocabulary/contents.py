@@ -1,27 +1,10 @@
-"""What a field contains, and which words it tells: its own, those it gives away, those it may show.
+"""What the fields of the standard message types contain, and which words each content tells.
 
-`tells` are exact relatives: the word can be computed from the field, as the path from a velocity.
-`hints` are what a person or a program recognises in it, as a face in a picture; a rule that says a
-level for the field's own word has decided on them. Times tell when a value changed. The figures are
-those of the attackers' programs, in docs/spec/vocabulary.md.
-
-The words for data, and the levels of each, from the most to the least that is shown.
-
-A level is an upper limit of what a receiver learns: each lets through no more than the one before
-it. What a level does to fields is in `levels`, which fields tell a word in `contents` and `types`.
-
-The standard message types: what each of their fields contains. Data, and nothing else.
-
-A field that is a message and is not named here has the contents of its own type; one that is named
-has this content throughout. A type or field that is missing is unknown: it cannot be shown at a
-level (`describe`). The types are those of Debian's std, geometry, sensor, nav, tf2, stereo,
-diagnostic, actionlib, trajectory and visualization packages, and the sound of audio_common.
-
-The contents of a message type, field by field: what each tells, and which fields are unknown.
-
-Types within a type are described by the same table (`types`), so a type that contains a pose is
-described by what a pose is. What is not in the table, nor in the policy's own vocabulary, is
-`unknown`: of such a type nothing can be said to be hidden.
+`tells` are exact relatives: the word can be computed from the field, as the path from a velocity. `hints` are
+what a person or a program recognises in it, as a face in a picture; a rule that says a level for the field's
+own word has decided on them. Times tell when a value changed. The figures are those of the attackers'
+programs, in docs/spec/vocabulary.md. Types within a type are described by the same table. What is neither in
+it nor in the policy's own vocabulary is `unknown`: nothing of it can be said to be hidden.
 """
 
 from collections.abc import Iterator, Mapping
@@ -37,8 +20,6 @@ NO: Final = "no"
 
 
 class DataWord(StrEnum):
-    """A kind of data, as people name it."""
-
     POSITION = "position"
     MOVEMENT = "movement"
     IMAGE = "image"
@@ -48,6 +29,8 @@ class DataWord(StrEnum):
     HOME = "home"
 
 
+# From the most to the least that is shown. A level is an upper limit: each lets through no more than the
+# one before.
 LEVELS: Final[Mapping[DataWord, tuple[str, ...]]] = {
     DataWord.POSITION: (EXACT, "room", "area", NO),
     DataWord.MOVEMENT: (EXACT, "rough", NO),
@@ -191,40 +174,21 @@ _SCAN: Final = fields_by(
     format="angle_min angle_max angle_increment time_increment scan_time range_min range_max",
     distance="ranges intensities",
 )
-_NUMBERS: Final = (
-    "Bool",
-    "Byte",
-    "Char",
-    "Duration",
-    "Float32",
-    "Float64",
-    "Int16",
-    "Int32",
-    "Int64",
-    "Int8",
-    "String",
-    "UInt16",
-    "UInt32",
-    "UInt64",
-    "UInt8",
-)
-_ARRAYS: Final = (
-    "Byte",
-    "Float32",
-    "Float64",
-    "Int16",
-    "Int32",
-    "Int64",
-    "Int8",
-    "UInt16",
-    "UInt32",
-    "UInt64",
-    "UInt8",
-)
+_ARRAYS: Final = "Byte Float32 Float64 Int16 Int32 Int64 Int8 UInt16 UInt32 UInt64 UInt8"
+_NUMBERS: Final = f"Bool Char Duration String {_ARRAYS}"
 
+
+def _nested(package: str, names: str) -> dict[str, Fields]:
+    # Types whose fields are all messages, which have the contents of their own types.
+    return {f"{package}/{name}": {} for name in names.split()}
+
+
+# The types of Debian's std, geometry, sensor, nav, tf2, stereo, diagnostic, actionlib, trajectory and
+# visualization packages, and the sound of audio_common. A field that is a message and is not named here has
+# the contents of its own type; one that is named has this content throughout.
 _STD: Final[dict[str, Fields]] = {
-    **{f"std_msgs/{name}": _BARE for name in _NUMBERS},
-    **{f"std_msgs/{name}MultiArray": _BARE for name in _ARRAYS},
+    **{f"std_msgs/{name}": _BARE for name in _NUMBERS.split()},
+    **{f"std_msgs/{name}MultiArray": _BARE for name in _ARRAYS.split()},
     "std_msgs/Header": fields_by(count="seq", time="stamp", frame="frame_id"),
     "std_msgs/Time": fields_by(time="data"),
     "std_msgs/Empty": {},
@@ -234,35 +198,26 @@ _STD: Final[dict[str, Fields]] = {
     "std_msgs/MultiArrayDimension": fields_by(text="label", count="size stride"),
 }
 _GEOMETRY: Final[dict[str, Fields]] = {
+    **_nested(
+        "geometry_msgs",
+        "PointStamped Vector3Stamped QuaternionStamped Pose PoseStamped PoseArray "
+        "PoseWithCovarianceStamped Polygon PolygonStamped TwistStamped TwistWithCovarianceStamped "
+        "AccelStamped AccelWithCovarianceStamped WrenchStamped InertiaStamped",
+    ),
     "geometry_msgs/Point": fields_by(coordinate=_XYZ),
     "geometry_msgs/Point32": fields_by(coordinate=_XYZ),
-    "geometry_msgs/PointStamped": {},
     "geometry_msgs/Vector3": fields_by(bare=_XYZ),
-    "geometry_msgs/Vector3Stamped": {},
     "geometry_msgs/Quaternion": fields_by(heading="x y z w"),
-    "geometry_msgs/QuaternionStamped": {},
-    "geometry_msgs/Pose": {},
     "geometry_msgs/Pose2D": fields_by(coordinate="x y", heading="theta"),
-    "geometry_msgs/PoseStamped": {},
-    "geometry_msgs/PoseArray": {},
     "geometry_msgs/PoseWithCovariance": fields_by(uncertainty="covariance"),
-    "geometry_msgs/PoseWithCovarianceStamped": {},
-    "geometry_msgs/Polygon": {},
-    "geometry_msgs/PolygonStamped": {},
     "geometry_msgs/Transform": fields_by(coordinate="translation", heading="rotation"),
     "geometry_msgs/TransformStamped": fields_by(child_frame="child_frame_id"),
     "geometry_msgs/Twist": fields_by(velocity="linear angular"),
-    "geometry_msgs/TwistStamped": {},
     "geometry_msgs/TwistWithCovariance": fields_by(uncertainty="covariance"),
-    "geometry_msgs/TwistWithCovarianceStamped": {},
     "geometry_msgs/Accel": fields_by(velocity="linear angular"),
-    "geometry_msgs/AccelStamped": {},
     "geometry_msgs/AccelWithCovariance": fields_by(uncertainty="covariance"),
-    "geometry_msgs/AccelWithCovarianceStamped": {},
     "geometry_msgs/Wrench": fields_by(force="force torque"),
-    "geometry_msgs/WrenchStamped": {},
     "geometry_msgs/Inertia": fields_by(mark="m com ixx ixy ixz iyy iyz izz"),
-    "geometry_msgs/InertiaStamped": {},
 }
 _SENSOR: Final[dict[str, Fields]] = {
     "sensor_msgs/BatteryState": fields_by(
@@ -316,13 +271,11 @@ _SENSOR: Final[dict[str, Fields]] = {
     "sensor_msgs/TimeReference": fields_by(time="time_ref", name="source"),
 }
 _NAV: Final[dict[str, Fields]] = {
-    "nav_msgs/GetMapAction": {},
-    "nav_msgs/GetMapActionFeedback": {},
-    "nav_msgs/GetMapActionGoal": {},
-    "nav_msgs/GetMapActionResult": {},
-    "nav_msgs/GetMapFeedback": {},
-    "nav_msgs/GetMapGoal": {},
-    "nav_msgs/GetMapResult": {},
+    **_nested(
+        "nav_msgs",
+        "GetMapAction GetMapActionFeedback GetMapActionGoal GetMapActionResult GetMapFeedback"
+        " GetMapGoal GetMapResult",
+    ),
     "nav_msgs/GridCells": fields_by(map="cell_width cell_height cells"),
     "nav_msgs/MapMetaData": fields_by(time="map_load_time", map="resolution width height origin"),
     "nav_msgs/OccupancyGrid": fields_by(map="data"),
@@ -374,26 +327,16 @@ _FURTHER: Final[dict[str, Fields]] = {
 
 TYPES: Final[Mapping[str, Fields]] = {**_STD, **_GEOMETRY, **_SENSOR, **_NAV, **_FURTHER}
 
-_NONE: Final[Fields] = {}
-
 
 @dataclass(frozen=True)
 class FieldContent:
-    """One field without fields of its own.
+    """One field without fields of its own."""
 
-    Args:
-        path: as in filters: `pose.position.x`, `poses[*].position.x`.
-        content: what it contains.
-        kind: its type.
-        array: the path of the outermost array of messages it lies in; else empty.
-        is_fixed: whether that array has a fixed length.
-    """
-
-    path: str
+    path: str  # as in filters: `pose.position.x`, `poses[*].position.x`
     content: Content
     kind: Type
-    array: str = ""
-    is_fixed: bool = False
+    array: str = ""  # the path of the outermost array of messages it lies in
+    is_fixed: bool = False  # whether that array has a fixed length
 
     @property
     def meaning(self) -> Meaning:
@@ -466,24 +409,20 @@ def describe(
 ) -> Description:
     """The contents of messages of `layout`.
 
-    Args:
-        layout: of the type.
-        own: contents of further types by name, of a policy's vocabulary.
-        here: contents of fields of this type on one topic: the meaning of a bare value.
+    `own` are those of further types by name, of a policy's vocabulary; `here` those of fields of this type
+    on one topic: the meaning of a bare value.
     """
-    found = _fields_of(layout.root, "", own or {}, here or _NONE, _Outermost())
+    found = _fields_of(layout.root, "", own or {}, here or {}, ("", False))
     return Description(layout.type_name, tuple(found))
 
 
-class _Outermost(NamedTuple):
-    path: str = ""
-    is_fixed: bool = False
+_Outermost = tuple[str, bool]  # the path of an array, and whether it has a fixed length
 
 
 def _fields_of(
     kind: Struct, above: str, own: Mapping[str, Fields], given: Fields, array: _Outermost
 ) -> Iterator[FieldContent]:
-    contents = {**TYPES.get(kind.name, _NONE), **own.get(kind.name, _NONE), **given}
+    contents = {**TYPES.get(kind.name, {}), **own.get(kind.name, {}), **given}
     for name, member in kind.fields:
         within = {
             path.removeprefix(f"{name}."): content
@@ -496,20 +435,20 @@ def _fields_of(
 def _field(
     kind: Type,
     path: str,
-    content: Content | None,
+    all_of: Content | None,
     own: Mapping[str, Fields],
     within: Fields,
     array: _Outermost,
 ) -> Iterator[FieldContent]:
     inner = kind.element if isinstance(kind, Array) else kind
     if not isinstance(inner, Struct):
-        yield FieldContent(path, content or Content.UNKNOWN, kind, *array)
+        yield FieldContent(path, all_of or Content.UNKNOWN, kind, *array)
         return
     if isinstance(kind, Array):
-        array = array if array.path else _Outermost(path, kind.length is not None)
+        array = array if array[0] else (path, kind.length is not None)
         path = f"{path}[*]"
-    if content is None:
+    if all_of is None:
         yield from _fields_of(inner, f"{path}.", own, within, array)
         return
     for name, member in inner.fields:
-        yield from _field(member, f"{path}.{name}", content, own, _NONE, array)
+        yield from _field(member, f"{path}.{name}", all_of, own, {}, array)

@@ -1,29 +1,17 @@
-"""What each level does: its rate, and the treatment of each content that tells its word.
+"""What each level does, in one table; levels for one message type, resolved into filters and a rate.
 
-One table. What it does not list is hidden: cleared, or emptied where it is an array. The steps of
-one word nest (5 is odd, and a cell is centred), so the coarser level is a function of the finer
-one; a rate never rises. Position and movement have slots, not rates: they are sampled at
-moments that are the same for all topics and receivers, and a publisher that sends when something
-happens does not tell when. The slot follows the cell: one of 2.2 km is crossed in minutes, and a
-sample in the middle of crossing tells the border. `python -m bench privacy` measures what is left.
-Sixteen squares across in 8 greys show a face only where somebody is close.
-
-A position at the room as the room itself, where the policy says which rooms there are.
-
-A rule that rounds a whole position to the cell of a room becomes the operator `rooms`; any other
-stays. Rooms and the cells of an area do not nest, so a position that has rooms has no area.
-
-Levels for messages of one type, resolved into the rules of a filter and a rate.
-
-Every field that tells a coarse word is treated, also where the word is not its own: a velocity
-beside a rounded position would be the exact path. Of several words the strictest treatment holds.
-A type with an unknown field is refused, and so is `exact` for what another level hides.
+What the table does not list is hidden: cleared, or emptied where it is an array. The steps of one word nest
+(5 is odd, and a cell is centred), so the coarser level is a function of the finer one; a rate never rises.
+Every field that tells a coarse word is treated, also where the word is not its own: a velocity beside a
+rounded position would be the exact path. Of several words the strictest treatment holds. A type with an
+unknown field is refused, and so is `exact` for what another level hides. `python -m bench privacy` measures
+what is left.
 """
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, NamedTuple
 
 from grants.errors import FilterRefused
 from grants.filters.coarsening import Room, read_plan
@@ -42,6 +30,8 @@ from grants.vocabulary.contents import (
     FieldContent,
 )
 
+Levels = Mapping[DataWord, str]
+
 
 class Treatment(NamedTuple):
     """An operator of `grants.filters.operators` with its parameters, sorted by name."""
@@ -51,26 +41,15 @@ class Treatment(NamedTuple):
 
 
 class Level(NamedTuple):
-    """One level of one word.
-
-    Args:
-        rate: messages a second; None if it sets none.
-        slot: seconds of a slot (`grants.limits`); None if it sets none.
-        outdoors: seconds of a slot where there are degrees on the earth; None: `slot`.
-        treatments: by content; None keeps a field as it is. A content that tells the word and is
-            not listed is hidden.
-    """
-
-    rate: float | None = None
+    rate: float | None = None  # messages a second
+    # By content; None keeps a field as it is. A content that tells the word and is not listed is hidden.
     treatments: Mapping[Content, Treatment | None] = {}
-    slot: int | None = None
-    outdoors: int | None = None
+    slot: int | None = None  # seconds (`grants.limits`)
+    outdoors: int | None = None  # the same where there are degrees on the earth; None: `slot`
 
     def slot_for(self, *, outdoors: bool) -> int | None:
         return self.outdoors if outdoors and self.outdoors is not None else self.slot
 
-
-_Table: TypeAlias = Mapping[tuple[DataWord, str], Level]
 
 CLEAR: Final = Treatment("clear")
 PSEUDONYM_KEY: Final = "identity"  # the publisher's key for pseudonyms
@@ -82,12 +61,12 @@ def in_steps(step: float) -> Treatment:
     return Treatment("round", (("hysteresis", step / 2), ("step", step)))
 
 
+# So coarse, what differs from room to room tells no more than the room.
 _CLIMATE: Final[dict[Content, Treatment | None]] = {
     Content.AMBIENT_TEMPERATURE: in_steps(2.0),
     Content.AMBIENT_HUMIDITY: in_steps(0.1),
     Content.AMBIENT_BRIGHTNESS: in_steps(200.0),
 }
-"""So coarse, what differs from room to room tells no more than the room."""
 _CHARGE: Final[dict[Content, Treatment | None]] = {Content.CHARGE: in_steps(0.25)}
 
 
@@ -101,7 +80,11 @@ def position_in(metres: float, degrees: float) -> dict[Content, Treatment | None
 
 _PSEUDONYM: Final = Treatment("hash", (("key", PSEUDONYM_KEY), ("per", "receiver")))
 
-LEVEL_TABLE: Final[_Table] = {
+# Position and movement have slots, not rates: they are sampled at moments that are the same for all topics
+# and receivers, and a publisher that sends when something happens does not tell when. The slot follows the
+# cell: one of 2.2 km is crossed in minutes, and a sample in the middle of crossing tells the border.
+# Sixteen squares across in 8 greys show a face only where somebody is close.
+LEVEL_TABLE: Final[Mapping[tuple[DataWord, str], Level]] = {
     (DataWord.POSITION, "room"): Level(None, position_in(4.0, 0.02) | _CLIMATE | _CHARGE, 30, 900),
     (DataWord.POSITION, "area"): Level(None, position_in(20.0, 0.1) | _CHARGE, 300, 3600),
     (DataWord.POSITION, NO): Level(slot=300, outdoors=3600),
@@ -177,8 +160,7 @@ def plan_treatment(plan: dict[str, Scalar]) -> Treatment:
 
 def smallest(rooms: Treatment) -> float:
     """Square metres of the smallest room of an operator `rooms`."""
-    plan = {name: text for name, text in rooms.parameters if name != "hysteresis"}
-    return min(_area(room.corners) for room in read_plan(plan))
+    return min(_area(room.corners) for room in _plan(rooms))
 
 
 def narrowest(rooms: Treatment) -> float:
@@ -186,12 +168,12 @@ def narrowest(rooms: Treatment) -> float:
 
     A strip of a millimetre has a square metre, too, if it is long enough.
     """
-    plan = {name: text for name, text in rooms.parameters if name != "hysteresis"}
-    return min(4 * _area(room.corners) / _circumference(room) for room in read_plan(plan))
+    around = ((room, math.fsum(math.dist(*edge) for edge in room.edges)) for room in _plan(rooms))
+    return min(4 * _area(room.corners) / length for room, length in around)
 
 
-def _circumference(room: Room) -> float:
-    return math.fsum(math.dist(*edge) for edge in room.edges)
+def _plan(rooms: Treatment) -> tuple[Room, ...]:
+    return read_plan({name: text for name, text in rooms.parameters if name != "hysteresis"})
 
 
 def _area(corners: tuple[tuple[float, float], ...]) -> float:
@@ -199,6 +181,8 @@ def _area(corners: tuple[tuple[float, float], ...]) -> float:
     return abs(math.fsum(x0 * y1 - x1 * y0 for (x0, y0), (x1, y1) in pairs)) / 2
 
 
+# A rule that rounds a whole position to the cell of a room becomes the operator `rooms`. Rooms and the
+# cells of an area do not nest, so a position that has rooms has no area.
 def in_rooms(layout: Layout, rule: FilterRule, rooms: Treatment) -> FilterRule:
     given = (rule.operator, rule.parameters)
     if given not in (_ROOM, _AREA) or not _is_position(layout.root, rule.path, rooms):
@@ -220,8 +204,6 @@ def _is_position(kind: Type, path: str, rooms: Treatment) -> bool:
         return False
     return isinstance(kind, Struct)
 
-
-Levels = Mapping[DataWord, str]
 
 # In an array these are hidden one by one: how many there are tells nothing of the word.
 _IN_PLACE: Final = frozenset({Content.NAME, Content.MARK, Content.TEXT}) | FRAMES | TIMES
@@ -257,26 +239,31 @@ def resolve(
 
     With `rooms` a position at the room is the point of its room, instead of a cell's middle.
     """
+    # 1. Nothing can be said of a type with an unknown field, nor of a bare value.
     coarse = {word: level for word, level in levels.items() if level != EXACT}
     _check_known(description, coarse)
+    # 2. The strictest treatment of each field, by the words that concern the type.
     concerned = {word: level for word, level in coarse.items() if _is_concerned(description, word, levels)}
     if not concerned:
         return Resolved()
     treated = {field.path: _treatment(field, concerned, levels, description) for field in description.fields}
-    _empty_arrays(description, treated, concerned)
+    # 3. An array of messages is emptied if what is hidden in it would show by its number.
+    in_place = _IN_PLACE if concerned.keys() - _OF_NAMES else _IN_PLACE | NAMES
+    inside = [field for field in description.fields if field.array and field.content not in in_place]
+    emptied = {field.array for field in inside if treated[field.path] == CLEAR}
+    treated |= {field.path: CLEAR for field in description.fields if field.array in emptied}
+    # 4. What is to be exact must be so. Then rules of whole messages where one treatment is that of all
+    # within.
     _check_exact(description, treated, levels)
     rules = [rule for name, kind in layout.root.fields for rule in _fold(kind, name, treated)[1]]
     rules += _sorted_arrays(description, treated)
     if rooms is not None:
         rules = [in_rooms(layout, rule, rooms) for rule in rules]
-    limits = [level_of(word, level) for word, level in concerned.items()]
-    outdoors = description.is_outdoors
-    return together(
-        [
-            Resolved(tuple(rules)),
-            *(Resolved((), each.rate, each.slot_for(outdoors=outdoors)) for each in limits),
-        ]
-    )
+    found, outdoors = [Resolved(tuple(rules))], description.is_outdoors
+    for word, level in concerned.items():
+        given = level_of(word, level)
+        found.append(Resolved((), given.rate, given.slot_for(outdoors=outdoors)))
+    return together(found)
 
 
 def _check_known(description: Description, coarse: Levels) -> None:
@@ -347,19 +334,6 @@ def _fits(field: FieldContent, wanted: Treatment) -> bool:
     return True
 
 
-def _empty_arrays(description: Description, treated: dict[str, Treatment | None], concerned: Levels) -> None:
-    # An array of messages is emptied if what is hidden in it would show by its number.
-    in_place = _IN_PLACE if concerned.keys() - _OF_NAMES else _IN_PLACE | NAMES
-    emptied = {
-        field.array
-        for field in description.fields
-        if field.array and treated[field.path] == CLEAR and field.content not in in_place
-    }
-    for field in description.fields:
-        if field.array in emptied:
-            treated[field.path] = CLEAR
-
-
 def _check_exact(description: Description, treated: Mapping[str, Treatment | None], levels: Levels) -> None:
     for word, level in levels.items():
         hidden = [
@@ -388,15 +362,14 @@ def _sorted_arrays(description: Description, treated: Mapping[str, Treatment | N
         yield FilterRule(path, "sort")
 
 
-_Common = Treatment | None
-
-
-def _fold(kind: Type, path: str, treated: Mapping[str, Treatment | None]) -> tuple[_Common, list[FilterRule]]:
-    # The first value is that one treatment; None if there is none.
+def _fold(
+    kind: Type, path: str, treated: Mapping[str, Treatment | None]
+) -> tuple[Treatment | None, list[FilterRule]]:
+    # The one treatment of all that is in it, if there is one, and the rules.
     inner = kind.element if isinstance(kind, Array) else kind
     if not isinstance(inner, Struct):
         found = treated[path]
-        return found, list(_rule(path, found))
+        return found, [] if found is None else [FilterRule(path, *found)]
     within = f"{path}[*]" if isinstance(kind, Array) else path
     parts = [_fold(member, f"{within}.{name}", treated) for name, member in inner.fields]
     common = {part for part, _ in parts}
@@ -404,10 +377,5 @@ def _fold(kind: Type, path: str, treated: Mapping[str, Treatment | None]) -> tup
         [one] = common
         usable = one is not None and one.operator in _FOR_MESSAGES
         if one is not None and usable and (one == CLEAR or not isinstance(kind, Array)):
-            return one, list(_rule(path, one))
+            return one, [FilterRule(path, *one)]
     return None, [rule for _, rules in parts for rule in rules]
-
-
-def _rule(path: str, treatment: Treatment | None) -> Iterator[FilterRule]:
-    if treatment is not None:
-        yield FilterRule(path, *treatment)

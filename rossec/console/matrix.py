@@ -31,7 +31,8 @@ from grants.errors import GrantError
 from grants.filters.layout import Layout
 from grants.model import FilterRule, Grant, Permission, Restriction, Right, merge
 from grants.policy.model import Vocabulary
-from grants.policy.privacy import WHOLE, ReceiverAccess, filters_of, leaf_paths, sees
+from grants.policy.privacy import WHOLE, ReceiverAccess, leaf_paths, sees
+from grants.vocabulary.assess import filters_of
 from rossec.authority.console.messages import FactView, GrantView, ListStanding, NodeView
 from rossec.console import words
 from rossec.errors import MessageError

@@ -20,7 +20,6 @@ from grants.filters.layout import Layout, parse
 from grants.model import Right
 from grants.policy.decision import Decider
 from grants.policy.learn import empty
-from grants.policy.lint_views import sample_subject
 from grants.policy.model import Policy, Subject
 from grants.policy.privacy import Trial, TrialOutcome
 from rossec.authority.policyfile import PolicyFile, parse_policy, place, read_policy
@@ -169,7 +168,7 @@ def _receivers(environment: Environment, nodes: tuple[str, ...], *policies: Poli
     if nodes:
         return [subject_of(environment, node) for node in nodes]
     found = {
-        sample_subject(who)
+        who.sample
         for policy in policies
         for rule in policy.rules
         for who in (*rule.who, *rule.exceptions)

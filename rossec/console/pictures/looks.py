@@ -28,7 +28,7 @@ import numpy as np
 from PIL import Image
 
 from grants.model import FilterRule
-from grants.policy.privacy import filters_of
+from grants.vocabulary.assess import filters_of
 from rossec.console import words
 from rossec.console.matrix import SEEING, Access, Cell
 from rossec.console.pictures import place

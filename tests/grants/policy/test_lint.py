@@ -9,7 +9,6 @@ from grants.errors import GrantError, PolicyRefused
 from grants.filters.compile import PRESETS
 from grants.policy.lint import CHECKS, lint
 from grants.policy.lint_findings import ADVICE, Finding
-from grants.policy.lint_views import sample_subject
 from grants.policy.model import SubjectPattern
 from grants.vocabulary.contents import LEVELS
 from tests.grants.policy.lint_cases import TYPES, applied, codes, findings, layout_of, text_of
@@ -149,7 +148,7 @@ def test_a_policy_without_rules_gets_no_advice() -> None:
 
 def test_checks_are_a_table() -> None:
     assert len(set(CHECKS)) == len(CHECKS)
-    assert sample_subject(SubjectPattern("*", "/**")).name == "/x"
+    assert SubjectPattern("*", "/**").sample.name == "/x"
 
 
 SPEC = (Path(__file__).parents[3] / "docs" / "spec" / "policy.md").read_text()

@@ -3,7 +3,8 @@
 from grants.filters.layout import Layout, parse
 from grants.model import FilterRule
 from grants.policy.decision import Decider
-from grants.policy.privacy import PrivacyRow, as_json, filters_of, from_policy, leaf_paths, lines, rows
+from grants.policy.privacy import PrivacyRow, as_json, from_policy, leaf_paths, lines, rows
+from grants.vocabulary.assess import filters_of
 from tests.grants.policy.policies import definition, policy, rules
 
 
