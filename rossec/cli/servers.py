@@ -22,18 +22,9 @@ from rossec.cli.shared.context import Environment, LazyGroup, pass_environment
 from rossec.console.options import HAND_OUT_PORT, PORT
 
 _MASTER: Final = {
-    "delegate": (
-        "grant.delivery:delegate",
-        "Let the master renew grants, unchanged and up to their caps, while the authority is away.",
-    ),
-    "status": (
-        "status:master_status",
-        "Show the status of the running master; it must have been started with --admin.",
-    ),
-    "stop": (
-        "status:stop_master",
-        "Stop the running master in order; it must have been started with --admin.",
-    ),
+    "delegate": "grant.delivery:delegate",
+    "status": "status:master_status",
+    "stop": "status:stop_master",
 }
 
 
@@ -114,23 +105,14 @@ def master(
 
 
 _CONSOLE: Final = {
-    "approvals": (
-        "console.phones:approvals",
-        "Show who approved what at the console, oldest first, and what came of it.",
-    ),
-    "phone": (
-        "console.phones:phone",
-        "Show a one-time code that logs in a phone, and can set it up to approve.",
-    ),
-    "phones": ("servers:phones", "Show the phones that can approve."),
-    "tls": (
-        "console.tls:tls",
-        "Show the console's own TLS authority (--lan): its fingerprint, in words and hex.",
-    ),
+    "approvals": "console.phones:approvals",
+    "phone": "console.phones:phone",
+    "phones": "servers:phones",
+    "tls": "console.tls:tls",
 }
 _FILE: Final = click.Path(path_type=Path)
 
-_PHONES: Final = {"remove": ("console.phones:remove", "Let the phone NAME approve nothing any more.")}
+_PHONES: Final = {"remove": "console.phones:remove"}
 
 
 @click.group(cls=LazyGroup, table=_CONSOLE, invoke_without_command=True)
@@ -188,7 +170,7 @@ def phones(context: click.Context, everything: bool, as_json: bool) -> None:
     show(context.ensure_object(Environment), everything=everything, as_json=as_json)
 
 
-_GATEWAY: Final = {"status": ("status:gateway_status", "Show what the running gateway serves, and what not.")}
+_GATEWAY: Final = {"status": "status:gateway_status"}
 _RULES: Final = "rossec.gateway.rules"
 _EXAMPLE: Final = "rossec gateway --from hospital /robot/pose"
 
@@ -269,15 +251,12 @@ def gateway(context: click.Context, environment: Environment, name: str | None, 
 
 
 _RELAY: Final = {
-    "add": ("relay.sites:add_relay", "Take the card in FILE of another site's relay, and call it LABEL."),
-    "card": (
-        "relay.sites:card",
-        "Print the card for the relay LABEL: the mailbox that it alone shall send to.",
-    ),
-    "list": ("relay.sites:list_relays", "List the relays of other sites, as cards have named them."),
-    "remove": ("relay.sites:remove_relay", "Link with LABEL no longer: its links end at once."),
-    "seat": ("relay.sites:seat", "Keep the seat FILE that the operator of the routers made."),
-    "status": ("status:relay_status", "Show the links of the running relay."),
+    "add": "relay.sites:add_relay",
+    "card": "relay.sites:card",
+    "list": "relay.sites:list_relays",
+    "remove": "relay.sites:remove_relay",
+    "seat": "relay.sites:seat",
+    "status": "status:relay_status",
 }
 
 
@@ -330,20 +309,13 @@ def relay(
     run(environment, doors, seat_file, as_json=as_json)
 
 
-_ROUTER: Final = {
-    "seats": ("servers:seats", "Say who may use the router, and make the files for relays."),
-    "share": ("relay.sites:share", "Write what another router of the operator needs to join."),
-    "take": ("relay.sites:take", "Take over FILE of `share` here, and join that router."),
-}
+_ROUTER: Final = {"seats": "servers:seats", "share": "relay.sites:share", "take": "relay.sites:take"}
 
 _SEATS: Final = {
-    "add": ("relay.sites:add_account", "Make the seat NAME, and print its file for the relay of that site."),
-    "list": ("relay.sites:list_accounts", "List the seats."),
-    "remove": (
-        "relay.sites:remove_account",
-        "Take the seat NAME away; a router that runs cuts its relay off within a second.",
-    ),
-    "show": ("relay.sites:show_account", "Print the file of the seat NAME again, with the routers of now."),
+    "add": "relay.sites:add_account",
+    "list": "relay.sites:list_accounts",
+    "remove": "relay.sites:remove_account",
+    "show": "relay.sites:show_account",
 }
 
 
@@ -420,31 +392,13 @@ def seats() -> None:
 
 
 _BORDER: Final = {
-    "add": (
-        "border.constrained_nodes:add",
-        "Prepare the thing NAME: the request of its node, and its secret if it has one.",
-    ),
-    "credential": (
-        "border.constrained_nodes:credential",
-        "Write the router's credential for its things to FILE: they know it by this key.",
-    ),
-    "forget": (
-        "border.constrained_nodes:forget",
-        "Forget the thing NAME: its statement and its secret are removed here.",
-    ),
-    "install": (
-        "border.constrained_nodes:install",
-        "Install what the authority signed about a thing: STATEMENT, and the identity in BUNDLE.",
-    ),
-    "labels": (
-        "border.constrained_nodes:labels",
-        "Write a sheet of labels for the things with these CREDENTIALS, 24 to a page.",
-    ),
-    "list": ("border.constrained_nodes:list_", "List the things that this border router serves."),
-    "status": (
-        "border.constrained_nodes:status_",
-        "Say what the border router that runs does: which things are there, what they offer.",
-    ),
+    "add": "border.constrained_nodes:add",
+    "credential": "border.constrained_nodes:credential",
+    "forget": "border.constrained_nodes:forget",
+    "install": "border.constrained_nodes:install",
+    "labels": "border.constrained_nodes:labels",
+    "list": "border.constrained_nodes:list_",
+    "status": "border.constrained_nodes:status_",
 }
 _PORT: Final = 5683
 

@@ -22,7 +22,7 @@ import shlex
 import shutil
 import sys
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -59,15 +59,14 @@ class OutlineTable:
             found = _read(cache)
             self._outlines = found["outlines"] if found.get("stamp") == self._stamp else {}
 
-    def get(self, place: str, make: Callable[[], Outline | None]) -> Outline | None:
-        if place in self._outlines or self._stamp is None:
-            found: Outline | None = self._outlines.get(place) or make()
-            return found
-        made = make()
-        if made is not None:
-            self._outlines[place] = made
-            self._keep()
-        return made
+    def get(self, place: str, load: Callable[[], click.Command]) -> Outline:
+        """The outline of the command at `place`; `load` imports it if that is needed."""
+        if place not in self._outlines:
+            self._outlines[place] = outline_of(load())
+            if self._stamp is not None:
+                self._keep()
+        found: Outline = self._outlines[place]
+        return found
 
     def _keep(self) -> None:
         # Write the cache; where it cannot be written, completion is slow and right.
@@ -105,20 +104,24 @@ def _stamp(directory: Path) -> str:
 _FILES: Final = [CompletionItem("", type="file")]  # the shell looks them up
 
 
+@cache
+def _table() -> OutlineTable:
+    return OutlineTable()
+
+
+def outline(place: str, load: Callable[[], click.Command], table: OutlineTable | None = None) -> Outline:
+    """The outline of the command at `place`; `load` imports it if that is needed."""
+    return (table or _table()).get(place, load)
+
+
 def completed(
     name: str, place: str, load: Callable[[], click.Command], table: OutlineTable | None = None
 ) -> click.Command:
-    """The command `name` at `place`, to be completed; `load` imports it if that is needed."""
-    loaded: list[click.Command] = []
-
-    def make() -> Outline | None:
-        loaded.append(load())
-        return None if isinstance(loaded[0], click.Group) else outline_of(loaded[0])
-
-    outline = (table or OutlineTable()).get(place, make)
-    if outline is None:
-        return loaded[0]
-    return command_of(name, outline, [*map(_values, kinds_of(place, outline))])
+    """The command `name` at `place`, to be completed: made of its outline, a group as it is."""
+    found = outline(place, load, table)
+    if "params" not in found:
+        return load()
+    return command_of(name, found, [*map(_values, kinds_of(place, found))])
 
 
 def _values(kind: str) -> Values | None:

@@ -89,11 +89,16 @@ def read(home: Path, master: str, kind: str) -> list[object]:
 Outline = dict[str, Any]
 Values = Callable[[click.Context, click.Parameter, str], list[Any]]
 _FILES: Final = ("file", "dir")
+_WHOLE: Final = 1000  # no help line is cut
 
 
 def outline_of(command: click.Command) -> Outline:
-    """The outline of a command that is no group."""
+    """The outline of a command; of a group its help line alone."""
+    line = {"help": command.get_short_help_str(_WHOLE)}
+    if isinstance(command, click.Group):
+        return line
     return {
+        **line,
         "params": [_param(each) for each in command.params if not getattr(each, "hidden", False)],
         "interspersed": command.allow_interspersed_args,
         "unknown": command.ignore_unknown_options,

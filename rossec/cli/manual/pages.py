@@ -225,7 +225,6 @@ def outlines(group: click.Group) -> Iterator[tuple[str, Outline]]:
     for listed in group.commands.values():
         if isinstance(listed, LazyCommand):
             command = listed.load()
+            yield listed.place, outline_of(command)
             if isinstance(command, click.Group):
                 yield from outlines(command)
-            else:
-                yield listed.place, outline_of(command)

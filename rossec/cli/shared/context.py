@@ -188,15 +188,17 @@ def _usage_hint(error: click.ClickException) -> str:
 
 
 class LazyCommand(click.Command):
-    """A command that is listed: its name, its help line, and the place it is imported from."""
+    """A command that is listed: its name, and the place in `rossec.cli` it is imported from."""
 
-    def __init__(self, name: str, place: str, help_line: str) -> None:
-        super().__init__(name, help=help_line)
+    def __init__(self, name: str, place: str) -> None:
+        super().__init__(name)
         self.place = place
 
     def get_short_help_str(self, limit: int = 45) -> str:  # noqa: ARG002 - as the base has it
-        """The whole help line: the list wraps it, click would cut it."""
-        return self.help or ""
+        """The first sentence of its help, whole: the list wraps it, click would cut it."""
+        from rossec.cli.completion.shells import outline  # noqa: PLC0415 - not needed to run a command
+
+        return str(outline(self.place, self.load)["help"])
 
     def load(self) -> click.Command:
         """The command itself."""
@@ -212,12 +214,12 @@ class LazyCommand(click.Command):
 
 
 class LazyGroup(click.Group):
-    """A group made from a table: name -> (place, help line), see `LazyCommand`."""
+    """A group made from a table of names and places, see `LazyCommand`."""
 
-    def __init__(self, *args: Any, table: Mapping[str, tuple[str, str]], **kwargs: Any) -> None:
+    def __init__(self, *args: Any, table: Mapping[str, str], **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        for name, (place, help_line) in table.items():
-            self.add_command(LazyCommand(name, place, help_line))
+        for name, place in table.items():
+            self.add_command(LazyCommand(name, place))
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

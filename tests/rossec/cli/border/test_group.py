@@ -7,13 +7,7 @@ import pytest
 
 from rossec.cli import demo
 from rossec.cli.border import serve
-from rossec.cli.servers import border
-from tests.rossec.cli.tables import check_table
 from tests.support.commands import Shell, refused
-
-
-def test_each_verb_exists_and_has_this_help_line() -> None:
-    check_table(border)
 
 
 def test_options_of_the_router_do_not_stand_before_a_verb(empty: Shell) -> None:
