@@ -1,9 +1,4 @@
-"""`rossec demo`: the main job, end to end, with real processes.
-
-`rossec console --demo`: the demo's home, running, with a console that shows it.
-
-`rossec border --demo`: a border router and a lamp in a home of their own, and it ends.
-"""
+"""`rossec demo`, `rossec console --demo`, `rossec border --demo`: real processes, in a home of their own."""
 
 import asyncio
 import sys
@@ -79,12 +74,7 @@ To look at it in a browser, in two more terminals (pip install 'rossec[console]'
 
 
 def show_console_demo(called: click.Context, options: Options) -> None:
-    """Run the demo's home with a console until it is interrupted; nothing is left.
-
-    Raises:
-        ConfigurationError: a library is missing, or an option is not for it.
-        DemoFailed: a step did not do what it says.
-    """
+    """Run the demo's home with a console until it is interrupted; nothing is left."""
     check_libraries()
     if options != Options(port=options.port):
         raise ConfigurationError("--demo is for localhost", "leave the other options, but --port")
@@ -126,12 +116,7 @@ _LIBRARIES = ("aiocoap", "lakers")
 
 
 def show_border_demo(called: click.Context) -> None:
-    """Show a lamp behind a border router; nothing is left.
-
-    Raises:
-        ConfigurationError: a library is missing, or another option was given.
-        DemoFailed: a step did not do what it says.
-    """
+    """Show a lamp behind a border router; nothing is left."""
     if any(find_spec(name) is None for name in _LIBRARIES):
         raise ConfigurationError("CoAP for things is not installed", "pip install 'rossec[constrained]'")
     others = (name for name in called.params if name != "is_demo")

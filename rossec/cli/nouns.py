@@ -1,19 +1,4 @@
-"""The groups `rossec ca`, and `intermediate`, `invitations` and `log` in it.
-
-The group `rossec node`: what is done on the machine of a node.
-
-The group `rossec grant`.
-
-The groups `rossec policy` and `rossec privacy`.
-
-The group `rossec domain`.
-
-The group `rossec federation`.
-
-The group `rossec namespace`, which gives names by rules.
-
-The groups `rossec param`, `rossec service` and `rossec topic`.
-"""
+"""The groups of verbs that run no server, each with the places of its verbs."""
 
 from pathlib import Path
 from typing import Final

@@ -1,15 +1,4 @@
-"""The group `rossec master`, which runs the ROS master of a trust domain.
-
-The group `rossec console`, which by itself runs the console.
-
-The group `rossec gateway`, which runs the gateway of a site.
-
-The group `rossec relay`, which runs the relay of a site.
-
-The groups `rossec router`, which runs a router between sites, and `rossec router seats`.
-
-The group `rossec border`, which runs the border router of constrained things.
-"""
+"""The groups that run a server when no verb is given: master, console, gateway, relay, router, border."""
 
 from pathlib import Path
 from typing import Any, Final

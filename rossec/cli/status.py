@@ -1,13 +1,4 @@
-"""The status of a running service: shown once, or again whenever it changes.
-
-`rossec master status | stop`: ask the running master at its administrator's port.
-
-`rossec federation status`: how far each site is followed, from the running master.
-
-`rossec gateway status`: what the running gateway serves.
-
-`rossec relay status`: the links of the running relay.
-"""
+"""`rossec master status | stop`, and the status of federation, gateway and relay, once or watched."""
 
 import time
 from collections.abc import Callable

@@ -1,22 +1,7 @@
-"""The demo, step by step: from an authority to a filtered, encrypted, revoked topic.
+"""The demos, step by step: `rossec demo`, `rossec border --demo`, `rossec console --demo`.
 
-Each step does the real thing through the command line and real processes, and checks what it
-claims; a claim that does not hold ends the demo with an error.
-
-The demo of a border router, step by step: `rossec border --demo`.
-
-A lamp with a thermometer speaks CoAP with EDHOC and OSCORE, a doctor and a heating see what their
-grants say, and at the end the lamp is revoked. Each step does the real thing and checks it.
-
-What a person can try at the console of the demo: a question to answer, a node to add.
-
-A lamp asks to see where the robot is, and a fridge on another computer (a directory of its own)
-waits with its code. Both are real: the answer is signed, and the fridge is enrolled.
-
-The story of the demo, running: a robot and its receivers, the authority, and its console.
-
-`rossec console --demo`: what `rossec demo` sets up, left running until somebody ends it. Like the
-demo it does everything by commands and processes; the console is one of them.
+Each step does the real thing through the command line and real processes, and checks what it claims; a
+claim that does not hold ends the demo with an error.
 """
 
 import asyncio

@@ -1,15 +1,11 @@
-"""Where the metadata of nodes stand in a launch file: positions in its bytes. Pure.
+"""A launch file with the names that rules gave, in place of metadata. Pure: bytes to bytes.
 
-Metadata are elements in `urn:schemas-tum-de:vmi:ns` inside a `<node>`. Everything else is only
-passed over, so that an edit by these positions leaves it as it is. What the rules are to see of a
-node is written anew (`LaunchNode.metadata`): without the namespace, and with the node's name.
-A substitution of roslaunch, `$(...)`, has no value yet: it is refused where a name comes of it.
+Metadata are elements in `urn:schemas-tum-de:vmi:ns` inside a `<node>`. What the rules are to see of a
+node is written anew (`LaunchNode.metadata`): without the namespace, and with the node's name. A
+substitution of roslaunch, `$(...)`, has no value yet: it is refused where a name comes of it.
 
-A launch file with the names that rules gave, in place of metadata. Pure: bytes to bytes.
-
-Edits are made at positions of the source, never by writing the document anew: comments, spaces,
-order and encoding of everything else remain. A node gets `ns=`, and another `name=` if the rules
-gave one; a topic or service becomes a `<remap>`; a line that had nothing but metadata is left out.
+Edits are made at positions of the source, never by writing the document anew: comments, spaces, order
+and encoding of everything else remain.
 """
 
 import re

@@ -1,18 +1,8 @@
-"""The service `/get_topic_name`: answers with names, and applies none of them.
+"""The service `/get_topic_name`: answers with names, and applies none of them; its package for catkin.
 
-Metadata are claims of the caller, and a name is worth nothing without a grant. What a caller sends
-is bounded in size before it is read, in time by the rules' process, and in number by its turns:
-others get their answers meanwhile.
-
-Turns of callers: what one of them asks for delays none of the others by more than its turn.
-
-A caller has one turn at a time, and a bounded number of requests that wait for it. Free places go
-to those who wait, one caller after the other, however many requests each of them has.
-
-The ROS package that describes the type of `/get_topic_name`: for catkin, or for genpy alone.
-
-The fields are the thesis's (appendix A): programs that were written for its `GetTopicName` call
-this service, since ROS compares md5sums.
+Metadata are claims of the caller, and a name is worth nothing without a grant. What a caller sends is
+bounded in size before it is read, in time by the rules' process, and in number by its turns: others get
+their answers meanwhile.
 """
 
 import asyncio

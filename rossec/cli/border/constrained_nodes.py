@@ -1,11 +1,4 @@
-"""`rossec border add | install`: on the border router, a thing before and after the authority.
-
-`rossec border credential`: what things know their border router by.
-
-`rossec border labels`: a sheet of labels, whose codes name what things prove themselves by.
-
-`rossec border list | status | forget`: what a border router has of things, and does.
-"""
+"""`rossec border`, its verbs: the things of a border router."""
 
 from pathlib import Path
 from typing import Any, Final

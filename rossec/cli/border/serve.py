@@ -28,9 +28,6 @@ def run(environment: Environment, name: str, host: str, port: int, *, as_json: b
         name: of its node.
         host, port: where it listens for things.
         as_json: print where it listens as JSON.
-
-    Raises:
-        HintedError: it has no identity, another one runs, the master is out of reach.
     """
     home = NodeHome.of(environment.home, name)
     home.identity(now())

@@ -1,7 +1,4 @@
-"""`rossec ca enroll`: read a node's code, show its request, and sign its identity.
-
-`rossec ca requests | approve | deny`: requests for an identity, and their answers.
-"""
+"""`rossec ca enroll | requests | approve | deny`: requests for an identity, answered."""
 
 import asyncio
 import secrets

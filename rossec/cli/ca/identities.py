@@ -1,11 +1,4 @@
-"""`rossec ca list | show | renew`: the identities of the authority, and their renewal.
-
-`rossec ca revoke | refresh | publish`: revoke identities, sign the list, deliver it.
-
-`rossec ca invitations`: which there are, who joined by them, and how they end.
-
-`rossec ca log`: what the authority did, whether the log is complete, and proofs for others.
-"""
+"""`rossec ca list | show | renew | revoke | refresh | publish`, `ca invitations` and `ca log`: the record."""
 
 import base64
 import contextlib

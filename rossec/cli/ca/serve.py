@@ -1,7 +1,4 @@
-"""`rossec ca serve`: the authority as a service, which holds the key and lets nodes join.
-
-`rossec ca unlock | lock | status`: the service that runs in the authority's directory.
-"""
+"""`rossec ca serve | unlock | lock | status`: the authority as a service, which holds the key."""
 
 import asyncio
 import logging

@@ -1,13 +1,4 @@
-"""`rossec ca sign`: sign the identity requests of nodes.
-
-Options of the commands that sign identities.
-
-`rossec ca intermediate`: a host that signs nodes for a limited time, below an offline root.
-
-`rossec ca import`: record at the root the identities that intermediates have signed.
-
-`rossec ca thing | things`: what the authority says of constrained things.
-"""
+"""`rossec ca sign | import | thing | things`, `rossec ca intermediate`: what is signed from files."""
 
 import contextlib
 from collections.abc import Callable
@@ -153,11 +144,7 @@ def _show_request(path: Path, request: IdentityRequest, home: AuthorityHome, *, 
 
 
 def warn_of_wildcard(name: str) -> None:
-    """Print what a wildcard identity allows.
-
-    Raises:
-        NameRefused: a name that cannot be a wildcard.
-    """
+    """Print what a wildcard identity allows."""
     check_wildcard(name)
     say(f"  it may run as any number of nodes, under every name that begins with {name}_")
     say("  all of them have one key and the same grants, and are revoked together")

@@ -1,18 +1,10 @@
 """Completion in bash, zsh and fish: the script of each, and the answer to one press of Tab.
 
-The scripts run the `rossec` that printed them, never what stands at the prompt. An answer is data:
-no script evaluates, globs or splits a value. Each gives what was typed, up to the cursor, as
-COMP_LINE. The scripts that click makes evaluate more: theirs for bash expands `*` in values.
-
-Outlines of all commands, kept so that completion imports none of them. A shell.
-
-A wheel carries the table of its commands (`hatch_build.py`). In a source tree there is none:
-there an outline is kept beside Python's own compiled files when it was needed for the first time,
-until a file of the command line changes.
-
-The command to be completed, made of its outline, with names for its arguments. A shell.
-
-`rossec completion SHELL`: the script that makes Tab complete names.
+The scripts run the `rossec` that printed them, never what stands at the prompt. An answer is data: no
+script evaluates, globs or splits a value (those of click do: `*` in bash). Each gives what was typed,
+up to the cursor, as COMP_LINE. Commands are completed by their outlines, and none is imported: a
+wheel carries all outlines (`hatch_build.py`); in a source tree one is kept beside Python's own compiled
+files when it was needed for the first time, until a file of the command line changes.
 """
 
 import contextlib

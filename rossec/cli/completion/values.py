@@ -1,24 +1,9 @@
-"""Which names stand for which argument: a row for each command that takes some.
+"""Outlines of commands, as JSON values, and which names complete which of their arguments.
 
-A row has the kinds of the arguments that are text, in their order. Nothing is offered for `FREE`: a
-new name, a pattern, a value. Options mean the same in all commands, but for those in `_OTHERWISE`.
-Pure: what a kind reads is asked of `sources.Sources`.
-
-Which words completion offers: only those that no shell and no terminal can take for more.
-
-Names reach a home from elsewhere: from peers, by files that were carried. What has any other
-character than these (a space, a quote, `$`, a control character) is not offered at all. `,` and tab
-separate the fields of an answer. Pure.
-
-`completion.json` in ROSSEC_HOME: the names that the last look at the graph showed.
-
-Written after a command has asked the master with an identity, so that Tab asks nobody. Readable by
-its owner only: what a node may see of the graph is not for every user of the host.
-
-The outline of a command: its options and arguments as JSON values, and a command made of them.
-
-Pure. What completes a command line needs no more than that, while the module of the command takes
-half a second to import. A command made of an outline has no callback: it can only be completed.
+What completes a command line needs no more, while the module of the command takes half a second to
+import. A command made of an outline has no callback: it can only be completed. Names reach a home
+from elsewhere, so a word is offered only if no shell and no terminal can take it for more; `,` and
+tab separate the fields of an answer. What a kind reads is asked of `sources.Sources`.
 """
 
 import contextlib
@@ -106,11 +91,7 @@ def outline_of(command: click.Command) -> Outline:
 
 
 def command_of(name: str, outline: Outline, values: Sequence[Values | None]) -> click.Command:
-    """A command to be completed; `values` complete its params, in their order.
-
-    Raises:
-        KeyError, TypeError: not an outline.
-    """
+    """A command to be completed; `values` complete its params, in their order."""
     params = [*map(_parameter, outline["params"], values)]
     settings = {
         "allow_interspersed_args": outline["interspersed"],

@@ -1,11 +1,4 @@
-"""`rossec console phones`: which phones can approve, and how one is removed at the terminal.
-
-The authority's service as the console's commands ask it, and the code that they show.
-
-`rossec console phone`: a one-time code for a phone.
-
-`rossec console approvals`: what persons approved with their phones, and whether it is true.
-"""
+"""`rossec console phone | phones | approvals`: which phones can approve, and what was approved with them."""
 
 import time
 from contextlib import closing
@@ -33,12 +26,7 @@ from rossec.terminal import printable, record, say, say_json, say_picture
 
 
 def running_service(home: AuthorityHome) -> KeyServiceClient:
-    """The service of the authority in `home`.
-
-    Raises:
-        ConfigurationError: none runs.
-        KeyServiceFailed: another user listens there, or it does not answer.
-    """
+    """The service of the authority in `home`."""
     client = KeyServiceClient.find(home.path)
     if client is None:
         raise ConfigurationError(

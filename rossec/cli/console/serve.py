@@ -29,11 +29,7 @@ _LIBRARIES: Final = ("fido2", "jinja2", "starlette", "uvicorn")
 
 
 def check_libraries() -> None:
-    """Return if the libraries of the extra are there.
-
-    Raises:
-        ConfigurationError: one is missing.
-    """
+    """Return if the libraries of the extra are there."""
     missing = [name for name in _LIBRARIES if find_spec(name) is None]
     if missing:
         raise ConfigurationError(
@@ -50,12 +46,7 @@ class Form(NamedTuple):
 
 
 def serve(environment: Environment, options: Options, form: Form, *, rename: bool) -> None:
-    """Run the console until it is interrupted.
-
-    Raises:
-        ConfigurationError: a library or the service is missing, it cannot listen, or phones know
-            it by another address and `rename` was not given.
-    """
+    """Run the console until it is interrupted."""
     check_libraries()
     from rossec.console.server.supervisor import WebOptions, settings_for, supervise  # noqa: PLC0415 - extra
 

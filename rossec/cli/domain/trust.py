@@ -1,13 +1,4 @@
-"""The terms of a foreign domain as options and as lines of text.
-
-The list of domains, given to the master by the commands that change it.
-
-`rossec domain card`: the file that another authority accepts, and the code that fits it.
-
-`rossec domain accept`: show the card of another domain, ask, and trust it so far.
-
-`rossec domain limit | remove`: trust a domain differently, or no more.
-"""
+"""`rossec domain card | accept | limit | remove`: how far, and until when, a foreign domain is trusted."""
 
 import sys
 from collections.abc import Callable, Iterable, Iterator
@@ -99,11 +90,7 @@ def rules(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def check_fresh(seconds: int) -> int:
-    """Return `seconds` if a domain's word may be so old.
-
-    Raises:
-        ConfigurationError: it is too short.
-    """
+    """Return `seconds` if a domain's word may be so old."""
     if seconds < LEAST_FRESH:
         raise ConfigurationError(
             f"--fresh {seconds}s is too short", f"masters ask every 10 s: at least {LEAST_FRESH}s"
@@ -117,12 +104,7 @@ def admitted(patterns: Iterable[str]) -> tuple[str, ...]:
 
 
 def read_rules(texts: tuple[str, ...]) -> tuple[NameRights, ...] | None:
-    """The rules of an export or import; None: no rule, and so no limit.
-
-    Raises:
-        ConfigurationError: not `PATTERN RIGHT[,RIGHT]`.
-        PatternRefused: not a pattern.
-    """
+    """The rules of an export or import; None: no rule, and so no limit."""
     if texts == (EVERYTHING,):
         return None
     return () if texts == (NOTHING,) else tuple(sorted(map(_rule, texts)))

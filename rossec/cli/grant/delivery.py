@@ -1,9 +1,4 @@
-"""`rossec grant list | deliver`: the grants that were signed, and whether their nodes have them.
-
-`rossec grant show | install | revoke`: one grant that was signed.
-
-`rossec master delegate`: let the master renew grants in place of the authority.
-"""
+"""`rossec grant list | deliver | show | install | revoke`, `rossec master delegate`: signed grants."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,11 +1,7 @@
-"""`rossec grant sign | presets`: what nodes may do, signed.
+"""`rossec grant sign | presets | narrow`: what nodes may do, and their options as permissions.
 
-The options of `rossec grant sign` as permissions: rights, conditions and filters.
-
-`rossec grant narrow`: a node hands a right of its own on to another node of its domain.
-
-Signed with the node's own key, in its home. Nothing is recorded at an authority: the chain is a
-file for the other node, and ends with each of its links.
+A grant is narrowed with the node's own key, in its home. Nothing is recorded at an authority: the
+chain is a file for another node, and ends with each of its links.
 """
 
 import contextlib
@@ -122,11 +118,7 @@ def wishes(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def own_pattern(text: str, node: str, *, tail: bool) -> str:
-    """The pattern that `{node}/pose` is for `node`; every other one is returned as it is.
-
-    Raises:
-        PatternRefused: not a pattern, or none for this node.
-    """
+    """The pattern that `{node}/pose` is for `node`; every other one is returned as it is."""
     if not is_own_text(text):
         return text
     found = resolve(check_rule_pattern(text), node, tail=tail)
@@ -136,12 +128,7 @@ def own_pattern(text: str, node: str, *, tail: bool) -> str:
 
 
 def read(said: Mapping[str, Any]) -> tuple[Permission, ...]:
-    """The permissions that the options of `wishes` say.
-
-    Raises:
-        ConfigurationError: no right is given, or an invalid parameter.
-        ConditionRefused, FilterRefused: a restriction that does not fit the message type.
-    """
+    """The permissions that the options of `wishes` say."""
     filters = rules(said["clear"], said["rounds"], said["clamps"])
     inside = restrictions(said["type_name"], filters, said["when"], said["rate"], said["preset_name"])
     return permissions(patterns_by_right(said), graph=said["graph"], restricted=inside)
@@ -159,9 +146,6 @@ def for_node(said: Mapping[str, Any], node: str, tail: Callable[[], bool]) -> di
 
     Args:
         tail: asked only if there are own names: whether the node has a wildcard tail.
-
-    Raises:
-        PatternRefused: as `own_pattern`.
     """
     named = patterns_by_right(said)
     if not any(is_own_text(each) for each in itertools.chain(*named.values())):
@@ -187,11 +171,7 @@ def patterns_by_right(options: Mapping[str, Any]) -> dict[Right, tuple[str, ...]
 def rules(
     clear: tuple[str, ...], rounds: tuple[str, ...], clamps: tuple[str, ...]
 ) -> dict[str, dict[str, object]]:
-    """The filters, by field.
-
-    Raises:
-        ConfigurationError: an invalid parameter, or a field with two filters: one would be lost.
-    """
+    """The filters, by field."""
     given: list[tuple[str, dict[str, object]]] = [(path, {"clear": True}) for path in clear]
     given += [(path, {"round": {"step": step}}) for path, step in map(_rounding, rounds)]
     given += [(path, {"clamp": {"low": low, "high": high}}) for path, low, high in map(_clamping, clamps)]
@@ -233,11 +213,7 @@ def restrictions(
 def permissions(
     wanted: Mapping[Right, tuple[str, ...]], *, graph: bool, restricted: list[Restriction]
 ) -> tuple[Permission, ...]:
-    """The permissions of the grant.
-
-    Raises:
-        ConfigurationError: no right is given, or no right that can be restricted.
-    """
+    """The permissions of the grant."""
     made: list[Permission] = []
     for right, patterns in wanted.items():
         inside = restricted if right in _RESTRICTED and restricted else [None]

@@ -1,16 +1,8 @@
-"""A manual page for `rossec` and for each noun with its verbs, from what click knows of them. Pure.
+"""What a build makes of the commands: a manual page for `rossec` and for each noun, and the outlines.
 
-`man rossec ca` finds the page `rossec-ca`: man-db joins two words. A page says what `--help` says,
-so it cannot be wrong alone.
-
-roff, as man(7) has it: text that can hold any character, and the few macros of our pages. Pure.
-
-A hyphen is written as a minus, so that an option can be copied from the page; accents and quotes as
-the ASCII characters they are (groff_char(7), "Basic Latin").
-
-What a build makes of the commands: manual pages, and the outlines for completion. A shell.
-
-`hatch_build.py` puts them into the wheel.
+`man rossec ca` finds the page `rossec-ca`: man-db joins two words. A page says what `--help` says, so
+it cannot be wrong alone. It is roff as man(7) has it: the few macros of our pages, and text that can
+hold any character. `hatch_build.py` puts it all into the wheel.
 """
 
 import inspect

@@ -60,9 +60,6 @@ def run(
         name: of the master, `/master` or `/master/<segment>`.
         follow_announced: follow every master of the own domain that is announced.
         as_json: print the address as JSON.
-
-    Raises:
-        HintedError: the master cannot start, or ended by itself.
     """
     suites = opening.post_quantum(environment.variables, post_quantum)
     config = replace(Config() if config_file is None else configs.load(config_file), **given)

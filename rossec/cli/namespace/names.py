@@ -1,13 +1,9 @@
-"""A launch file and those it includes from its own directory: read, named, written beside OUT.
+"""`rossec namespace name | launch`: one name by rules, or those of a launch file.
 
-Only `$(dirname)/FILE` is followed: a file of another directory belongs to somebody else, and what
-`$(find package)` or an argument give is known to roslaunch alone. What is not followed is said
-(`notes`), since metadata in there would have no effect. No file is overwritten, and nothing is
-written before everything has its names.
-
-`rossec namespace launch`: a launch file whose metadata become names.
-
-`rossec namespace name`: one name, by rules.
+A launch file is written beside OUT with those it includes from its own directory. Only `$(dirname)/FILE`
+is followed: a file of another directory belongs to somebody else, and what `$(find package)` or an
+argument give is known to roslaunch alone. What is not followed is said (`notes`), since metadata in there
+would have no effect. No file is overwritten, and nothing is written before everything has its names.
 """
 
 import asyncio
@@ -68,11 +64,7 @@ class LaunchFiles:
 
 
 def read(source: Path, out: Path, name_of: NameOf) -> LaunchFiles:
-    """The transformed files for `source`, which is to be written to `out`.
-
-    Raises:
-        RossecError: a file cannot be read, or there is no name; it names file and line.
-    """
+    """The transformed files for `source`, which is to be written to `out`."""
     reader = _Reader(source.absolute().parent, out, name_of)
     reader.add(source, out)
     found = reader.found

@@ -1,12 +1,4 @@
-"""`rossec namespace serve`: the node that tells others which names to use.
-
-Whether grants in files, or a policy, give a node any right on a name that rules gave it.
-
-Grants are read unverified: this is advice for who writes rules, and decides nothing. A rule that
-pins a key counts as if the node had it, since its key is not known before it is enrolled.
-
-`rossec namespace check`: rules tried on the metadata of many nodes, before they are used.
-"""
+"""`rossec namespace serve | check`: names for nodes that ask, and rules tried before they are used."""
 
 import asyncio
 from collections.abc import Iterable, Sequence
@@ -78,11 +70,7 @@ class Coverage:
 
 
 def read_grants(directory: Path) -> list[Grant]:
-    """The grants in the files `*.grant` of a directory, not verified.
-
-    Raises:
-        ConfigurationError: there are none, or a file is not a grant.
-    """
+    """The grants in the files `*.grant` of a directory, not verified."""
     found = []
     for path in sorted(directory.glob(SUFFIX)):
         try:

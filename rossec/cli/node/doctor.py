@@ -3,28 +3,8 @@
 Each check is one line, `ok` or `not ok` with what to do; the command fails when one is not ok. What
 is revoked is not ok, wherever on this machine that is known, without a running master. Plain
 connections that are allowed get a line of their own and are no failure: they were configured.
-
-What a node knows of foreign domains, and whether that is the newest: for `rossec doctor`.
-
-A node without a list knows none, which is in order unless an authority on this machine has one.
-
-What this machine knows to be revoked, without a running master: for `rossec doctor`.
-
-The record of an authority that lives here, and the signed lists that lie in the homes of a node, of
-the master and of the authority. A list is accepted when the node's own authority signed it. What is
-revoked stays revoked: of several lists every entry counts.
-
-What `rossec doctor` says of addresses: that of this host, and those of nodes it may reach.
-
-The commonest fault of a ROS network: a name that only one host knows, or the address of yesterday.
-Whoever gives it away notices nothing; whoever is given it finds nobody there.
-
-What `rossec doctor` learns from the master: who answers there, the clock, and what is revoked.
-
-All of it comes over a connection on which the master proved its identity, and both things that are
-relied on are signed: the list by the authority, the timestamp by the master, in the second in which
-it answers. So the timestamp shows how far this host's clock is off. Of an unauthenticated host no
-time is taken.
+What is learned from the master comes over a connection on which it proved its identity, and is signed;
+of an unauthenticated host not even the time is taken.
 """
 
 import asyncio
@@ -78,12 +58,7 @@ from rossec.terminal import say, say_json, state
 
 
 def check_domains(home: Path, node: NodeHome, now: int) -> Iterator[str]:
-    """A line for each domain that the node trusts.
-
-    Raises:
-        ConfigurationError: its list has expired, or is not the newest of this machine.
-        DomainsRefused: its list is not the authority's.
-    """
+    """A line for each domain that the node trusts."""
     anchor = node.anchor()
     held, newest = DomainFiles(node, anchor).anchors().current, _recorded(home, anchor)
     for each in () if held is None else held.domains:
@@ -155,11 +130,7 @@ _ENTER: Final = "enter the name in /etc/hosts here, or set ROS_IP on its host an
 
 
 def check_own_address(variables: Mapping[str, str]) -> Iterator[Outcome]:
-    """Whether ROS_HOSTNAME or ROS_IP leads to this host.
-
-    Raises:
-        ConfigurationError: it does not.
-    """
+    """Whether ROS_HOSTNAME or ROS_IP leads to this host."""
     address = names.own_address(variables)
     if address is None:
         return
@@ -195,11 +166,7 @@ _NO_LIST: Final = "the master has no revocation list"
 async def check_master(
     environment: Environment, home: NodeHome, grants: Iterable[Grant]
 ) -> AsyncIterator[Outcome]:
-    """Ask the master as the node in `home`, which holds `grants`.
-
-    Raises:
-        HintedError: it is out of reach, or not the master; the node is revoked.
-    """
+    """Ask the master as the node in `home`, which holds `grants`."""
     uri = await find_master(environment, home)
     judge = _Judge(home)
     stream = await _connect(environment, home, uri, judge)

@@ -1,9 +1,4 @@
-"""`rossec node enroll | confirm | labels`: a node is enrolled by its code, over the network.
-
-The terminal of `rossec node enroll`: its code, its messages, and the confirmation.
-
-`rossec node join`: the code of an invitation in, an identity on the disk.
-"""
+"""`rossec node enroll | confirm | labels | join`: a node gets its identity by a code, over the network."""
 
 import asyncio
 import os

@@ -1,7 +1,4 @@
-"""`rossec sidecar`: secure the programs of a host that were not written for rossec.
-
-`rossec run`: secure a program that was not written for rossec.
-"""
+"""`rossec sidecar | run`: secure programs that were not written for rossec, of a host or one."""
 
 import json
 import os

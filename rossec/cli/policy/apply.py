@@ -1,9 +1,4 @@
-"""`rossec policy apply`: make the grants in force what the policy allows outright.
-
-`rossec policy learn | review`: rules made from what runs.
-
-`rossec privacy opt-out`: show a topic to no node, or no topic to a node.
-"""
+"""`rossec policy apply | learn | review`, `rossec privacy opt-out`: a policy grows and is put in force."""
 
 import asyncio
 import contextlib

@@ -1,15 +1,4 @@
-"""`rossec policy check | lint`: the mistakes in a policy, and advice on it.
-
-`rossec policy init`: the beginning of a policy.
-
-`rossec policy import-sros2`: an SROS2 policy as one of rossec.
-
-`rossec policy test`: what must stay true of a policy.
-
-The difference between a policy and the grants in force, as text and as JSON.
-
-What is the same for many nodes is one line of text. JSON has each right of each node.
-"""
+"""`rossec policy check | lint | init | import-sros2 | test`, and what a policy changes in grants."""
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path

@@ -1,7 +1,4 @@
-"""`rossec explain`: whether a node may do something, by which rule, and what would change that.
-
-`rossec privacy`: which node has access to which data, and why.
-"""
+"""`rossec explain`, `rossec privacy`: whether a node may do something and why; who sees which data."""
 
 from collections.abc import Callable, Collection
 from dataclasses import replace

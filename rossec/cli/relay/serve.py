@@ -44,9 +44,6 @@ def run(environment: Environment, doors: str, seat_file: Path | None, *, as_json
         doors: the address of doors; empty: loopback, for this user.
         seat_file: the seat, instead of the one that is kept.
         as_json: say that it runs as a line of JSON.
-
-    Raises:
-        HintedError: the relay cannot start, or a part of it has failed.
     """
     store = relay_files(environment)
     store.home.anchor()  # before anything is written there

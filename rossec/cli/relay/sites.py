@@ -1,17 +1,4 @@
-"""What the commands of `rossec relay` share: the relay of this host, and what it knows.
-
-`rossec relay card | add | list | remove`: with which relays of other sites there are links.
-
-`rossec relay seat`: keep the seat file of the routers' operator.
-
-The router's directory for the commands of its group.
-
-`rossec router seats`: who may use the router.
-
-`rossec router share | take`: several routers of one operator.
-
-`rossec federation add | remove | param | list`: the file of sites in the master's home.
-"""
+"""`rossec relay`, `rossec router seats | share | take`, `rossec federation`: other sites."""
 
 import secrets
 import sys
@@ -53,11 +40,7 @@ def relay_files(environment: Environment) -> RelayFiles:
 
 
 def known_domains(environment: Environment, home: NodeHome) -> Anchors:
-    """The newest list of domains on this host: of the relay, its master, or the authority.
-
-    Raises:
-        ConfigurationError: the relay is not enrolled.
-    """
+    """The newest list of domains on this host: of the relay, its master, or the authority."""
     anchors = Anchors(home.anchor())
     master = NodeHome.of(environment.home, own_master(environment.variables))
     found = [DomainFiles(each, anchors.own).load_domains() for each in (home, master)]
@@ -228,11 +211,7 @@ pass_home = click.make_pass_decorator(RouterHome)
 
 
 def home_of(environment: Environment, directory: Path | None) -> RouterHome:
-    """The directory that was given, else that in ROSSEC_HOME.
-
-    Raises:
-        PathRefused: others can write in ROSSEC_HOME.
-    """
+    """The directory that was given, else that in ROSSEC_HOME."""
     found = environment.home / DIRECTORY if directory is None else directory.absolute()
     return RouterHome(found)
 

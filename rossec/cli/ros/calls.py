@@ -1,7 +1,4 @@
-"""`rossec service`: see and call services from the command line, with an identity.
-
-`rossec param`: read and write parameters from the command line, with an identity.
-"""
+"""`rossec service`, `rossec param`: services and parameters from the command line, with an identity."""
 
 import asyncio
 import base64

@@ -1,13 +1,4 @@
-"""`rossec graph`: which nodes publish, subscribe and provide, now or as it changes.
-
-The graph as ROS 1's tools ask for it: getSystemState and getTopicTypes, as a node may see it.
-
-`rossec topic list | info | type | find`: topics as the master shows them to a node.
-
-`rossec node list | info`: the nodes that run, as the master shows them to a node.
-
-`rossec discover`: the masters that announce themselves on the local links.
-"""
+"""`rossec graph | discover`, and what `rossec topic` and `rossec node` list of the graph that a node may see."""
 
 import asyncio
 import socket
@@ -64,11 +55,7 @@ class SystemState:
 
 
 def system_state(environment: Environment, node: str) -> SystemState:
-    """The state of the master that ROS_MASTER_URI names, as far as `node` may see it.
-
-    Raises:
-        HintedError, OSError, TimeoutError: the master is unreachable, or answers wrongly.
-    """
+    """The state of the master that ROS_MASTER_URI names, as far as `node` may see it."""
     found = asyncio.run(_ask(environment, node, read_state))
     _keep_for_completion(environment, found)
     return found
@@ -112,11 +99,7 @@ async def _ask(environment: Environment, node: str, question: Callable[[MasterCa
 
 
 async def read_state(call: MasterCall) -> SystemState:
-    """Ask both questions on one connection.
-
-    Raises:
-        AnswerMalformed: not what these calls answer.
-    """
+    """Ask both questions on one connection."""
     match await call("getSystemState"):
         case [list() as publishers, list() as subscribers, list() as services]:
             groups = _names(publishers), _names(subscribers), _names(services)

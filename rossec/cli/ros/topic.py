@@ -1,18 +1,4 @@
-"""`rossec topic`: publish and listen from the command line, with an identity.
-
-A node that runs for one command.
-
-The type a publisher claims, to show its messages by: one that is known here, or its definition.
-
-Nothing is decided by it. A type that is known here counts as it is known here.
-
-A topic of any type as a command listens to it: messages as bytes, and why there are none.
-
-A person who waits is told after a moment: that nobody publishes, or what each publisher was refused
-for. Each reason is said once.
-
-`rossec topic hz | bw`: how often messages arrive, and how much they are.
-"""
+"""`rossec topic pub | echo | hz | bw`: publish and listen as a node that runs for one command."""
 
 import asyncio
 import time
@@ -67,11 +53,7 @@ async def run_until_node_ends(node: Node, work: Coroutine[Any, Any, None]) -> No
 
 
 def readable(claimed: Definition) -> MessageType:
-    """The type to read messages of `claimed` by.
-
-    Raises:
-        MessageError: its name has another definition here, or the definition is none.
-    """
+    """The type to read messages of `claimed` by."""
     try:
         known = message_type(claimed.name)
     except MessageError:

@@ -27,10 +27,6 @@ def run(
         given: fields of `RouterSettings` that options set; kept for the next start.
         is_open: it has no seats.
         as_json: print where it listens as JSON.
-
-    Raises:
-        ConfigurationError: another one runs there, nobody has a seat, or a file is damaged.
-        OverlayUnavailable: zenoh is not installed, or cannot listen there.
     """
     home.prepare()
     with home.alone():
@@ -68,11 +64,7 @@ def _print_address(home: RouterHome, settings: RouterSettings, *, is_open: bool,
 
 
 def print_settings(home: RouterHome, given: Mapping[str, tuple[str, ...]], *, is_open: bool) -> None:
-    """Print what `zenohd --config FILE` reads; it names files of `home`, which are made.
-
-    Raises:
-        ConfigurationError: as for `run`.
-    """
+    """Print what `zenohd --config FILE` reads; it names files of `home`, which are made."""
     home.prepare()
     settings = home.tell(**given)
     seats = seats_of(home, is_open=is_open)

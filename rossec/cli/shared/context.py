@@ -1,8 +1,6 @@
-"""What every command shares: the environment it was called with, and what follows from it.
+"""What every command shares: its environment, groups that import it when it runs, and its exit code.
 
-One command line, from arguments to exit code: a refusal is printed as error and hint.
-
-Groups whose commands are imported when they run: help and completion list them unimported.
+A refusal is printed as error and hint. Help and completion list commands unimported.
 """
 
 import importlib
@@ -103,33 +101,19 @@ class UnlockTime(click.ParamType[int]):
 
 
 def reraise_interrupt(abort: click.Abort) -> None:
-    """Distinguish Ctrl-C from the end of input: click raises `Abort` for both.
-
-    Raises:
-        KeyboardInterrupt: it was Ctrl-C.
-    """
+    """Distinguish Ctrl-C from the end of input: click raises `Abort` for both."""
     if isinstance(abort.__context__, KeyboardInterrupt):
         raise KeyboardInterrupt from None
 
 
 def confirm(question: str, *, yes: bool) -> None:
-    """Ask, unless `--yes` was given.
-
-    Raises:
-        ConfigurationError: the answer was no, or there was none.
-        KeyboardInterrupt: Ctrl-C.
-    """
+    """Ask, unless `--yes` was given."""
     if not ask_yes_no(question, yes=yes):
         raise ConfigurationError("nothing was done", _ANSWER)
 
 
 def ask_yes_no(question: str, *, yes: bool) -> bool:
-    """As `confirm`, but return the answer.
-
-    Raises:
-        ConfigurationError: there was no answer.
-        KeyboardInterrupt: Ctrl-C.
-    """
+    """As `confirm`, but return the answer."""
     if yes:
         return True
     try:

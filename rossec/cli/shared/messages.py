@@ -1,16 +1,12 @@
-"""Messages as text for people and programs: as `rostopic echo` prints them, or as JSON.
+"""Messages as text: printed for people and programs, written by people, and counted. Pure.
 
 What is printed is YAML that `rostopic pub`, and `rossec topic pub`, take as it stands. It differs
 from rostopic's own output only where that would not come back: numbers that YAML 1.1 takes for text
 (`1e-05`, `nan`), and long or unusual text, which stays on its line here.
 
-Messages written by people: YAML as `rostopic pub` takes it, into the fields of a message.
-
-A message is a mapping of some of its fields, or a list of all of them in order. A time is
-`{secs, nsecs}`, a number of nanoseconds, or `now`; a header may be `auto`, which is the time now.
-`sec` and `nanosec`, the names of ROS 2, are understood too.
-
-What `rostopic hz` and `rostopic bw` say of the last messages of a topic. Pure.
+What is written is a mapping of some fields, or a list of all of them in order. A time is
+`{secs, nsecs}` (also by the names of ROS 2), a number of nanoseconds, or `now`; a header may be
+`auto`, which is the time now.
 """
 
 import math
@@ -171,9 +167,6 @@ def fill(message: Message, content: object, now: int = 0) -> None:
 
     Args:
         now: nanoseconds since the epoch, which `now` and `auto` stand for.
-
-    Raises:
-        ConfigurationError: an unknown field, or a value of another kind than the field's.
     """
     _Filling(now).message("", message, content)
 
@@ -326,11 +319,7 @@ def _advice(current: object, value: object) -> str:
 
 
 def parse_message(text: str) -> object:
-    """The YAML of a message, as in rostopic; see `grants.policy.source.load`.
-
-    Raises:
-        ConfigurationError: invalid YAML, or over the limits.
-    """
+    """The YAML of a message, as in rostopic; see `grants.policy.source.load`."""
     try:
         return source.load_yaml(text)
     except YamlRefused as error:

@@ -1,21 +1,6 @@
-"""Options and parameter types that several commands share.
+"""Options that commands share, results as JSON, several names in one command, and work that takes long.
 
-`--json` of commands that act: what they `record`, as one JSON document on stdout.
-
-The document is printed when the command ends. If it ends with a refusal after something was done or
-tried, the document has `error` and `hint` as well, so that a program sees what was done before.
-Keys are documented in docs/spec/results.md.
-
-Commands over several names or files: one that is refused does not stop the others.
-
-Each refusal is printed with its name, the others are done, and the exit code is 1. With `--json`
-each has an entry in `results`. An unusable record ends the whole command.
-
-A line that says what takes longer than a second: on stderr, if that is a terminal.
-
-It gives way to every other line, and is gone without a trace when the work is done: a pipe, a file
-and a program that reads `--json` never see it. It is drawn anew each second, so that a person sees
-that the command is not stuck. What asks for anything stays outside.
+Keys of results are documented in docs/spec/results.md.
 """
 
 import contextlib

@@ -1,11 +1,6 @@
-"""The passphrase of the authority's key: from a file, a systemd credential or the terminal.
+"""Secrets of a command: a passphrase from a file, a systemd credential or the terminal, or a pasted code.
 
 Never from an environment variable or an argument: both are visible to others on the machine.
-
-What is typed or pasted without being shown: a passphrase, the code of an invitation.
-
-`getpass` reads one line and throws away what is pasted behind it. A code from a mail has line
-breaks, so lines are taken until it is whole.
 """
 
 import os
@@ -37,12 +32,7 @@ def can_hide() -> bool:
 
 
 def read_lines(question: str, is_whole: Callable[[str], bool]) -> str:
-    """Lines from the terminal, not shown, until `is_whole`, an empty one or the end.
-
-    Raises:
-        OSError: there is no terminal.
-        KeyboardInterrupt: Ctrl-C.
-    """
+    """Lines from the terminal, not shown, until `is_whole`, an empty one or the end."""
     with _without_echo() as terminal:
         os.write(terminal, f"{question}: ".encode())
         lines = list[str]()
@@ -85,11 +75,7 @@ option = click.option(
 
 
 def read(file: Path | None, environ: Mapping[str, str]) -> str:
-    """The passphrase of an existing key.
-
-    Raises:
-        ConfigurationError: the file is empty, not text, or readable by others.
-    """
+    """The passphrase of an existing key."""
     given = _given(file, environ)
     if given is not None:
         return given
@@ -97,11 +83,7 @@ def read(file: Path | None, environ: Mapping[str, str]) -> str:
 
 
 def choose(file: Path | None, environ: Mapping[str, str]) -> str:
-    """A passphrase for a new key.
-
-    Raises:
-        ConfigurationError: shorter than 12 characters.
-    """
+    """A passphrase for a new key."""
     given = _given(file, environ)
     if given is None:
         question = f"new passphrase for the authority's key (at least {MINIMUM} characters)"
@@ -119,11 +101,7 @@ def _long_enough(given: str) -> str:
 
 
 def long_enough(typed: str) -> str:
-    """A new passphrase that was typed once; if it is too short click says so and asks again.
-
-    Raises:
-        click.UsageError: it is too short.
-    """
+    """A new passphrase that was typed once; if it is too short click says so and asks again."""
     try:
         return _long_enough(typed)
     except ConfigurationError as error:

@@ -1,7 +1,4 @@
-"""The authority of a command: its passphrase and its master are those of the options.
-
-At enrollment: a new identity gets at once what the policy gives its name outright.
-"""
+"""The authority of a command, with the passphrase and the master of its options; what it delivers."""
 
 import asyncio
 import contextlib
@@ -67,9 +64,6 @@ def call_master(environment: Environment, master_uri: str | None, call: MasterCa
     """Call the master at `master_uri`, by default ROS_MASTER_URI, as the authority's own node.
 
     Returns the value of its answer.
-
-    Raises:
-        NotDelivered: the master is unreachable or refuses the statement.
     """
     if call.note:
         note(call.note)
