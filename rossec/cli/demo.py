@@ -22,6 +22,27 @@ from rossec.errors import ConfigurationError
 from rossec.host.runner import stop_on_signals, until_first_ends
 from rossec.terminal import say, say_block, say_picture
 
+_LOOK = "\nto look at such a home in a browser: rossec console --demo"
+_CONTINUE = """
+Everything is in {directory}. To continue, in three terminals:
+
+    export ROSSEC_HOME={directory} ROS_IP=127.0.0.1 PATH="{programs}:$PATH"
+    rossec master
+    python -I -m rossec.demo.robot
+    rossec topic echo /robot/pose geometry_msgs/PoseStamped --as /heating
+
+The authority's passphrase is in {directory}/passphrase. Try
+
+    rossec grant list
+    rossec grant sign /heating --subscribe /robot/scan --passphrase-file {directory}/passphrase
+
+To look at it in a browser, in two more terminals (pip install 'rossec[console]'):
+
+    rossec ca serve --unlock-for 0 --passphrase-file {directory}/passphrase
+    rossec console
+"""
+_LIBRARIES = ("aiocoap", "lakers")
+
 
 @click.command()
 @click.option("--keep", type=click.Path(path_type=Path), help="new directory to leave everything in")
@@ -49,28 +70,6 @@ async def _run(directory: Path, run: Run) -> None:
         await steps.run_steps(environment)
     finally:
         await environment.stop_all()
-
-
-_LOOK = "\nto look at such a home in a browser: rossec console --demo"
-
-_CONTINUE = """
-Everything is in {directory}. To continue, in three terminals:
-
-    export ROSSEC_HOME={directory} ROS_IP=127.0.0.1 PATH="{programs}:$PATH"
-    rossec master
-    python -I -m rossec.demo.robot
-    rossec topic echo /robot/pose geometry_msgs/PoseStamped --as /heating
-
-The authority's passphrase is in {directory}/passphrase. Try
-
-    rossec grant list
-    rossec grant sign /heating --subscribe /robot/scan --passphrase-file {directory}/passphrase
-
-To look at it in a browser, in two more terminals (pip install 'rossec[console]'):
-
-    rossec ca serve --unlock-for 0 --passphrase-file {directory}/passphrase
-    rossec console
-"""
 
 
 def show_console_demo(called: click.Context, options: Options) -> None:
@@ -110,9 +109,6 @@ async def _show(demo: DemoEnvironment, port: int, others: list[DemoEnvironment])
     say(f"a new code of it: {home} rossec node enroll {FRIDGE} --address 127.0.0.1")
     say("Ctrl-C ends everything and leaves nothing")
     await demo.until_one_ends()
-
-
-_LIBRARIES = ("aiocoap", "lakers")
 
 
 def show_border_demo(called: click.Context) -> None:

@@ -35,16 +35,96 @@ _CA: Final = {
     "things": "ca.sign:things",
     "unlock": "ca.serve:unlock",
 }
-
 _INTERMEDIATE: Final = {
     "install": "ca.sign:install_intermediate",
     "request": "ca.sign:request_intermediate",
     "sign": "ca.sign:sign_intermediate",
 }
-
 _INVITATIONS: Final = {"revoke": "ca.identities:revoke_invitations"}
-
 _LOG: Final = {"head": "ca.identities:head", "prove": "ca.identities:prove", "verify": "ca.identities:verify"}
+_NODE: Final = {
+    "code": "node.identity:code",
+    "confirm": "node.enroll:confirm",
+    "enroll": "node.enroll:enroll",
+    "info": "ros.graph:node_info",
+    "install": "node.identity:install",
+    "join": "node.enroll:join_domain",
+    "labels": "node.enroll:labels",
+    "list": "ros.graph:list_nodes",
+    "request": "node.identity:request",
+    "show": "node.identity:show",
+}
+_GRANT: Final = {
+    "approve": "grant.request:approve",
+    "decide": "grant.request:decide",
+    "deliver": "grant.delivery:deliver",
+    "deny": "grant.request:deny",
+    "install": "grant.delivery:install",
+    "list": "grant.delivery:list_",
+    "narrow": "grant.sign:narrow",
+    "pending": "grant.request:pending",
+    "presets": "grant.sign:presets",
+    "request": "grant.request:request",
+    "revoke": "grant.delivery:revoke",
+    "show": "grant.delivery:show",
+    "sign": "grant.sign:sign",
+}
+_POLICY: Final = {
+    "apply": "policy.apply:apply",
+    "check": "policy.check:check",
+    "import-sros2": "policy.check:import_",
+    "learn": "policy.apply:learn",
+    "lint": "policy.check:lint",
+    "init": "policy.check:init",
+    "review": "policy.apply:review",
+    "test": "policy.check:test",
+}
+_PRIVACY: Final = {"opt-out": "policy.apply:opt_out"}
+_DOMAIN: Final = {
+    "accept": "domain.trust:accept",
+    "card": "domain.trust:card",
+    "limit": "domain.trust:limit",
+    "list": "domain.listing:list_",
+    "remove": "domain.trust:remove",
+    "show": "domain.listing:show",
+}
+_FEDERATION: Final = {
+    "add": "relay.sites:add_site",
+    "list": "relay.sites:list_sites",
+    "param": "relay.sites:param",
+    "remove": "relay.sites:remove_site",
+    "status": "status:federation_status",
+}
+_NAMESPACE: Final = {
+    "check": "namespace.serve:check",
+    "launch": "namespace.names:launch",
+    "messages": "namespace.messages:command",
+    "name": "namespace.names:show_name",
+    "rules": "namespace.show_rules:command",
+    "serve": "namespace.serve:serve",
+}
+_PARAM: Final = {
+    "delete": "ros.calls:delete_param",
+    "get": "ros.calls:get_param",
+    "list": "ros.calls:list_params",
+    "set": "ros.calls:set_param",
+}
+_SERVICE: Final = {
+    "call": "ros.calls:call",
+    "info": "ros.calls:service_info",
+    "list": "ros.calls:list_services",
+    "type": "ros.calls:type_of_service",
+}
+_TOPIC: Final = {
+    "bw": "ros.topic:bw",
+    "echo": "ros.topic:echo",
+    "find": "ros.graph:find_topics",
+    "hz": "ros.topic:hz",
+    "info": "ros.graph:topic_info",
+    "list": "ros.graph:list_topics",
+    "pub": "ros.topic:pub",
+    "type": "ros.graph:type_of_topic",
+}
 
 
 @click.group(cls=LazyGroup, table=_CA)
@@ -83,59 +163,14 @@ def invitations(context: click.Context, everything: bool, in_json: bool) -> None
     show(context.ensure_object(Environment), everything=everything, in_json=in_json)
 
 
-_NODE: Final = {
-    "code": "node.identity:code",
-    "confirm": "node.enroll:confirm",
-    "enroll": "node.enroll:enroll",
-    "info": "ros.graph:node_info",
-    "install": "node.identity:install",
-    "join": "node.enroll:join_domain",
-    "labels": "node.enroll:labels",
-    "list": "ros.graph:list_nodes",
-    "request": "node.identity:request",
-    "show": "node.identity:show",
-}
-
-
 @click.group(cls=LazyGroup, table=_NODE)
 def node() -> None:
     """Prepare a node on its own machine."""
 
 
-_GRANT: Final = {
-    "approve": "grant.request:approve",
-    "decide": "grant.request:decide",
-    "deliver": "grant.delivery:deliver",
-    "deny": "grant.request:deny",
-    "install": "grant.delivery:install",
-    "list": "grant.delivery:list_",
-    "narrow": "grant.sign:narrow",
-    "pending": "grant.request:pending",
-    "presets": "grant.sign:presets",
-    "request": "grant.request:request",
-    "revoke": "grant.delivery:revoke",
-    "show": "grant.delivery:show",
-    "sign": "grant.sign:sign",
-}
-
-
 @click.group(cls=LazyGroup, table=_GRANT)
 def grant() -> None:
     """Sign, show and revoke grants."""
-
-
-_POLICY: Final = {
-    "apply": "policy.apply:apply",
-    "check": "policy.check:check",
-    "import-sros2": "policy.check:import_",
-    "learn": "policy.apply:learn",
-    "lint": "policy.check:lint",
-    "init": "policy.check:init",
-    "review": "policy.apply:review",
-    "test": "policy.check:test",
-}
-
-_PRIVACY: Final = {"opt-out": "policy.apply:opt_out"}
 
 
 @click.group(cls=LazyGroup, table=_POLICY)
@@ -169,28 +204,9 @@ def privacy(
     show(*read, node=node, field=field, held=held, html=html, as_json=as_json)
 
 
-_DOMAIN: Final = {
-    "accept": "domain.trust:accept",
-    "card": "domain.trust:card",
-    "limit": "domain.trust:limit",
-    "list": "domain.listing:list_",
-    "remove": "domain.trust:remove",
-    "show": "domain.listing:show",
-}
-
-
 @click.group(cls=LazyGroup, table=_DOMAIN)
 def domain() -> None:
     """Trust other domains, as far as you say."""
-
-
-_FEDERATION: Final = {
-    "add": "relay.sites:add_site",
-    "list": "relay.sites:list_sites",
-    "param": "relay.sites:param",
-    "remove": "relay.sites:remove_site",
-    "status": "status:federation_status",
-}
 
 
 @click.group(cls=LazyGroup, table=_FEDERATION)
@@ -201,48 +217,12 @@ def federation() -> None:
     """
 
 
-_NAMESPACE: Final = {
-    "check": "namespace.serve:check",
-    "launch": "namespace.names:launch",
-    "messages": "namespace.messages:command",
-    "name": "namespace.names:show_name",
-    "rules": "namespace.show_rules:command",
-    "serve": "namespace.serve:serve",
-}
-
-
 @click.group(cls=LazyGroup, table=_NAMESPACE)
 def namespace() -> None:
     """Give names by rules: to a node, its topics and services, from its metadata.
 
     Names are proposals: nothing is renamed, and no right comes of one.
     """
-
-
-_PARAM: Final = {
-    "delete": "ros.calls:delete_param",
-    "get": "ros.calls:get_param",
-    "list": "ros.calls:list_params",
-    "set": "ros.calls:set_param",
-}
-
-_SERVICE: Final = {
-    "call": "ros.calls:call",
-    "info": "ros.calls:service_info",
-    "list": "ros.calls:list_services",
-    "type": "ros.calls:type_of_service",
-}
-
-_TOPIC: Final = {
-    "bw": "ros.topic:bw",
-    "echo": "ros.topic:echo",
-    "find": "ros.graph:find_topics",
-    "hz": "ros.topic:hz",
-    "info": "ros.graph:topic_info",
-    "list": "ros.graph:list_topics",
-    "pub": "ros.topic:pub",
-    "type": "ros.graph:type_of_topic",
-}
 
 
 @click.group(cls=LazyGroup, table=_PARAM)

@@ -15,6 +15,42 @@ _MASTER: Final = {
     "status": "status:master_status",
     "stop": "status:stop_master",
 }
+_CONSOLE: Final = {
+    "approvals": "console.phones:approvals",
+    "phone": "console.phones:phone",
+    "phones": "servers:phones",
+    "tls": "console.tls:tls",
+}
+_FILE: Final = click.Path(path_type=Path)
+_PHONES: Final = {"remove": "console.phones:remove"}
+_GATEWAY: Final = {"status": "status:gateway_status"}
+_RULES: Final = "rossec.gateway.rules"
+_EXAMPLE: Final = "rossec gateway --from hospital /robot/pose"
+_RELAY: Final = {
+    "add": "relay.sites:add_relay",
+    "card": "relay.sites:card",
+    "list": "relay.sites:list_relays",
+    "remove": "relay.sites:remove_relay",
+    "seat": "relay.sites:seat",
+    "status": "status:relay_status",
+}
+_ROUTER: Final = {"seats": "servers:seats", "share": "relay.sites:share", "take": "relay.sites:take"}
+_SEATS: Final = {
+    "add": "relay.sites:add_account",
+    "list": "relay.sites:list_accounts",
+    "remove": "relay.sites:remove_account",
+    "show": "relay.sites:show_account",
+}
+_BORDER: Final = {
+    "add": "border.constrained_nodes:add",
+    "credential": "border.constrained_nodes:credential",
+    "forget": "border.constrained_nodes:forget",
+    "install": "border.constrained_nodes:install",
+    "labels": "border.constrained_nodes:labels",
+    "list": "border.constrained_nodes:list_",
+    "status": "border.constrained_nodes:status_",
+}
+_PORT: Final = 5683
 
 
 @click.group(cls=LazyGroup, table=_MASTER, invoke_without_command=True)
@@ -93,17 +129,6 @@ def master(
     )
 
 
-_CONSOLE: Final = {
-    "approvals": "console.phones:approvals",
-    "phone": "console.phones:phone",
-    "phones": "servers:phones",
-    "tls": "console.tls:tls",
-}
-_FILE: Final = click.Path(path_type=Path)
-
-_PHONES: Final = {"remove": "console.phones:remove"}
-
-
 @click.group(cls=LazyGroup, table=_CONSOLE, invoke_without_command=True)
 @click.option("--lan", is_flag=True, help="for phones on the network: https, an authority of its own")
 @click.option("--name", metavar="NAME", help="what browsers call it; --lan: HOSTNAME.local")
@@ -157,11 +182,6 @@ def phones(context: click.Context, everything: bool, as_json: bool) -> None:
     from rossec.cli.console.phones import show  # noqa: PLC0415 - imported when it runs
 
     show(context.ensure_object(Environment), everything=everything, as_json=as_json)
-
-
-_GATEWAY: Final = {"status": "status:gateway_status"}
-_RULES: Final = "rossec.gateway.rules"
-_EXAMPLE: Final = "rossec gateway --from hospital /robot/pose"
 
 
 class GatewayGroup(LazyGroup):
@@ -239,16 +259,6 @@ def gateway(context: click.Context, environment: Environment, name: str | None, 
     run(environment, rules, as_json=as_json)
 
 
-_RELAY: Final = {
-    "add": "relay.sites:add_relay",
-    "card": "relay.sites:card",
-    "list": "relay.sites:list_relays",
-    "remove": "relay.sites:remove_relay",
-    "seat": "relay.sites:seat",
-    "status": "status:relay_status",
-}
-
-
 @click.group(cls=LazyGroup, table=_RELAY, invoke_without_command=True)
 @click.option(
     "--doors",
@@ -296,16 +306,6 @@ def relay(
     from rossec.cli.relay.serve import run  # noqa: PLC0415 - imported when it runs
 
     run(environment, doors, seat_file, as_json=as_json)
-
-
-_ROUTER: Final = {"seats": "servers:seats", "share": "relay.sites:share", "take": "relay.sites:take"}
-
-_SEATS: Final = {
-    "add": "relay.sites:add_account",
-    "list": "relay.sites:list_accounts",
-    "remove": "relay.sites:remove_account",
-    "show": "relay.sites:show_account",
-}
 
 
 @click.group(cls=LazyGroup, table=_ROUTER, invoke_without_command=True)
@@ -378,18 +378,6 @@ def seats() -> None:
     A seat is for one site: its relay reads the mailboxes of its seat, and sends to any that it
     knows. A router that runs takes changes over within a second.
     """
-
-
-_BORDER: Final = {
-    "add": "border.constrained_nodes:add",
-    "credential": "border.constrained_nodes:credential",
-    "forget": "border.constrained_nodes:forget",
-    "install": "border.constrained_nodes:install",
-    "labels": "border.constrained_nodes:labels",
-    "list": "border.constrained_nodes:list_",
-    "status": "border.constrained_nodes:status_",
-}
-_PORT: Final = 5683
 
 
 @click.group(cls=LazyGroup, table=_BORDER, invoke_without_command=True)

@@ -17,39 +17,12 @@ from rossec.master.operation.admin import send_command
 from rossec.terminal import note, printable, record, say, say_json
 
 PERIOD: Final = 1.0  # seconds between two questions
-
 as_json = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
 watch = click.option("--watch", is_flag=True, help="show it again whenever it changes, until Ctrl-C")
-
 Answer = dict[str, Any]
-
-
-def show_status(
-    ask: Callable[[], Answer],
-    lines: Callable[[Answer], list[str]],
-    missing: Callable[[Answer], str],
-    *,
-    as_json: bool,
-    watch: bool,
-) -> None:
-    """Ask and print, once or until Ctrl-C; `missing` is said of an answer that lacks something."""
-    shown: list[str] | None = None
-    while True:
-        answer = ask()
-        if as_json:
-            say_json(answer)
-        elif (found := lines(answer)) != shown:
-            shown = found
-            for line in found:
-                say(printable(line))
-            if said := missing(answer):
-                note(said)
-        if not watch:
-            return
-        time.sleep(PERIOD)
-
-
 ADMIN_SOCKET: Final = "admin.sock"
+_PERIOD: Final = 1.0
+_SHOWN: Final = 8  # topics of a site; with --json a thousand
 
 
 @click.command()
@@ -65,16 +38,6 @@ def master_status(environment: Environment, as_json: bool) -> None:
         say(f"{key.replace('_', ' '):<20} {printable(str(value))}")
 
 
-@click.command()
-@json_result()
-@pass_environment
-def stop_master(environment: Environment) -> None:
-    """Stop the running master in order; it must have been started with --admin."""
-    send_command(_home(environment).path / ADMIN_SOCKET, "stop")
-    record(stopping=True)
-    say("the master ends")
-
-
 def _home(environment: Environment) -> NodeHome:
     home = NodeHome.of(environment.home, own_master(environment.variables))
     if not home.path.is_dir():  # it cannot run from here: the terminal lacks ROSSEC_HOME, perhaps
@@ -83,8 +46,14 @@ def _home(environment: Environment) -> NodeHome:
     return home
 
 
-_PERIOD: Final = 1.0
-_SHOWN: Final = 8  # topics of a site; with --json a thousand
+@click.command()
+@json_result()
+@pass_environment
+def stop_master(environment: Environment) -> None:
+    """Stop the running master in order; it must have been started with --admin."""
+    send_command(_home(environment).path / ADMIN_SOCKET, "stop")
+    record(stopping=True)
+    say("the master ends")
 
 
 @click.command()
@@ -118,12 +87,16 @@ def _lines(answer: dict[str, Any]) -> list[str]:
     return [*sites, *(printable(f"{where}: {what}") for where, what in answer["problems"].items())]
 
 
-def _without_figures(answer: dict[str, Any]) -> list[str]:
-    still = {"rtt_ms": 0, "retransmissions": 0, "streams": 0}
-    sites = [
-        {**site, "way": {**site["way"], **still}} if site.get("way") else site for site in answer["sites"]
-    ]
-    return _lines({**answer, "sites": sites})
+def _line(site: dict[str, Any]) -> str:
+    name = display_name(str(site["domain"]), str(site["master"]))
+    lost = "" if site["lost_s"] is None else " (its names are shown for a minute)"
+    error = f"  {site['error']}" if site["error"] else ""
+    mirrored = f", {site['mirrored']} parameters" if site.get("mirrored") else ""
+    where = f"via {site['via']}" if site.get("via") else f"at {site['uri']}"
+    return printable(
+        f"{site['label']:<16} {site['state']:<10} {site['facts']} facts{mirrored}{lost}"
+        f"  {name} {where}, by {site['source']}{error}"
+    )
 
 
 def _hint(site: dict[str, Any]) -> list[str]:
@@ -154,16 +127,12 @@ def _topics(site: dict[str, Any]) -> list[str]:
     return [printable(f"{'':<16} topics: {' '.join(topics[:_SHOWN])}{others}")]
 
 
-def _line(site: dict[str, Any]) -> str:
-    name = display_name(str(site["domain"]), str(site["master"]))
-    lost = "" if site["lost_s"] is None else " (its names are shown for a minute)"
-    error = f"  {site['error']}" if site["error"] else ""
-    mirrored = f", {site['mirrored']} parameters" if site.get("mirrored") else ""
-    where = f"via {site['via']}" if site.get("via") else f"at {site['uri']}"
-    return printable(
-        f"{site['label']:<16} {site['state']:<10} {site['facts']} facts{mirrored}{lost}"
-        f"  {name} {where}, by {site['source']}{error}"
-    )
+def _without_figures(answer: dict[str, Any]) -> list[str]:
+    still = {"rtt_ms": 0, "retransmissions": 0, "streams": 0}
+    sites = [
+        {**site, "way": {**site["way"], **still}} if site.get("way") else site for site in answer["sites"]
+    ]
+    return _lines({**answer, "sites": sites})
 
 
 @click.command()
@@ -186,10 +155,29 @@ def gateway_status(environment: Environment, *, as_json: bool, watch: bool) -> N
     )
 
 
-def _missing(answer: dict[str, Any]) -> str:
-    if answer["topics"]:
-        return ""
-    return "nothing is served: is a topic of these patterns published there, and shown?"
+def show_status(
+    ask: Callable[[], Answer],
+    lines: Callable[[Answer], list[str]],
+    missing: Callable[[Answer], str],
+    *,
+    as_json: bool,
+    watch: bool,
+) -> None:
+    """Ask and print, once or until Ctrl-C; `missing` is said of an answer that lacks something."""
+    shown: list[str] | None = None
+    while True:
+        answer = ask()
+        if as_json:
+            say_json(answer)
+        elif (found := lines(answer)) != shown:
+            shown = found
+            for line in found:
+                say(printable(line))
+            if said := missing(answer):
+                note(said)
+        if not watch:
+            return
+        time.sleep(PERIOD)
 
 
 def _gateway_lines(answer: dict[str, Any]) -> list[str]:
@@ -223,6 +211,12 @@ def _skipped(row: dict[str, Any]) -> list[str]:
     return [f"{row['topic']} is not served: {row['why']}", *hint]
 
 
+def _missing(answer: dict[str, Any]) -> str:
+    if answer["topics"]:
+        return ""
+    return "nothing is served: is a topic of these patterns published there, and shown?"
+
+
 @click.command()
 @as_json
 @watch
@@ -240,10 +234,6 @@ def relay_status(environment: Environment, *, as_json: bool, watch: bool) -> Non
         as_json=as_json,
         watch=watch,
     )
-
-
-def _status_missing(answer: dict[str, Any]) -> str:
-    return "" if answer["peers"] else "no relay of another site is known: rossec relay card LABEL"
 
 
 def _relay_lines(answer: dict[str, Any]) -> list[str]:
@@ -264,3 +254,7 @@ def _peer(peer: dict[str, Any]) -> list[str]:
         f"  {peer['streams']} connections{called}{speed if peer['rtt_ms'] else ''}{error}"
     )
     return [line, *([f"{'':<16} hint: {peer['hint']}"] if peer["hint"] else [])]
+
+
+def _status_missing(answer: dict[str, Any]) -> str:
+    return "" if answer["peers"] else "no relay of another site is known: rossec relay card LABEL"

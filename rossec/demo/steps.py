@@ -25,6 +25,35 @@ NODES: Final = ("/master", "/robot", "/doctor", "/heating")
 _TOLERANCE: Final = 1e-9
 # Seconds to wait for images after the revocation.
 _SILENCE: Final = 1.5
+LAMP: Final = "/things/lamp"
+TEMPERATURE: Final = (f"{LAMP}/temperature", "sensor_msgs/Temperature")
+LIGHT: Final = (f"{LAMP}/light", "std_msgs/Bool")
+STEP: Final = 5.0  # degrees that the heating sees
+BORDER_NODES: Final = ("/master", "/border", "/doctor", "/heating")
+_THING: Final = "rossec.demo.thing"
+_EVERY: Final = 2  # seconds between two registrations of the lamp
+_BORDER_STEPS_SILENCE: Final = 3.5  # seconds after the revocation; the lamp measures once a second
+TRIED_LAMP: Final = "/lamp"
+FRIDGE: Final = "/fridge"
+WHY: Final = "to light the room that the robot is in"
+POLICY: Final = f"""\
+# Whatever a node asks for waits for a person. What was granted before is by hand, and stays.
+rossec: 1
+robot: the robot at home
+defaults: {{decision: prompt, prompt_timeout: 8h, lifetime: 7d}}
+types: {{{", ".join(f"{topic}: {kind}" for topic, kind in (POSE, SCAN, CAMERA))}}}
+title:
+  /robot: the robot
+  /doctor: Dr. Meier
+  /heating: the heating
+  {TRIED_LAMP}: the lamp in the hall
+  {FRIDGE}: the fridge
+  {POSE[0]}: where the robot is
+  {SCAN[0]}: what the laser meets
+  {CAMERA[0]}: what the camera sees
+rules: []
+"""
+START = 60.0  # seconds for the console on a busy machine
 
 
 async def run_steps(demo: DemoEnvironment) -> None:
@@ -52,6 +81,10 @@ async def found_authority(demo: DemoEnvironment) -> None:
     await demo.command("ca", "init", "home", *passphrase(demo))
 
 
+def passphrase(demo: DemoEnvironment) -> tuple[str, str]:
+    return "--passphrase-file", str(demo.root / "passphrase")
+
+
 async def enroll(demo: DemoEnvironment, names: Sequence[str] = NODES, shown: str = "/robot") -> None:
     codes = []
     for name in names:
@@ -64,6 +97,14 @@ async def enroll(demo: DemoEnvironment, names: Sequence[str] = NODES, shown: str
     await demo.command("ca", "sign", *map(_request_of(demo), names), *scanned, "--yes", *passphrase(demo))
     for name in names:
         await demo.command("node", "install", str(directory(demo, name) / "node.pem"), "--yes", quiet=True)
+
+
+def _request_of(demo: DemoEnvironment) -> Callable[[str], str]:
+    return lambda name: str(directory(demo, name) / "node.csr")
+
+
+def directory(demo: DemoEnvironment, name: str) -> Path:
+    return NodeHome.of(demo.root, name).path
 
 
 async def sign_grants(demo: DemoEnvironment) -> str:
@@ -108,6 +149,10 @@ async def start(demo: DemoEnvironment) -> tuple[DemoProcess, DemoProcess, DemoPr
     return robot, doctor, heating, int(listening["tcpros"])
 
 
+def on_topic(topic: str) -> Callable[[Report], bool]:
+    return lambda report: report.get("topic") == topic
+
+
 async def compare(demo: DemoEnvironment, doctor: DemoProcess, heating: DemoProcess) -> None:
     for _ in range(3):
         coarse = await heating.expect("a pose", on_topic(POSE[0]), after=len(heating.reports))
@@ -120,6 +165,24 @@ async def compare(demo: DemoEnvironment, doctor: DemoProcess, heating: DemoProce
     demo.printer.print(
         f"the doctor also sees {scan['ranges']} laser rays and images of {image['bytes']} bytes"
     )
+
+
+def same_message(one: Report, other: Report) -> bool:
+    return (one["topic"], one["seq"]) == (other.get("topic"), other.get("seq"))
+
+
+def _check_coarse(exact: Report, coarse: Report) -> None:
+    # Raise unless `coarse` is `exact` on a grid of COARSE metres, without its frame.
+    wanted = [math.floor(value / COARSE + 0.5) * COARSE for value in exact["position"]]
+    if any(abs(a - b) > _TOLERANCE for a, b in zip(wanted, coarse["position"], strict=True)):
+        raise DemoFailed(f"the heating saw {coarse['position']}, expected {wanted}")
+    if coarse["frame"] or exact["frame"] != FRAME:
+        raise DemoFailed("the frame was not cleared for the heating, or was for the doctor")
+
+
+def _describe(report: Report) -> str:
+    x, y = report["position"]
+    return f"position ({x:8.4f}, {y:8.4f})  frame {report['frame']!r}"
 
 
 async def connect_intruder(demo: DemoEnvironment, port: int) -> None:
@@ -158,50 +221,6 @@ async def revoke(demo: DemoEnvironment, doctor: DemoProcess, grant: str) -> None
         f" (it took {1000 * (finished - given):.0f} ms in all, most to unlock the authority's key)"
     )
     demo.printer.print("poses and laser scans continue: they have another grant")
-
-
-def passphrase(demo: DemoEnvironment) -> tuple[str, str]:
-    return "--passphrase-file", str(demo.root / "passphrase")
-
-
-def directory(demo: DemoEnvironment, name: str) -> Path:
-    return NodeHome.of(demo.root, name).path
-
-
-def _request_of(demo: DemoEnvironment) -> Callable[[str], str]:
-    return lambda name: str(directory(demo, name) / "node.csr")
-
-
-def on_topic(topic: str) -> Callable[[Report], bool]:
-    return lambda report: report.get("topic") == topic
-
-
-def same_message(one: Report, other: Report) -> bool:
-    return (one["topic"], one["seq"]) == (other.get("topic"), other.get("seq"))
-
-
-def _check_coarse(exact: Report, coarse: Report) -> None:
-    # Raise unless `coarse` is `exact` on a grid of COARSE metres, without its frame.
-    wanted = [math.floor(value / COARSE + 0.5) * COARSE for value in exact["position"]]
-    if any(abs(a - b) > _TOLERANCE for a, b in zip(wanted, coarse["position"], strict=True)):
-        raise DemoFailed(f"the heating saw {coarse['position']}, expected {wanted}")
-    if coarse["frame"] or exact["frame"] != FRAME:
-        raise DemoFailed("the frame was not cleared for the heating, or was for the doctor")
-
-
-def _describe(report: Report) -> str:
-    x, y = report["position"]
-    return f"position ({x:8.4f}, {y:8.4f})  frame {report['frame']!r}"
-
-
-LAMP: Final = "/things/lamp"
-TEMPERATURE: Final = (f"{LAMP}/temperature", "sensor_msgs/Temperature")
-LIGHT: Final = (f"{LAMP}/light", "std_msgs/Bool")
-STEP: Final = 5.0  # degrees that the heating sees
-BORDER_NODES: Final = ("/master", "/border", "/doctor", "/heating")
-_THING: Final = "rossec.demo.thing"
-_EVERY: Final = 2  # seconds between two registrations of the lamp
-_BORDER_STEPS_SILENCE: Final = 3.5  # seconds after the revocation; the lamp measures once a second
 
 
 async def run_border_steps(demo: DemoEnvironment) -> None:
@@ -287,6 +306,10 @@ async def start_border(demo: DemoEnvironment, things: Path) -> tuple[DemoProcess
     return lamp, doctor, heating
 
 
+def _said(line: str) -> Callable[[Report], bool]:
+    return lambda report: report.get("said") == line
+
+
 async def compare_lamp(demo: DemoEnvironment, doctor: DemoProcess, heating: DemoProcess) -> None:
     for _ in range(2):
         coarse = await heating.expect("a temperature", on_topic(TEMPERATURE[0]), after=len(heating.reports))
@@ -324,44 +347,9 @@ async def revoke_lamp(demo: DemoEnvironment, doctor: DemoProcess) -> None:
     )
 
 
-def _said(line: str) -> Callable[[Report], bool]:
-    return lambda report: report.get("said") == line
-
-
-TRIED_LAMP: Final = "/lamp"
-FRIDGE: Final = "/fridge"
-WHY: Final = "to light the room that the robot is in"
-POLICY: Final = f"""\
-# Whatever a node asks for waits for a person. What was granted before is by hand, and stays.
-rossec: 1
-robot: the robot at home
-defaults: {{decision: prompt, prompt_timeout: 8h, lifetime: 7d}}
-types: {{{", ".join(f"{topic}: {kind}" for topic, kind in (POSE, SCAN, CAMERA))}}}
-title:
-  /robot: the robot
-  /doctor: Dr. Meier
-  /heating: the heating
-  {TRIED_LAMP}: the lamp in the hall
-  {FRIDGE}: the fridge
-  {POSE[0]}: where the robot is
-  {SCAN[0]}: what the laser meets
-  {CAMERA[0]}: what the camera sees
-rules: []
-"""
-
-
 class WaitingNode(NamedTuple):
     code: str
     environment: DemoEnvironment
-
-
-async def ask(demo: DemoEnvironment) -> None:
-    create(demo.root / "ca" / "policy.yaml", POLICY.encode())
-    await demo.command("node", "request", TRIED_LAMP, "--domain", "home", quiet=True)
-    request, answer = (str(directory(demo, TRIED_LAMP) / f"node.{end}") for end in ("csr", "pem"))
-    await demo.command("ca", "sign", request, "--yes", *passphrase(demo), quiet=True)
-    await demo.command("node", "install", answer, "--yes", quiet=True)
-    await demo.command("grant", "request", TRIED_LAMP, "--subscribe", POSE[0], "--why", WHY, quiet=True)
 
 
 async def show_code(demo: DemoEnvironment) -> WaitingNode:
@@ -376,9 +364,6 @@ async def show_code(demo: DemoEnvironment) -> WaitingNode:
     except DemoFailed:
         await other.stop_all()
         raise
-
-
-START = 60.0  # seconds for the console on a busy machine
 
 
 async def begin_story(demo: DemoEnvironment, port: int) -> str:
@@ -402,6 +387,15 @@ async def begin_story(demo: DemoEnvironment, port: int) -> str:
         await ask(demo)
     with demo.printer.step("the authority's service starts, then the console"):
         return await _start_console(demo, port)
+
+
+async def ask(demo: DemoEnvironment) -> None:
+    create(demo.root / "ca" / "policy.yaml", POLICY.encode())
+    await demo.command("node", "request", TRIED_LAMP, "--domain", "home", quiet=True)
+    request, answer = (str(directory(demo, TRIED_LAMP) / f"node.{end}") for end in ("csr", "pem"))
+    await demo.command("ca", "sign", request, "--yes", *passphrase(demo), quiet=True)
+    await demo.command("node", "install", answer, "--yes", quiet=True)
+    await demo.command("grant", "request", TRIED_LAMP, "--subscribe", POSE[0], "--why", WHY, quiet=True)
 
 
 async def _start_console(demo: DemoEnvironment, port: int) -> str:

@@ -29,6 +29,12 @@ _ATTRIBUTE: Final = re.compile(rb"""\s+([^\s=<>/"']+)\s*=\s*("[^"]*"|'[^']*')"""
 _TAG_END: Final = re.compile(rb"\s*(/?)>")
 _ENTRIES: Final = frozenset({Kind.TOPIC.value, Kind.SERVICE.value})
 _SUBSTITUTION: Final = "$("
+Query = tuple[Kind, str]
+NameOf = Callable[[bytes, Sequence[Query]], Sequence[str]]
+"""The names for the queries by some metadata, in order; raises a `RossecError` if there is none."""
+_BEFORE: Final = re.compile(rb"[ \t]*\Z")
+_AFTER: Final = re.compile(rb"[ \t]*(?:\r?\n|\Z)")
+_BETWEEN: Final = re.compile(rb"[ \t]*")
 
 
 class Span(NamedTuple):
@@ -116,10 +122,6 @@ def scan(data: bytes) -> Launch:
     return Launch(nodes, reader.includes)
 
 
-def refuse(line: int, message: str, hint: str = "") -> NoReturn:
-    raise MetadataRefused(f"line {line}: {message}", hint)
-
-
 class _Reader:
     def __init__(self, data: bytes) -> None:
         self.nodes: list[LaunchNode] = []
@@ -199,6 +201,10 @@ class _Reader:
         return Tag(Span(start, end.end()), end[1] == b"/", values)
 
 
+def refuse(line: int, message: str, hint: str = "") -> NoReturn:
+    raise MetadataRefused(f"line {line}: {message}", hint)
+
+
 def _check(node: LaunchNode) -> None:
     if "ns" in node.tag.values:
         refuse(node.line, f"the node {node.name!a} has metadata and ns=", "leave one of them out")
@@ -230,37 +236,6 @@ def _check_element(element: Element) -> None:
         _check_element(child)
 
 
-def _entry(element: Element, node: LaunchNode) -> tuple[Element, Kind, str, str]:
-    name, source = element.child("name"), element.attributes.get("type", "")
-    if not name:
-        refuse(element.line, f"a {element.name} of {node.name!a} without <name>")
-    if _FROM.fullmatch(source) is None:
-        refuse(
-            element.line,
-            f"a {element.name} of {node.name!a} without the name that it replaces",
-            f'write which name the program uses: <{element.name} type="~output">',
-        )
-    if source in node.remaps:
-        refuse(element.line, f"{source} of {node.name!a} is remapped already", "leave one out")
-    return element, Kind(element.name), name, source
-
-
-Query = tuple[Kind, str]
-NameOf = Callable[[bytes, Sequence[Query]], Sequence[str]]
-"""The names for the queries by some metadata, in order; raises a `RossecError` if there is none."""
-
-_BEFORE: Final = re.compile(rb"[ \t]*\Z")
-_AFTER: Final = re.compile(rb"[ \t]*(?:\r?\n|\Z)")
-_BETWEEN: Final = re.compile(rb"[ \t]*")
-
-
-class Edit(NamedTuple):
-    """The bytes of `span` become `text`."""
-
-    span: Span
-    text: bytes
-
-
 class NamedEntry(NamedTuple):
     kind: Kind
     source: str
@@ -290,33 +265,6 @@ def named(launch: Launch, name_of: NameOf) -> list[NamedNode]:
     return found
 
 
-def edits(data: bytes, launch: Launch, nodes: Sequence[NamedNode]) -> list[Edit]:
-    """What becomes of the metadata in the file."""
-    made: list[Edit] = []
-    for node, given in zip(launch.nodes, nodes, strict=True):
-        made += _of_tag(node, given.name)
-        remaps = {id(entry[0]): new for entry, new in zip(node.entries(), given.entries, strict=True)}
-        gone: list[Span] = []
-        for element in node.elements:
-            new = remaps.get(id(element))
-            if new is None:
-                gone.append(element.whole)
-            else:
-                made.append(Edit(element.whole, _remap(new)))
-        made += [Edit(_lines(data, span), b"") for span in _joined(data, gone)]
-    return made
-
-
-def apply(data: bytes, changes: Sequence[Edit]) -> bytes:
-    """The bytes after `changes`, which do not overlap."""
-    parts: list[bytes] = []
-    at = 0
-    for span, text in sorted(changes):
-        parts += [data[at : span.start], text]
-        at = span.end
-    return b"".join([*parts, data[at:]])
-
-
 def _named(node: LaunchNode, name_of: NameOf) -> NamedNode:
     entries = node.entries()
     sources = [source for *_, source in entries]
@@ -338,6 +286,30 @@ def _named(node: LaunchNode, name_of: NameOf) -> NamedNode:
     )
 
 
+class Edit(NamedTuple):
+    """The bytes of `span` become `text`."""
+
+    span: Span
+    text: bytes
+
+
+def edits(data: bytes, launch: Launch, nodes: Sequence[NamedNode]) -> list[Edit]:
+    """What becomes of the metadata in the file."""
+    made: list[Edit] = []
+    for node, given in zip(launch.nodes, nodes, strict=True):
+        made += _of_tag(node, given.name)
+        remaps = {id(entry[0]): new for entry, new in zip(node.entries(), given.entries, strict=True)}
+        gone: list[Span] = []
+        for element in node.elements:
+            new = remaps.get(id(element))
+            if new is None:
+                gone.append(element.whole)
+            else:
+                made.append(Edit(element.whole, _remap(new)))
+        made += [Edit(_lines(data, span), b"") for span in _joined(data, gone)]
+    return made
+
+
 def _of_tag(node: LaunchNode, name: str) -> list[Edit]:
     above, _, last = name.rpartition("/")
     at = node.tag.insertion
@@ -347,12 +319,20 @@ def _of_tag(node: LaunchNode, name: str) -> list[Edit]:
     return made
 
 
+def _quoted(text: str) -> bytes:
+    return quoteattr(text).encode("ascii")
+
+
 def _remap(entry: NamedEntry) -> bytes:
     return b"<remap from=" + _quoted(entry.source) + b" to=" + _quoted(entry.name) + b"/>"
 
 
-def _quoted(text: str) -> bytes:
-    return quoteattr(text).encode("ascii")
+def _lines(data: bytes, span: Span) -> Span:
+    start = data.rfind(b"\n", 0, span.start) + 1
+    after = _AFTER.match(data, span.end)
+    if after is None or _BEFORE.fullmatch(data, start, span.start) is None:
+        return span
+    return Span(start, after.end())
 
 
 def _joined(data: bytes, spans: Sequence[Span]) -> list[Span]:
@@ -365,9 +345,26 @@ def _joined(data: bytes, spans: Sequence[Span]) -> list[Span]:
     return made
 
 
-def _lines(data: bytes, span: Span) -> Span:
-    start = data.rfind(b"\n", 0, span.start) + 1
-    after = _AFTER.match(data, span.end)
-    if after is None or _BEFORE.fullmatch(data, start, span.start) is None:
-        return span
-    return Span(start, after.end())
+def apply(data: bytes, changes: Sequence[Edit]) -> bytes:
+    """The bytes after `changes`, which do not overlap."""
+    parts: list[bytes] = []
+    at = 0
+    for span, text in sorted(changes):
+        parts += [data[at : span.start], text]
+        at = span.end
+    return b"".join([*parts, data[at:]])
+
+
+def _entry(element: Element, node: LaunchNode) -> tuple[Element, Kind, str, str]:
+    name, source = element.child("name"), element.attributes.get("type", "")
+    if not name:
+        refuse(element.line, f"a {element.name} of {node.name!a} without <name>")
+    if _FROM.fullmatch(source) is None:
+        refuse(
+            element.line,
+            f"a {element.name} of {node.name!a} without the name that it replaces",
+            f'write which name the program uses: <{element.name} type="~output">',
+        )
+    if source in node.remaps:
+        refuse(element.line, f"{source} of {node.name!a} is remapped already", "leave one out")
+    return element, Kind(element.name), name, source

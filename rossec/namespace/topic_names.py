@@ -22,6 +22,77 @@ from rossec.naming.rule_runner import RuleRunner
 from rossec.participant.service_types import ServiceType, register_service_type
 from rossec.peer_limits import printable
 
+PACKAGE: Final = "rossec_namespace"
+TYPE: Final = f"{PACKAGE}/GetTopicName"
+_SRV: Final = "srv/GetTopicName.srv"
+_FILES: Final = ("package.xml", "CMakeLists.txt", _SRV)
+_MODE: Final = 0o644
+SERVICE: Final = "/get_topic_name"
+CHILDREN: Final = 4
+SECONDS: Final = 1.0  # for an answer of the rules
+DEADLINE: Final = 10.0  # seconds for a call, its turn included
+WAITING: Final = 8  # requests of one caller
+CALLS: Final = 64  # at a time, of all callers
+PARAMETER: Final = "metadata"
+_TEXT: Final = 300
+_NOTHING: Final = "there are no metadata: send them, or set the parameter ~metadata"
+
+
+def service_type() -> ServiceType:
+    return register_service_type(TYPE, _text(_SRV))
+
+
+def _text(name: str) -> str:
+    return resources("rossec.namespace").joinpath(PACKAGE, *name.split("/")).read_text()
+
+
+def write(directory: Path) -> Path:
+    package = directory / PACKAGE
+    if package.exists():
+        raise ConfigurationError(f"{package} exists and is not overwritten", "remove it first")
+    (package / "srv").mkdir(parents=True)
+    for name in _FILES:
+        files.create(package / name, _text(name).encode(), _MODE)
+    return package
+
+
+class TopicNames:
+    """Names for what callers publish, subscribe and serve.
+
+    Args:
+        runner: of the rules, with `CHILDREN` processes and `SECONDS` for each answer.
+        parameter: reads a parameter; it raises `HintedError` if it cannot.
+    """
+
+    def __init__(self, runner: RuleRunner, parameter: Callable[[str], Awaitable[object]]) -> None:
+        self._runner = runner
+        self._parameter = parameter
+        self._turns = CallerTurns(CHILDREN, WAITING)
+
+    async def answer(self, request: Any, caller: Identity) -> dict[str, object]:
+        """The response to one request of `caller`."""
+        async with self._turns.turn(caller.thumbprint):
+            metadata = request.metadata if request.metadata.strip() else await self._own(caller)
+            try:
+                return {"topicname": await self._name(metadata.encode(), request.name)}
+            except RossecError as error:
+                raise ServiceFailed(printable(str(error), _TEXT)) from error
+
+    async def _own(self, caller: Identity) -> str:
+        try:
+            found = await self._parameter(f"{caller.name}/{PARAMETER}")
+        except HintedError as error:
+            raise ServiceFailed(_NOTHING) from error
+        if not isinstance(found, str) or not found.strip():
+            raise ServiceFailed(_NOTHING)
+        return found
+
+    async def _name(self, metadata: bytes, which: str) -> str:
+        # The name of a topic, or else of a service: the request does not say which it is.
+        kinds = (Kind.TOPIC, Kind.SERVICE)
+        found = await self._runner.names(metadata, [(kind, which) for kind in kinds])
+        return _first(found)
+
 
 class CallerTurns:
     """Places that callers take in turns.
@@ -80,80 +151,6 @@ class CallerTurns:
                 self._having.add(caller)
             if queue:
                 self._queues[caller] = queue  # behind all others
-
-
-PACKAGE: Final = "rossec_namespace"
-TYPE: Final = f"{PACKAGE}/GetTopicName"
-_SRV: Final = "srv/GetTopicName.srv"
-_FILES: Final = ("package.xml", "CMakeLists.txt", _SRV)
-_MODE: Final = 0o644
-
-
-def service_type() -> ServiceType:
-    return register_service_type(TYPE, _text(_SRV))
-
-
-def write(directory: Path) -> Path:
-    package = directory / PACKAGE
-    if package.exists():
-        raise ConfigurationError(f"{package} exists and is not overwritten", "remove it first")
-    (package / "srv").mkdir(parents=True)
-    for name in _FILES:
-        files.create(package / name, _text(name).encode(), _MODE)
-    return package
-
-
-def _text(name: str) -> str:
-    return resources("rossec.namespace").joinpath(PACKAGE, *name.split("/")).read_text()
-
-
-SERVICE: Final = "/get_topic_name"
-CHILDREN: Final = 4
-SECONDS: Final = 1.0  # for an answer of the rules
-DEADLINE: Final = 10.0  # seconds for a call, its turn included
-WAITING: Final = 8  # requests of one caller
-CALLS: Final = 64  # at a time, of all callers
-PARAMETER: Final = "metadata"
-_TEXT: Final = 300
-_NOTHING: Final = "there are no metadata: send them, or set the parameter ~metadata"
-
-
-class TopicNames:
-    """Names for what callers publish, subscribe and serve.
-
-    Args:
-        runner: of the rules, with `CHILDREN` processes and `SECONDS` for each answer.
-        parameter: reads a parameter; it raises `HintedError` if it cannot.
-    """
-
-    def __init__(self, runner: RuleRunner, parameter: Callable[[str], Awaitable[object]]) -> None:
-        self._runner = runner
-        self._parameter = parameter
-        self._turns = CallerTurns(CHILDREN, WAITING)
-
-    async def answer(self, request: Any, caller: Identity) -> dict[str, object]:
-        """The response to one request of `caller`."""
-        async with self._turns.turn(caller.thumbprint):
-            metadata = request.metadata if request.metadata.strip() else await self._own(caller)
-            try:
-                return {"topicname": await self._name(metadata.encode(), request.name)}
-            except RossecError as error:
-                raise ServiceFailed(printable(str(error), _TEXT)) from error
-
-    async def _own(self, caller: Identity) -> str:
-        try:
-            found = await self._parameter(f"{caller.name}/{PARAMETER}")
-        except HintedError as error:
-            raise ServiceFailed(_NOTHING) from error
-        if not isinstance(found, str) or not found.strip():
-            raise ServiceFailed(_NOTHING)
-        return found
-
-    async def _name(self, metadata: bytes, which: str) -> str:
-        # The name of a topic, or else of a service: the request does not say which it is.
-        kinds = (Kind.TOPIC, Kind.SERVICE)
-        found = await self._runner.names(metadata, [(kind, which) for kind in kinds])
-        return _first(found)
 
 
 def _first(results: list[Result]) -> str:

@@ -33,10 +33,10 @@ from rossec.terminal import fail, note, printable, record, say, say_json, say_pi
 BORDER: Final = "/border"
 _MAX_CREDENTIAL: Final = 4096
 _MAX_BUNDLE: Final = 64 * 1024
-
 as_border = click.option(
     "--as", "router", metavar="NAME", default=BORDER, show_default=True, help="the border router"
 )
+as_json_option = click.option("--json", "as_json", is_flag=True, help="a line of JSON")
 
 
 @click.command()
@@ -188,9 +188,6 @@ def _read(data: bytes) -> Credential:
         return read_ccs(data)
 
 
-as_json_option = click.option("--json", "as_json", is_flag=True, help="a line of JSON")
-
-
 @click.command("list")
 @as_border
 @as_json_option
@@ -224,6 +221,12 @@ def list_(environment: Environment, router: str, *, as_json: bool) -> None:
         note("there are no things here: rossec border add NAME --key FILE")
 
 
+def _home(environment: Environment, router: str) -> NodeHome:
+    home = NodeHome.of(environment.home, router)
+    home.anchor()
+    return home
+
+
 @click.command("status")
 @as_border
 @as_json_option
@@ -248,6 +251,21 @@ def status_(environment: Environment, router: str, *, as_json: bool) -> None:
         say(f"{name}  {_words(thing)}")
 
 
+def needs_extra() -> ConfigurationError:
+    """The error that CoAP is not installed."""
+    return ConfigurationError("CoAP for things is not installed", "pip install 'rossec[constrained]'")
+
+
+def _words(thing: dict[str, Any]) -> str:
+    if "resources" not in thing:
+        return "is there, starting" if thing["there"] else "not there"
+    there = "there" if thing["there"] else "not there"
+    return (
+        f"{there}, offers {thing['offered']} of {thing['resources']},"
+        f" {thing['received']} messages, {thing['refused'] + thing['over_rate']} dropped"
+    )
+
+
 @click.command()
 @click.argument("names", metavar="NAME...", nargs=-1, required=True)
 @as_border
@@ -268,24 +286,3 @@ def forget(environment: Environment, names: tuple[str, ...], router: str) -> Non
             say(f"{name} is not served here any more")
             note(f"if it is lost, at the authority: rossec ca revoke --thing {name}")
     batch.finish()
-
-
-def needs_extra() -> ConfigurationError:
-    """The error that CoAP is not installed."""
-    return ConfigurationError("CoAP for things is not installed", "pip install 'rossec[constrained]'")
-
-
-def _home(environment: Environment, router: str) -> NodeHome:
-    home = NodeHome.of(environment.home, router)
-    home.anchor()
-    return home
-
-
-def _words(thing: dict[str, Any]) -> str:
-    if "resources" not in thing:
-        return "is there, starting" if thing["there"] else "not there"
-    there = "there" if thing["there"] else "not there"
-    return (
-        f"{there}, offers {thing['offered']} of {thing['resources']},"
-        f" {thing['received']} messages, {thing['refused'] + thing['over_rate']} dropped"
-    )

@@ -42,6 +42,9 @@ from rossec.errors import ConfigurationError
 from rossec.host import addresses
 from rossec.terminal import printable, record, say, say_json
 
+Destination = tuple[str, int]
+_DENIED: Final = "denied at the authority"
+
 
 @click.command()
 @click.option("--all", "everything", is_flag=True, help="also those that were answered")
@@ -62,6 +65,19 @@ def requests(environment: Environment, everything: bool, as_json: bool) -> None:
         say(f"  fingerprint {format_fingerprint(row.thumbprint)}  until {format_time(row.expires)}")
     if not rows:
         say("no open requests")
+
+
+def _summary(row: RequestRow) -> dict[str, object]:
+    return {
+        "request": row.digest.hex(),
+        "state": row.state,
+        "name": row.name,
+        "key": row.thumbprint.hex(),
+        "source": row.source,
+        "arrived": row.arrived,
+        "until": row.expires,
+        "reason": row.reason,
+    }
 
 
 @click.command()
@@ -110,27 +126,6 @@ def approve(
     batch.finish()
 
 
-@click.command()
-@click.argument("request_ids", metavar="REQUEST_ID...", nargs=-1, required=True)
-@click.option("--reason", default="", help="why, for the record")
-@json_result()
-@pass_environment
-def deny(environment: Environment, request_ids: tuple[str, ...], reason: str) -> None:
-    """Deny the request REQUEST_ID (or its beginning).
-
-    Where one of several is refused the others are denied, and the exit code is 1.
-    """
-    service, ids = service_of(environment), unique(request_ids)
-    batch = Batch(len(ids), "id")
-    for request_id in ids:
-        with batch.item(request_id):
-            row = service.request(request_id)
-            service.deny_request(row, reason)
-            record(name=row.name)
-            say(f"denied {row.name}")
-    batch.finish()
-
-
 def show_request(service: AuthorityService, row: RequestRow, *, wildcard: bool) -> None:
     """Show all that matters before a name is given to a key."""
     home = service.home
@@ -166,21 +161,25 @@ def _policy_lines(path: Path, row: RequestRow, *, wildcard: bool) -> list[str]:
     return ["the policy for this name:", *(f"  {line}" for line in lines)]
 
 
-def _summary(row: RequestRow) -> dict[str, object]:
-    return {
-        "request": row.digest.hex(),
-        "state": row.state,
-        "name": row.name,
-        "key": row.thumbprint.hex(),
-        "source": row.source,
-        "arrived": row.arrived,
-        "until": row.expires,
-        "reason": row.reason,
-    }
+@click.command()
+@click.argument("request_ids", metavar="REQUEST_ID...", nargs=-1, required=True)
+@click.option("--reason", default="", help="why, for the record")
+@json_result()
+@pass_environment
+def deny(environment: Environment, request_ids: tuple[str, ...], reason: str) -> None:
+    """Deny the request REQUEST_ID (or its beginning).
 
-
-Destination = tuple[str, int]
-_DENIED: Final = "denied at the authority"
+    Where one of several is refused the others are denied, and the exit code is 1.
+    """
+    service, ids = service_of(environment), unique(request_ids)
+    batch = Batch(len(ids), "id")
+    for request_id in ids:
+        with batch.item(request_id):
+            row = service.request(request_id)
+            service.deny_request(row, reason)
+            record(name=row.name)
+            say(f"denied {row.name}")
+    batch.finish()
 
 
 @click.command()
@@ -283,6 +282,11 @@ def _read_code(code: str | None, image: Path | None, csr_file: Path | None) -> q
     return found
 
 
+def _read(path: Path) -> bytes:
+    with path.open("rb") as stream:
+        return stream.read(MAX_REQUEST + 1)
+
+
 def _destination(code: qr.Code, given_address: str | None, csr_file: Path | None) -> Destination | None:
     if given_address is not None or code.address:
         return addresses.split(given_address or code.address)
@@ -315,8 +319,3 @@ def _deliver_identity(core: AuthorityEnrollment, bundle: bytes, destination: Des
         say("the same at the node? then confirm there; if not, stop here and there")
 
     asyncio.run(deliver(core, offer, *destination, now, show))
-
-
-def _read(path: Path) -> bytes:
-    with path.open("rb") as stream:
-        return stream.read(MAX_REQUEST + 1)

@@ -30,6 +30,25 @@ from rossec.home import NodeHome
 from rossec.terminal import note, printable, record, say, say_json
 
 _ITS = "its machine", "their machines"
+_REASON = "the invitation was revoked"
+_MAX_HEAD = 4096
+
+
+@click.command("list")
+@click.option("--all", "everything", is_flag=True, help="also what is replaced, expired or revoked")
+@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@pass_environment
+def list_(environment: Environment, everything: bool, in_json: bool) -> None:
+    """List the identities that are valid now."""
+    found = states(AuthorityHome.at(environment.home).store(), now())
+    chosen = [(row, state) for row, state in found if everything or state == "valid"]
+    if in_json:
+        say_json([as_json(row, state) for row, state in chosen])
+        return
+    for row, state in chosen:
+        say(line(row, state))
+    for text in _remarks(found, now()):
+        note(text)
 
 
 def states(store: Store, at: int) -> list[tuple[CertificateRow, str]]:
@@ -74,23 +93,6 @@ def line(row: CertificateRow, state: str) -> str:
     name = f"{row.name} and {row.name}_*" if row.wildcard else row.name
     until, key = (f"until {format_time(row.not_after)}", f"fingerprint {format_fingerprint(row.thumbprint)}")
     return "  ".join([name, until, key, *[terminal.state(state)] * (state != "valid")])
-
-
-@click.command("list")
-@click.option("--all", "everything", is_flag=True, help="also what is replaced, expired or revoked")
-@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
-@pass_environment
-def list_(environment: Environment, everything: bool, in_json: bool) -> None:
-    """List the identities that are valid now."""
-    found = states(AuthorityHome.at(environment.home).store(), now())
-    chosen = [(row, state) for row, state in found if everything or state == "valid"]
-    if in_json:
-        say_json([as_json(row, state) for row, state in chosen])
-        return
-    for row, state in chosen:
-        say(line(row, state))
-    for text in _remarks(found, now()):
-        note(text)
 
 
 def _remarks(found: list[tuple[CertificateRow, str]], at: int) -> list[str]:
@@ -329,24 +331,6 @@ def _revoke_node(service: AuthorityService, name: str, reason: str, certificate:
     return f"revoked {shown(local)}, {count} key{'s' * (count != 1)} (list {listed.seq})"
 
 
-_REASON = "the invitation was revoked"
-
-
-def show_invitations(environment: Environment, *, everything: bool, in_json: bool) -> None:
-    """Show the invitations that can be used, or all of them."""
-    at = now()
-    with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
-        found = [each for each in invitations(store) if everything or each.state(at) == "open"]
-    if in_json:
-        say_json([_summary(each, at) for each in found])
-        return
-    for each in found:
-        for line in _lines(each, at):
-            say(line)
-    if not found:
-        say("no invitations" if everything else "no open invitations")
-
-
 @click.command()
 @click.argument("invitation_ids", metavar="INVITATION_ID...", nargs=-1, required=True)
 @click.option("--and-nodes", is_flag=True, help="also revoke every node that joined by it")
@@ -396,46 +380,6 @@ def _end(service: AuthorityService, invitation_id: str, reason: str) -> Invitati
     if denied:
         say(f"denied {denied} request{'s' * (denied != 1)} that waited")
     return found
-
-
-def _lines(each: InvitationStatus, at: int) -> list[str]:
-    row = each.row
-    anonymous = "  for anonymous nodes too" if row.wildcard else ""
-    joined = f"{len(each.uses)} of {row.uses} joined"
-    until = f"until {format_time(row.expires)}{anonymous}"
-    return [
-        "  ".join((each.short_id, printable(each.state(at)), row.pattern, joined, until)),
-        *(f"  {use.name}  {format_time(use.at)}" for use in each.uses),
-    ]
-
-
-def _summary(each: InvitationStatus, at: int) -> dict[str, object]:
-    row = each.row
-    return {
-        "id": row.id.hex(),
-        "state": each.state(at).partition(":")[0],
-        "reason": each.ended or "",
-        "pattern": row.pattern,
-        "uses": row.uses,
-        "anonymous": row.wildcard,
-        "made": row.at,
-        "until": row.expires,
-        "joined": [{"name": use.name, "key": use.thumbprint.hex(), "at": use.at} for use in each.uses],
-    }
-
-
-_MAX_HEAD = 4096
-
-
-def show_log(environment: Environment, last: int | None, *, in_json: bool) -> None:
-    """Show the newest `last` entries, by default all."""
-    entries = AuthorityHome.at(environment.home).store().log.entries()[-(last or 0) :]
-    if in_json:
-        say_json([({**entry._asdict(), "digest": entry.digest.hex()}) for entry in entries])
-        return
-    for entry in entries:
-        words = [str(entry.number), format_time(entry.at), entry.what, entry.subject, entry.detail]
-        say(printable("  ".join(filter(None, words))))
 
 
 @click.command()
@@ -515,3 +459,55 @@ def prove(environment: Environment, entry: int | None, since: Path | None) -> No
         proof = tree.consistency(old.size, newest.size)
     head_text = base64.b64encode(signed).decode()
     say_json({**shown, "proof": [digest.hex() for digest in proof], "head": head_text})
+
+
+def show_invitations(environment: Environment, *, everything: bool, in_json: bool) -> None:
+    """Show the invitations that can be used, or all of them."""
+    at = now()
+    with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
+        found = [each for each in invitations(store) if everything or each.state(at) == "open"]
+    if in_json:
+        say_json([_summary(each, at) for each in found])
+        return
+    for each in found:
+        for line in _lines(each, at):
+            say(line)
+    if not found:
+        say("no invitations" if everything else "no open invitations")
+
+
+def _summary(each: InvitationStatus, at: int) -> dict[str, object]:
+    row = each.row
+    return {
+        "id": row.id.hex(),
+        "state": each.state(at).partition(":")[0],
+        "reason": each.ended or "",
+        "pattern": row.pattern,
+        "uses": row.uses,
+        "anonymous": row.wildcard,
+        "made": row.at,
+        "until": row.expires,
+        "joined": [{"name": use.name, "key": use.thumbprint.hex(), "at": use.at} for use in each.uses],
+    }
+
+
+def _lines(each: InvitationStatus, at: int) -> list[str]:
+    row = each.row
+    anonymous = "  for anonymous nodes too" if row.wildcard else ""
+    joined = f"{len(each.uses)} of {row.uses} joined"
+    until = f"until {format_time(row.expires)}{anonymous}"
+    return [
+        "  ".join((each.short_id, printable(each.state(at)), row.pattern, joined, until)),
+        *(f"  {use.name}  {format_time(use.at)}" for use in each.uses),
+    ]
+
+
+def show_log(environment: Environment, last: int | None, *, in_json: bool) -> None:
+    """Show the newest `last` entries, by default all."""
+    entries = AuthorityHome.at(environment.home).store().log.entries()[-(last or 0) :]
+    if in_json:
+        say_json([({**entry._asdict(), "digest": entry.digest.hex()}) for entry in entries])
+        return
+    for entry in entries:
+        words = [str(entry.number), format_time(entry.at), entry.what, entry.subject, entry.detail]
+        say(printable("  ".join(filter(None, words))))

@@ -41,6 +41,9 @@ from rossec.ros import names
 from rossec.terminal import record, say, say_json
 
 OPERATOR = "the operator who started it"
+_START = "start it with: rossec ca serve"
+_STARTING = 3.0  # seconds: `rossec ca serve &` and `rossec ca unlock` may be pasted together
+_PAUSE = 0.1
 
 
 @click.command()
@@ -155,6 +158,15 @@ def serve(
         asyncio.run(served.run(as_json=as_json))
 
 
+def _join_address(environment: Environment, given: str, face: FaceProcess | None) -> str:
+    if face is None or not face.port:
+        raise ConfigurationError(
+            "this service has no join port", "start it without --no-network: rossec ca serve"
+        )
+    host = addresses.split(given.replace(ANY, "localhost", 1), JOIN_PORT)[0]
+    return addresses.join(own_address(environment) if given.startswith(ANY) else host, face.port)
+
+
 @dataclass
 class _Admission:
     console: Console
@@ -208,25 +220,11 @@ class _Serving:
             say(f"nodes join at port {port}: rossec ca invite PATTERN")
 
 
-def _join_address(environment: Environment, given: str, face: FaceProcess | None) -> str:
-    if face is None or not face.port:
-        raise ConfigurationError(
-            "this service has no join port", "start it without --no-network: rossec ca serve"
-        )
-    host = addresses.split(given.replace(ANY, "localhost", 1), JOIN_PORT)[0]
-    return addresses.join(own_address(environment) if given.startswith(ANY) else host, face.port)
-
-
 def describe_remaining(remaining: int | None) -> str:
     """Whether the key is held, and for how long (`HeldKey.remaining`), for people."""
     if remaining is None:
         return "locked; unlock it with: rossec ca unlock --for 15m"
     return f"unlocked for {format_duration(remaining)}" if remaining else "unlocked while it runs"
-
-
-_START = "start it with: rossec ca serve"
-_STARTING = 3.0  # seconds: `rossec ca serve &` and `rossec ca unlock` may be pasted together
-_PAUSE = 0.1
 
 
 @click.command()
@@ -251,6 +249,22 @@ def unlock(environment: Environment, seconds: int, passphrase_file: Path | None)
         found = client.unlock(secret, seconds)
         record(**found)
         say(_describe(found))
+
+
+def _running(environment: Environment, wait: float = 0) -> KeyServiceClient:
+    directory, seconds = AuthorityHome.at(environment.home).path, clock.counter()
+    until = seconds() + wait
+    while (client := KeyServiceClient.find(directory)) is None:
+        if seconds() >= until:
+            raise ConfigurationError("the authority's service does not run", _START)
+        time.sleep(_PAUSE)
+    return client
+
+
+def _describe(found: dict[str, Value]) -> str:
+    remaining = found.get("remaining")
+    state = describe_remaining(remaining if isinstance(remaining, int) else None)
+    return f"authority of {found.get('domain')!s}: {state}"
 
 
 @click.command()
@@ -280,19 +294,3 @@ def status(environment: Environment, as_json: bool) -> None:
         say(f"no service runs, each command asks for the passphrase; {_START}")
     else:
         say(_describe(found))
-
-
-def _running(environment: Environment, wait: float = 0) -> KeyServiceClient:
-    directory, seconds = AuthorityHome.at(environment.home).path, clock.counter()
-    until = seconds() + wait
-    while (client := KeyServiceClient.find(directory)) is None:
-        if seconds() >= until:
-            raise ConfigurationError("the authority's service does not run", _START)
-        time.sleep(_PAUSE)
-    return client
-
-
-def _describe(found: dict[str, Value]) -> str:
-    remaining = found.get("remaining")
-    state = describe_remaining(remaining if isinstance(remaining, int) else None)
-    return f"authority of {found.get('domain')!s}: {state}"

@@ -44,6 +44,14 @@ identity_lifetime = click.option(
 anonymous = click.option(
     "--anonymous", is_flag=True, help="for anonymous nodes too: /rviz also as /rviz_1234_1700000000000"
 )
+_MAX_REQUEST = 16 * 1024
+_MAX_FILE = 16 * 1024
+_MAX_BUNDLE = 64 * 1024
+_MAX_DAYS: Final = 3650
+_THINGS_MAX_REQUEST: Final = 16 * 1024
+_MAX_CREDENTIAL: Final = 4096
+_ONE: Final = "give --key FILE, --psk FILE or --renew"
+_SHOWN: Final = (IN_FORCE, OTHER_KEY)
 
 
 def replace_key(*, multiple: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -55,9 +63,6 @@ def replace_key(*, multiple: bool = False) -> Callable[[Callable[..., Any]], Cal
         metavar="NAME",
         help="let the known name NAME come with another key; revokes the old one",
     )
-
-
-_MAX_REQUEST = 16 * 1024
 
 
 @click.command()
@@ -112,12 +117,9 @@ def sign(
     batch.finish()
 
 
-def write_identity(request: Path, bundle: bytes) -> Path:
-    """Write an identity beside its request; returns where."""
-    name = "node.pem" if request.name == "node.csr" else f"{request.stem}.pem"
-    target = request.with_name(name)
-    files.replace(target, bundle, 0o644)
-    return target
+def _read(path: Path) -> bytes:
+    with path.open("rb") as stream:
+        return stream.read(_MAX_REQUEST + 1)
 
 
 def _check_codes(codes: tuple[str, ...], requests: list[bytes]) -> None:
@@ -150,16 +152,16 @@ def warn_of_wildcard(name: str) -> None:
     say("  all of them have one key and the same grants, and are revoked together")
 
 
-def _read(path: Path) -> bytes:
-    with path.open("rb") as stream:
-        return stream.read(_MAX_REQUEST + 1)
-
-
 def _count(number: int) -> str:
     return "this identity" if number == 1 else f"these {number} identities"
 
 
-_MAX_FILE = 16 * 1024
+def write_identity(request: Path, bundle: bytes) -> Path:
+    """Write an identity beside its request; returns where."""
+    name = "node.pem" if request.name == "node.csr" else f"{request.stem}.pem"
+    target = request.with_name(name)
+    files.replace(target, bundle, 0o644)
+    return target
 
 
 @click.command()
@@ -230,9 +232,6 @@ def install_intermediate(environment: Environment, bundle: Path, passphrase_file
     say(f"this host may {powers} until {format_time(found.not_after)}")
 
 
-_MAX_BUNDLE = 64 * 1024
-
-
 @click.command("import")
 @click.argument("bundles", nargs=-1, required=True, type=options.FILE)
 @replace_key(multiple=True)
@@ -271,13 +270,6 @@ def _show_identity(home: AuthorityHome, path: Path, identity: Identity) -> None:
     say(f"  fingerprint {format_fingerprint(identity.thumbprint)}")
     for issuer in identity.issuers:
         say(f"  signed by intermediate/{issuer.hex()[:16]}")
-
-
-_MAX_DAYS: Final = 3650
-_THINGS_MAX_REQUEST: Final = 16 * 1024
-_MAX_CREDENTIAL: Final = 4096
-_ONE: Final = "give --key FILE, --psk FILE or --renew"
-_SHOWN: Final = (IN_FORCE, OTHER_KEY)
 
 
 @click.command()
@@ -353,21 +345,10 @@ def thing(service: AuthorityService, name: str, yes: bool, renew: bool, **given:
         remind_to_publish(service)
 
 
-@click.command()
-@click.option("--all", "everything", is_flag=True, help="also what is renewed, expired or revoked")
-@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
-@pass_environment
-def things(environment: Environment, everything: bool, in_json: bool) -> None:
-    """List the things that are stated now, with their border routers."""
-    with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
-        found = [each for each in states(store, now()) if everything or each.state in _SHOWN]
-    if in_json:
-        say_json([_summary(each) for each in found])
-        return
-    for each in found:
-        say(_line(each))
-    if not found:
-        say("no things")
+def _check_renewal(given: dict[str, Any]) -> None:
+    others = ("border", "ccs", "description", "request", "code", "replaced")
+    if any(given[name] for name in others):
+        raise ConfigurationError("--renew says the same again, and takes nothing new", _ONE)
 
 
 def _order(name: str, given: dict[str, Any]) -> ThingOrder:
@@ -393,12 +374,6 @@ def _credential(ccs: Path | None, description: Path | None) -> Credential:
             return read_description(files.read(description, _MAX_CREDENTIAL))
         case _:
             raise ConfigurationError("a thing has a key or a secret", _ONE)
-
-
-def _check_renewal(given: dict[str, Any]) -> None:
-    others = ("border", "ccs", "description", "request", "code", "replaced")
-    if any(given[name] for name in others):
-        raise ConfigurationError("--renew says the same again, and takes nothing new", _ONE)
 
 
 def _check_code(code: str | None, credential: Credential) -> bool:
@@ -440,18 +415,25 @@ def _hand_over(
         give_outright(service, name)
 
 
-def _line(each: ThingState) -> str:
-    found = each.row.read()
-    kind = "secret" if found.kind == PSK else "key"
-    return "  ".join(
-        [
-            each.row.name,
-            f"at {each.row.border}",
-            f"until {format_time(each.row.expires)}",
-            f"{kind} {format_fingerprint(found.credential.thumbprint)}",
-            *[each.state] * (each.state != IN_FORCE),
-        ]
-    )
+def _ies(count: int) -> str:
+    return "y" if count == 1 else "ies"
+
+
+@click.command()
+@click.option("--all", "everything", is_flag=True, help="also what is renewed, expired or revoked")
+@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@pass_environment
+def things(environment: Environment, everything: bool, in_json: bool) -> None:
+    """List the things that are stated now, with their border routers."""
+    with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
+        found = [each for each in states(store, now()) if everything or each.state in _SHOWN]
+    if in_json:
+        say_json([_summary(each) for each in found])
+        return
+    for each in found:
+        say(_line(each))
+    if not found:
+        say("no things")
 
 
 def _summary(each: ThingState) -> dict[str, object]:
@@ -470,5 +452,15 @@ def _summary(each: ThingState) -> dict[str, object]:
     }
 
 
-def _ies(count: int) -> str:
-    return "y" if count == 1 else "ies"
+def _line(each: ThingState) -> str:
+    found = each.row.read()
+    kind = "secret" if found.kind == PSK else "key"
+    return "  ".join(
+        [
+            each.row.name,
+            f"at {each.row.border}",
+            f"until {format_time(each.row.expires)}",
+            f"{kind} {format_fingerprint(found.credential.thumbprint)}",
+            *[each.state] * (each.state != IN_FORCE),
+        ]
+    )

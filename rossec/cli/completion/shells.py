@@ -39,6 +39,106 @@ COMMANDS: Final = Path(__file__).parents[1]
 SHIPPED: Final = Path(__file__).with_name("outlines.json")
 CACHE: Final = Path(__file__).parent / "__pycache__" / "outlines.json"
 _MAX: Final = 1024 * 1024
+_FILES: Final = [CompletionItem("", type="file")]  # the shell looks them up
+VARIABLE: Final = "_ROSSEC_COMPLETE"
+_BASH: Final = """\
+_rossec_completion() {
+    local type value
+    COMPREPLY=()
+    while IFS=, read -r type value; do
+        case $type in
+            dir) compopt -o dirnames ;;
+            file) compopt -o default ;;
+            plain) COMPREPLY+=("$value") ;;
+        esac
+    done < <(COMP_LINE="${COMP_LINE:0:COMP_POINT}" \\
+        _ROSSEC_COMPLETE=bash_complete %(program)s </dev/null 2>/dev/null)
+}
+complete -o nosort -F _rossec_completion rossec
+"""
+_ZSH: Final = """\
+#compdef rossec
+_rossec_completion() {
+    local type value text
+    local -a plain described files
+    while IFS=$'\\t' read -r type value text; do
+        case $type in
+            dir) files=(-/) ;;
+            file) files=(-f) ;;
+            plain)
+                if [[ -n $text ]]; then
+                    described+=("${value//:/\\\\:}:$text")
+                else
+                    plain+=("$value")
+                fi ;;
+        esac
+    done < <(COMP_LINE="${(j: :)words[1,CURRENT]}" \\
+        _ROSSEC_COMPLETE=zsh_complete %(program)s </dev/null 2>/dev/null)
+    (( $#described )) && _describe -V rossec described
+    (( $#plain )) && compadd -a plain
+    (( $#files )) && _path_files $files
+    return 0
+}
+if [[ $zsh_eval_context[-1] == loadautofunc ]]; then
+    _rossec_completion "$@"
+else
+    compdef _rossec_completion rossec
+fi
+"""
+_FISH: Final = """\
+function _rossec_completion
+    set -lx COMP_LINE (commandline -cp | string join ' ')
+    set -lx _ROSSEC_COMPLETE fish_complete
+    for line in (%(program)s </dev/null 2>/dev/null)
+        set -l parts (string split \\t -- $line)
+        switch $parts[1]
+            case dir
+                __fish_complete_directories (commandline -ct)
+            case file
+                __fish_complete_path (commandline -ct)
+            case plain
+                string join \\t -- $parts[2..-1]
+        end
+    end
+end
+complete --no-files --command rossec --arguments '(_rossec_completion)'
+"""
+_SCRIPTS: Final = {"bash": _BASH, "zsh": _ZSH, "fish": _FISH}
+SHELLS: Final = tuple(_SCRIPTS)
+
+
+@click.command()
+@click.argument("shell", type=click.Choice(SHELLS))
+def completion(shell: str) -> None:
+    """Print what makes Tab complete commands and names in SHELL: bash, zsh or fish.
+
+    For bash, add this line to ~/.bashrc; for zsh, with zsh for bash, to ~/.zshrc behind compinit:
+
+    \b
+      eval "$(rossec completion bash)"
+
+    For fish, once:
+
+    \b
+      rossec completion fish > ~/.config/fish/completions/rossec.fish
+
+    Names are those in ROSSEC_HOME, of what the last look at the graph showed (rossec topic list),
+    and of the ROS packages here. Tab asks no master and no person.
+    """
+    say_block(script(shell, _program()).rstrip())
+
+
+def script(shell: str, program: str) -> str:
+    """The script of a shell; `program` is run at each press of Tab."""
+    return _SCRIPTS[shell] % {"program": shlex.quote(program)}
+
+
+def _program() -> str:
+    path = Path(sys.argv[0])
+    if path.name != "rossec":
+        return "rossec"
+    found = shutil.which(path)
+    return "rossec" if found is None else str(Path(found).absolute())
 
 
 class OutlineTable:
@@ -70,42 +170,6 @@ class OutlineTable:
             new.replace(self._cache)
 
 
-def _read(path: Path) -> dict[str, Any]:
-    # A table in a file; empty if it cannot be read.
-    try:
-        with path.open("rb") as stream:
-            found = json.loads(stream.read(_MAX))
-    except (OSError, ValueError):
-        return {}
-    whole = isinstance(found, dict) and isinstance(found.get("outlines"), dict)
-    return found if whole else {}
-
-
-def _stamp(directory: Path) -> str:
-    files = [
-        entry.stat()
-        for folder in [directory, *filter(Path.is_dir, directory.iterdir())]
-        if folder.name != "__pycache__"
-        for entry in os.scandir(folder)
-        if entry.name.endswith(".py")
-    ]
-    newest = max(status.st_mtime_ns for status in files)
-    return f"{len(files)} {newest} {sum(status.st_size for status in files)}"
-
-
-_FILES: Final = [CompletionItem("", type="file")]  # the shell looks them up
-
-
-@cache
-def _table() -> OutlineTable:
-    return OutlineTable()
-
-
-def outline(place: str, load: Callable[[], click.Command], table: OutlineTable | None = None) -> Outline:
-    """The outline of the command at `place`; `load` imports it if that is needed."""
-    return (table or _table()).get(place, load)
-
-
 def completed(
     name: str, place: str, load: Callable[[], click.Command], table: OutlineTable | None = None
 ) -> click.Command:
@@ -114,6 +178,16 @@ def completed(
     if "params" not in found:
         return load()
     return command_of(name, found, [*map(_values, kinds_of(place, found))])
+
+
+def outline(place: str, load: Callable[[], click.Command], table: OutlineTable | None = None) -> Outline:
+    """The outline of the command at `place`; `load` imports it if that is needed."""
+    return (table or _table()).get(place, load)
+
+
+@cache
+def _table() -> OutlineTable:
+    return OutlineTable()
 
 
 def _values(kind: str) -> Values | None:
@@ -136,72 +210,13 @@ def _offer(
     return [CompletionItem(word) for word in offered(found, incomplete)]
 
 
-VARIABLE: Final = "_ROSSEC_COMPLETE"
-
-_BASH: Final = """\
-_rossec_completion() {
-    local type value
-    COMPREPLY=()
-    while IFS=, read -r type value; do
-        case $type in
-            dir) compopt -o dirnames ;;
-            file) compopt -o default ;;
-            plain) COMPREPLY+=("$value") ;;
-        esac
-    done < <(COMP_LINE="${COMP_LINE:0:COMP_POINT}" \\
-        _ROSSEC_COMPLETE=bash_complete %(program)s </dev/null 2>/dev/null)
-}
-complete -o nosort -F _rossec_completion rossec
-"""
-
-_ZSH: Final = """\
-#compdef rossec
-_rossec_completion() {
-    local type value text
-    local -a plain described files
-    while IFS=$'\\t' read -r type value text; do
-        case $type in
-            dir) files=(-/) ;;
-            file) files=(-f) ;;
-            plain)
-                if [[ -n $text ]]; then
-                    described+=("${value//:/\\\\:}:$text")
-                else
-                    plain+=("$value")
-                fi ;;
-        esac
-    done < <(COMP_LINE="${(j: :)words[1,CURRENT]}" \\
-        _ROSSEC_COMPLETE=zsh_complete %(program)s </dev/null 2>/dev/null)
-    (( $#described )) && _describe -V rossec described
-    (( $#plain )) && compadd -a plain
-    (( $#files )) && _path_files $files
-    return 0
-}
-if [[ $zsh_eval_context[-1] == loadautofunc ]]; then
-    _rossec_completion "$@"
-else
-    compdef _rossec_completion rossec
-fi
-"""
-
-_FISH: Final = """\
-function _rossec_completion
-    set -lx COMP_LINE (commandline -cp | string join ' ')
-    set -lx _ROSSEC_COMPLETE fish_complete
-    for line in (%(program)s </dev/null 2>/dev/null)
-        set -l parts (string split \\t -- $line)
-        switch $parts[1]
-            case dir
-                __fish_complete_directories (commandline -ct)
-            case file
-                __fish_complete_path (commandline -ct)
-            case plain
-                string join \\t -- $parts[2..-1]
-        end
-    end
-end
-complete --no-files --command rossec --arguments '(_rossec_completion)'
-"""
+def answer(group: click.Command, environment: Any) -> str:
+    """What completes the command line in `environment`; empty for a shell that is not known."""
+    shell, _, instruction = environment.variables.get(VARIABLE, "").partition("_")
+    if shell not in _SCRIPTS or instruction != "complete":
+        return ""
+    lines = (_Bash if shell == "bash" else _Shell)(group, environment).complete()
+    return f"{lines}\n" if lines else ""
 
 
 class _Shell(ShellComplete):
@@ -235,48 +250,24 @@ class _Bash(_Shell):
         return f"{item.type},{item.value}"
 
 
-_SCRIPTS: Final = {"bash": _BASH, "zsh": _ZSH, "fish": _FISH}
-SHELLS: Final = tuple(_SCRIPTS)
+def _read(path: Path) -> dict[str, Any]:
+    # A table in a file; empty if it cannot be read.
+    try:
+        with path.open("rb") as stream:
+            found = json.loads(stream.read(_MAX))
+    except (OSError, ValueError):
+        return {}
+    whole = isinstance(found, dict) and isinstance(found.get("outlines"), dict)
+    return found if whole else {}
 
 
-def script(shell: str, program: str) -> str:
-    """The script of a shell; `program` is run at each press of Tab."""
-    return _SCRIPTS[shell] % {"program": shlex.quote(program)}
-
-
-def answer(group: click.Command, environment: Any) -> str:
-    """What completes the command line in `environment`; empty for a shell that is not known."""
-    shell, _, instruction = environment.variables.get(VARIABLE, "").partition("_")
-    if shell not in _SCRIPTS or instruction != "complete":
-        return ""
-    lines = (_Bash if shell == "bash" else _Shell)(group, environment).complete()
-    return f"{lines}\n" if lines else ""
-
-
-@click.command()
-@click.argument("shell", type=click.Choice(SHELLS))
-def completion(shell: str) -> None:
-    """Print what makes Tab complete commands and names in SHELL: bash, zsh or fish.
-
-    For bash, add this line to ~/.bashrc; for zsh, with zsh for bash, to ~/.zshrc behind compinit:
-
-    \b
-      eval "$(rossec completion bash)"
-
-    For fish, once:
-
-    \b
-      rossec completion fish > ~/.config/fish/completions/rossec.fish
-
-    Names are those in ROSSEC_HOME, of what the last look at the graph showed (rossec topic list),
-    and of the ROS packages here. Tab asks no master and no person.
-    """
-    say_block(script(shell, _program()).rstrip())
-
-
-def _program() -> str:
-    path = Path(sys.argv[0])
-    if path.name != "rossec":
-        return "rossec"
-    found = shutil.which(path)
-    return "rossec" if found is None else str(Path(found).absolute())
+def _stamp(directory: Path) -> str:
+    files = [
+        entry.stat()
+        for folder in [directory, *filter(Path.is_dir, directory.iterdir())]
+        if folder.name != "__pycache__"
+        for entry in os.scandir(folder)
+        if entry.name.endswith(".py")
+    ]
+    newest = max(status.st_mtime_ns for status in files)
+    return f"{len(files)} {newest} {sum(status.st_size for status in files)}"

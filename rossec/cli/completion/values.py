@@ -23,140 +23,19 @@ from ca.keys import ownership
 
 MAX_WORDS: Final = 2000
 _WORD: Final = re.compile(r"[A-Za-z0-9/][A-Za-z0-9_./:+-]{0,299}", re.ASCII)
-
-
-def is_offered(word: object) -> bool:
-    """Whether completion may offer `word`."""
-    return isinstance(word, str) and _WORD.fullmatch(word) is not None
-
-
-def offered(words: Iterable[object], incomplete: str) -> list[str]:
-    """Those of `words` that may be offered and begin with `incomplete`: sorted, each once."""
-    found = {word for word in words if isinstance(word, str) and is_offered(word)}
-    return sorted(word for word in found if word.startswith(incomplete))[:MAX_WORDS]
-
-
 NAME: Final = "completion.json"
 TOPIC: Final = "topic"
 SERVICE: Final = "service"
 NODE: Final = "node"
 TYPE: Final = "type"
 _MAX: Final = 1024 * 1024
-
-
-def keep(home: Path, master: str, names: Mapping[str, Iterable[str]]) -> None:
-    """Keep the names of each kind, as the master at the URI `master` gave them.
-
-    A home that cannot be written is no failure of the command that looked.
-    """
-    from rossec import files  # noqa: PLC0415 - not needed to read
-
-    kept = {kind: [*filter(is_offered, found)][:MAX_WORDS] for kind, found in names.items()}
-    data = json.dumps({"master": master, "names": kept}).encode()
-    with contextlib.suppress(OSError, HintedError):
-        files.replace(home / NAME, data, 0o600)
-
-
-def read(home: Path, master: str, kind: str) -> list[object]:
-    """The names of a kind; none if the last look was at another master."""
-    try:
-        with os.fdopen(ownership.open_trusted(home / NAME), "rb") as stream:
-            found = json.loads(stream.read(_MAX))
-    except (OSError, HintedError, ValueError):
-        return []
-    match found:
-        case {"master": str() as uri, "names": {**names}} if uri == master:
-            words = names.get(kind)
-            return words if isinstance(words, list) else []
-    return []
-
-
 Outline = dict[str, Any]
 Values = Callable[[click.Context, click.Parameter, str], list[Any]]
 _FILES: Final = ("file", "dir")
 _WHOLE: Final = 1000  # no help line is cut
-
-
-def outline_of(command: click.Command) -> Outline:
-    """The outline of a command; of a group its help line alone."""
-    line = {"help": command.get_short_help_str(_WHOLE)}
-    if isinstance(command, click.Group):
-        return line
-    return {
-        **line,
-        "params": [_param(each) for each in command.params if not getattr(each, "hidden", False)],
-        "interspersed": command.allow_interspersed_args,
-        "unknown": command.ignore_unknown_options,
-    }
-
-
-def command_of(name: str, outline: Outline, values: Sequence[Values | None]) -> click.Command:
-    """A command to be completed; `values` complete its params, in their order."""
-    params = [*map(_parameter, outline["params"], values)]
-    settings = {
-        "allow_interspersed_args": outline["interspersed"],
-        "ignore_unknown_options": outline["unknown"],
-    }
-    return click.Command(name, params=params, context_settings=settings)
-
-
-def _param(param: click.Parameter) -> Outline:
-    found: Outline = {"name": param.name, "nargs": param.nargs} | _type(param.type)
-    if isinstance(param, click.Option):
-        found |= {
-            "opts": list(param.opts),
-            "others": list(param.secondary_opts),
-            "flag": param.is_flag or param.count,
-            "multiple": param.multiple,
-            "help": param.help or "",
-        }
-    return found
-
-
-def _type(kind: click.ParamType[Any]) -> Outline:
-    if isinstance(kind, click.Choice):
-        return {"choices": [str(each) for each in kind.choices]}
-    if isinstance(kind, click.Path):
-        return {"path": _FILES[kind.dir_okay and not kind.file_okay]}
-    return {"text": kind.name == "text"}
-
-
-def _parameter(outline: Outline, complete: Values | None) -> click.Parameter:
-    kind = _made_type(outline)
-    if "opts" not in outline:
-        return click.Argument(
-            [outline["name"]], nargs=outline["nargs"], type=kind, required=False, shell_complete=complete
-        )
-    if outline["flag"]:
-        return click.Option([outline["name"], *_flags(outline)], is_flag=True, help=outline["help"])
-    return click.Option(
-        [outline["name"], *outline["opts"]],
-        nargs=outline["nargs"],
-        type=kind,
-        multiple=outline["multiple"],
-        help=outline["help"],
-        shell_complete=complete,
-    )
-
-
-def _flags(outline: Outline) -> list[str]:
-    pairs = itertools.zip_longest(outline["opts"], outline["others"], fillvalue="")
-    return [f"{one}/{other}" if other else one for one, other in pairs]
-
-
-def _made_type(outline: Outline) -> click.ParamType[Any]:
-    if "choices" in outline:
-        return click.Choice(outline["choices"])
-    if "path" in outline:
-        return click.Path(file_okay=outline["path"] == "file", dir_okay=True)
-    return click.STRING
-
-
 Read = Callable[[Any], Iterator[object]]  # of `sources.Sources`
-
 FREE: Final = "free"  # nothing to offer
 COMMAND: Final = "command"
-
 ARGUMENTS: Final[dict[str, tuple[str, ...]]] = {
     "border.constrained_nodes:forget": ("thing",),
     "border.constrained_nodes:add": (FREE,),
@@ -217,7 +96,6 @@ ARGUMENTS: Final[dict[str, tuple[str, ...]]] = {
     "relay.sites:remove_account": (FREE,),
     "relay.sites:show_account": (FREE,),
 }
-
 OPTIONS: Final = {
     "--as": "own node",
     "--border": "recorded node",
@@ -240,13 +118,11 @@ _OTHERWISE: Final = {
     ("grant.sign:narrow", "--as"): "own node",
     ("ros.calls:call", "--type"): "service type",
 }
-
 _OWN: Final = methodcaller("own_nodes")
 _WRITTEN: Final = methodcaller("written")
 _NODES: Final = methodcaller("recorded", "node")
 _TOPICS: Final = methodcaller("seen", TOPIC)
 _SERVICES: Final = methodcaller("seen", SERVICE)
-
 KINDS: Final[dict[str, tuple[Read, ...]]] = {
     FREE: (),
     COMMAND: (),
@@ -270,6 +146,119 @@ KINDS: Final[dict[str, tuple[Read, ...]]] = {
     "topic or service": (_TOPICS, _SERVICES, _WRITTEN),
 }
 """What is read for a kind, all of it together."""
+
+
+def offered(words: Iterable[object], incomplete: str) -> list[str]:
+    """Those of `words` that may be offered and begin with `incomplete`: sorted, each once."""
+    found = {word for word in words if isinstance(word, str) and is_offered(word)}
+    return sorted(word for word in found if word.startswith(incomplete))[:MAX_WORDS]
+
+
+def is_offered(word: object) -> bool:
+    """Whether completion may offer `word`."""
+    return isinstance(word, str) and _WORD.fullmatch(word) is not None
+
+
+def keep(home: Path, master: str, names: Mapping[str, Iterable[str]]) -> None:
+    """Keep the names of each kind, as the master at the URI `master` gave them.
+
+    A home that cannot be written is no failure of the command that looked.
+    """
+    from rossec import files  # noqa: PLC0415 - not needed to read
+
+    kept = {kind: [*filter(is_offered, found)][:MAX_WORDS] for kind, found in names.items()}
+    data = json.dumps({"master": master, "names": kept}).encode()
+    with contextlib.suppress(OSError, HintedError):
+        files.replace(home / NAME, data, 0o600)
+
+
+def read(home: Path, master: str, kind: str) -> list[object]:
+    """The names of a kind; none if the last look was at another master."""
+    try:
+        with os.fdopen(ownership.open_trusted(home / NAME), "rb") as stream:
+            found = json.loads(stream.read(_MAX))
+    except (OSError, HintedError, ValueError):
+        return []
+    match found:
+        case {"master": str() as uri, "names": {**names}} if uri == master:
+            words = names.get(kind)
+            return words if isinstance(words, list) else []
+    return []
+
+
+def outline_of(command: click.Command) -> Outline:
+    """The outline of a command; of a group its help line alone."""
+    line = {"help": command.get_short_help_str(_WHOLE)}
+    if isinstance(command, click.Group):
+        return line
+    return {
+        **line,
+        "params": [_param(each) for each in command.params if not getattr(each, "hidden", False)],
+        "interspersed": command.allow_interspersed_args,
+        "unknown": command.ignore_unknown_options,
+    }
+
+
+def _param(param: click.Parameter) -> Outline:
+    found: Outline = {"name": param.name, "nargs": param.nargs} | _type(param.type)
+    if isinstance(param, click.Option):
+        found |= {
+            "opts": list(param.opts),
+            "others": list(param.secondary_opts),
+            "flag": param.is_flag or param.count,
+            "multiple": param.multiple,
+            "help": param.help or "",
+        }
+    return found
+
+
+def _type(kind: click.ParamType[Any]) -> Outline:
+    if isinstance(kind, click.Choice):
+        return {"choices": [str(each) for each in kind.choices]}
+    if isinstance(kind, click.Path):
+        return {"path": _FILES[kind.dir_okay and not kind.file_okay]}
+    return {"text": kind.name == "text"}
+
+
+def command_of(name: str, outline: Outline, values: Sequence[Values | None]) -> click.Command:
+    """A command to be completed; `values` complete its params, in their order."""
+    params = [*map(_parameter, outline["params"], values)]
+    settings = {
+        "allow_interspersed_args": outline["interspersed"],
+        "ignore_unknown_options": outline["unknown"],
+    }
+    return click.Command(name, params=params, context_settings=settings)
+
+
+def _parameter(outline: Outline, complete: Values | None) -> click.Parameter:
+    kind = _made_type(outline)
+    if "opts" not in outline:
+        return click.Argument(
+            [outline["name"]], nargs=outline["nargs"], type=kind, required=False, shell_complete=complete
+        )
+    if outline["flag"]:
+        return click.Option([outline["name"], *_flags(outline)], is_flag=True, help=outline["help"])
+    return click.Option(
+        [outline["name"], *outline["opts"]],
+        nargs=outline["nargs"],
+        type=kind,
+        multiple=outline["multiple"],
+        help=outline["help"],
+        shell_complete=complete,
+    )
+
+
+def _made_type(outline: Outline) -> click.ParamType[Any]:
+    if "choices" in outline:
+        return click.Choice(outline["choices"])
+    if "path" in outline:
+        return click.Path(file_okay=outline["path"] == "file", dir_okay=True)
+    return click.STRING
+
+
+def _flags(outline: Outline) -> list[str]:
+    pairs = itertools.zip_longest(outline["opts"], outline["others"], fillvalue="")
+    return [f"{one}/{other}" if other else one for one, other in pairs]
 
 
 def kinds_of(place: str, outline: Outline) -> list[str]:

@@ -45,138 +45,12 @@ MAX_DAYS: Final = 10 * 366
 _RIGHTS: Final = {right.label: right for right in Right} | {"all": ALL_RIGHTS}
 _RULE: Final = "'/robot/** subscribe', '/door/open call'; or everything, or nothing"
 _UNITS: Final = ((86400, "d"), (3600, "h"), (60, "m"))
-
 admit = click.option(
     "--admit",
     multiple=True,
     metavar="PATTERN",
     help="nodes of it that may connect; its masters and relays may as well",
 )
-
-
-def fresh(default: str | None) -> Callable[..., Any]:
-    """Add `--fresh` to a command."""
-    return click.option(
-        "--fresh",
-        type=Duration(MOST_FRESH // 86400),
-        default=default,
-        show_default=True,
-        help="how old its last word on its revocations may be",
-    )
-
-
-def lifetime(default: str | None) -> Callable[..., Any]:
-    """Add `--for` to a command."""
-    return click.option(
-        "--for",
-        "lifetime",
-        type=Duration(MAX_DAYS),
-        default=default,
-        show_default=True,
-        help="how long it is trusted, from now on",
-    )
-
-
-def rules(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add `--export` and `--import` to a command."""
-    for option, name, what in (
-        ("--import", "imported", "taken from it into the graph here"),
-        ("--export", "exported", "shown to it, where grants allow it too"),
-    ):
-        command = click.option(
-            option, name, multiple=True, metavar="RULE", help=f"{what}: PATTERN RIGHT[,RIGHT]"
-        )(command)
-    return command
-
-
-def check_fresh(seconds: int) -> int:
-    """Return `seconds` if a domain's word may be so old."""
-    if seconds < LEAST_FRESH:
-        raise ConfigurationError(
-            f"--fresh {seconds}s is too short", f"masters ask every 10 s: at least {LEAST_FRESH}s"
-        )
-    return seconds
-
-
-def admitted(patterns: Iterable[str]) -> tuple[str, ...]:
-    """The patterns that are admitted: those given, masters and relays; each once, sorted."""
-    return tuple(sorted({*map(check_pattern, patterns), *OF_MASTERS, *OF_RELAYS}))
-
-
-def read_rules(texts: tuple[str, ...]) -> tuple[NameRights, ...] | None:
-    """The rules of an export or import; None: no rule, and so no limit."""
-    if texts == (EVERYTHING,):
-        return None
-    return () if texts == (NOTHING,) else tuple(sorted(map(_rule, texts)))
-
-
-def _rule(text: str) -> NameRights:
-    pattern, _, listed = text.strip().partition(" ")
-    bits = Right(0)
-    for label in listed.replace(",", " ").split():
-        if label not in _RIGHTS:
-            raise ConfigurationError(f"{label!a} is not a right", f"one of {', '.join(_RIGHTS)}")
-        bits |= _RIGHTS[label]
-    if not bits:
-        raise ConfigurationError(f"{text!a} is not a pattern and its rights", f"as in {_RULE}")
-    return check_pattern(pattern), int(bits)
-
-
-def lines(terms: ForeignDomain) -> Iterator[str]:
-    """The terms for people."""
-    yield f"  fingerprint {fingerprint(terms.anchor)}"
-    yield f"  admits {_admitted(terms.admitted)}"
-    yield f"  until {format_time(terms.until)}"
-    yield f"  its word on its revocations may be {duration(terms.fresh)} old"
-    for what, given in (("shown to it", terms.exported), ("taken from it", terms.imported)):
-        if given is None:
-            yield f"  {what}: whatever grants allow"
-        else:
-            said = (f"{pattern} ({Right(bits).label})" for pattern, bits in given)
-            yield f"  {what}: {', '.join(said) or NOTHING}"
-
-
-def _admitted(patterns: tuple[str, ...]) -> str:
-    kinds = {"masters": OF_MASTERS, "relays": OF_RELAYS}
-    nodes = [each for each in patterns if each not in {*OF_MASTERS, *OF_RELAYS}]
-    whole = [word for word, names in kinds.items() if {*names} <= {*patterns}]
-    return (", ".join(nodes) or "no node") + (f", and its {' and '.join(whole)}" if whole else "")
-
-
-def as_json(terms: ForeignDomain) -> dict[str, Any]:
-    """The terms for programs."""
-    return {
-        "label": terms.label,
-        "domain": terms.domain,
-        "fingerprint": terms.anchor.thumbprint.hex(),
-        "admitted": [*terms.admitted],
-        "fresh": terms.fresh,
-        "until": terms.until,
-        "exported": _rules_json(terms.exported),
-        "imported": _rules_json(terms.imported),
-    }
-
-
-def duration(seconds: int) -> str:
-    """Seconds as an option takes them: `1h`, `90s`."""
-    for size, unit in _UNITS:
-        if seconds % size == 0:
-            return f"{seconds // size}{unit}"
-    return f"{seconds}s"
-
-
-def _rules_json(given: tuple[NameRights, ...] | None) -> list[dict[str, Any]] | None:
-    if given is None:
-        return None
-    return [{"pattern": pattern, "rights": [right.label for right in Right(bits)]} for pattern, bits in given]
-
-
-def publish_domains(service: AuthorityService) -> None:
-    """Deliver the list of domains that was signed just now, and say so."""
-    record(published=False)
-    service.publish_domains()
-    record(published=True)
-    say("the master has the new list of domains")
 
 
 @click.command()
@@ -228,6 +102,41 @@ def card(
         note_picture(qr.terminal(card_code(data)))
     note(f"there: rossec domain accept {target.name} --as LABEL")
     note("that lets your nodes in there; for theirs here, accept their card: it is two-sided")
+
+
+def lifetime(default: str | None) -> Callable[..., Any]:
+    """Add `--for` to a command."""
+    return click.option(
+        "--for",
+        "lifetime",
+        type=Duration(MAX_DAYS),
+        default=default,
+        show_default=True,
+        help="how long it is trusted, from now on",
+    )
+
+
+def fresh(default: str | None) -> Callable[..., Any]:
+    """Add `--fresh` to a command."""
+    return click.option(
+        "--fresh",
+        type=Duration(MOST_FRESH // 86400),
+        default=default,
+        show_default=True,
+        help="how old its last word on its revocations may be",
+    )
+
+
+def rules(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add `--export` and `--import` to a command."""
+    for option, name, what in (
+        ("--import", "imported", "taken from it into the graph here"),
+        ("--export", "exported", "shown to it, where grants allow it too"),
+    ):
+        command = click.option(
+            option, name, multiple=True, metavar="RULE", help=f"{what}: PATTERN RIGHT[,RIGHT]"
+        )(command)
+    return command
 
 
 @click.command()
@@ -295,6 +204,15 @@ def accept(
     publish_domains(service)
 
 
+def _check_fingerprint(card: Card, expected: str | None) -> None:
+    shown = format_fingerprint(card.anchor.thumbprint)
+    if expected is not None and "".join(expected.lower().split()) != shown.replace(" ", ""):
+        raise ConfigurationError(
+            f"the fingerprint of the card is {shown}",
+            "it is another authority's: ask yours for its card again, and trust no other",
+        )
+
+
 def _label(home: AuthorityHome, card: Card, given: str | None) -> str:
     if given is not None:
         return check_label(given)
@@ -308,6 +226,39 @@ def _label(home: AuthorityHome, card: Card, given: str | None) -> str:
         raise ConfigurationError(f"domain {domain} needs a name here", "for example: --as hospital") from None
 
 
+def admitted(patterns: Iterable[str]) -> tuple[str, ...]:
+    """The patterns that are admitted: those given, masters and relays; each once, sorted."""
+    return tuple(sorted({*map(check_pattern, patterns), *OF_MASTERS, *OF_RELAYS}))
+
+
+def check_fresh(seconds: int) -> int:
+    """Return `seconds` if a domain's word may be so old."""
+    if seconds < LEAST_FRESH:
+        raise ConfigurationError(
+            f"--fresh {seconds}s is too short", f"masters ask every 10 s: at least {LEAST_FRESH}s"
+        )
+    return seconds
+
+
+def read_rules(texts: tuple[str, ...]) -> tuple[NameRights, ...] | None:
+    """The rules of an export or import; None: no rule, and so no limit."""
+    if texts == (EVERYTHING,):
+        return None
+    return () if texts == (NOTHING,) else tuple(sorted(map(_rule, texts)))
+
+
+def _rule(text: str) -> NameRights:
+    pattern, _, listed = text.strip().partition(" ")
+    bits = Right(0)
+    for label in listed.replace(",", " ").split():
+        if label not in _RIGHTS:
+            raise ConfigurationError(f"{label!a} is not a right", f"one of {', '.join(_RIGHTS)}")
+        bits |= _RIGHTS[label]
+    if not bits:
+        raise ConfigurationError(f"{text!a} is not a pattern and its rights", f"as in {_RULE}")
+    return check_pattern(pattern), int(bits)
+
+
 def _check_apart(home: AuthorityHome, domain: ForeignDomain) -> None:
     # What would be refused when it is signed, before a person compares and answers.
     if domain.domain == home.domain:
@@ -317,15 +268,6 @@ def _check_apart(home: AuthorityHome, domain: ForeignDomain) -> None:
         )
     for row in home.store().domains.accepted():
         check_domains_apart(row, domain.domain, domain.label, domain.anchor.thumbprint)
-
-
-def _check_fingerprint(card: Card, expected: str | None) -> None:
-    shown = format_fingerprint(card.anchor.thumbprint)
-    if expected is not None and "".join(expected.lower().split()) != shown.replace(" ", ""):
-        raise ConfigurationError(
-            f"the fingerprint of the card is {shown}",
-            "it is another authority's: ask yours for its card again, and trust no other",
-        )
 
 
 def _show(home: AuthorityHome, domain: ForeignDomain, card: Card, *, is_checked: bool) -> None:
@@ -344,6 +286,55 @@ def _show(home: AuthorityHome, domain: ForeignDomain, card: Card, *, is_checked:
     )
 
 
+def lines(terms: ForeignDomain) -> Iterator[str]:
+    """The terms for people."""
+    yield f"  fingerprint {fingerprint(terms.anchor)}"
+    yield f"  admits {_admitted(terms.admitted)}"
+    yield f"  until {format_time(terms.until)}"
+    yield f"  its word on its revocations may be {duration(terms.fresh)} old"
+    for what, given in (("shown to it", terms.exported), ("taken from it", terms.imported)):
+        if given is None:
+            yield f"  {what}: whatever grants allow"
+        else:
+            said = (f"{pattern} ({Right(bits).label})" for pattern, bits in given)
+            yield f"  {what}: {', '.join(said) or NOTHING}"
+
+
+def _admitted(patterns: tuple[str, ...]) -> str:
+    kinds = {"masters": OF_MASTERS, "relays": OF_RELAYS}
+    nodes = [each for each in patterns if each not in {*OF_MASTERS, *OF_RELAYS}]
+    whole = [word for word, names in kinds.items() if {*names} <= {*patterns}]
+    return (", ".join(nodes) or "no node") + (f", and its {' and '.join(whole)}" if whole else "")
+
+
+def duration(seconds: int) -> str:
+    """Seconds as an option takes them: `1h`, `90s`."""
+    for size, unit in _UNITS:
+        if seconds % size == 0:
+            return f"{seconds // size}{unit}"
+    return f"{seconds}s"
+
+
+def as_json(terms: ForeignDomain) -> dict[str, Any]:
+    """The terms for programs."""
+    return {
+        "label": terms.label,
+        "domain": terms.domain,
+        "fingerprint": terms.anchor.thumbprint.hex(),
+        "admitted": [*terms.admitted],
+        "fresh": terms.fresh,
+        "until": terms.until,
+        "exported": _rules_json(terms.exported),
+        "imported": _rules_json(terms.imported),
+    }
+
+
+def _rules_json(given: tuple[NameRights, ...] | None) -> list[dict[str, Any]] | None:
+    if given is None:
+        return None
+    return [{"pattern": pattern, "rights": [right.label for right in Right(bits)]} for pattern, bits in given]
+
+
 def _say_what_is_next(home: AuthorityHome, domain: ForeignDomain, card: Card) -> None:
     note(f"this is one way: until {domain.label} accepts you too, connections with it fail there")
     note(f"  here: rossec domain card --out {home.domain}.card")
@@ -352,6 +343,14 @@ def _say_what_is_next(home: AuthorityHome, domain: ForeignDomain, card: Card) ->
         follow = f"rossec federation add {uri} --as {domain.label}"
         note(printable(f"your master follows theirs: {follow}"))
     note(f"its nodes may do nothing yet: rossec grant sign {domain.label}:/NODE --certificate FILE")
+
+
+def publish_domains(service: AuthorityService) -> None:
+    """Deliver the list of domains that was signed just now, and say so."""
+    record(published=False)
+    service.publish_domains()
+    record(published=True)
+    say("the master has the new list of domains")
 
 
 @click.command()

@@ -27,6 +27,7 @@ from rossec.terminal import note, printable, record, say, say_json
 
 _OVER = ("expired", "revoked")
 _STATES = {"held": "held", "fetched": "delivered", "waiting": "waiting", "": "undelivered"}
+DAY: Final = 86400
 
 
 @click.command("list")
@@ -58,28 +59,6 @@ def list_(environment: Environment, nodes: tuple[str, ...], as_json: bool, maste
         say(_line(grant, states[grant.id]))
 
 
-@click.command()
-@options.master_uri
-@json_result()
-@pass_environment
-def deliver(environment: Environment, master_uri: str | None) -> None:
-    """Deposit every grant in force that the master does not have.
-
-    Nodes fetch theirs from it, those that run at once.
-    """
-    service = service_of(environment, master_uri=master_uri)
-    count, refused = service.deposit_missing()
-    say_deposited(count, refused)
-    if not count and not refused:
-        say("the master has every grant in force")
-    require_delivered(refused)
-
-
-def _place(grant: Grant, state: str) -> tuple[object, ...]:
-    foreign = is_alias(grant.subject)
-    return foreign, grant.subject, state in _OVER, -grant.expires, -grant.not_before, grant.id
-
-
 def _ended(grant: Grant, revoked: frozenset[bytes]) -> str:
     if not revoked.isdisjoint((grant.id, grant.holder)):
         return "revoked"
@@ -104,6 +83,11 @@ def _ask_master(service: AuthorityService) -> tuple[Mapping[bytes, str], str]:
         return service.delivery_states(), ""
     except (NotDelivered, ConfigurationError) as error:
         return {}, str(error)
+
+
+def _place(grant: Grant, state: str) -> tuple[object, ...]:
+    foreign = is_alias(grant.subject)
+    return foreign, grant.subject, state in _OVER, -grant.expires, -grant.not_before, grant.id
 
 
 def _summary(grant: Grant, revoked: frozenset[bytes], state: str) -> dict[str, object]:
@@ -135,6 +119,23 @@ def _line(grant: Grant, state: str) -> str:
     rights = "; ".join(dict.fromkeys(given))  # a right may have several restrictions
     end = f"until {format_time(grant.expires)}"
     return f"{grant.id.hex()}  {shown(grant.subject)}  {rights}  {end}  {terminal.state(state)}"
+
+
+@click.command()
+@options.master_uri
+@json_result()
+@pass_environment
+def deliver(environment: Environment, master_uri: str | None) -> None:
+    """Deposit every grant in force that the master does not have.
+
+    Nodes fetch theirs from it, those that run at once.
+    """
+    service = service_of(environment, master_uri=master_uri)
+    count, refused = service.deposit_missing()
+    say_deposited(count, refused)
+    if not count and not refused:
+        say("the master has every grant in force")
+    require_delivered(refused)
 
 
 @click.command()
@@ -215,9 +216,6 @@ def revoke(service: AuthorityService, grant_ids: tuple[str, ...], reason: str) -
     if batch.done:
         publish_list(service)
     batch.finish()
-
-
-DAY: Final = 86400
 
 
 @click.command()

@@ -53,7 +53,6 @@ from rossec.terminal import printable, record, say
 _EXAMPLES: Final = (
     "for example --clear header.frame_id, --round pose.position=2.0, --when 'msg.header.frame_id == \"map\"'"
 )
-
 _RIGHTS: Final = {
     Right.PUBLISH: "may publish these topics",
     Right.SUBSCRIBE: "may subscribe to these topics",
@@ -64,6 +63,9 @@ _RIGHTS: Final = {
     Right.ADMIN: "may end these nodes and clean up after them",
 }
 _RESTRICTED: Final = Right.SUBSCRIBE | Right.CALL  # by conditions and filters given here
+MAX_DAYS: Final = 3650  # an authority's own certificate does not last longer
+MAX_NARROWED_DAYS: Final = 365
+_OVERHEAD: Final = 16  # of the array it is presented in
 
 
 def _once(_context: click.Context, _parameter: click.Parameter, given: tuple[Any, ...]) -> Any:
@@ -110,30 +112,6 @@ _RESTRICTING: Final = (
 )
 
 
-def wishes(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add every option for rights and their restrictions; `read` takes what they say."""
-    for option in reversed(_RESTRICTING):
-        command = option(command)
-    return rights(command)
-
-
-def own_pattern(text: str, node: str, *, tail: bool) -> str:
-    """The pattern that `{node}/pose` is for `node`; every other one is returned as it is."""
-    if not is_own_text(text):
-        return text
-    found = resolve(check_rule_pattern(text), node, tail=tail)
-    if found is None:
-        raise PatternRefused(f"{text[:80]!a} is no name of {node}", "its own authority grants it")
-    return found
-
-
-def read(said: Mapping[str, Any]) -> tuple[Permission, ...]:
-    """The permissions that the options of `wishes` say."""
-    filters = rules(said["clear"], said["rounds"], said["clamps"])
-    inside = restrictions(said["type_name"], filters, said["when"], said["rate"], said["preset_name"])
-    return permissions(patterns_by_right(said), graph=said["graph"], restricted=inside)
-
-
 def rights(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add an option for every right over names: `--publish`, `--param-get` and so on."""
     for right, help_text in reversed(_RIGHTS.items()):
@@ -141,128 +119,11 @@ def rights(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-def for_node(said: Mapping[str, Any], node: str, tail: Callable[[], bool]) -> dict[str, Any]:
-    """What `wishes` say, with own names as those of `node`.
-
-    Args:
-        tail: asked only if there are own names: whether the node has a wildcard tail.
-    """
-    named = patterns_by_right(said)
-    if not any(is_own_text(each) for each in itertools.chain(*named.values())):
-        return dict(said)
-    has_tail = tail()
-    own = {
-        str(right.name).lower(): tuple(own_pattern(each, node, tail=has_tail) for each in patterns)
-        for right, patterns in named.items()
-    }
-    return {**said, **own}
-
-
-def is_own_text(text: str) -> bool:
-    """Whether it is meant as an own name, well-formed or not."""
-    return NODE in text or text.startswith("~")
-
-
-def patterns_by_right(options: Mapping[str, Any]) -> dict[Right, tuple[str, ...]]:
-    """The patterns given with these options, by right."""
-    return {right: options[str(right.name).lower()] for right in _RIGHTS}
-
-
-def rules(
-    clear: tuple[str, ...], rounds: tuple[str, ...], clamps: tuple[str, ...]
-) -> dict[str, dict[str, object]]:
-    """The filters, by field."""
-    given: list[tuple[str, dict[str, object]]] = [(path, {"clear": True}) for path in clear]
-    given += [(path, {"round": {"step": step}}) for path, step in map(_rounding, rounds)]
-    given += [(path, {"clamp": {"low": low, "high": high}}) for path, low, high in map(_clamping, clamps)]
-    for path, times in Counter(path for path, _ in given).items():
-        if times > 1:
-            raise ConfigurationError(
-                f"{path}: {times} filters for one field", "one of --clear, --round and --clamp"
-            )
-    return dict(given)
-
-
-def restrictions(
-    type_name: str | None,
-    filters: dict[str, dict[str, object]],
-    when: tuple[str, ...],
-    rate: float | None,
-    preset_name: str | None,
-) -> list[Restriction]:
-    """Build the restrictions and compile them for the message type: mistakes show here."""
-    if not filters and not when and rate is None and preset_name is None:
-        return []
-    if type_name is None:
-        raise ConfigurationError("restrictions need the message type they are for", "add --type PKG/TYPE")
-    shape = parse(type_name, part_type(type_name).definition)
-    try:
-        made = [preset(preset_name).restriction(shape)] if preset_name is not None else []
-        if filters or when or rate is not None:
-            made.append(Restriction(type_name, when, filter_rules(filters), rate))
-        for restriction in made:
-            compile_filter(shape, restriction.filters)
-            for text in restriction.conditions:
-                compile_condition(shape, text)
-    except (ConditionRefused, FilterRefused) as error:
-        error.hint = error.hint or _EXAMPLES
-        raise
-    return made
-
-
-def permissions(
-    wanted: Mapping[Right, tuple[str, ...]], *, graph: bool, restricted: list[Restriction]
-) -> tuple[Permission, ...]:
-    """The permissions of the grant."""
-    made: list[Permission] = []
-    for right, patterns in wanted.items():
-        inside = restricted if right in _RESTRICTED and restricted else [None]
-        # all restrictions that cover a name hold together
-        made += [Permission(pattern, right, item) for pattern in patterns for item in inside]
-    if graph:
-        made.append(Permission("/**", Right.GRAPH))
-    if not made:
-        raise ConfigurationError(
-            "a grant that allows nothing", "add --publish, --subscribe, --call or another right"
-        )
-    if restricted and not any(item.restriction for item in made):
-        raise ConfigurationError(
-            "conditions and filters restrict what a subscriber sees and what a caller may ask",
-            "add --subscribe or --call",
-        )
-    return tuple(made)
-
-
-def _clamping(text: str) -> tuple[str, float, float]:
-    path, _, limits = text.partition("=")
-    low, _, high = limits.partition(":")
-    try:
-        return path, _number(low), _number(high)
-    except ValueError:
-        raise ConfigurationError(
-            f"--clamp {text} has no range", "for example --clamp ranges=0.5:10"
-        ) from None
-
-
-def _number(text: str) -> float:
-    # An integer where it is written so: integer fields accept no float.
-    try:
-        return int(text)
-    except ValueError:
-        return float(text)
-
-
-def _rounding(text: str) -> tuple[str, float]:
-    path, _, step = text.partition("=")
-    try:
-        return path, float(step)
-    except ValueError:
-        raise ConfigurationError(
-            f"--round {text} has no step", "for example --round pose.position=2.0"
-        ) from None
-
-
-MAX_DAYS: Final = 3650  # an authority's own certificate does not last longer
+def wishes(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add every option for rights and their restrictions; `read` takes what they say."""
+    for option in reversed(_RESTRICTING):
+        command = option(command)
+    return rights(command)
 
 
 @click.command()
@@ -329,27 +190,6 @@ def sign(
     require_delivered(refused)
 
 
-@click.command()
-@json_result()
-def presets() -> None:
-    """Show what each preset hides, and what it still discloses."""
-    record(
-        presets=[
-            {"name": entry.name, "hides": entry.hides, "discloses": entry.reveals}
-            for entry in PRESETS.values()
-        ]
-    )
-    for entry in PRESETS.values():
-        say(entry.name)
-        say(f"  hides {entry.hides}")
-        say(f"  still discloses {entry.reveals}")
-
-
-def _has_tail(service: AuthorityService, name: str) -> bool:
-    with contextlib.closing(service.home.store()) as store:
-        return not is_alias(name) and store.valid_certificate(name, now()).wildcard
-
-
 def _check_foreign(
     node: str, renewal: int, out: Path | None, certificate: Path | None, *, foreign: bool
 ) -> None:
@@ -378,8 +218,163 @@ def check_new(out: Path) -> None:
         raise ConfigurationError(f"there is no directory {out.parent}", "make it first")
 
 
-MAX_NARROWED_DAYS: Final = 365
-_OVERHEAD: Final = 16  # of the array it is presented in
+def for_node(said: Mapping[str, Any], node: str, tail: Callable[[], bool]) -> dict[str, Any]:
+    """What `wishes` say, with own names as those of `node`.
+
+    Args:
+        tail: asked only if there are own names: whether the node has a wildcard tail.
+    """
+    named = patterns_by_right(said)
+    if not any(is_own_text(each) for each in itertools.chain(*named.values())):
+        return dict(said)
+    has_tail = tail()
+    own = {
+        str(right.name).lower(): tuple(own_pattern(each, node, tail=has_tail) for each in patterns)
+        for right, patterns in named.items()
+    }
+    return {**said, **own}
+
+
+def patterns_by_right(options: Mapping[str, Any]) -> dict[Right, tuple[str, ...]]:
+    """The patterns given with these options, by right."""
+    return {right: options[str(right.name).lower()] for right in _RIGHTS}
+
+
+def is_own_text(text: str) -> bool:
+    """Whether it is meant as an own name, well-formed or not."""
+    return NODE in text or text.startswith("~")
+
+
+def own_pattern(text: str, node: str, *, tail: bool) -> str:
+    """The pattern that `{node}/pose` is for `node`; every other one is returned as it is."""
+    if not is_own_text(text):
+        return text
+    found = resolve(check_rule_pattern(text), node, tail=tail)
+    if found is None:
+        raise PatternRefused(f"{text[:80]!a} is no name of {node}", "its own authority grants it")
+    return found
+
+
+def _has_tail(service: AuthorityService, name: str) -> bool:
+    with contextlib.closing(service.home.store()) as store:
+        return not is_alias(name) and store.valid_certificate(name, now()).wildcard
+
+
+def permissions(
+    wanted: Mapping[Right, tuple[str, ...]], *, graph: bool, restricted: list[Restriction]
+) -> tuple[Permission, ...]:
+    """The permissions of the grant."""
+    made: list[Permission] = []
+    for right, patterns in wanted.items():
+        inside = restricted if right in _RESTRICTED and restricted else [None]
+        # all restrictions that cover a name hold together
+        made += [Permission(pattern, right, item) for pattern in patterns for item in inside]
+    if graph:
+        made.append(Permission("/**", Right.GRAPH))
+    if not made:
+        raise ConfigurationError(
+            "a grant that allows nothing", "add --publish, --subscribe, --call or another right"
+        )
+    if restricted and not any(item.restriction for item in made):
+        raise ConfigurationError(
+            "conditions and filters restrict what a subscriber sees and what a caller may ask",
+            "add --subscribe or --call",
+        )
+    return tuple(made)
+
+
+def read(said: Mapping[str, Any]) -> tuple[Permission, ...]:
+    """The permissions that the options of `wishes` say."""
+    filters = rules(said["clear"], said["rounds"], said["clamps"])
+    inside = restrictions(said["type_name"], filters, said["when"], said["rate"], said["preset_name"])
+    return permissions(patterns_by_right(said), graph=said["graph"], restricted=inside)
+
+
+def rules(
+    clear: tuple[str, ...], rounds: tuple[str, ...], clamps: tuple[str, ...]
+) -> dict[str, dict[str, object]]:
+    """The filters, by field."""
+    given: list[tuple[str, dict[str, object]]] = [(path, {"clear": True}) for path in clear]
+    given += [(path, {"round": {"step": step}}) for path, step in map(_rounding, rounds)]
+    given += [(path, {"clamp": {"low": low, "high": high}}) for path, low, high in map(_clamping, clamps)]
+    for path, times in Counter(path for path, _ in given).items():
+        if times > 1:
+            raise ConfigurationError(
+                f"{path}: {times} filters for one field", "one of --clear, --round and --clamp"
+            )
+    return dict(given)
+
+
+def _rounding(text: str) -> tuple[str, float]:
+    path, _, step = text.partition("=")
+    try:
+        return path, float(step)
+    except ValueError:
+        raise ConfigurationError(
+            f"--round {text} has no step", "for example --round pose.position=2.0"
+        ) from None
+
+
+def _clamping(text: str) -> tuple[str, float, float]:
+    path, _, limits = text.partition("=")
+    low, _, high = limits.partition(":")
+    try:
+        return path, _number(low), _number(high)
+    except ValueError:
+        raise ConfigurationError(
+            f"--clamp {text} has no range", "for example --clamp ranges=0.5:10"
+        ) from None
+
+
+def _number(text: str) -> float:
+    # An integer where it is written so: integer fields accept no float.
+    try:
+        return int(text)
+    except ValueError:
+        return float(text)
+
+
+def restrictions(
+    type_name: str | None,
+    filters: dict[str, dict[str, object]],
+    when: tuple[str, ...],
+    rate: float | None,
+    preset_name: str | None,
+) -> list[Restriction]:
+    """Build the restrictions and compile them for the message type: mistakes show here."""
+    if not filters and not when and rate is None and preset_name is None:
+        return []
+    if type_name is None:
+        raise ConfigurationError("restrictions need the message type they are for", "add --type PKG/TYPE")
+    shape = parse(type_name, part_type(type_name).definition)
+    try:
+        made = [preset(preset_name).restriction(shape)] if preset_name is not None else []
+        if filters or when or rate is not None:
+            made.append(Restriction(type_name, when, filter_rules(filters), rate))
+        for restriction in made:
+            compile_filter(shape, restriction.filters)
+            for text in restriction.conditions:
+                compile_condition(shape, text)
+    except (ConditionRefused, FilterRefused) as error:
+        error.hint = error.hint or _EXAMPLES
+        raise
+    return made
+
+
+@click.command()
+@json_result()
+def presets() -> None:
+    """Show what each preset hides, and what it still discloses."""
+    record(
+        presets=[
+            {"name": entry.name, "hides": entry.hides, "discloses": entry.reveals}
+            for entry in PRESETS.values()
+        ]
+    )
+    for entry in PRESETS.values():
+        say(entry.name)
+        say(f"  hides {entry.hides}")
+        say(f"  still discloses {entry.reveals}")
 
 
 @click.command()

@@ -44,6 +44,39 @@ _BESIDE: Final = re.compile(r"\$\(dirname\)/([A-Za-z0-9_.-]+)")
 _DIRNAME: Final = b"$(dirname)"
 
 
+@click.command("launch")
+@click.argument("source", metavar="IN.launch", type=options.FILE)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    required=True,
+    metavar="OUT",
+    help="the new file; one that exists is not overwritten",
+)
+@rules.option
+@json_result()
+def launch(source: Path, out: Path, rules_path: Path | None) -> None:
+    """Write the launch file IN.launch again, with names that rules give in place of metadata.
+
+    Nodes get a namespace, their topics and services are remapped; everything else stays as it is.
+    Included files of the same directory (`$(dirname)/...`) are written beside OUT. Then start it:
+    rossec run -- roslaunch OUT
+    """
+    found = asyncio.run(_named(source, out, rules.read_rules(rules_path)))
+    found.write()
+    for node in found.nodes:
+        note(printable(node.name))
+        for entry in node.entries:
+            note(printable(f"  {entry.kind} {entry.source} is {entry.name}"))
+    for text in found.notes:
+        note(printable(text))
+    if not found.nodes:
+        note(f"{source} has no node with metadata")
+    record(files=[str(path) for path in found.written], nodes=[each.name for each in found.nodes])
+    for path in found.written:
+        say(printable(str(path)))
+
+
 @dataclass
 class LaunchFiles:
     written: dict[Path, bytes] = field(default_factory=dict)
@@ -61,6 +94,23 @@ class LaunchFiles:
                 files.create(path, data, MODE)
                 undo.callback(path.unlink, missing_ok=True)
             undo.pop_all()
+
+
+async def _named(source: Path, out: Path, sheet: bytes) -> LaunchFiles:
+    async with RuleRunner(sheet) as runner:
+        loop = asyncio.get_running_loop()
+
+        def name_of(metadata: bytes, queries: Sequence[Query]) -> list[str]:
+            asked = runner.names(metadata, queries)
+            return [_name(each) for each in asyncio.run_coroutine_threadsafe(asked, loop).result()]
+
+        return await asyncio.to_thread(read, source, out, name_of)
+
+
+def _name(result: str | RossecError) -> str:
+    if isinstance(result, RossecError):
+        raise result
+    return result
 
 
 def read(source: Path, out: Path, name_of: NameOf) -> LaunchFiles:
@@ -129,56 +179,6 @@ class _Reader:
                 f"{source} names files beside it by $(dirname): in the directory of {target} they "
                 "may be missing"
             )
-
-
-@click.command("launch")
-@click.argument("source", metavar="IN.launch", type=options.FILE)
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    required=True,
-    metavar="OUT",
-    help="the new file; one that exists is not overwritten",
-)
-@rules.option
-@json_result()
-def launch(source: Path, out: Path, rules_path: Path | None) -> None:
-    """Write the launch file IN.launch again, with names that rules give in place of metadata.
-
-    Nodes get a namespace, their topics and services are remapped; everything else stays as it is.
-    Included files of the same directory (`$(dirname)/...`) are written beside OUT. Then start it:
-    rossec run -- roslaunch OUT
-    """
-    found = asyncio.run(_named(source, out, rules.read_rules(rules_path)))
-    found.write()
-    for node in found.nodes:
-        note(printable(node.name))
-        for entry in node.entries:
-            note(printable(f"  {entry.kind} {entry.source} is {entry.name}"))
-    for text in found.notes:
-        note(printable(text))
-    if not found.nodes:
-        note(f"{source} has no node with metadata")
-    record(files=[str(path) for path in found.written], nodes=[each.name for each in found.nodes])
-    for path in found.written:
-        say(printable(str(path)))
-
-
-async def _named(source: Path, out: Path, sheet: bytes) -> LaunchFiles:
-    async with RuleRunner(sheet) as runner:
-        loop = asyncio.get_running_loop()
-
-        def name_of(metadata: bytes, queries: Sequence[Query]) -> list[str]:
-            asked = runner.names(metadata, queries)
-            return [_name(each) for each in asyncio.run_coroutine_threadsafe(asked, loop).result()]
-
-        return await asyncio.to_thread(read, source, out, name_of)
-
-
-def _name(result: str | RossecError) -> str:
-    if isinstance(result, RossecError):
-        raise result
-    return result
 
 
 @click.command()

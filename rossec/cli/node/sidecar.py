@@ -11,6 +11,8 @@ import click
 from ca.names import check_name
 from rossec.cli.shared.context import Environment, pass_environment
 
+_LAST_USER = (1 << 32) - 2  # the last number means "no user"
+
 
 @click.command(context_settings={"allow_interspersed_args": False})
 @click.option("--as", "identity", metavar="NAME", help="the identity all its nodes use")
@@ -57,9 +59,6 @@ def exec_sidecar(
         os.execve(sys.executable, arguments, dict(environment.variables))  # noqa: S606 - no shell
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-
-
-_LAST_USER = (1 << 32) - 2  # the last number means "no user"
 
 
 @click.command()

@@ -105,19 +105,51 @@ def explain(
             say(f"  {line}")
 
 
-def _tried(read: PolicyFile, verdict: Verdict, message_file: Path) -> dict[str, object]:
-    # What would become of a message.
-    kind = read.policy.type_of(verdict.name)
-    if kind is None:
-        raise ConfigurationError(f"{read.path} does not say the type of {verdict.name}", "add it to types")
-    message = _message(message_file, message_type(kind))
-    outcome = Trial(layout_of(kind), verdict)(message, now())
-    sent = outcome.message
-    return {
-        "sent": sent is not None,
-        "reason": outcome.reason,
-        "changed": changes(kind, message, sent) if sent is not None else [],
-    }
+def _right(label: str) -> Right:
+    if label not in RIGHTS:
+        raise PolicyRefused(f"unknown right {label!r}", suggest(label, RIGHTS))
+    return RIGHTS[label]
+
+
+def subject_of(environment: Environment, node: str) -> Subject:
+    """The node with the key it is enrolled with; with no key where it is not."""
+    name = check_name(local_name(node))
+    if (environment.home / "ca" / "ca.pem").exists():
+        store = AuthorityHome.at(environment.home).store()
+        try:
+            if is_alias(name):
+                return Subject(name, domain_operations.holder(store, name, now()))
+            name = store.identities.certified_name(node, now())
+            rows = [row for row in store.identities.all() if row.name == name]
+        finally:
+            store.close()
+        if rows:
+            return Subject(name, rows[-1].thumbprint, rows[-1].wildcard)
+    return Subject(name, _NO_KEY)
+
+
+def _certified(environment: Environment) -> dict[str, set[bytes]]:
+    found: dict[str, set[bytes]] = {}
+    if (environment.home / "ca" / "ca.pem").exists():
+        store = AuthorityHome.at(environment.home).store()
+        try:
+            for row in store.identities.all():
+                found.setdefault(row.name, set()).add(row.thumbprint)
+        finally:
+            store.close()
+    return found
+
+
+def _in_force(environment: Environment, keys: Collection[bytes], right: Right, name: str) -> list[Grant]:
+    if not keys or not (environment.home / "ca" / "ca.pem").exists():
+        return []
+    store = AuthorityHome.at(environment.home).store()
+    try:
+        grants = [document.peek(row.data) for row in store.grants()]
+        revoked = store.revoked_entries()
+    finally:
+        store.close()
+    return in_force(grants, keys, right, name, now=now(), revoked=revoked)
 
 
 def _without_policy(
@@ -156,18 +188,6 @@ def _as_json(grant: Grant) -> dict[str, object]:
     return {"grant": grant.id.hex(), "until": format_time(grant.expires)}
 
 
-def _certified(environment: Environment) -> dict[str, set[bytes]]:
-    found: dict[str, set[bytes]] = {}
-    if (environment.home / "ca" / "ca.pem").exists():
-        store = AuthorityHome.at(environment.home).store()
-        try:
-            for row in store.identities.all():
-                found.setdefault(row.name, set()).add(row.thumbprint)
-        finally:
-            store.close()
-    return found
-
-
 def _note_unknown(node: str, subject: Subject, policy: Policy, certified: Collection[str]) -> None:
     # Say what is not known of the node: whether there is one of that name, or its key.
     if not _is_known(policy, subject, certified):
@@ -199,33 +219,28 @@ def _named(policy: Policy) -> set[str]:
     return {node for node in nodes if node is not None and "*" not in node}
 
 
-def _in_force(environment: Environment, keys: Collection[bytes], right: Right, name: str) -> list[Grant]:
-    if not keys or not (environment.home / "ca" / "ca.pem").exists():
-        return []
-    store = AuthorityHome.at(environment.home).store()
-    try:
-        grants = [document.peek(row.data) for row in store.grants()]
-        revoked = store.revoked_entries()
-    finally:
-        store.close()
-    return in_force(grants, keys, right, name, now=now(), revoked=revoked)
+def _tried(read: PolicyFile, verdict: Verdict, message_file: Path) -> dict[str, object]:
+    # What would become of a message.
+    kind = read.policy.type_of(verdict.name)
+    if kind is None:
+        raise ConfigurationError(f"{read.path} does not say the type of {verdict.name}", "add it to types")
+    message = _message(message_file, message_type(kind))
+    outcome = Trial(layout_of(kind), verdict)(message, now())
+    sent = outcome.message
+    return {
+        "sent": sent is not None,
+        "reason": outcome.reason,
+        "changed": changes(kind, message, sent) if sent is not None else [],
+    }
 
 
-def subject_of(environment: Environment, node: str) -> Subject:
-    """The node with the key it is enrolled with; with no key where it is not."""
-    name = check_name(local_name(node))
-    if (environment.home / "ca" / "ca.pem").exists():
-        store = AuthorityHome.at(environment.home).store()
-        try:
-            if is_alias(name):
-                return Subject(name, domain_operations.holder(store, name, now()))
-            name = store.identities.certified_name(node, now())
-            rows = [row for row in store.identities.all() if row.name == name]
-        finally:
-            store.close()
-        if rows:
-            return Subject(name, rows[-1].thumbprint, rows[-1].wildcard)
-    return Subject(name, _NO_KEY)
+def _message(file: Path, kind: MessageType) -> bytes:
+    data = files.read(file, _MAX_MESSAGE)
+    if file.suffix not in (".yaml", ".yml", ".json"):
+        return data
+    message = kind.create()
+    fill(message, parse_message(data.decode(errors="replace")), stamp_now())
+    return bytes(kind.serialize(message))
 
 
 def changes(kind: str, before: bytes, after: bytes) -> list[str]:
@@ -241,21 +256,6 @@ def changes(kind: str, before: bytes, after: bytes) -> list[str]:
 
 def _short(value: str) -> str:
     return value if len(value) <= 60 else f"{value[:57]}..."
-
-
-def _right(label: str) -> Right:
-    if label not in RIGHTS:
-        raise PolicyRefused(f"unknown right {label!r}", suggest(label, RIGHTS))
-    return RIGHTS[label]
-
-
-def _message(file: Path, kind: MessageType) -> bytes:
-    data = files.read(file, _MAX_MESSAGE)
-    if file.suffix not in (".yaml", ".yml", ".json"):
-        return data
-    message = kind.create()
-    fill(message, parse_message(data.decode(errors="replace")), stamp_now())
-    return bytes(kind.serialize(message))
 
 
 def show_privacy(

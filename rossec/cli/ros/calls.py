@@ -35,6 +35,16 @@ def list_services(environment: Environment, node: str, as_json: bool) -> None:
     asyncio.run(_list(environment, node, as_json))
 
 
+async def _list(environment: Environment, node: str, as_json: bool) -> None:
+    async with node_as(environment, node) as running:
+        known = await running.services.known()
+    if as_json:
+        say_json(known)
+        return
+    for name in sorted(known):
+        say(printable(shown(name)))
+
+
 @click.command()
 @click.argument("name")
 @_AS
@@ -45,6 +55,22 @@ def service_info(environment: Environment, name: str, node: str, as_json: bool) 
     asyncio.run(_info(environment, name, node, as_json))
 
 
+async def _info(environment: Environment, name: str, own: str, as_json: bool) -> None:
+    async with node_as(environment, own) as running:
+        name = running.settings.resolve(local_name(name))
+        uri = await running.services.lookup(name)
+        fields, provider = await running.services.probe(name)
+    node = caller_here(provider, text(fields, "callerid"))
+    found = {"node": node, "uri": uri, "type": text(fields, "type"), "md5sum": text(fields, "md5sum")}
+    if node != provider.name:
+        found["identity"] = provider.name
+    if as_json:
+        say_json(found)
+        return
+    for key, value in found.items():
+        say(f"{key}: {printable(shown(value))}")
+
+
 @click.command("type")
 @click.argument("name")
 @_AS
@@ -53,6 +79,13 @@ def service_info(environment: Environment, name: str, node: str, as_json: bool) 
 def type_of_service(environment: Environment, name: str, node: str) -> None:
     """Print the type of the service NAME."""
     asyncio.run(_type(environment, name, node))
+
+
+async def _type(environment: Environment, name: str, own: str) -> None:
+    async with node_as(environment, own) as running:
+        fields, _ = await running.services.probe(running.settings.resolve(local_name(name)))
+    record(service=local_name(name), type=text(fields, "type"))
+    say(printable(text(fields, "type")))
 
 
 @click.command()
@@ -101,39 +134,6 @@ def _register_definition(type_name: str | None, definition: Path) -> None:
     register_service_type(type_name, content)
 
 
-async def _list(environment: Environment, node: str, as_json: bool) -> None:
-    async with node_as(environment, node) as running:
-        known = await running.services.known()
-    if as_json:
-        say_json(known)
-        return
-    for name in sorted(known):
-        say(printable(shown(name)))
-
-
-async def _info(environment: Environment, name: str, own: str, as_json: bool) -> None:
-    async with node_as(environment, own) as running:
-        name = running.settings.resolve(local_name(name))
-        uri = await running.services.lookup(name)
-        fields, provider = await running.services.probe(name)
-    node = caller_here(provider, text(fields, "callerid"))
-    found = {"node": node, "uri": uri, "type": text(fields, "type"), "md5sum": text(fields, "md5sum")}
-    if node != provider.name:
-        found["identity"] = provider.name
-    if as_json:
-        say_json(found)
-        return
-    for key, value in found.items():
-        say(f"{key}: {printable(shown(value))}")
-
-
-async def _type(environment: Environment, name: str, own: str) -> None:
-    async with node_as(environment, own) as running:
-        fields, _ = await running.services.probe(running.settings.resolve(local_name(name)))
-    record(service=local_name(name), type=text(fields, "type"))
-    say(printable(text(fields, "type")))
-
-
 async def _call(
     environment: Environment,
     name: str,
@@ -180,6 +180,14 @@ def list_params(environment: Environment, namespace: str, node: str, as_json: bo
         say(printable(shown(name)))
 
 
+def _run(environment: Environment, node: str, work: Callable[[NodeParameters], Awaitable[Any]]) -> Any:
+    async def run() -> Any:
+        async with node_as(environment, node) as running:
+            return await work(running.params)
+
+    return asyncio.run(run())
+
+
 @click.command()
 @click.argument("name")
 @_AS
@@ -193,6 +201,26 @@ def get_param(environment: Environment, name: str, node: str, as_json: bool) -> 
         say_json(_encodable(value))
     else:
         say_block(_readable(value))
+
+
+def _encodable(value: object) -> object:
+    match value:
+        case dict():
+            return {str(key): _encodable(below) for key, below in value.items()}
+        case list():
+            return [_encodable(item) for item in value]
+        case bytes():
+            return base64.b64encode(value).decode()
+        case bool() | int() | float() | str():
+            return value
+        case _:
+            return str(value)
+
+
+def _readable(value: object) -> str:
+    if isinstance(value, str):
+        return printable(value)
+    return json_text(_encodable(value), 2 if isinstance(value, dict) else None)
 
 
 @click.command("set")
@@ -235,31 +263,3 @@ def delete_param(environment: Environment, names: tuple[str, ...], node: str) ->
 
     _run(environment, node, work)
     batch.finish()
-
-
-def _run(environment: Environment, node: str, work: Callable[[NodeParameters], Awaitable[Any]]) -> Any:
-    async def run() -> Any:
-        async with node_as(environment, node) as running:
-            return await work(running.params)
-
-    return asyncio.run(run())
-
-
-def _readable(value: object) -> str:
-    if isinstance(value, str):
-        return printable(value)
-    return json_text(_encodable(value), 2 if isinstance(value, dict) else None)
-
-
-def _encodable(value: object) -> object:
-    match value:
-        case dict():
-            return {str(key): _encodable(below) for key, below in value.items()}
-        case list():
-            return [_encodable(item) for item in value]
-        case bytes():
-            return base64.b64encode(value).decode()
-        case bool() | int() | float() | str():
-            return value
-        case _:
-            return str(value)

@@ -36,7 +36,6 @@ from rossec.terminal import note
 if TYPE_CHECKING:
     from rossec.node import Node
 
-
 VARIABLE: Final = "ROS_MASTER_URI"
 DISCOVER: Final = "discover:"
 REVOCATIONS: Final = "rossec.revocations"
@@ -49,6 +48,10 @@ def master_at(environment: Environment, node: str | NodeHome | None, master_uri:
     if uri != DISCOVER:
         return uri
     return asyncio.run(find_master(environment, node, master_uri))
+
+
+def _given(environment: Environment, master_uri: str | None) -> str:
+    return master_uri or environment.variables.get(VARIABLE, names.DEFAULT_MASTER_URI)
 
 
 async def find_master(
@@ -82,11 +85,6 @@ async def find_master(
     return found
 
 
-async def with_master(environment: Environment, node: str | NodeHome | None) -> Mapping[str, str]:
-    """The variables of the environment, for what reads ROS_MASTER_URI itself."""
-    return {**environment.variables, VARIABLE: await find_master(environment, node)}
-
-
 @contextlib.asynccontextmanager
 async def node_as(environment: Environment, name: str) -> AsyncIterator["Node"]:
     """The running node `name`, for one command."""
@@ -94,6 +92,11 @@ async def node_as(environment: Environment, name: str) -> AsyncIterator["Node"]:
 
     async with Node(name, environ=await with_master(environment, name)) as node:
         yield node
+
+
+async def with_master(environment: Environment, node: str | NodeHome | None) -> Mapping[str, str]:
+    """The variables of the environment, for what reads ROS_MASTER_URI itself."""
+    return {**environment.variables, VARIABLE: await find_master(environment, node)}
 
 
 def own_variables(environment: Environment) -> Mapping[str, str]:
@@ -106,8 +109,18 @@ def own_variables(environment: Environment) -> Mapping[str, str]:
     return {**environment.variables, VARIABLE: names.DEFAULT_MASTER_URI}
 
 
-def _given(environment: Environment, master_uri: str | None) -> str:
-    return master_uri or environment.variables.get(VARIABLE, names.DEFAULT_MASTER_URI)
+@contextlib.asynccontextmanager
+async def calls_as(
+    environment: Environment, home: NodeHome, uri: str, own: Credentials | None = None
+) -> AsyncIterator[MasterCall]:
+    """A connection on which the node has presented its grants; yields what calls over it."""
+    async with master_as(environment, home, uri, own) as client:
+
+        async def call(method: str, *parameters: object) -> object:
+            return await client.ask(method, home.name, *parameters)
+
+        await call(PRESENT_GRANTS, home.grants())
+        yield call
 
 
 @contextlib.asynccontextmanager
@@ -145,20 +158,6 @@ def revoked_text(name: str) -> str:
 def anew(home: NodeHome) -> str:
     """What to do about it."""
     return f"move {home.path} away and enroll it anew: rossec node request {home.name}"
-
-
-@contextlib.asynccontextmanager
-async def calls_as(
-    environment: Environment, home: NodeHome, uri: str, own: Credentials | None = None
-) -> AsyncIterator[MasterCall]:
-    """A connection on which the node has presented its grants; yields what calls over it."""
-    async with master_as(environment, home, uri, own) as client:
-
-        async def call(method: str, *parameters: object) -> object:
-            return await client.ask(method, home.name, *parameters)
-
-        await call(PRESENT_GRANTS, home.grants())
-        yield call
 
 
 def own_address(environment: Environment) -> str:

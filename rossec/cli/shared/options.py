@@ -21,7 +21,6 @@ from rossec.terminal import FACTS, TEMPORARY, fail, printable, say_json, say_sec
 
 MAX_PEM: Final = 64 * 1024
 FILE: Final = click.Path(path_type=Path, exists=True, dir_okay=False)
-
 policy = click.option(
     "--policy",
     "policy_path",
@@ -34,8 +33,10 @@ master_uri = click.option(
     metavar="URI",
     help="master to notify, instead of ROS_MASTER_URI; discover: finds it",
 )
-
 HELP = "the result as one line of JSON"
+AFTER: Final = 1.0  # seconds
+_WIDTH: Final = 72  # one line, on every terminal
+_CLEAR: Final = "\r\x1b[K"
 
 
 def json_result(*, secret: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -72,25 +73,6 @@ def document(*, secret: bool = False) -> Iterator[None]:
         raise
     FACTS.reset(token)
     _print(found, secret=secret)
-
-
-@contextmanager
-def recorded_in(facts: dict[str, Any]) -> Iterator[None]:
-    """What is recorded meanwhile belongs to one entry of the document."""
-    if FACTS.get() is None:
-        yield
-        return
-    token = FACTS.set(facts)
-    try:
-        yield
-    finally:
-        FACTS.reset(token)
-
-
-def add_entry(key: str, facts: dict[str, Any]) -> None:
-    """Add an entry to the list `key` of the document, if there is one."""
-    if (found := FACTS.get()) is not None:
-        found.setdefault(key, []).append(facts)
 
 
 def _print(found: dict[str, Any], *, secret: bool) -> None:
@@ -144,14 +126,28 @@ class Batch:
         return self._entries[label]
 
 
+@contextmanager
+def recorded_in(facts: dict[str, Any]) -> Iterator[None]:
+    """What is recorded meanwhile belongs to one entry of the document."""
+    if FACTS.get() is None:
+        yield
+        return
+    token = FACTS.set(facts)
+    try:
+        yield
+    finally:
+        FACTS.reset(token)
+
+
+def add_entry(key: str, facts: dict[str, Any]) -> None:
+    """Add an entry to the list `key` of the document, if there is one."""
+    if (found := FACTS.get()) is not None:
+        found.setdefault(key, []).append(facts)
+
+
 def unique(names: Sequence[str]) -> tuple[str, ...]:
     """Each name once, in order: who names one twice means it once."""
     return tuple(dict.fromkeys(names))
-
-
-AFTER: Final = 1.0  # seconds
-_WIDTH: Final = 72  # one line, on every terminal
-_CLEAR: Final = "\r\x1b[K"
 
 
 @contextlib.contextmanager

@@ -25,23 +25,11 @@ from rossec.ros.xmlrpc import Fault
 from rossec.terminal import note, printable, record, say
 
 _SIGNED_ANEW: Final = "a list for the master was due and is signed anew; deliver it with: rossec ca publish"
-
 _NO_LIST: Final = (
     "the master has no revocation list of this authority, so it trusts no grant yet:"
     " rossec ca publish, then rossec grant deliver"
 )
-
-
-def service_of(
-    environment: Environment, passphrase_file: Path | None = None, master_uri: str | None = None
-) -> AuthorityService:
-    """The authority in ROSSEC_HOME."""
-    return AuthorityService(
-        environment.home,
-        partial(passphrase.read, passphrase_file, environment.variables),
-        partial(call_master, environment, master_uri),
-        now,
-    )
+_NAMED: Final = 5  # rights of the line
 
 
 def pass_service(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -58,6 +46,18 @@ def pass_service(command: Callable[..., Any]) -> Callable[..., Any]:
             command(service, **values)
 
     return passphrase.option(run)
+
+
+def service_of(
+    environment: Environment, passphrase_file: Path | None = None, master_uri: str | None = None
+) -> AuthorityService:
+    """The authority in ROSSEC_HOME."""
+    return AuthorityService(
+        environment.home,
+        partial(passphrase.read, passphrase_file, environment.variables),
+        partial(call_master, environment, master_uri),
+        now,
+    )
 
 
 def call_master(environment: Environment, master_uri: str | None, call: MasterCall) -> object:
@@ -88,14 +88,6 @@ def _reason(error: Exception) -> str:
     return str(error) or "no answer in time"
 
 
-def publish_list(service: AuthorityService) -> None:
-    """Deliver the list that was signed just now, and say so."""
-    record(published=False)
-    service.publish()
-    record(published=True)
-    say("the master has the new list")
-
-
 def publish_if_revoked(service: AuthorityService) -> None:
     """Deliver the list if a replaced key was revoked, and that of domains if a master is new in it.
 
@@ -116,10 +108,31 @@ def publish_if_revoked(service: AuthorityService) -> None:
         note(f"{error}; {error.hint}")
 
 
+def publish_list(service: AuthorityService) -> None:
+    """Deliver the list that was signed just now, and say so."""
+    record(published=False)
+    service.publish()
+    record(published=True)
+    say("the master has the new list")
+
+
 def remind_to_publish(service: AuthorityService) -> None:
     """Print a note if a list was signed anew."""
     if service.has_signed_list or service.has_signed_domains:
         note(_SIGNED_ANEW)
+
+
+def deliver_grant(service: AuthorityService, data: bytes, out: Path | None) -> Sequence[RefusedDeposit]:
+    """Write a grant to the file `out`, which somebody carries; else as `deliver_grants`."""
+    if out is None:
+        return deliver_grants(service, [data])
+    files.create(out, data, 0o644)
+    record(file=str(out))
+    say(f"written to {out}")
+    if (path := service.store_grant(data)) is not None:
+        add_entry("given", {"node": document.peek(data).subject, "path": str(path)})
+        say(f"given to {document.peek(data).subject} in {path}")
+    return ()
 
 
 def deliver_grants(service: AuthorityService, grants: Iterable[bytes]) -> Sequence[RefusedDeposit]:
@@ -163,22 +176,6 @@ def say_deposited(count: int, refused: Sequence[RefusedDeposit]) -> None:
         note(each.say(f"the grant {short}"))
     if any(NO_LIST_YET in each.reason for each in refused):
         note(_NO_LIST)
-
-
-def deliver_grant(service: AuthorityService, data: bytes, out: Path | None) -> Sequence[RefusedDeposit]:
-    """Write a grant to the file `out`, which somebody carries; else as `deliver_grants`."""
-    if out is None:
-        return deliver_grants(service, [data])
-    files.create(out, data, 0o644)
-    record(file=str(out))
-    say(f"written to {out}")
-    if (path := service.store_grant(data)) is not None:
-        add_entry("given", {"node": document.peek(data).subject, "path": str(path)})
-        say(f"given to {document.peek(data).subject} in {path}")
-    return ()
-
-
-_NAMED: Final = 5  # rights of the line
 
 
 def give_outright(service: AuthorityService, name: str) -> None:
