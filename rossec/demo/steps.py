@@ -94,13 +94,10 @@ async def enroll(demo: DemoEnvironment, names: Sequence[str] = NODES, shown: str
     demo.printer.print(f"this is what {shown} shows to the camera of the phone:")
     await demo.command("node", "code", shown)
     scanned = [item for code in codes for item in ("--code", code)]
-    await demo.command("ca", "sign", *map(_request_of(demo), names), *scanned, "--yes", *passphrase(demo))
+    requests = [str(directory(demo, name) / "node.csr") for name in names]
+    await demo.command("ca", "sign", *requests, *scanned, "--yes", *passphrase(demo))
     for name in names:
         await demo.command("node", "install", str(directory(demo, name) / "node.pem"), "--yes", quiet=True)
-
-
-def _request_of(demo: DemoEnvironment) -> Callable[[str], str]:
-    return lambda name: str(directory(demo, name) / "node.csr")
 
 
 def directory(demo: DemoEnvironment, name: str) -> Path:
@@ -114,21 +111,9 @@ async def sign_grants(demo: DemoEnvironment) -> str:
     await demo.command(*sign, "/robot", *publishes, *always)
     await demo.command(*sign, "/doctor", "--subscribe", POSE[0], "--subscribe", SCAN[0], *always)
     output = await demo.command(*sign, "/doctor", "--subscribe", CAMERA[0], *always)
-    await demo.command(
-        *sign,
-        "/heating",
-        "--subscribe",
-        POSE[0],
-        "--type",
-        POSE[1],
-        "--round",
-        f"pose.position={COARSE:g}",
-        "--clear",
-        "pose.orientation",
-        "--clear",
-        "header.frame_id",
-        *always,
-    )
+    sees = ("--subscribe", POSE[0], "--type", POSE[1], "--round", f"pose.position={COARSE:g}")
+    hidden = ("--clear", "pose.orientation", "--clear", "header.frame_id")
+    await demo.command(*sign, "/heating", *sees, *hidden, *always)
     return output.split()[1]
 
 
@@ -192,7 +177,9 @@ async def connect_intruder(demo: DemoEnvironment, port: int) -> None:
     quiet = {"quiet": True}
     await other.command("ca", "init", "home", *passphrase(other), **quiet)
     await other.command("node", "request", "/doctor", "--domain", "home", **quiet)
-    await other.command("ca", "sign", _request_of(other)("/doctor"), "--yes", *passphrase(other), **quiet)
+    await other.command(
+        "ca", "sign", str(directory(other, "/doctor") / "node.csr"), "--yes", *passphrase(other), **quiet
+    )
     await other.command("node", "install", str(directory(other, "/doctor") / "node.pem"), "--yes", **quiet)
     try:
         intruder = await other.start("rossec.demo.intruder", "/doctor", str(port), name="intruder")
@@ -250,21 +237,9 @@ async def add_lamp(demo: DemoEnvironment) -> Path:
     await made.wait()
     ccs = str(things / "lamp.ccs")
     await demo.command("border", "add", LAMP, "--key", ccs)
-    await demo.command(
-        "ca",
-        "thing",
-        LAMP,
-        "--border",
-        "/border",
-        "--key",
-        ccs,
-        "--yes",
-        "--request",
-        str(directory(demo, LAMP) / "node.csr"),
-        "--out",
-        str(things / "lamp.thing"),
-        *passphrase(demo),
-    )
+    stated = ("--border", "/border", "--key", ccs, "--yes")
+    request = ("--request", str(directory(demo, LAMP) / "node.csr"), "--out", str(things / "lamp.thing"))
+    await demo.command("ca", "thing", LAMP, *stated, *request, *passphrase(demo))
     return things
 
 
@@ -274,17 +249,8 @@ async def sign_border_grants(demo: DemoEnvironment) -> None:
     doctor = ("--subscribe", TEMPERATURE[0], "--publish", LIGHT[0])
     await demo.command(*sign, LAMP, *lamp, *always)
     await demo.command(*sign, "/doctor", *doctor, *always)
-    await demo.command(
-        *sign,
-        "/heating",
-        "--subscribe",
-        TEMPERATURE[0],
-        "--type",
-        TEMPERATURE[1],
-        "--round",
-        f"temperature={STEP:g}",
-        *always,
-    )
+    sees = ("--subscribe", TEMPERATURE[0], "--type", TEMPERATURE[1], "--round", f"temperature={STEP:g}")
+    await demo.command(*sign, "/heating", *sees, *always)
 
 
 async def start_border(demo: DemoEnvironment, things: Path) -> tuple[DemoProcess, DemoProcess, DemoProcess]:
@@ -399,26 +365,11 @@ async def ask(demo: DemoEnvironment) -> None:
 
 
 async def _start_console(demo: DemoEnvironment, port: int) -> str:
-    service = await demo.start(
-        "rossec",
-        "ca",
-        "serve",
-        "--json",
-        "--unlock-for",
-        "0",
-        "--join-address",
-        f"127.0.0.1:{_free_port()}",
-        "--passphrase-file",
-        str(demo.root / "passphrase"),
-        name="authority",
-    )
+    with socket.create_server(("127.0.0.1", 0)) as sock:  # nobody listens there; the join port must be named
+        where = ("--join-address", f"127.0.0.1:{sock.getsockname()[1]}")
+    serve = ("ca", "serve", "--json", "--unlock-for", "0")
+    service = await demo.start("rossec", *serve, *where, *passphrase(demo), name="authority")
     await service.expect("starting", lambda report: "ready" in report, within=START)
     console = await demo.start("rossec", "console", "--json", "--port", str(port), name="console")
     ready = await console.expect("starting", lambda report: "ready" in report, within=START)
     return str(ready["login"])
-
-
-def _free_port() -> int:
-    # A port that nobody listens at now; the join port must be named.
-    with socket.create_server(("127.0.0.1", 0)) as sock:
-        return int(sock.getsockname()[1])

@@ -297,7 +297,12 @@ def edits(data: bytes, launch: Launch, nodes: Sequence[NamedNode]) -> list[Edit]
     """What becomes of the metadata in the file."""
     made: list[Edit] = []
     for node, given in zip(launch.nodes, nodes, strict=True):
-        made += _of_tag(node, given.name)
+        # A node gets `ns=`, and another `name=` if the rules gave one; a topic or service a `<remap>`.
+        above, _, last = given.name.rpartition("/")
+        at = node.tag.insertion
+        made.append(Edit(Span(at, at), b" ns=" + _quoted(above or "/")))
+        if last != node.name:
+            made.append(Edit(node.tag.values["name"], last.encode("ascii")))
         remaps = {id(entry[0]): new for entry, new in zip(node.entries(), given.entries, strict=True)}
         gone: list[Span] = []
         for element in node.elements:
@@ -305,17 +310,9 @@ def edits(data: bytes, launch: Launch, nodes: Sequence[NamedNode]) -> list[Edit]
             if new is None:
                 gone.append(element.whole)
             else:
-                made.append(Edit(element.whole, _remap(new)))
+                remap = b"<remap from=" + _quoted(new.source) + b" to=" + _quoted(new.name) + b"/>"
+                made.append(Edit(element.whole, remap))
         made += [Edit(_lines(data, span), b"") for span in _joined(data, gone)]
-    return made
-
-
-def _of_tag(node: LaunchNode, name: str) -> list[Edit]:
-    above, _, last = name.rpartition("/")
-    at = node.tag.insertion
-    made = [Edit(Span(at, at), b" ns=" + _quoted(above or "/"))]
-    if last != node.name:
-        made.append(Edit(node.tag.values["name"], last.encode("ascii")))
     return made
 
 
@@ -323,11 +320,8 @@ def _quoted(text: str) -> bytes:
     return quoteattr(text).encode("ascii")
 
 
-def _remap(entry: NamedEntry) -> bytes:
-    return b"<remap from=" + _quoted(entry.source) + b" to=" + _quoted(entry.name) + b"/>"
-
-
 def _lines(data: bytes, span: Span) -> Span:
+    # A line that has nothing but metadata is left out.
     start = data.rfind(b"\n", 0, span.start) + 1
     after = _AFTER.match(data, span.end)
     if after is None or _BEFORE.fullmatch(data, start, span.start) is None:

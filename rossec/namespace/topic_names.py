@@ -17,11 +17,13 @@ from ca.certificates import Identity
 from ca.errors import HintedError
 from rossec import files
 from rossec.errors import ConfigurationError, NameUndefined, RossecError, ServiceFailed
-from rossec.naming.requests import Kind, Result
+from rossec.naming.requests import Kind
 from rossec.naming.rule_runner import RuleRunner
 from rossec.participant.service_types import ServiceType, register_service_type
 from rossec.peer_limits import printable
 
+# The fields of the type are the thesis's (appendix A): programs that were written for its `GetTopicName`
+# call this service, since ROS compares md5sums.
 PACKAGE: Final = "rossec_namespace"
 TYPE: Final = f"{PACKAGE}/GetTopicName"
 _SRV: Final = "srv/GetTopicName.srv"
@@ -90,16 +92,19 @@ class TopicNames:
     async def _name(self, metadata: bytes, which: str) -> str:
         # The name of a topic, or else of a service: the request does not say which it is.
         kinds = (Kind.TOPIC, Kind.SERVICE)
-        found = await self._runner.names(metadata, [(kind, which) for kind in kinds])
-        return _first(found)
+        results = await self._runner.names(metadata, [(kind, which) for kind in kinds])
+        errors = [result for result in results if isinstance(result, RossecError)]
+        for result in results:
+            if isinstance(result, str):
+                return result
+        raise next((error for error in errors if not isinstance(error, NameUndefined)), errors[0])
 
 
 class CallerTurns:
-    """Places that callers take in turns.
+    """Places that callers take in turns: what one asks for delays no other by more than its turn.
 
-    Args:
-        places: how many callers have a turn at the same time.
-        waiting: how many requests of one caller wait; more are refused.
+    A caller has one turn at a time, and `waiting` requests that wait for it; more are refused. Free
+    places go to one caller after the other, however many requests each of them has.
     """
 
     def __init__(self, places: int, waiting: int) -> None:
@@ -151,11 +156,3 @@ class CallerTurns:
                 self._having.add(caller)
             if queue:
                 self._queues[caller] = queue  # behind all others
-
-
-def _first(results: list[Result]) -> str:
-    for result in results:
-        if isinstance(result, str):
-            return result
-    errors = [result for result in results if isinstance(result, RossecError)]
-    raise next((error for error in errors if not isinstance(error, NameUndefined)), errors[0])

@@ -17,15 +17,15 @@ from ca.errors import HintedError
 from ca.names import spiffe_id
 from ca.store.record import Store
 from ca.store.values import OPEN, RequestRow, RequestState
-from ca.svid import MAX_REQUEST
 from grants.policy.model import Subject
 from grants.policy.wanted import projected_grants
 from rossec import files
 from rossec.authority.home import AuthorityHome, format_fingerprint
-from rossec.authority.policyfile import PolicyFile, place
+from rossec.authority.policyfile import place
 from rossec.authority.service import AuthorityService
 from rossec.cli.ca import sign
-from rossec.cli.ca.sign import warn_of_wildcard, write_identity
+from rossec.cli.ca.invite import policy_lines
+from rossec.cli.ca.sign import read_request, warn_of_wildcard, write_identity
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, ask_yes_no, now, pass_environment, reraise_interrupt
 from rossec.cli.shared.options import Batch, json_result, unique
@@ -135,7 +135,9 @@ def show_request(service: AuthorityService, row: RequestRow, *, wildcard: bool) 
     if wildcard:
         warn_of_wildcard(row.name)
     say(f"  {_enrollment_status(home.store(), row)}")
-    for line in _policy_lines(place(service.rossec_home, None), row, wildcard=wildcard):
+    subject = Subject(row.name, row.thumbprint, wildcard)
+    path = place(service.rossec_home, None)
+    for line in policy_lines(path, lambda policy: projected_grants(policy, subject), "it", "this name"):
         say(f"  {line}")
 
 
@@ -149,16 +151,6 @@ def _enrollment_status(store: Store, row: RequestRow) -> str:
     if row.state is not RequestState.PENDING:
         return f"the request was {row.state} {format_time(row.changed)}"
     return f"{row.name} is new here"
-
-
-def _policy_lines(path: Path, row: RequestRow, *, wildcard: bool) -> list[str]:
-    if not path.exists():
-        return ["there is no policy: it is granted nothing"]
-    policy = PolicyFile.read(path, own=True).policy
-    lines = projected_grants(policy, Subject(row.name, row.thumbprint, wildcard))
-    if not lines:
-        return [f"the policy has no rule for it: {policy.defaults.decision}"]
-    return ["the policy for this name:", *(f"  {line}" for line in lines)]
 
 
 @click.command()
@@ -275,16 +267,11 @@ def _read_code(code: str | None, image: Path | None, csr_file: Path | None) -> q
         case (None, Path(), None):
             found = qr.parse(code_in_file(image, sys.stdin.buffer))
         case (None, None, Path()):
-            return qr.Code(sha256(_read(csr_file)).digest())
+            return qr.Code(sha256(read_request(csr_file)).digest())
         case _:
             raise click.UsageError("give a code, or --image, or --csr: one of them")
     found.check_time(now())
     return found
-
-
-def _read(path: Path) -> bytes:
-    with path.open("rb") as stream:
-        return stream.read(MAX_REQUEST + 1)
 
 
 def _destination(code: qr.Code, given_address: str | None, csr_file: Path | None) -> Destination | None:
@@ -299,7 +286,7 @@ def _destination(code: qr.Code, given_address: str | None, csr_file: Path | None
 
 def _fetch_request(core: AuthorityEnrollment, csr_file: Path | None, destination: Destination | None) -> None:
     if csr_file is not None:
-        core.receive(write(Delivery(_read(csr_file))), now())
+        core.receive(write(Delivery(read_request(csr_file))), now())
         return
     assert destination is not None  # noqa: S101 - a code without an address was refused
     asyncio.run(fetch(core, *destination, now))

@@ -21,7 +21,7 @@ from rossec.authority.invitations import InvitationStatus, end, find, invitation
 from rossec.authority.service import AuthorityService
 from rossec.authority.signing import OWN_NODE
 from rossec.cli.shared import options
-from rossec.cli.shared.context import Duration, Environment, now, pass_environment
+from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.options import Batch, json_result, unique, working
 from rossec.cli.shared.service import pass_service, publish_list, remind_to_publish
 from rossec.clock import format_time
@@ -140,13 +140,8 @@ def show(environment: Environment, name: str | None, in_json: bool) -> None:
 
 @click.command()
 @click.argument("names", metavar="NAME...", nargs=-1, required=True)
-@click.option(
-    "--for",
-    "lifetime",
-    type=Duration(MAX_LIFETIME // DAY),
-    default="30d",
-    show_default=True,
-    help="how long the new identity lasts",
+@options.duration(
+    "--for", "lifetime", days=MAX_LIFETIME // DAY, default="30d", text="how long the new identity lasts"
 )
 @click.option("--expired", is_flag=True, help="also one that is over: it keeps its key, and so its grants")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="where to write it")

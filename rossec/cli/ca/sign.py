@@ -12,7 +12,7 @@ from ca.certificates import Identity, check_intermediate_request, from_pem
 from ca.enrollment import qr
 from ca.keys.signing import thumbprint
 from ca.names import check_wildcard, spiffe_id
-from ca.svid import IdentityRequest, check_request
+from ca.svid import MAX_REQUEST, IdentityRequest, check_request
 from ca.things.constrained_nodes import PSK, Credential, ThingKey, ThingStatement, read_ccs, read_description
 from rossec import files
 from rossec.authority import renewals
@@ -20,7 +20,7 @@ from rossec.authority.home import AuthorityHome, format_fingerprint
 from rossec.authority.service import AuthorityService, SignedThing, ThingOrder
 from rossec.authority.signing import IN_FORCE, OTHER_KEY, ThingState, states
 from rossec.cli.shared import options, passphrase
-from rossec.cli.shared.context import Duration, Environment, confirm, now, pass_environment
+from rossec.cli.shared.context import Environment, confirm, now, pass_environment
 from rossec.cli.shared.options import Batch, json_result
 from rossec.cli.shared.service import (
     give_outright,
@@ -33,22 +33,15 @@ from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.terminal import printable, record, say, say_json
 
-identity_lifetime = click.option(
-    "--for",
-    "lifetime",
-    type=Duration(MAX_LIFETIME // DAY),
-    default="30d",
-    show_default=True,
-    help="how long the identity lasts",
+identity_lifetime = options.duration(
+    "--for", "lifetime", days=MAX_LIFETIME // DAY, default="30d", text="how long the identity lasts"
 )
 anonymous = click.option(
     "--anonymous", is_flag=True, help="for anonymous nodes too: /rviz also as /rviz_1234_1700000000000"
 )
-_MAX_REQUEST = 16 * 1024
-_MAX_FILE = 16 * 1024
+_MAX_REQUEST: Final = 16 * 1024
 _MAX_BUNDLE = 64 * 1024
 _MAX_DAYS: Final = 3650
-_THINGS_MAX_REQUEST: Final = 16 * 1024
 _MAX_CREDENTIAL: Final = 4096
 _ONE: Final = "give --key FILE, --psk FILE or --renew"
 _SHOWN: Final = (IN_FORCE, OTHER_KEY)
@@ -91,7 +84,7 @@ def sign(
     refused the others are signed, and the exit code is 1.
     """
     home, batch = service.home, Batch(len(requests))
-    read = [(path, _read(path)) for path in requests]
+    read = [(path, read_request(path)) for path in requests]
     if codes:
         _check_codes(codes, [data for _, data in read])
     checked: list[tuple[Path, bytes, str]] = []
@@ -103,7 +96,8 @@ def sign(
                 warn_of_wildcard(request.name)
             checked.append((path, data, request.name))
     if checked:
-        confirm(f"sign {_count(len(checked))}?", yes=yes)
+        what = "this identity" if len(checked) == 1 else f"these {len(checked)} identities"
+        confirm(f"sign {what}?", yes=yes)
         service.unlock()
         for path, data, name in checked:
             with batch.item(path):
@@ -115,11 +109,6 @@ def sign(
                 give_outright(service, name)
         publish_if_revoked(service)
     batch.finish()
-
-
-def _read(path: Path) -> bytes:
-    with path.open("rb") as stream:
-        return stream.read(_MAX_REQUEST + 1)
 
 
 def _check_codes(codes: tuple[str, ...], requests: list[bytes]) -> None:
@@ -152,8 +141,10 @@ def warn_of_wildcard(name: str) -> None:
     say("  all of them have one key and the same grants, and are revoked together")
 
 
-def _count(number: int) -> str:
-    return "this identity" if number == 1 else f"these {number} identities"
+def read_request(path: Path) -> bytes:
+    """The octets of a request, one more than it may have: it is refused where it is checked."""
+    with path.open("rb") as stream:
+        return stream.read(MAX_REQUEST + 1)
 
 
 def write_identity(request: Path, bundle: bytes) -> Path:
@@ -188,21 +179,14 @@ def request_intermediate(environment: Environment, domain: str, passphrase_file:
     type=click.Choice(["renew", "enroll"]),
     help="renew identities that exist, or enroll new nodes as well",
 )
-@click.option(
-    "--for",
-    "lifetime",
-    type=Duration(MAX_LIFETIME // DAY),
-    default="90d",
-    show_default=True,
-    help="how long it may sign",
-)
+@options.duration("--for", "lifetime", days=MAX_LIFETIME // DAY, default="90d", text="how long it may sign")
 @click.option("--yes", is_flag=True, help="do not ask")
 @json_result()
 @pass_service
 def sign_intermediate(service: AuthorityService, request: Path, may: str, lifetime: int, yes: bool) -> None:
     """At the root: sign REQUEST of a host, and set what it may do."""
     domain = service.home.domain
-    data = files.read(request, _MAX_FILE)
+    data = files.read(request, _MAX_REQUEST)
     key = check_intermediate_request(data, domain)
     powers = "renew identities" + (" and enroll new nodes" if may == "enroll" else "")
     say(f"an intermediate of {domain} that may {powers} until {format_time(now() + lifetime)}")
@@ -224,7 +208,7 @@ def sign_intermediate(service: AuthorityService, request: Path, may: str, lifeti
 @pass_environment
 def install_intermediate(environment: Environment, bundle: Path, passphrase_file: Path | None) -> None:
     """On the host: install BUNDLE, which the root signed."""
-    data = files.read(bundle, _MAX_FILE)
+    data = files.read(bundle, _MAX_REQUEST)
     secret = passphrase.read(passphrase_file, environment.variables)
     found = renewals.install(environment.home, data, secret, now())
     powers = "renew and enroll" if found.may_enroll else "renew"
@@ -292,21 +276,13 @@ def _show_identity(home: AuthorityHome, path: Path, identity: Identity) -> None:
     metavar="NAME",
     help="end what is said of NAME: it was renamed or moved, or its device is another one",
 )
-@click.option(
-    "--for",
-    "lifetime",
-    type=Duration(_MAX_DAYS),
-    default="365d",
-    show_default=True,
-    help="how long this is so",
-)
-@click.option(
+@options.duration("--for", "lifetime", days=_MAX_DAYS, default="365d", text="how long this is so")
+@options.duration(
     "--identity-for",
     "identity_lifetime",
-    type=Duration(MAX_LIFETIME // DAY),
+    days=MAX_LIFETIME // DAY,
     default="30d",
-    show_default=True,
-    help="how long the identity lasts",
+    text="how long the identity lasts",
 )
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="where to write it")
 @click.option("--yes", is_flag=True, help="do not ask")
@@ -320,7 +296,8 @@ def thing(service: AuthorityService, name: str, yes: bool, renew: bool, **given:
     ROSSEC_HOME. With --request the identity of the node NAME is signed in the same step.
     """
     if renew:
-        _check_renewal(given)
+        if any(given[name] for name in ("border", "ccs", "description", "request", "code", "replaced")):
+            raise ConfigurationError("--renew says the same again, and takes nothing new", _ONE)
         signed = service.renew_thing(name, given["lifetime"])
     else:
         order = _order(name, given)
@@ -339,16 +316,10 @@ def thing(service: AuthorityService, name: str, yes: bool, renew: bool, **given:
     _hand_over(service, signed, given["request"], given["out"])
     if service.has_revoked:
         record(revoked=signed.revoked)
-        say(f"what it replaces is revoked ({signed.revoked} entr{_ies(signed.revoked)})")
+        say(f"what it replaces is revoked ({signed.revoked} entr{'y' if signed.revoked == 1 else 'ies'})")
         publish_list(service)
     else:
         remind_to_publish(service)
-
-
-def _check_renewal(given: dict[str, Any]) -> None:
-    others = ("border", "ccs", "description", "request", "code", "replaced")
-    if any(given[name] for name in others):
-        raise ConfigurationError("--renew says the same again, and takes nothing new", _ONE)
 
 
 def _order(name: str, given: dict[str, Any]) -> ThingOrder:
@@ -361,7 +332,7 @@ def _order(name: str, given: dict[str, Any]) -> ThingOrder:
         _credential(given["ccs"], given["description"]),
         given["lifetime"],
         frozenset(given["replaced"]),
-        b"" if request is None else files.read(request, _THINGS_MAX_REQUEST),
+        b"" if request is None else files.read(request, _MAX_REQUEST),
         given["identity_lifetime"],
     )
 
@@ -413,10 +384,6 @@ def _hand_over(
         say(f"next, on its border router: rossec border install {target}{more}")
     if request is not None:
         give_outright(service, name)
-
-
-def _ies(count: int) -> str:
-    return "y" if count == 1 else "ies"
 
 
 @click.command()

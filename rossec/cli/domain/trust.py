@@ -29,7 +29,7 @@ from rossec.authority.domain_operations import living_grants
 from rossec.authority.home import AuthorityHome, fingerprint, format_fingerprint
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
-from rossec.cli.shared.context import Duration, confirm, now
+from rossec.cli.shared.context import confirm, now
 from rossec.cli.shared.options import json_result
 from rossec.cli.shared.service import pass_service, publish_list
 from rossec.clock import format_time
@@ -66,13 +66,8 @@ admit = click.option(
     help="your nodes that shall be admitted there",
 )
 @click.option("--at", "masters", multiple=True, metavar="URI", help="where they reach your master")
-@click.option(
-    "--for",
-    "lifetime",
-    type=Duration(MAX_CARD_LIFETIME // 86400),
-    default="7d",
-    show_default=True,
-    help="how long it can be accepted",
+@options.duration(
+    "--for", "lifetime", days=MAX_CARD_LIFETIME // 86400, default="7d", text="how long it can be accepted"
 )
 @click.option("--qr", "picture", is_flag=True, help="also show its code as a picture, on stderr")
 @json_result()
@@ -106,25 +101,14 @@ def card(
 
 def lifetime(default: str | None) -> Callable[..., Any]:
     """Add `--for` to a command."""
-    return click.option(
-        "--for",
-        "lifetime",
-        type=Duration(MAX_DAYS),
-        default=default,
-        show_default=True,
-        help="how long it is trusted, from now on",
-    )
+    text = "how long it is trusted, from now on"
+    return options.duration("--for", "lifetime", days=MAX_DAYS, default=default, text=text)
 
 
 def fresh(default: str | None) -> Callable[..., Any]:
     """Add `--fresh` to a command."""
-    return click.option(
-        "--fresh",
-        type=Duration(MOST_FRESH // 86400),
-        default=default,
-        show_default=True,
-        help="how old its last word on its revocations may be",
-    )
+    text = "how old its last word on its revocations may be"
+    return options.duration("--fresh", days=MOST_FRESH // 86400, default=default, text=text)
 
 
 def rules(command: Callable[..., Any]) -> Callable[..., Any]:

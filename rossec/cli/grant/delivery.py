@@ -1,6 +1,5 @@
 """`rossec grant list | deliver | show | install | revoke`, `rossec master delegate`: signed grants."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
@@ -15,7 +14,7 @@ from rossec import terminal
 from rossec.authority.grant_operations import require_delivered
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
-from rossec.cli.shared.context import Duration, Environment, now, pass_environment
+from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import holder_home, open_held, read_token
 from rossec.cli.shared.options import Batch, json_result, unique
 from rossec.cli.shared.service import pass_service, publish_list, remind_to_publish, say_deposited, service_of
@@ -48,7 +47,13 @@ def list_(environment: Environment, nodes: tuple[str, ...], as_json: bool, maste
     store = service.home.store()
     grants = [document.peek(row.data) for row in store.grants() if not nodes or row.name in nodes]
     revoked = store.revoked_entries()
-    states = {grant.id: _ended(grant, revoked) for grant in grants}
+    at = now()
+    states = {
+        grant.id: "revoked"
+        if not revoked.isdisjoint((grant.id, grant.holder))
+        else "expired" * (at >= grant.cap)
+        for grant in grants
+    }
     if not all(states.values()):
         _complete(service, grants, states)
     grants.sort(key=lambda grant: _place(grant, states[grant.id]))
@@ -59,14 +64,12 @@ def list_(environment: Environment, nodes: tuple[str, ...], as_json: bool, maste
         say(_line(grant, states[grant.id]))
 
 
-def _ended(grant: Grant, revoked: frozenset[bytes]) -> str:
-    if not revoked.isdisjoint((grant.id, grant.holder)):
-        return "revoked"
-    return "expired" if now() >= grant.cap else ""
-
-
 def _complete(service: AuthorityService, grants: list[Grant], states: dict[bytes, str]) -> None:
-    answered, reason = _ask_master(service)
+    answered, reason = dict[bytes, str](), ""
+    try:
+        answered = dict(service.delivery_states())
+    except (NotDelivered, ConfigurationError) as error:
+        reason = str(error)
     for grant in grants:
         if states[grant.id]:
             continue
@@ -76,13 +79,6 @@ def _complete(service: AuthorityService, grants: list[Grant], states: dict[bytes
             states[grant.id] = "delivered"
     if reason and "unknown" in states.values():
         note(f"whether nodes have their grants is unknown: {reason}")
-
-
-def _ask_master(service: AuthorityService) -> tuple[Mapping[bytes, str], str]:
-    try:
-        return service.delivery_states(), ""
-    except (NotDelivered, ConfigurationError) as error:
-        return {}, str(error)
 
 
 def _place(grant: Grant, state: str) -> tuple[object, ...]:
@@ -219,20 +215,18 @@ def revoke(service: AuthorityService, grant_ids: tuple[str, ...], reason: str) -
 
 
 @click.command()
-@click.option(
+@options.duration(
     "--for",
     "lifetime",
-    type=Duration(MAX_DELEGATION // DAY),
+    days=MAX_DELEGATION // DAY,
     default="90d",
-    show_default=True,
-    help="how long the master may renew grants",
+    text="how long the master may renew grants",
 )
-@click.option(
+@options.duration(
     "--ticket",
-    type=Duration(MAX_TICKET // DAY),
+    days=MAX_TICKET // DAY,
     default="8h",
-    show_default=True,
-    help="how long a renewed grant holds before it is renewed again; at least a minute",
+    text="how long a renewed grant holds before it is renewed again; at least a minute",
 )
 @click.option(
     "--to",

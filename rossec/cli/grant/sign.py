@@ -129,9 +129,7 @@ def wishes(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.command()
 @click.argument("node")
 @wishes
-@click.option(
-    "--for", "lifetime", type=Duration(MAX_DAYS), default="7d", show_default=True, help="how long it holds"
-)
+@options.duration("--for", "lifetime", days=MAX_DAYS, default="7d", text="how long it holds")
 @click.option(
     "--renew-until",
     "renewal",

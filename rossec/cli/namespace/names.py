@@ -102,15 +102,14 @@ async def _named(source: Path, out: Path, sheet: bytes) -> LaunchFiles:
 
         def name_of(metadata: bytes, queries: Sequence[Query]) -> list[str]:
             asked = runner.names(metadata, queries)
-            return [_name(each) for each in asyncio.run_coroutine_threadsafe(asked, loop).result()]
+            found = list[str]()
+            for result in asyncio.run_coroutine_threadsafe(asked, loop).result():
+                if isinstance(result, RossecError):
+                    raise result
+                found.append(result)
+            return found
 
         return await asyncio.to_thread(read, source, out, name_of)
-
-
-def _name(result: str | RossecError) -> str:
-    if isinstance(result, RossecError):
-        raise result
-    return result
 
 
 def read(source: Path, out: Path, name_of: NameOf) -> LaunchFiles:
@@ -213,13 +212,13 @@ def show_name(
     elif service is not None:
         kind, which = Kind.SERVICE, service
     sheet, document = rules.read_rules(rules_path), rules.read_metadata(meta)
-    found = asyncio.run(_name_name(sheet, document, kind, which, thesis_defaults=thesis_defaults))
+
+    async def ask() -> str:
+        async with RuleRunner(sheet, thesis_defaults=thesis_defaults) as runner:
+            return await runner.name(document, kind, which)
+
+    found = asyncio.run(ask())
     if as_json:
         say_json({"kind": kind.value, "which": which, "name": found})
     else:
         say(found)
-
-
-async def _name_name(sheet: bytes, document: bytes, kind: Kind, which: str, *, thesis_defaults: bool) -> str:
-    async with RuleRunner(sheet, thesis_defaults=thesis_defaults) as runner:
-        return await runner.name(document, kind, which)

@@ -1,7 +1,7 @@
 """`rossec namespace serve | check`: names for nodes that ask, and rules tried before they are used."""
 
 import asyncio
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Final
@@ -24,7 +24,7 @@ from rossec.errors import ConfigurationError, ProposedNameRefused
 from rossec.host.runner import READY, STOPPING, notify, stop_on_signals, until_first_ends
 from rossec.namespace import topic_names
 from rossec.namespace.topic_names import CALLS, CHILDREN, DEADLINE, SECONDS, SERVICE, TopicNames
-from rossec.naming.examine import Covered, Report, examine
+from rossec.naming.examine import Report, examine
 from rossec.naming.requests import MAX_INPUT, Kind
 from rossec.naming.rule_runner import RuleRunner
 from rossec.terminal import note, printable, say, say_json
@@ -79,12 +79,28 @@ def check(
     if len(found) > MAX_FILES:
         raise ConfigurationError(f"{len(found)} files in {directory} where {MAX_FILES} are allowed")
     documents = [(str(path), files.read(path, MAX_INPUT)) for path in found]
-    covered = _coverage(policy_path, grants_path)
-    report = asyncio.run(_examined(files.read(rules, MAX_INPUT), documents, covered))
+    covered = None
+    if policy_path is not None or grants_path is not None:
+        held = [] if grants_path is None else read_grants(grants_path)
+        covered = Coverage(held, None if policy_path is None else PolicyFile.read(policy_path).policy)
+
+    async def examined() -> Report:
+        async with RuleRunner(files.read(rules, MAX_INPUT)) as runner:
+            return await examine(runner, documents, covered)
+
+    report = asyncio.run(examined())
     if as_json:
-        say_json({"names": _rows(report), "findings": [asdict(each) for each in report.findings]})
+        names = [
+            {"kind": kind.value, "name": name, **asdict(place)}
+            for (kind, name), places in sorted(report.names.items())
+            for place in places
+        ]
+        say_json({"names": names, "findings": [asdict(each) for each in report.findings]})
     else:
-        _print(report)
+        for finding in report.findings:
+            say(printable(str(finding)))
+        count = sum(map(len, report.names.values()))
+        say(f"{count} names, {len(report.findings)} findings")
     if covered is None:
         note("names were not compared with rights: give --policy or --grants")
     if report.findings:
@@ -92,13 +108,6 @@ def check(
             f"{len(report.findings)} findings with the rules {rules}",
             "correct the rules or the metadata, and check again",
         )
-
-
-def _coverage(policy_path: Path | None, grants_path: Path | None) -> Covered | None:
-    if policy_path is None and grants_path is None:
-        return None
-    held = [] if grants_path is None else read_grants(grants_path)
-    return Coverage(held, None if policy_path is None else PolicyFile.read(policy_path).policy)
 
 
 def read_grants(directory: Path) -> list[Grant]:
@@ -115,11 +124,10 @@ def read_grants(directory: Path) -> list[Grant]:
 
 
 class Coverage:
-    """Grants and a policy, asked together: what either of them gives is covered.
+    """Grants of any nodes and a policy, asked together: what either of them gives is covered.
 
-    Args:
-        grants: of any nodes; their subject says for whom.
-        policy: None for no policy.
+    Grants are not verified: this is advice for who writes rules, and decides nothing. A rule that
+    pins a key counts as if the node had it, since its key is not known before it is enrolled.
     """
 
     def __init__(self, grants: Iterable[Grant], policy: Policy | None) -> None:
@@ -147,26 +155,6 @@ class Coverage:
         if self._decider is None:
             return False
         return self._decider.decide(subject, right, name).effect is not Effect.DENY
-
-
-async def _examined(rules: bytes, documents: Sequence[tuple[str, bytes]], covered: Covered | None) -> Report:
-    async with RuleRunner(rules) as runner:
-        return await examine(runner, documents, covered)
-
-
-def _rows(report: Report) -> list[dict[str, object]]:
-    return [
-        {"kind": kind.value, "name": name, **asdict(place)}
-        for (kind, name), places in sorted(report.names.items())
-        for place in places
-    ]
-
-
-def _print(report: Report) -> None:
-    for finding in report.findings:
-        say(printable(str(finding)))
-    count = sum(map(len, report.names.values()))
-    say(f"{count} names, {len(report.findings)} findings")
 
 
 @click.command()

@@ -61,7 +61,6 @@ Outcome = str | HintedError
 LIMIT: Final = 64  # nodes whose address is looked up
 _ENTER: Final = "enter the name in /etc/hosts here, or set ROS_IP on its host and start it again"
 _MINUTE: Final = 60  # seconds that a connection may last whose certificate is out of its time
-_NO_LIST: Final = "the master has no revocation list"
 _SOON = 1 / 3  # of an identity's life: by then it should have been renewed
 _MAX_FILE = 64 * 1024
 Check = Callable[[Environment, NodeHome], Iterator[Outcome]]
@@ -95,8 +94,8 @@ def doctor(environment: Environment, names: tuple[str, ...], offline: bool, as_j
     if failed:
         said = {(finding.text, finding.hint) for finding in findings if not finding.ok}
         of = f"{len(failed)} of {len(homes) * len(_checks(offline=offline))} checks"
-        causes = f"{of} failed" if len(said) >= len(failed) else f"{of} failed, {_causes(len(said))}"
-        raise ConfigurationError(causes, "see above")
+        causes = "for one cause" if len(said) == 1 else f"for {len(said)} causes"
+        raise ConfigurationError(f"{of} failed" + f", {causes}" * (len(said) < len(failed)), "see above")
 
 
 def _all(environment: Environment) -> tuple[list[NodeHome], list[str]]:
@@ -126,19 +125,18 @@ def _examine(environment: Environment, home: NodeHome, *, offline: bool) -> Iter
         try:
             for found in check(environment, home):
                 yield _finding(home, name, found)
-        except IdentityRevoked as error:
-            yield _finding(home, name, error)
-            return  # nobody talks to it: whatever else would be said has this cause
         except HintedError as error:
             yield _finding(home, name, error)
+            if isinstance(error, IdentityRevoked):
+                return  # nobody talks to it: whatever else would be said has this cause
 
 
 def _checks(*, offline: bool) -> dict[str, Check]:
     checks: dict[str, Check] = {
         "identity": _identity,
-        "address": _address,
+        "address": lambda environment, _: check_own_address(environment.variables),
         "grants": _grants,
-        "domains": _domains,
+        "domains": lambda environment, home: check_domains(environment.home, home, now()),
     }
     return checks if offline else {**checks, "master": _master}
 
@@ -164,12 +162,12 @@ def _identity(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
 
 
 def known_revocations(home: Path, node: NodeHome) -> dict[bytes, str]:
-    """Each entry that is revoked, with the source that lists it."""
+    """Each entry that is revoked, with the source that lists it: of several, every entry counts."""
     anchor, found = node.anchor(), dict[bytes, str]()
     for place in (node, NodeHome.of(home, MASTER)):
         for entry in _listed(place, anchor):
             found.setdefault(entry, f"the list in {place.path}")
-    for entry in _known_revocations_recorded(home, anchor):
+    for entry in _recorded_revocations(home, anchor):
         found[entry] = f"the authority's record in {home / 'ca'}"
     return found
 
@@ -189,7 +187,7 @@ def _listed(place: NodeHome, anchor: TrustAnchor) -> Iterator[bytes]:
             yield from listing.entries
 
 
-def _known_revocations_recorded(home: Path, anchor: TrustAnchor) -> frozenset[bytes]:
+def _recorded_revocations(home: Path, anchor: TrustAnchor) -> frozenset[bytes]:
     # Of the authority itself, if it is the node's and not an intermediate below it.
     with suppress(HintedError):
         authority = AuthorityHome.at(home)
@@ -216,10 +214,6 @@ def _clock(home: NodeHome, identity: Identity) -> Iterator[Outcome]:
         )
 
 
-def _address(environment: Environment, _: NodeHome) -> Iterator[Outcome]:
-    yield from check_own_address(environment.variables)
-
-
 def check_own_address(variables: Mapping[str, str]) -> Iterator[Outcome]:
     """Whether ROS_HOSTNAME or ROS_IP leads to this host."""
     address = names.own_address(variables)
@@ -229,7 +223,7 @@ def check_own_address(variables: Mapping[str, str]) -> Iterator[Outcome]:
 
 
 def _grants(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
-    held, (usable, refused) = home.grants(), _doctor_opened(environment, home)
+    held, (usable, refused) = home.grants(), _open_grants(environment, home)
     for grant in usable:
         label = _label(home, grant)
         for permission in grant.links[-1].permissions:
@@ -252,13 +246,11 @@ def _grants(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
         yield ConfigurationError(f"{errors[0]}{others}", errors[0].hint)
 
 
-def _doctor_opened(
+def _open_grants(
     environment: Environment, home: NodeHome
 ) -> tuple[list[Grant], dict[type[HintedError], list[HintedError]]]:
-    revoked, refused = (
-        known_revocations(environment.home, home),
-        defaultdict[type[HintedError], list[HintedError]](list),
-    )
+    revoked = known_revocations(environment.home, home)
+    refused = defaultdict[type[HintedError], list[HintedError]](list)
     usable = []
     for data in home.grants():
         try:
@@ -284,14 +276,10 @@ def _label(home: NodeHome, grant: Grant) -> str:
     return "" if grant.domain == anchor.domain else grant.domain
 
 
-def _domains(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
-    yield from check_domains(environment.home, home, now())
-
-
 def check_domains(home: Path, node: NodeHome, now: int) -> Iterator[str]:
     """A line for each domain that the node trusts."""
     anchor = node.anchor()
-    held, newest = DomainFiles(node, anchor).anchors().current, _recorded(home, anchor)
+    held, newest = DomainFiles(node, anchor).anchors().current, _newest_domains(home, anchor)
     for each in () if held is None else held.domains:
         ended = "" if now < each.until else ", which is over"
         until = format_time(each.until)
@@ -308,7 +296,7 @@ def check_domains(home: Path, node: NodeHome, now: int) -> Iterator[str]:
         )
 
 
-def _recorded(home: Path, anchor: TrustAnchor) -> DomainList | None:
+def _newest_domains(home: Path, anchor: TrustAnchor) -> DomainList | None:
     with suppress(HintedError):
         authority = AuthorityHome.at(home)
         if authority.anchor().thumbprint == anchor.thumbprint:
@@ -327,7 +315,7 @@ def _master(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
 async def _ask_master(environment: Environment, home: NodeHome) -> list[Outcome]:
     found = list[Outcome]()
     try:
-        usable, _ = _doctor_opened(environment, home)
+        usable, _ = _open_grants(environment, home)
         async for outcome in check_master(environment, home, usable):
             found.append(outcome)
     except HintedError as error:
@@ -358,10 +346,18 @@ async def check_master(
         revocations = Revocations(home.anchor().public_key)
         revocations.update(data, now())
         revocations.confirm(stamp, now())
-        await _check_master_key(revocations, stream.peer, call)
+        if await _revoked_of(revocations, stream.peer.keys, call):
+            raise ConfigurationError(
+                f"the identity of {shown(stream.peer.name)} is revoked, so that no node trusts it any more",
+                "on its host: move its directory away, and enroll it anew with a new key",
+            )
         yield f"the master at {uri} has a fresh revocation list"
-        async for outcome in _check_grants(revocations, grants, call):
-            yield outcome
+        by_entry = {entry: grant for grant in grants for entry in grant.revocable}
+        for entry in await _revoked_of(revocations, tuple(by_entry), call):
+            yield ConfigurationError(
+                f"grant {by_entry[entry].short_id} is revoked according to the master's list",
+                f"ask for another; it does no harm in {by_entry[entry].subject}'s directory",
+            )
         async for outcome in check_node_addresses(home, call):
             yield outcome
     finally:
@@ -417,7 +413,7 @@ def _opened(home: NodeHome, master: Identity, answer: object) -> tuple[bytes, Ti
         case [bytes() as data, bytes() as timestamp] if data:
             return data, open_timestamp(timestamp, master.public_key)
         case _:
-            raise ConfigurationError(_NO_LIST, "next: rossec ca publish")
+            raise ConfigurationError("the master has no revocation list", "next: rossec ca publish")
 
 
 def _where(home: NodeHome, data: bytes) -> str:
@@ -450,15 +446,6 @@ def describe_offset(issued: int, begun: float, ended: float) -> Outcome:
     )
 
 
-async def _check_master_key(revocations: Revocations, master: Identity, call: MasterCall) -> None:
-    found = await _revoked_of(revocations, master.keys, call)
-    if found:
-        raise ConfigurationError(
-            f"the identity of {shown(master.name)} is revoked, so that no node trusts it any more",
-            "on its host: move its directory away, and enroll it anew with a new key",
-        )
-
-
 async def _revoked_of(revocations: Revocations, entries: Sequence[bytes], call: MasterCall) -> list[bytes]:
     for start in range(0, len(entries), MAX_PROOFS_PER_CALL):
         for entry in entries[start : start + MAX_PROOFS_PER_CALL]:
@@ -474,17 +461,6 @@ def _is_revoked(revocations: Revocations, entry: bytes) -> bool:
     except Revoked:
         return True
     return False
-
-
-async def _check_grants(
-    revocations: Revocations, grants: Iterable[Grant], call: MasterCall
-) -> AsyncIterator[Outcome]:
-    by_entry = {entry: grant for grant in grants for entry in grant.revocable}
-    for entry in await _revoked_of(revocations, tuple(by_entry), call):
-        yield ConfigurationError(
-            f"grant {by_entry[entry].short_id} is revoked according to the master's list",
-            f"ask for another; it does no harm in {by_entry[entry].subject}'s directory",
-        )
 
 
 async def check_node_addresses(home: NodeHome, call: MasterCall) -> AsyncIterator[Outcome]:
@@ -535,7 +511,3 @@ def _say(findings: list[Finding], plain: list[str], *, several: bool) -> None:
             say(f"        {terminal_printable(hint)}")
     for entry in plain:
         say(f"PLAIN   {terminal_printable(entry)} is neither encrypted nor checked: allow_plain names it")
-
-
-def _causes(number: int) -> str:
-    return "for one cause" if number == 1 else f"for {number} causes"

@@ -358,7 +358,10 @@ async def _print_changes(environment: Environment, home: NodeHome, uri: str, as_
         except (HintedError, OSError, TimeoutError) as error:
             if view.version < 0:
                 raise
-            _check_identity(home)
+            try:
+                home.identity(now())
+            except CertificateExpired as expired:
+                raise ConfigurationError(f"{expired}, and it was not renewed", expired.hint) from expired
             if before != view.version:
                 pause, last_error = PAUSE, ""
             if str(error) != last_error:
@@ -389,13 +392,6 @@ def _json(view: GraphView, change: ObservedChange) -> dict[str, object]:
         "added": change.added,
         "removed": change.removed,
     }
-
-
-def _check_identity(home: NodeHome) -> None:
-    try:
-        home.identity(now())
-    except CertificateExpired as error:
-        raise ConfigurationError(f"{error}, and it was not renewed", error.hint) from error
 
 
 async def _print_graph(environment: Environment, home: NodeHome, uri: str, as_json: bool) -> None:

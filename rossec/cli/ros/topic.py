@@ -5,7 +5,6 @@ import time
 from collections import deque
 from collections.abc import AsyncIterable, AsyncIterator, Callable, Coroutine, Sequence
 from contextlib import asynccontextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -74,26 +73,28 @@ def echo(
     if as_json and (noarr or nostr):
         raise click.UsageError("--json has all fields: leave --noarr and --nostr")
     hidden = tuple(kind for kind, hide in ((list, noarr), (str, nostr)) if hide)
-    show = _as_json if as_json else partial(_as_text, hidden=hidden)
-    asyncio.run(
-        _echo_any(environment, name, node, count, show)
-        if type_name is None
-        else _echo(environment, name, type_name, node, count, show)
-    )
+
+    def show(message: Message) -> None:
+        if as_json:
+            say_json(plain(message))
+            return
+        say_block(render(message, hidden=hidden))
+        say("---")
+
+    asyncio.run(_echo(environment, name, type_name, node, count, show))
 
 
-def _as_json(message: Message) -> None:
-    say_json(plain(message))
-
-
-def _as_text(message: Message, hidden: tuple[type, ...]) -> None:
-    say_block(render(message, hidden=hidden))
-    say("---")
-
-
-async def _echo_any(environment: Environment, name: str, node: str, count: int | None, show: Show) -> None:
-    async with listening(environment, name, node) as (running, arrivals):
-        await run_until_node_ends(running, _print(_read(arrivals), count, show))
+async def _echo(
+    environment: Environment, name: str, type_name: str | None, node: str, count: int | None, show: Show
+) -> None:
+    if type_name is None:
+        async with listening(environment, name, node) as (running, arrivals):
+            await run_until_node_ends(running, _print(_read(arrivals), count, show))
+        return
+    async with node_as(environment, node) as running:
+        subscriber = await running.subscriber(local_name(name), type_name)
+        async with watched(subscriber):
+            await run_until_node_ends(running, _print(subscriber, count, show))
 
 
 class Arrivals:
@@ -140,18 +141,18 @@ async def listening(environment: Environment, name: str, node: str) -> AsyncIter
 @asynccontextmanager
 async def watched(subscriber: Subscriber) -> AsyncIterator[None]:
     """Say it if nobody publishes after a moment."""
-    task = asyncio.ensure_future(_say_if_nobody(subscriber))
+
+    async def say_if_nobody() -> None:
+        await asyncio.sleep(MOMENT)
+        if not subscriber.publishers:
+            note(f"nobody publishes {shown(subscriber.topic)} at this master; waiting")
+
+    task = asyncio.ensure_future(say_if_nobody())
     try:
         yield
     finally:
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
-
-
-async def _say_if_nobody(subscriber: Subscriber) -> None:
-    await asyncio.sleep(MOMENT)
-    if not subscriber.publishers:
-        note(f"nobody publishes {shown(subscriber.topic)} at this master; waiting")
 
 
 async def run_until_node_ends(node: Node, work: Coroutine[Any, Any, None]) -> None:
@@ -189,7 +190,7 @@ async def _read(arrivals: Arrivals) -> AsyncIterator[Message]:
 
 
 def readable(claimed: Definition) -> MessageType:
-    """The type to read messages of `claimed` by."""
+    """The type to read messages of `claimed` by: nothing is decided by what a publisher claims."""
     try:
         known = message_type(claimed.name)
     except MessageError:
@@ -201,15 +202,6 @@ def readable(claimed: Definition) -> MessageType:
             "its messages cannot be read by the definition that is installed here",
         )
     return known
-
-
-async def _echo(
-    environment: Environment, name: str, type_name: str, node: str, count: int | None, show: Show
-) -> None:
-    async with node_as(environment, node) as running:
-        subscriber = await running.subscriber(local_name(name), type_name)
-        async with watched(subscriber):
-            await run_until_node_ends(running, _print(subscriber, count, show))
 
 
 @click.command()
@@ -328,7 +320,11 @@ async def _watch(
 async def _count_and_say(
     arrivals: Arrivals, add: Add, describe: Callable[[], str], count: int | None
 ) -> None:
-    counting = asyncio.ensure_future(_count(arrivals, add))
+    async def count_all() -> None:
+        async for _, data in arrivals.messages():
+            add(time.monotonic(), len(data))
+
+    counting = asyncio.ensure_future(count_all())
     try:
         lines = 0
         while count is None or lines < count:
@@ -338,11 +334,6 @@ async def _count_and_say(
     finally:
         counting.cancel()
         await asyncio.gather(counting, return_exceptions=True)
-
-
-async def _count(arrivals: Arrivals, add: Add) -> None:
-    async for _, data in arrivals.messages():
-        add(time.monotonic(), len(data))
 
 
 @click.command()

@@ -16,6 +16,7 @@ from typing import Any, Final
 import click
 
 from ca.errors import HintedError, RecordUnusable
+from rossec.cli.shared.context import Duration
 from rossec.errors import ConfigurationError
 from rossec.terminal import FACTS, TEMPORARY, fail, printable, say_json, say_secret, to_json
 
@@ -39,6 +40,11 @@ _WIDTH: Final = 72  # one line, on every terminal
 _CLEAR: Final = "\r\x1b[K"
 
 
+def duration(*names: str, days: int, default: str | None, text: str) -> Callable[..., Any]:
+    """An option that takes a duration of at most `days`."""
+    return click.option(*names, type=Duration(days), default=default, show_default=True, help=text)
+
+
 def json_result(*, secret: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Add `--json` to a command that records facts; `secret`: others must not read them."""
 
@@ -58,7 +64,7 @@ def json_result(*, secret: bool = False) -> Callable[[Callable[..., Any]], Calla
 
 @contextmanager
 def document(*, secret: bool = False) -> Iterator[None]:
-    """Collect what is recorded, and print it at the end."""
+    """Collect what is recorded, and print it at the end; after a refusal, if there is any."""
     found: dict[str, Any] = {}
     token = FACTS.set(found)
     try:
@@ -80,11 +86,10 @@ def _print(found: dict[str, Any], *, secret: bool) -> None:
 
 
 class Batch:
-    """The results of `total` names; with a single one its refusal is raised as it is.
+    """The results of `total` names or files: one that is refused does not stop the others.
 
-    Args:
-        total: how many there are.
-        key: what they are called in the document: `file`, `name`, `id`.
+    With a single one its refusal is raised as it is. An unusable record ends the whole command.
+    `key` is what they are called in the document: `file`, `name`, `id`.
     """
 
     def __init__(self, total: int, key: str = "file") -> None:
@@ -101,7 +106,10 @@ class Batch:
     @contextmanager
     def item(self, label: object, *, last: bool = True) -> Iterator[None]:
         """The work on one of them; `last`: it is done then, and not only checked."""
-        entry = self._entry(str(label))
+        if (name := str(label)) not in self._entries:
+            self._entries[name] = {self._key: name, "ok": False}
+            add_entry("results", self._entries[name])
+        entry = self._entries[name]
         try:
             with recorded_in(entry):
                 yield
@@ -118,12 +126,6 @@ class Batch:
         """Return if all went well."""
         if self._failed:
             raise ConfigurationError(f"{self._failed} of {self._total} were refused", "see above")
-
-    def _entry(self, label: str) -> dict[str, Any]:
-        if label not in self._entries:
-            self._entries[label] = {self._key: label, "ok": False}
-            add_entry("results", self._entries[label])
-        return self._entries[label]
 
 
 @contextmanager
@@ -152,7 +154,11 @@ def unique(names: Sequence[str]) -> tuple[str, ...]:
 
 @contextlib.contextmanager
 def working(what: str, *, quiet: bool = False) -> Iterator[None]:
-    """Say `what` while the body runs, which asks for nothing; `quiet`: do not (`--json`)."""
+    """Say `what` while the body runs, which asks for nothing; `quiet`: do not (`--json`).
+
+    It is drawn anew each second, gives way to every other line, and leaves no trace: a pipe, a file
+    and a program that reads `--json` never see it.
+    """
     if quiet or not (FACTS.get() is None and not sys.stderr.closed and sys.stderr.isatty()):
         yield
         return

@@ -31,7 +31,10 @@ option = click.option(
 
 
 def read_lines(question: str, is_whole: Callable[[str], bool]) -> str:
-    """Lines from the terminal, not shown, until `is_whole`, an empty one or the end."""
+    """Lines from the terminal, not shown, until `is_whole`, an empty one or the end.
+
+    A code from a mail has line breaks: `getpass` would throw away what is pasted behind the first.
+    """
     with _without_echo() as terminal:
         os.write(terminal, f"{question}: ".encode())
         lines = list[str]()

@@ -77,15 +77,12 @@ def call_master(environment: Environment, master_uri: str | None, call: MasterCa
     try:
         return asyncio.run(ask())
     except (HintedError, OSError, TimeoutError, Fault) as error:
-        what = f"the master at {uri} did not take {call.what}: {_reason(error)}"
+        reason = str(error) or "no answer in time"
+        if isinstance(error, Fault):
+            reason = f"it answers {printable(error.faultString)}: is it of an older version?"
+        what = f"the master at {uri} did not take {call.what}: {reason}"
         start = f"{error.hint}; " if isinstance(error, PeerUnreachable) else ""
         raise NotDelivered(what, f"{start}{call.hint}") from error
-
-
-def _reason(error: Exception) -> str:
-    if isinstance(error, Fault):
-        return f"it answers {printable(error.faultString)}: is it of an older version?"
-    return str(error) or "no answer in time"
 
 
 def publish_if_revoked(service: AuthorityService) -> None:
