@@ -64,17 +64,14 @@ class OneLine(logging.Formatter):
 
 
 def main() -> NoReturn:
-    """Entry point of the `rossec` program."""
     sys.exit(run(sys.argv[1:], os.environ))
 
 
 def run(arguments: Sequence[str], environ: Mapping[str, str]) -> int:
-    """Run one command line and return its exit code (see `rossec.terminal`)."""
     return context.run(rossec, arguments, environ)
 
 
 def complete(environ: Mapping[str, str]) -> str:
-    """What completes the command line that a shell described in `environ`."""
     from rossec.cli.completion import shells  # noqa: PLC0415 - for completion alone
 
     return shells.answer(rossec, Environment(environ))

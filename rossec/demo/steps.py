@@ -211,7 +211,6 @@ async def revoke(demo: DemoEnvironment, doctor: DemoProcess, grant: str) -> None
 
 
 async def run_border_steps(demo: DemoEnvironment) -> None:
-    """Run every step in `demo`, whose directory is empty."""
     with demo.printer.step("a home with an authority, a border router and two receivers"):
         await found_authority(demo)
         await enroll(demo, BORDER_NODES, "/border")
@@ -285,7 +284,6 @@ async def compare_lamp(demo: DemoEnvironment, doctor: DemoProcess, heating: Demo
 
 
 def check_coarse_lamp(exact: Report, coarse: Report) -> None:
-    """Raise `DemoFailed` unless `coarse` is `exact` in steps of five degrees."""
     wanted = math.floor(exact["temperature"] / STEP + 0.5) * STEP
     if coarse["temperature"] != wanted or exact["temperature"] == wanted:
         raise DemoFailed(f"the heating saw {coarse['temperature']}, expected {wanted}")

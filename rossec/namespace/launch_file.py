@@ -90,8 +90,6 @@ class LaunchNode:
 
 @dataclass
 class Include:
-    """An `<include>`: what it names, and where that stands."""
-
     file: str
     line: int
     value: Span
@@ -99,8 +97,6 @@ class Include:
 
 @dataclass
 class Launch:
-    """What was found in a launch file."""
-
     nodes: list[LaunchNode]
     includes: list[Include]
 
@@ -243,15 +239,12 @@ class NamedEntry(NamedTuple):
 
 
 class NamedNode(NamedTuple):
-    """A node of the file with the names that it gets."""
-
     line: int
     name: str
     entries: tuple[NamedEntry, ...]
 
 
 def named(launch: Launch, name_of: NameOf) -> list[NamedNode]:
-    """The names for the nodes of a file, in its order."""
     found = [_named(node, name_of) for node in launch.nodes]
     lines: dict[str, int] = {}
     for node in found:

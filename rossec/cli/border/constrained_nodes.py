@@ -252,7 +252,6 @@ def status_(environment: Environment, router: str, *, as_json: bool) -> None:
 
 
 def needs_extra() -> ConfigurationError:
-    """The error that CoAP is not installed."""
     return ConfigurationError("CoAP for things is not installed", "pip install 'rossec[constrained]'")
 
 

@@ -176,11 +176,7 @@ def deny(environment: Environment, request_ids: tuple[str, ...], reason: str) ->
 
 @click.command()
 @click.argument("code", required=False)
-@click.option(
-    "--image",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False, allow_dash=True),
-    help="read the code from this picture; - is standard input",
-)
+@options.image
 @click.option(
     "--csr", "csr_file", type=options.FILE, help="no code: this request, whose fingerprint you have compared"
 )

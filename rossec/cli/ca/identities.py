@@ -70,7 +70,6 @@ def _state(row: CertificateRow, at: int, newest: dict[str, int], revoked: bool) 
 
 
 def as_json(row: CertificateRow, state: str) -> dict[str, Any]:
-    """One identity as JSON."""
     return {
         "name": row.name,
         "state": state,
@@ -84,12 +83,10 @@ def as_json(row: CertificateRow, state: str) -> dict[str, Any]:
 
 
 def ends_soon(row: CertificateRow, at: int) -> bool:
-    """Whether it should have been renewed by now."""
     return at >= renew_at(row.not_before, row.not_after)
 
 
 def line(row: CertificateRow, state: str) -> str:
-    """One identity as a line of text."""
     name = f"{row.name} and {row.name}_*" if row.wildcard else row.name
     until, key = (f"until {format_time(row.not_after)}", f"fingerprint {format_fingerprint(row.thumbprint)}")
     return "  ".join([name, until, key, *[terminal.state(state)] * (state != "valid")])
@@ -227,11 +224,7 @@ def publish(service: AuthorityService) -> None:
     type=options.FILE,
     help="first revoke what this list revokes: a node's, from before a restore that lacked it",
 )
-@click.option(
-    "--entries",
-    type=options.FILE,
-    help="of that list where it is a tree; by default revocations.entries beside it",
-)
+@options.entries
 @options.master_uri
 @json_result()
 @pass_service
@@ -457,7 +450,6 @@ def prove(environment: Environment, entry: int | None, since: Path | None) -> No
 
 
 def show_invitations(environment: Environment, *, everything: bool, in_json: bool) -> None:
-    """Show the invitations that can be used, or all of them."""
     at = now()
     with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
         found = [each for each in invitations(store) if everything or each.state(at) == "open"]

@@ -48,7 +48,6 @@ _SHOWN: Final = (IN_FORCE, OTHER_KEY)
 
 
 def replace_key(*, multiple: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Add `--replace-key` to a command that signs one identity, or `multiple`."""
     return click.option(
         "--replace-key",
         "replaced",
@@ -135,7 +134,6 @@ def _show_request(path: Path, request: IdentityRequest, home: AuthorityHome, *, 
 
 
 def warn_of_wildcard(name: str) -> None:
-    """Print what a wildcard identity allows."""
     check_wildcard(name)
     say(f"  it may run as any number of nodes, under every name that begins with {name}_")
     say("  all of them have one key and the same grants, and are revoked together")

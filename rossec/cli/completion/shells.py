@@ -152,7 +152,6 @@ class OutlineTable:
             self._outlines = found["outlines"] if found.get("stamp") == self._stamp else {}
 
     def get(self, place: str, load: Callable[[], click.Command]) -> Outline:
-        """The outline of the command at `place`; `load` imports it if that is needed."""
         if place not in self._outlines:
             self._outlines[place] = outline_of(load())
             if self._stamp is not None:

@@ -23,6 +23,8 @@ from ca.keys import ownership
 
 MAX_WORDS: Final = 2000
 _WORD: Final = re.compile(r"[A-Za-z0-9/][A-Za-z0-9_./:+-]{0,299}", re.ASCII)
+# Written after a command has asked the master with an identity, so that Tab asks nobody. Readable by its
+# owner only: what a node may see of the graph is not for every user of the host.
 NAME: Final = "completion.json"
 TOPIC: Final = "topic"
 SERVICE: Final = "service"
@@ -34,8 +36,10 @@ Values = Callable[[click.Context, click.Parameter, str], list[Any]]
 _FILES: Final = ("file", "dir")
 _WHOLE: Final = 1000  # no help line is cut
 Read = Callable[[Any], Iterator[object]]  # of `sources.Sources`
-FREE: Final = "free"  # nothing to offer
+FREE: Final = "free"  # nothing to offer: a new name, a pattern, a value
 COMMAND: Final = "command"
+# The kinds of the arguments that are text, in their order, of each command that takes some. Options mean the
+# same in all commands, but for those in `_OTHERWISE`.
 ARGUMENTS: Final[dict[str, tuple[str, ...]]] = {
     "border.constrained_nodes:forget": ("thing",),
     "border.constrained_nodes:add": (FREE,),
@@ -149,13 +153,11 @@ KINDS: Final[dict[str, tuple[Read, ...]]] = {
 
 
 def offered(words: Iterable[object], incomplete: str) -> list[str]:
-    """Those of `words` that may be offered and begin with `incomplete`: sorted, each once."""
     found = {word for word in words if isinstance(word, str) and is_offered(word)}
     return sorted(word for word in found if word.startswith(incomplete))[:MAX_WORDS]
 
 
 def is_offered(word: object) -> bool:
-    """Whether completion may offer `word`."""
     return isinstance(word, str) and _WORD.fullmatch(word) is not None
 
 
@@ -237,7 +239,9 @@ def _parameter(outline: Outline, complete: Values | None) -> click.Parameter:
             [outline["name"]], nargs=outline["nargs"], type=kind, required=False, shell_complete=complete
         )
     if outline["flag"]:
-        return click.Option([outline["name"], *_flags(outline)], is_flag=True, help=outline["help"])
+        pairs = itertools.zip_longest(outline["opts"], outline["others"], fillvalue="")
+        flags = [f"{one}/{other}" if other else one for one, other in pairs]
+        return click.Option([outline["name"], *flags], is_flag=True, help=outline["help"])
     return click.Option(
         [outline["name"], *outline["opts"]],
         nargs=outline["nargs"],
@@ -256,13 +260,7 @@ def _made_type(outline: Outline) -> click.ParamType[Any]:
     return click.STRING
 
 
-def _flags(outline: Outline) -> list[str]:
-    pairs = itertools.zip_longest(outline["opts"], outline["others"], fillvalue="")
-    return [f"{one}/{other}" if other else one for one, other in pairs]
-
-
 def kinds_of(place: str, outline: Outline) -> list[str]:
-    """The kind of each option and argument of the command at `place`, in their order."""
     arguments = iter(ARGUMENTS.get(place, ()))
     return [
         _kind_of_option(place, each["opts"])

@@ -56,7 +56,6 @@ def phone(environment: Environment, name: str, no_wait: bool, as_json: bool) -> 
 
 
 def running_service(home: AuthorityHome) -> KeyServiceClient:
-    """The service of the authority in `home`."""
     client = KeyServiceClient.find(home.path)
     if client is None:
         raise ConfigurationError(
@@ -76,7 +75,6 @@ def login_address(origin: str, code: str, name: str = "") -> str:
 
 
 def show_code(address: str) -> None:
-    """Print an address with a code, and as a QR code."""
     say_picture(qr.terminal(address))
     say(address)
     if urlsplit(address).hostname == LOCALHOST:
@@ -171,7 +169,6 @@ def _line(item: dict[str, object]) -> str:
 
 
 def show(environment: Environment, *, everything: bool, as_json: bool) -> None:
-    """Show the phones that can approve, or every one there was."""
     with closing(AuthorityHome.at(environment.home).store()) as store:
         found = store.passkeys.all() if everything else store.passkeys.active()
         ended, used = store.passkeys.ended(), _last_used(store)

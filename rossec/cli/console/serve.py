@@ -29,7 +29,6 @@ _LIBRARIES: Final = ("fido2", "jinja2", "starlette", "uvicorn")
 
 
 def check_libraries() -> None:
-    """Return if the libraries of the extra are there."""
     missing = [name for name in _LIBRARIES if find_spec(name) is None]
     if missing:
         raise ConfigurationError(
@@ -39,8 +38,6 @@ def check_libraries() -> None:
 
 
 class Form(NamedTuple):
-    """How it reports: the form of its log, and whether it says that it is ready as JSON."""
-
     log: str
     as_json: bool
 

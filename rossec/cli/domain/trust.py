@@ -100,19 +100,16 @@ def card(
 
 
 def lifetime(default: str | None) -> Callable[..., Any]:
-    """Add `--for` to a command."""
     text = "how long it is trusted, from now on"
     return options.duration("--for", "lifetime", days=MAX_DAYS, default=default, text=text)
 
 
 def fresh(default: str | None) -> Callable[..., Any]:
-    """Add `--fresh` to a command."""
     text = "how old its last word on its revocations may be"
     return options.duration("--fresh", days=MOST_FRESH // 86400, default=default, text=text)
 
 
 def rules(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add `--export` and `--import` to a command."""
     for option, name, what in (
         ("--import", "imported", "taken from it into the graph here"),
         ("--export", "exported", "shown to it, where grants allow it too"),
@@ -131,11 +128,7 @@ def rules(command: Callable[..., Any]) -> Callable[..., Any]:
 @lifetime("365d")
 @rules
 @click.option("--code", help="the code that its authority shows (rossec domain card)")
-@click.option(
-    "--image",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False, allow_dash=True),
-    help="read the code from this picture; - is standard input",
-)
+@options.image
 @click.option("--fingerprint", "expected", help="the fingerprint that its authority has told you")
 @options.master_uri
 @click.option("--yes", is_flag=True, help="do not ask")
@@ -216,7 +209,6 @@ def admitted(patterns: Iterable[str]) -> tuple[str, ...]:
 
 
 def check_fresh(seconds: int) -> int:
-    """Return `seconds` if a domain's word may be so old."""
     if seconds < LEAST_FRESH:
         raise ConfigurationError(
             f"--fresh {seconds}s is too short", f"masters ask every 10 s: at least {LEAST_FRESH}s"
@@ -271,7 +263,6 @@ def _show(home: AuthorityHome, domain: ForeignDomain, card: Card, *, is_checked:
 
 
 def lines(terms: ForeignDomain) -> Iterator[str]:
-    """The terms for people."""
     yield f"  fingerprint {fingerprint(terms.anchor)}"
     yield f"  admits {_admitted(terms.admitted)}"
     yield f"  until {format_time(terms.until)}"
@@ -300,7 +291,6 @@ def duration(seconds: int) -> str:
 
 
 def as_json(terms: ForeignDomain) -> dict[str, Any]:
-    """The terms for programs."""
     return {
         "label": terms.label,
         "domain": terms.domain,
@@ -330,7 +320,6 @@ def _say_what_is_next(home: AuthorityHome, domain: ForeignDomain, card: Card) ->
 
 
 def publish_domains(service: AuthorityService) -> None:
-    """Deliver the list of domains that was signed just now, and say so."""
     record(published=False)
     service.publish_domains()
     record(published=True)

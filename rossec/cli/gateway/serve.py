@@ -27,7 +27,6 @@ _log = logging.getLogger("rossec.gateway")
 
 
 def run(environment: Environment, rules: Sequence[TopicRule], *, as_json: bool) -> None:
-    """Run the gateway of this host."""
     name = own_gateway(environment.variables)
     home = NodeHome.of(environment.home, name)
     home.anchor()  # before anything is written there

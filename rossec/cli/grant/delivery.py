@@ -99,7 +99,6 @@ def _summary(grant: Grant, revoked: frozenset[bytes], state: str) -> dict[str, o
 
 
 def permissions_json(grant: Grant) -> list[dict[str, object]]:
-    """The permissions of a grant for programs."""
     return [
         {
             "rights": item.rights.label,

@@ -113,7 +113,6 @@ _RESTRICTING: Final = (
 
 
 def rights(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add an option for every right over names: `--publish`, `--param-get` and so on."""
     for right, help_text in reversed(_RIGHTS.items()):
         command = click.option(f"--{right.label}", multiple=True, metavar="PATTERN", help=help_text)(command)
     return command
@@ -234,12 +233,10 @@ def for_node(said: Mapping[str, Any], node: str, tail: Callable[[], bool]) -> di
 
 
 def patterns_by_right(options: Mapping[str, Any]) -> dict[Right, tuple[str, ...]]:
-    """The patterns given with these options, by right."""
     return {right: options[str(right.name).lower()] for right in _RIGHTS}
 
 
 def is_own_text(text: str) -> bool:
-    """Whether it is meant as an own name, well-formed or not."""
     return NODE in text or text.startswith("~")
 
 
@@ -261,7 +258,6 @@ def _has_tail(service: AuthorityService, name: str) -> bool:
 def permissions(
     wanted: Mapping[Right, tuple[str, ...]], *, graph: bool, restricted: list[Restriction]
 ) -> tuple[Permission, ...]:
-    """The permissions of the grant."""
     made: list[Permission] = []
     for right, patterns in wanted.items():
         inside = restricted if right in _RESTRICTED and restricted else [None]
@@ -291,7 +287,6 @@ def read(said: Mapping[str, Any]) -> tuple[Permission, ...]:
 def rules(
     clear: tuple[str, ...], rounds: tuple[str, ...], clamps: tuple[str, ...]
 ) -> dict[str, dict[str, object]]:
-    """The filters, by field."""
     given: list[tuple[str, dict[str, object]]] = [(path, {"clear": True}) for path in clear]
     given += [(path, {"round": {"step": step}}) for path, step in map(_rounding, rounds)]
     given += [(path, {"clamp": {"low": low, "high": high}}) for path, low, high in map(_clamping, clamps)]
@@ -387,13 +382,12 @@ def presets() -> None:
     help="the certificate of the node that gets the right: its node.pem",
 )
 @wishes
-@click.option(
+@options.duration(
     "--for",
     "lifetime",
-    type=Duration(MAX_NARROWED_DAYS),
+    days=MAX_NARROWED_DAYS,
     default="8h",
-    show_default=True,
-    help="how long it holds; never longer than the grant in FILE",
+    text="how long it holds; never longer than the grant in FILE",
 )
 @click.option(
     "--may-narrow",

@@ -17,6 +17,8 @@ import click
 from rossec.cli.completion.values import Outline, outline_of
 from rossec.cli.shared.context import LazyCommand
 
+# A hyphen is a minus, so that an option can be copied from the page; accents and quotes are the ASCII
+# characters they are (groff_char(7), "Basic Latin").
 _ESCAPED: Final = {
     "\\": r"\e",
     "-": r"\-",
@@ -60,7 +62,6 @@ def make(group: click.Group, version: str, directory: Path) -> tuple[list[Path],
 
 
 def pages(group: click.Group, version: str) -> dict[str, str]:
-    """The text of each page by its file name (`rossec-ca.1`)."""
     nouns = {name: _loaded(each) for name, each in sorted(group.commands.items())}
     made = {f"{PROGRAM}.1": _program(group, nouns, version)}
     for name, command in nouns.items():
@@ -110,7 +111,6 @@ def _character(match: re.Match[str]) -> str:
 
 
 def section(heading: str) -> str:
-    """A section."""
     return f'.SH "{escape(heading)}"'
 
 
@@ -138,12 +138,10 @@ def _option_records(command: click.Command) -> list[tuple[str, str]]:
 
 
 def bold(text: str) -> str:
-    """Escaped, and bold."""
     return rf"\fB{escape(text)}\fR"
 
 
 def italic(text: str) -> str:
-    """Escaped, and in italics."""
     return rf"\fI{escape(text)}\fR"
 
 
@@ -157,12 +155,10 @@ def _text(command: click.Command) -> list[str]:
 
 
 def verbatim(lines: Iterable[str]) -> list[str]:
-    """Lines that stay as they are, indented."""
     return [".PP", ".RS 4", ".nf", *(escape(line.rstrip()) or r"\&" for line in lines), ".fi", ".RE"]
 
 
 def paragraph(text: str) -> list[str]:
-    """A paragraph, whose lines are filled anew."""
     return [".PP", escape(" ".join(text.split()))]
 
 
@@ -176,7 +172,6 @@ def _records(command: click.Command) -> list[str]:
 
 
 def item(term: str, text: str) -> list[str]:
-    """A term, which is escaped already, and what it means."""
     return [".TP", term, escape(" ".join(text.split())) or r"\&"]
 
 
@@ -206,12 +201,10 @@ def _runs(command: click.Command) -> bool:
 
 
 def subsection(heading: str) -> str:
-    """A part of a section."""
     return f'.SS "{escape(heading)}"'
 
 
 def outlines(group: click.Group) -> Iterator[tuple[str, Outline]]:
-    """The outlines of all commands of a lazy group, by their places."""
     for listed in group.commands.values():
         if isinstance(listed, LazyCommand):
             command = listed.load()

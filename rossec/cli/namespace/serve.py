@@ -111,7 +111,6 @@ def check(
 
 
 def read_grants(directory: Path) -> list[Grant]:
-    """The grants in the files `*.grant` of a directory, not verified."""
     found = []
     for path in sorted(directory.glob(SUFFIX)):
         try:

@@ -198,7 +198,7 @@ def _recorded_revocations(home: Path, anchor: TrustAnchor) -> frozenset[bytes]:
 
 
 class IdentityRevoked(ConfigurationError):
-    """This host knows that the identity of a node is revoked."""
+    pass
 
 
 def _clock(home: NodeHome, identity: Identity) -> Iterator[Outcome]:
@@ -215,7 +215,6 @@ def _clock(home: NodeHome, identity: Identity) -> Iterator[Outcome]:
 
 
 def check_own_address(variables: Mapping[str, str]) -> Iterator[Outcome]:
-    """Whether ROS_HOSTNAME or ROS_IP leads to this host."""
     address = names.own_address(variables)
     if address is None:
         return
@@ -277,7 +276,6 @@ def _label(home: NodeHome, grant: Grant) -> str:
 
 
 def check_domains(home: Path, node: NodeHome, now: int) -> Iterator[str]:
-    """A line for each domain that the node trusts."""
     anchor = node.anchor()
     held, newest = DomainFiles(node, anchor).anchors().current, _newest_domains(home, anchor)
     for each in () if held is None else held.domains:
@@ -326,7 +324,6 @@ async def _ask_master(environment: Environment, home: NodeHome) -> list[Outcome]
 async def check_master(
     environment: Environment, home: NodeHome, grants: Iterable[Grant]
 ) -> AsyncIterator[Outcome]:
-    """Ask the master as the node in `home`, which holds `grants`."""
     uri = await find_master(environment, home)
     judge = _Judge(home)
     stream = await _connect(environment, home, uri, judge)
@@ -464,7 +461,6 @@ def _is_revoked(revocations: Revocations, entry: bytes) -> bool:
 
 
 async def check_node_addresses(home: NodeHome, call: MasterCall) -> AsyncIterator[Outcome]:
-    """Whether the host names of the nodes that the master shows to this one are known here."""
     await call(PRESENT_GRANTS, home.grants())
     for name in islice(_nodes(await call("getSystemState")), LIMIT):
         with suppress(ConfigurationError):  # a service without a slave API

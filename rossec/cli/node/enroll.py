@@ -208,12 +208,10 @@ class EnrollmentScreen:
 
 
 def is_live() -> bool:
-    """Whether stderr is a terminal, which can show a countdown."""
     return sys.stderr.isatty()
 
 
 def authority_lines(pending: enrollment_control.Answer) -> list[str]:
-    """The authority of the offer, and the digits to compare."""
     return [
         f"authority of {printable(pending['domain'])}, fingerprint {pending['authority']}",
         f"digits {group_digits(pending['digits'])}",

@@ -117,7 +117,6 @@ def _print_mistakes(found: tuple[Mistake, ...], *, as_json: bool) -> None:
 
 
 def as_json(plan: PolicyPlan) -> dict[str, object]:
-    """The plan for programs."""
     return {
         "policy": str(plan.policy.path),
         "changes": [_change_row(each) for node in plan.nodes for each in node.changes],
@@ -188,7 +187,6 @@ def lint(environment: Environment, file: Path | None, as_json: bool) -> None:
 
 
 def remarks(number: int) -> str:
-    """`1 remark`, `2 remarks`, `nothing to remark`."""
     return count(number, "remark") if number else "nothing to remark"
 
 
@@ -236,7 +234,6 @@ def _row(outcome: Outcome) -> dict[str, object]:
 
 
 def lines(plan: PolicyPlan) -> Iterator[str]:
-    """The plan as text, for people."""
     changes = [change for node in plan.nodes for change in node.changes]
     yield from _by_nodes(
         (shown(change.subject.name), _change(change)) for change in changes if change.kind != Kind.KEPT
@@ -256,6 +253,7 @@ def lines(plan: PolicyPlan) -> Iterator[str]:
     yield from _outlook(plan)
 
 
+# What is the same for many nodes is one line of text; JSON has each right of each node.
 def _by_nodes(rows: Iterable[tuple[str, tuple[str, str]]]) -> Iterator[str]:
     nodes: dict[tuple[str, str], dict[str, None]] = {}
     for node, signed_text in rows:

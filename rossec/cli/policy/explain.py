@@ -199,7 +199,6 @@ def _is_known(policy: Policy, subject: Subject, certified: Collection[str]) -> b
 
 
 def is_for_all(node: str) -> bool:
-    """Whether a pattern of nodes means nobody in particular."""
     return node in ("/**", "**", "*")
 
 
@@ -252,7 +251,6 @@ def show_privacy(
     html: Path | None,
     as_json: bool,
 ) -> None:
-    """Show the report of the policy, or of what is `held`, as text, JSON or a page."""
     read = read_policy(environment.home, policy_path)
     accesses = report.from_policy(read.decider)
     if held:

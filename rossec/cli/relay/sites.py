@@ -159,12 +159,12 @@ def remove_relay(environment: Environment, labels: tuple[str, ...]) -> None:
     batch = Batch(len(labels), "name")
     for label in labels:
         with batch.item(label):
-            relay_files(environment).change(partial(_take, label))
+            relay_files(environment).change(partial(_forget, label))
             say(f"{label} is linked with no longer")
     batch.finish()
 
 
-def _take(label: str, peers: dict[str, Peer]) -> None:
+def _forget(label: str, peers: dict[str, Peer]) -> None:
     if label not in peers:
         raise ConfigurationError(
             f"there is no peer {label[:40]!a}", f"there are: {', '.join(sorted(peers)) or 'none'}"
@@ -423,12 +423,14 @@ def remove_site(environment: Environment, labels: tuple[str, ...]) -> None:
     batch = Batch(len(labels), "name")
     for label in labels:
         with batch.item(label):
-            SiteFile(_home(environment).path).change(partial(_sites_take, label))
+            SiteFile(_home(environment).path).change(
+                lambda sites, label=label: sites.pop(_find(sites, label).label)
+            )
             say(f"{label} is followed no longer")
     batch.finish()
 
 
-def _sites_take(label: str, sites: dict[str, SiteSettings]) -> None:
+def _unfollow(label: str, sites: dict[str, SiteSettings]) -> None:
     _find(sites, label)
     del sites[label]
 

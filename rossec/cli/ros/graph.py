@@ -95,7 +95,6 @@ class SystemState:
 
 
 def system_state(environment: Environment, node: str) -> SystemState:
-    """The state of the master that ROS_MASTER_URI names, as far as `node` may see it."""
     found = asyncio.run(_ask(environment, node, read_state))
     _keep_for_completion(environment, found)
     return found
@@ -108,7 +107,6 @@ async def _ask(environment: Environment, node: str, question: Callable[[MasterCa
 
 
 async def read_state(call: MasterCall) -> SystemState:
-    """Ask both questions on one connection."""
     match await call("getSystemState"):
         case [list() as publishers, list() as subscribers, list() as services]:
             groups = _names(publishers), _names(subscribers), _names(services)
@@ -184,7 +182,6 @@ def _say_verbose(heading: str, one: str, names: Names, topics: list[str], state:
 
 
 def note_hidden(node: str) -> None:
-    """Say why a list may be empty."""
     note(f"nothing that {node} may see; all of it needs: rossec grant sign {node} --graph")
 
 
@@ -407,7 +404,6 @@ async def _print_graph(environment: Environment, home: NodeHome, uri: str, as_js
 
 
 def describe(facts: frozenset[Fact]) -> list[str]:
-    """The graph as text: topics with their types and nodes, then services."""
     types = {name: value for kind, name, value in facts if kind == "type"}
     nodes: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
     for kind, name, value in sorted(facts):

@@ -129,7 +129,6 @@ class Arrivals:
 
 @asynccontextmanager
 async def listening(environment: Environment, name: str, node: str) -> AsyncIterator[tuple[Node, Arrivals]]:
-    """A running node that subscribes to the topic, and what arrives there."""
     async with node_as(environment, node) as running:
         arrivals = Arrivals()
         topic = running.settings.resolve(local_name(name))
@@ -140,8 +139,6 @@ async def listening(environment: Environment, name: str, node: str) -> AsyncIter
 
 @asynccontextmanager
 async def watched(subscriber: Subscriber) -> AsyncIterator[None]:
-    """Say it if nobody publishes after a moment."""
-
     async def say_if_nobody() -> None:
         await asyncio.sleep(MOMENT)
         if not subscriber.publishers:

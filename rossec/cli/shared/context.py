@@ -51,7 +51,6 @@ class Environment:
 
     @property
     def home(self) -> Path:
-        """ROSSEC_HOME, if no other user can write there."""
         from rossec.environment import own_home  # noqa: PLC0415 - not needed for help and completion
 
         return own_home(self.variables)
@@ -61,7 +60,6 @@ pass_environment = click.make_pass_decorator(Environment)
 
 
 def now() -> int:
-    """Seconds since the epoch, host clock."""
     from rossec import clock  # noqa: PLC0415 - not needed for help and completion
 
     return clock.now()
@@ -76,7 +74,6 @@ class Duration(click.ParamType[int]):
         self._days = days
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        """Seconds of the duration `value`."""
         if isinstance(value, int):
             return value
         match = _DURATION.fullmatch(str(value))
@@ -185,13 +182,11 @@ class LazyCommand(click.Command):
         return str(outline(self.place, self.load)["help"])
 
     def load(self) -> click.Command:
-        """The command itself."""
         module, _, attribute = self.place.partition(":")
         command: click.Command = getattr(importlib.import_module(f"rossec.cli.{module}"), attribute)
         return command
 
     def outlined(self) -> click.Command:
-        """The command as far as completion needs it; a group as it is."""
         from rossec.cli.completion.shells import completed  # noqa: PLC0415 - for completion alone
 
         return completed(self.name or "", self.place, self.load)
@@ -208,7 +203,6 @@ class LazyGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """The command that is to run; to be completed, one that knows its parameters alone."""
         name, command, rest = super().resolve_command(ctx, args)
         if isinstance(command, LazyCommand):
             command = command.outlined() if ctx.resilient_parsing else command.load()

@@ -87,7 +87,6 @@ async def find_master(
 
 @contextlib.asynccontextmanager
 async def node_as(environment: Environment, name: str) -> AsyncIterator["Node"]:
-    """The running node `name`, for one command."""
     from rossec.node import Node  # noqa: PLC0415 - commands without a node do not need it
 
     async with Node(name, environ=await with_master(environment, name)) as node:
@@ -142,7 +141,6 @@ async def master_as(
 
 
 def is_of_revoked(answer: object) -> bool:
-    """Whether a master answered `REVOCATIONS` as it does a revoked identity."""
     match answer:
         case [bytes() as data, b""]:
             return bool(data)
@@ -151,12 +149,10 @@ def is_of_revoked(answer: object) -> bool:
 
 
 def revoked_text(name: str) -> str:
-    """What is said then."""
     return f"the master says that this identity is revoked: {name}"
 
 
 def anew(home: NodeHome) -> str:
-    """What to do about it."""
     return f"move {home.path} away and enroll it anew: rossec node request {home.name}"
 
 

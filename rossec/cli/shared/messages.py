@@ -47,7 +47,6 @@ _UNITS: Final = ((1_000_000, "MB"), (1000, "KB"), (1, "B"))
 
 
 def plain(value: Any) -> object:
-    """A message, or a value in one, as what JSON has."""
     if is_message(value):
         return {_shown_name(value, field): plain(field_value(value, field)) for field in field_names(value)}
     if isinstance(value, np.ndarray | np.generic):
@@ -56,7 +55,6 @@ def plain(value: Any) -> object:
 
 
 def is_message(value: object) -> bool:
-    """Whether `value` is a message, and no other value of a field."""
     return hasattr(value, "__msgtype__")
 
 
@@ -65,7 +63,6 @@ def _shown_name(message: Message, field: str) -> str:
 
 
 def is_time(value: object) -> bool:
-    """Whether `value` is a time or a duration of ROS 1."""
     return getattr(value, "__msgtype__", "") in TIMES
 
 

@@ -34,6 +34,14 @@ master_uri = click.option(
     metavar="URI",
     help="master to notify, instead of ROS_MASTER_URI; discover: finds it",
 )
+image = click.option(
+    "--image",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False, allow_dash=True),
+    help="read the code from this picture; - is standard input",
+)
+entries = click.option(
+    "--entries", type=FILE, help="of that list where it is a tree; by default revocations.entries beside it"
+)
 HELP = "the result as one line of JSON"
 AFTER: Final = 1.0  # seconds
 _WIDTH: Final = 72  # one line, on every terminal
@@ -41,7 +49,6 @@ _CLEAR: Final = "\r\x1b[K"
 
 
 def duration(*names: str, days: int, default: str | None, text: str) -> Callable[..., Any]:
-    """An option that takes a duration of at most `days`."""
     return click.option(*names, type=Duration(days), default=default, show_default=True, help=text)
 
 
@@ -100,7 +107,6 @@ class Batch:
 
     @property
     def done(self) -> bool:
-        """Whether at least one was not refused."""
         return self._failed < self._total
 
     @contextmanager
@@ -123,14 +129,12 @@ class Batch:
             entry["ok"] = last
 
     def finish(self) -> None:
-        """Return if all went well."""
         if self._failed:
             raise ConfigurationError(f"{self._failed} of {self._total} were refused", "see above")
 
 
 @contextmanager
 def recorded_in(facts: dict[str, Any]) -> Iterator[None]:
-    """What is recorded meanwhile belongs to one entry of the document."""
     if FACTS.get() is None:
         yield
         return
@@ -142,7 +146,6 @@ def recorded_in(facts: dict[str, Any]) -> Iterator[None]:
 
 
 def add_entry(key: str, facts: dict[str, Any]) -> None:
-    """Add an entry to the list `key` of the document, if there is one."""
     if (found := FACTS.get()) is not None:
         found.setdefault(key, []).append(facts)
 

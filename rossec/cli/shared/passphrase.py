@@ -65,7 +65,6 @@ def _without_echo() -> Iterator[int]:
 
 
 def read(file: Path | None, environ: Mapping[str, str]) -> str:
-    """The passphrase of an existing key."""
     given = _given(file, environ)
     if given is not None:
         return given
@@ -119,7 +118,6 @@ def can_hide() -> bool:
 
 
 def choose(file: Path | None, environ: Mapping[str, str]) -> str:
-    """A passphrase for a new key."""
     given = _given(file, environ)
     if given is None:
         question = f"new passphrase for the authority's key (at least {MINIMUM} characters)"

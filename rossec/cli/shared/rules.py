@@ -32,8 +32,6 @@ def read_metadata(path: Path) -> bytes:
 
 
 def name_of_node(rules: bytes, metadata: bytes) -> str:
-    """The name that the rules give a node."""
-
     async def ask() -> str:
         async with RuleRunner(rules) as runner:
             return await runner.name(metadata)

@@ -51,7 +51,6 @@ def pass_service(command: Callable[..., Any]) -> Callable[..., Any]:
 def service_of(
     environment: Environment, passphrase_file: Path | None = None, master_uri: str | None = None
 ) -> AuthorityService:
-    """The authority in ROSSEC_HOME."""
     return AuthorityService(
         environment.home,
         partial(passphrase.read, passphrase_file, environment.variables),
@@ -106,7 +105,6 @@ def publish_if_revoked(service: AuthorityService) -> None:
 
 
 def publish_list(service: AuthorityService) -> None:
-    """Deliver the list that was signed just now, and say so."""
     record(published=False)
     service.publish()
     record(published=True)
@@ -114,7 +112,6 @@ def publish_list(service: AuthorityService) -> None:
 
 
 def remind_to_publish(service: AuthorityService) -> None:
-    """Print a note if a list was signed anew."""
     if service.has_signed_list or service.has_signed_domains:
         note(_SIGNED_ANEW)
 
