@@ -350,7 +350,16 @@ async def begin_story(demo: DemoEnvironment, port: int) -> str:
     with demo.printer.step("a lamp asks to see where the robot is, and waits for an answer"):
         await ask(demo)
     with demo.printer.step("the authority's service starts, then the console"):
-        return await _start_console(demo, port)
+        with socket.create_server(
+            ("127.0.0.1", 0)
+        ) as sock:  # a free port, to name it
+            where = ("--join-address", f"127.0.0.1:{sock.getsockname()[1]}")
+        serve = ("ca", "serve", "--json", "--unlock-for", "0")
+        service = await demo.start("rossec", *serve, *where, *passphrase(demo), name="authority")
+        await service.expect("starting", lambda report: "ready" in report, within=START)
+        console = await demo.start("rossec", "console", "--json", "--port", str(port), name="console")
+        ready = await console.expect("starting", lambda report: "ready" in report, within=START)
+        return str(ready["login"])
 
 
 async def ask(demo: DemoEnvironment) -> None:
@@ -360,14 +369,3 @@ async def ask(demo: DemoEnvironment) -> None:
     await demo.command("ca", "sign", request, "--yes", *passphrase(demo), quiet=True)
     await demo.command("node", "install", answer, "--yes", quiet=True)
     await demo.command("grant", "request", TRIED_LAMP, "--subscribe", POSE[0], "--why", WHY, quiet=True)
-
-
-async def _start_console(demo: DemoEnvironment, port: int) -> str:
-    with socket.create_server(("127.0.0.1", 0)) as sock:  # nobody listens there; the join port must be named
-        where = ("--join-address", f"127.0.0.1:{sock.getsockname()[1]}")
-    serve = ("ca", "serve", "--json", "--unlock-for", "0")
-    service = await demo.start("rossec", *serve, *where, *passphrase(demo), name="authority")
-    await service.expect("starting", lambda report: "ready" in report, within=START)
-    console = await demo.start("rossec", "console", "--json", "--port", str(port), name="console")
-    ready = await console.expect("starting", lambda report: "ready" in report, within=START)
-    return str(ready["login"])

@@ -239,7 +239,14 @@ def enroll(
         say(f"signed: {target}; at the node: rossec node install {target.name}")
     else:
         try:
-            _deliver_identity(core, bundle, destination)
+            *chain, root = from_pem(bundle)
+            offer = core.offer(chain, root, secrets.token_bytes(NONCE_SIZE), now())
+
+            def show(digits: str) -> None:
+                say(f"digits {group_digits(digits)}")
+                say("the same at the node? then confirm there; if not, stop here and there")
+
+            asyncio.run(deliver(core, offer, *destination, now, show))
         except HintedError:
             remind_to_publish(service)
             raise
@@ -291,14 +298,3 @@ def _fetch_request(core: AuthorityEnrollment, csr_file: Path | None, destination
 def _source(code: qr.Code, csr_file: Path | None, destination: Destination | None) -> str:
     kind = "a screen code" if code.secret else "a label" if csr_file is None else "a file"
     return kind if destination is None else f"{kind} at {addresses.join(*destination)}"
-
-
-def _deliver_identity(core: AuthorityEnrollment, bundle: bytes, destination: Destination) -> None:
-    *chain, root = from_pem(bundle)
-    offer = core.offer(chain, root, secrets.token_bytes(NONCE_SIZE), now())
-
-    def show(digits: str) -> None:
-        say(f"digits {group_digits(digits)}")
-        say("the same at the node? then confirm there; if not, stop here and there")
-
-    asyncio.run(deliver(core, offer, *destination, now, show))

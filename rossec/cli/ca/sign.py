@@ -12,7 +12,7 @@ from ca.certificates import Identity, check_intermediate_request, from_pem
 from ca.enrollment import qr
 from ca.keys.signing import thumbprint
 from ca.names import check_wildcard, spiffe_id
-from ca.svid import MAX_REQUEST, IdentityRequest, check_request
+from ca.svid import MAX_REQUEST, check_request
 from ca.things.constrained_nodes import PSK, Credential, ThingKey, ThingStatement, read_ccs, read_description
 from rossec import files
 from rossec.authority import renewals
@@ -90,7 +90,15 @@ def sign(
     for path, data in read:
         with batch.item(path, last=False):
             request = check_request(data, home.domain, wildcard=anonymous)
-            _show_request(path, request, home, code_checked=bool(codes))
+            code_checked = bool(codes)
+            how = (
+                "its code fits"
+                if code_checked
+                else "no code was checked: compare the fingerprint with the one the node shows"
+            )
+            say(f"{printable(spiffe_id(home.domain, request.name))} asks for an identity ({path})")
+            say(f"  fingerprint {format_fingerprint(request.thumbprint)}")
+            say(f"  {how}")
             if anonymous:
                 warn_of_wildcard(request.name)
             checked.append((path, data, request.name))
@@ -120,17 +128,6 @@ def _check_codes(codes: tuple[str, ...], requests: list[bytes]) -> None:
             "a request does not fit the codes: it was changed on its way, or is another node's",
             "scan the code again from the screen of the node itself",
         )
-
-
-def _show_request(path: Path, request: IdentityRequest, home: AuthorityHome, *, code_checked: bool) -> None:
-    how = (
-        "its code fits"
-        if code_checked
-        else "no code was checked: compare the fingerprint with the one the node shows"
-    )
-    say(f"{printable(spiffe_id(home.domain, request.name))} asks for an identity ({path})")
-    say(f"  fingerprint {format_fingerprint(request.thumbprint)}")
-    say(f"  {how}")
 
 
 def warn_of_wildcard(name: str) -> None:
@@ -298,7 +295,18 @@ def thing(service: AuthorityService, name: str, yes: bool, renew: bool, **given:
             raise ConfigurationError("--renew says the same again, and takes nothing new", _ONE)
         signed = service.renew_thing(name, given["lifetime"])
     else:
-        order = _order(name, given)
+        if given["border"] is None:
+            raise ConfigurationError("which border router serves it?", "give --border NAME")
+        request: Path | None = given["request"]
+        order = ThingOrder(
+            name,
+            given["border"],
+            _credential(given["ccs"], given["description"]),
+            given["lifetime"],
+            frozenset(given["replaced"]),
+            b"" if request is None else files.read(request, _MAX_REQUEST),
+            given["identity_lifetime"],
+        )
         checked = _check_code(given["code"], order.credential)
         what = "key" if isinstance(order.credential, ThingKey) else "secret"
         say(f"{printable(order.name)} at the border router {printable(order.border)}")
@@ -318,21 +326,6 @@ def thing(service: AuthorityService, name: str, yes: bool, renew: bool, **given:
         publish_list(service)
     else:
         remind_to_publish(service)
-
-
-def _order(name: str, given: dict[str, Any]) -> ThingOrder:
-    if given["border"] is None:
-        raise ConfigurationError("which border router serves it?", "give --border NAME")
-    request: Path | None = given["request"]
-    return ThingOrder(
-        name,
-        given["border"],
-        _credential(given["ccs"], given["description"]),
-        given["lifetime"],
-        frozenset(given["replaced"]),
-        b"" if request is None else files.read(request, _MAX_REQUEST),
-        given["identity_lifetime"],
-    )
 
 
 def _credential(ccs: Path | None, description: Path | None) -> Credential:

@@ -160,7 +160,12 @@ def accept(
     if code is not None:
         check_code(code, data)
     found = open_card(data, now())
-    _check_fingerprint(found, expected)
+    shown = format_fingerprint(found.anchor.thumbprint)
+    if expected is not None and "".join(expected.lower().split()) != shown.replace(" ", ""):
+        raise ConfigurationError(
+            f"the fingerprint of the card is {shown}",
+            "it is another authority's: ask yours for its card again, and trust no other",
+        )
     domain = ForeignDomain(
         found.anchor.domain,
         _label(home, found, label),
@@ -171,23 +176,27 @@ def accept(
         read_rules(exported) if exported else None,
         read_rules(imported) if imported else None,
     )
-    _check_apart(home, domain)
+    # What would be refused when it is signed, before a person compares and answers.
+    if domain.domain == home.domain:
+        raise ConfigurationError(
+            f"this is the card of {home.domain}, the own domain",
+            "accept the card that the other authority wrote",
+        )
+    for row in home.store().domains.accepted():
+        check_domains_apart(row, domain.domain, domain.label, domain.anchor.thumbprint)
     _show(home, domain, found, is_checked=code is not None or expected is not None)
     confirm("trust this domain so far?", yes=yes)
     listed = service.accept_domain(domain)
     record(**as_json(domain), list=listed.seq)
     say(f"{domain.domain} is trusted as {domain.label} (list of domains {listed.seq})")
-    _say_what_is_next(home, domain, found)
+    note(f"this is one way: until {domain.label} accepts you too, connections with it fail there")
+    note(f"  here: rossec domain card --out {home.domain}.card")
+    note(f"  there: rossec domain accept {home.domain}.card --as LABEL")
+    for uri in found.masters[:1]:
+        follow = f"rossec federation add {uri} --as {domain.label}"
+        note(printable(f"your master follows theirs: {follow}"))
+    note(f"its nodes may do nothing yet: rossec grant sign {domain.label}:/NODE --certificate FILE")
     publish_domains(service)
-
-
-def _check_fingerprint(card: Card, expected: str | None) -> None:
-    shown = format_fingerprint(card.anchor.thumbprint)
-    if expected is not None and "".join(expected.lower().split()) != shown.replace(" ", ""):
-        raise ConfigurationError(
-            f"the fingerprint of the card is {shown}",
-            "it is another authority's: ask yours for its card again, and trust no other",
-        )
 
 
 def _label(home: AuthorityHome, card: Card, given: str | None) -> str:
@@ -233,17 +242,6 @@ def _rule(text: str) -> NameRights:
     if not bits:
         raise ConfigurationError(f"{text!a} is not a pattern and its rights", f"as in {_RULE}")
     return check_pattern(pattern), int(bits)
-
-
-def _check_apart(home: AuthorityHome, domain: ForeignDomain) -> None:
-    # What would be refused when it is signed, before a person compares and answers.
-    if domain.domain == home.domain:
-        raise ConfigurationError(
-            f"this is the card of {home.domain}, the own domain",
-            "accept the card that the other authority wrote",
-        )
-    for row in home.store().domains.accepted():
-        check_domains_apart(row, domain.domain, domain.label, domain.anchor.thumbprint)
 
 
 def _show(home: AuthorityHome, domain: ForeignDomain, card: Card, *, is_checked: bool) -> None:
@@ -307,16 +305,6 @@ def _rules_json(given: tuple[NameRights, ...] | None) -> list[dict[str, Any]] | 
     if given is None:
         return None
     return [{"pattern": pattern, "rights": [right.label for right in Right(bits)]} for pattern, bits in given]
-
-
-def _say_what_is_next(home: AuthorityHome, domain: ForeignDomain, card: Card) -> None:
-    note(f"this is one way: until {domain.label} accepts you too, connections with it fail there")
-    note(f"  here: rossec domain card --out {home.domain}.card")
-    note(f"  there: rossec domain accept {home.domain}.card --as LABEL")
-    for uri in card.masters[:1]:
-        follow = f"rossec federation add {uri} --as {domain.label}"
-        note(printable(f"your master follows theirs: {follow}"))
-    note(f"its nodes may do nothing yet: rossec grant sign {domain.label}:/NODE --certificate FILE")
 
 
 def publish_domains(service: AuthorityService) -> None:

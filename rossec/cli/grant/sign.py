@@ -173,23 +173,7 @@ def sign(
     verified below that domain's listed root, and the grant is a file that somebody carries there.
     """
     name = check_name(local_name(node))
-    _check_foreign(node, renewal, out, certificate, foreign=is_alias(name))
-    if out is not None:
-        check_new(out)
-    wanted = for_node(wishes, name, lambda: _has_tail(service, name))
-    permissions = read(wanted)
-    pem = b"" if certificate is None else files.read(certificate, options.MAX_PEM)
-    draft, data = service.sign_grant(name, permissions, lifetime, renewal, may_narrow, pem)
-    record(id=document.grant_id(data).hex(), node=name, expires=draft.expires)
-    say(f"grant {document.grant_id(data).hex()} for {node} until {format_time(draft.expires)}")
-    refused = deliver_grant(service, data, out)
-    remind_to_publish(service)
-    require_delivered(refused)
-
-
-def _check_foreign(
-    node: str, renewal: int, out: Path | None, certificate: Path | None, *, foreign: bool
-) -> None:
+    foreign = is_alias(name)
     if not foreign:
         if certificate is not None:
             raise ConfigurationError(
@@ -205,6 +189,17 @@ def _check_foreign(
         raise ConfigurationError(
             f"no master of this domain delivers to {node}", "give --out FILE, and carry it there"
         )
+    if out is not None:
+        check_new(out)
+    wanted = for_node(wishes, name, lambda: _has_tail(service, name))
+    permissions = read(wanted)
+    pem = b"" if certificate is None else files.read(certificate, options.MAX_PEM)
+    draft, data = service.sign_grant(name, permissions, lifetime, renewal, may_narrow, pem)
+    record(id=document.grant_id(data).hex(), node=name, expires=draft.expires)
+    say(f"grant {document.grant_id(data).hex()} for {node} until {format_time(draft.expires)}")
+    refused = deliver_grant(service, data, out)
+    remind_to_publish(service)
+    require_delivered(refused)
 
 
 def check_new(out: Path) -> None:
@@ -421,7 +416,19 @@ def narrow(
     home, at = NodeHome.find(environment.home, check_name(own)), now()
     token, receiver = read_token(file), _receiver(home, certificate, at)
     held = peek(token)
-    _check_held(home, held, may_narrow, at)
+    if held.holder != home.identity(at).thumbprint:
+        raise GrantNotHeld(
+            printable(f"grant {held.short_id} is not held by {home.name}"),
+            printable(f"it is for {held.subject}"),
+        )
+    check_time(held, at)
+    if held.may_narrow <= may_narrow:
+        raise NarrowingNotAllowed(
+            f"grant {held.short_id} allows {held.may_narrow} narrowings after it",
+            "fewer with --may-narrow"
+            if held.may_narrow
+            else "at the authority: rossec grant sign NODE --may-narrow N",
+        )
     end = min(at + lifetime, held.expires)
     draft = Draft(
         domain=held.domain,
@@ -451,22 +458,6 @@ def _receiver(home: NodeHome, path: Path, at: int) -> Identity:
     anchor = home.anchor()
     chain = [each for each in from_pem(pem) if each != anchor.certificate]
     return anchor.verify(chain, at)
-
-
-def _check_held(home: NodeHome, held: Grant, may_narrow: int, at: int) -> None:
-    if held.holder != home.identity(at).thumbprint:
-        raise GrantNotHeld(
-            printable(f"grant {held.short_id} is not held by {home.name}"),
-            printable(f"it is for {held.subject}"),
-        )
-    check_time(held, at)
-    if held.may_narrow <= may_narrow:
-        raise NarrowingNotAllowed(
-            f"grant {held.short_id} allows {held.may_narrow} narrowings after it",
-            "fewer with --may-narrow"
-            if held.may_narrow
-            else "at the authority: rossec grant sign NODE --may-narrow N",
-        )
 
 
 def _check_useful(draft: Draft, held: Grant) -> None:
