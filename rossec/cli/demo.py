@@ -3,6 +3,7 @@
 import asyncio
 import sys
 import tempfile
+from collections.abc import Awaitable, Callable
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,7 +18,7 @@ from rossec.console.listening import listen
 from rossec.console.options import PORT, Options, read_options
 from rossec.demo import steps
 from rossec.demo.environment import DemoEnvironment, Run, StepPrinter
-from rossec.demo.steps import FRIDGE, begin_story, run_border_steps, show_code
+from rossec.demo.steps import FRIDGE, begin_story, show_code
 from rossec.errors import ConfigurationError
 from rossec.host.runner import stop_on_signals, until_first_ends
 from rossec.terminal import say, say_block, say_picture
@@ -52,24 +53,23 @@ def demo(called: click.Context, keep: Path | None) -> None:
     run = partial(context.run, called.find_root().command)
     if keep is None:
         with tempfile.TemporaryDirectory(prefix="rossec-demo-") as directory:
-            asyncio.run(_run(Path(directory), run))
+            asyncio.run(_run(Path(directory), run, steps.run_steps))
         say_block(_LOOK)
         return
     try:
         keep.mkdir(mode=0o700, parents=True)
     except FileExistsError:
         raise ConfigurationError(f"{keep} exists", "give a directory that does not exist") from None
-    asyncio.run(_run(keep.resolve(), run))
+    asyncio.run(_run(keep.resolve(), run, steps.run_steps))
     say_block(_CONTINUE.format(directory=keep.resolve(), programs=Path(sys.executable).parent))
 
 
-async def _run(directory: Path, run: Run) -> None:
-    printer = StepPrinter(sys.stdout.write)
-    environment = DemoEnvironment(directory, printer, {"ROS_IP": "127.0.0.1"}, run)
+async def _run(directory: Path, run: Run, play: Callable[[DemoEnvironment], Awaitable[None]]) -> None:
+    demo = DemoEnvironment(directory, StepPrinter(sys.stdout.write), {"ROS_IP": "127.0.0.1"}, run)
     try:
-        await steps.run_steps(environment)
+        await play(demo)
     finally:
-        await environment.stop_all()
+        await demo.stop_all()
 
 
 def show_console_demo(called: click.Context, options: Options) -> None:
@@ -120,13 +120,4 @@ def show_border_demo(called: click.Context) -> None:
         raise ConfigurationError("--demo has a home of its own", "leave the other options out")
     run = partial(context.run, called.find_root().command)
     with tempfile.TemporaryDirectory(prefix="rossec-demo-") as directory:
-        asyncio.run(_show_demo_play(Path(directory), run))
-
-
-async def _show_demo_play(directory: Path, run: Run) -> None:
-    printer = StepPrinter(sys.stdout.write)
-    demo = DemoEnvironment(directory, printer, {"ROS_IP": "127.0.0.1"}, run)
-    try:
-        await run_border_steps(demo)
-    finally:
-        await demo.stop_all()
+        asyncio.run(_run(Path(directory), run, steps.run_border_steps))

@@ -98,9 +98,9 @@ _FEDERATION: Final = {
 _NAMESPACE: Final = {
     "check": "namespace.serve:check",
     "launch": "namespace.names:launch",
-    "messages": "namespace.messages:command",
+    "messages": "namespace.names:messages",
     "name": "namespace.names:show_name",
-    "rules": "namespace.show_rules:command",
+    "rules": "namespace.names:show_rules",
     "serve": "namespace.serve:serve",
 }
 _PARAM: Final = {

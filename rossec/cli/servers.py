@@ -159,7 +159,7 @@ def console(
     """
     if context.invoked_subcommand is not None:
         return
-    from rossec.cli.console.serve import Form, serve  # noqa: PLC0415 - when it runs
+    from rossec.cli.console.serve import serve  # noqa: PLC0415 - when it runs
     from rossec.console.options import Options  # noqa: PLC0415
 
     found = Options(**options)  # type: ignore[arg-type]  # click has checked each
@@ -168,7 +168,7 @@ def console(
 
         show_demo(context, found)
         return
-    serve(context.ensure_object(Environment), found, Form(log, as_json), rename=rename)
+    serve(context.ensure_object(Environment), found, rename=rename, log=log, as_json=as_json)
 
 
 @click.group(cls=LazyGroup, table=_PHONES, invoke_without_command=True)

@@ -350,9 +350,7 @@ async def begin_story(demo: DemoEnvironment, port: int) -> str:
     with demo.printer.step("a lamp asks to see where the robot is, and waits for an answer"):
         await ask(demo)
     with demo.printer.step("the authority's service starts, then the console"):
-        with socket.create_server(
-            ("127.0.0.1", 0)
-        ) as sock:  # a free port, to name it
+        with socket.create_server(("127.0.0.1", 0)) as sock:  # a free port, to name it
             where = ("--join-address", f"127.0.0.1:{sock.getsockname()[1]}")
         serve = ("ca", "serve", "--json", "--unlock-for", "0")
         service = await demo.start("rossec", *serve, *where, *passphrase(demo), name="authority")

@@ -1,7 +1,7 @@
 """`rossec border`, its verbs: the things of a border router."""
 
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import click
 
@@ -248,21 +248,18 @@ def status_(environment: Environment, router: str, *, as_json: bool) -> None:
         f" came, {counts['refused']} of {counts['datagrams']} datagrams refused"
     )
     for name, thing in sorted(found["things"].items()):
-        say(f"{name}  {_words(thing)}")
+        there = "there" if thing["there"] else "not there"
+        if "resources" not in thing:
+            say(f"{name}  {'is there, starting' if thing['there'] else there}")
+            continue
+        say(
+            f"{name}  {there}, offers {thing['offered']} of {thing['resources']},"
+            f" {thing['received']} messages, {thing['refused'] + thing['over_rate']} dropped"
+        )
 
 
 def needs_extra() -> ConfigurationError:
     return ConfigurationError("CoAP for things is not installed", "pip install 'rossec[constrained]'")
-
-
-def _words(thing: dict[str, Any]) -> str:
-    if "resources" not in thing:
-        return "is there, starting" if thing["there"] else "not there"
-    there = "there" if thing["there"] else "not there"
-    return (
-        f"{there}, offers {thing['offered']} of {thing['resources']},"
-        f" {thing['received']} messages, {thing['refused'] + thing['over_rate']} dropped"
-    )
 
 
 @click.command()

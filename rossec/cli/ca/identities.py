@@ -47,8 +47,16 @@ def list_(environment: Environment, everything: bool, in_json: bool) -> None:
         return
     for row, state in chosen:
         say(line(row, state))
-    for text in _remarks(found, now()):
-        note(text)
+    # What is to be done: identities that end soon and were not renewed, and those that are over.
+    # Of a name only the newest identity counts: an older one was renewed, or another key replaced it.
+    newest = {row.name: (row, state) for row, state in found}.values()
+    if soon := [row.name for row, state in newest if state == "valid" and ends_soon(row, now())]:
+        note(
+            f"not renewed yet, with less than a third of their time left: {', '.join(soon)}"
+            " (rossec ca serve renews nodes that run; others: rossec ca renew NAME)"
+        )
+    if over := [row.name for row, state in newest if state == "expired"]:
+        note(f"over: {', '.join(over)} (with key and grants back by: rossec ca renew --expired NAME)")
 
 
 def states(store: Store, at: int) -> list[tuple[CertificateRow, str]]:
@@ -58,15 +66,15 @@ def states(store: Store, at: int) -> list[tuple[CertificateRow, str]]:
         in_force = store.identities.with_valid_issuer(rows)
     valid = {row.serial for row in in_force if row.thumbprint not in revoked}
     newest = {row.name: row.serial for row in rows if row.serial in valid}
-    return [(row, _state(row, at, newest, row.serial not in valid)) for row in rows]
 
+    def state(row: CertificateRow) -> str:
+        if row.serial not in valid:
+            return "revoked"
+        if at > row.not_after:
+            return "expired"
+        return "valid" if newest[row.name] == row.serial else "replaced"
 
-def _state(row: CertificateRow, at: int, newest: dict[str, int], revoked: bool) -> str:
-    if revoked:
-        return "revoked"
-    if at > row.not_after:
-        return "expired"
-    return "valid" if newest[row.name] == row.serial else "replaced"
+    return [(row, state(row)) for row in rows]
 
 
 def as_json(row: CertificateRow, state: str) -> dict[str, Any]:
@@ -90,25 +98,6 @@ def line(row: CertificateRow, state: str) -> str:
     name = f"{row.name} and {row.name}_*" if row.wildcard else row.name
     until, key = (f"until {format_time(row.not_after)}", f"fingerprint {format_fingerprint(row.thumbprint)}")
     return "  ".join([name, until, key, *[terminal.state(state)] * (state != "valid")])
-
-
-def _remarks(found: list[tuple[CertificateRow, str]], at: int) -> list[str]:
-    # What is to be done: identities that end soon and were not renewed, and those that are over.
-    # Of a name only the newest identity counts: an older one was renewed, or another key replaced it.
-    newest = {row.name: (row, state) for row, state in found}.values()
-    soon = [row.name for row, state in newest if state == "valid" and ends_soon(row, at)]
-    over = [row.name for row, state in newest if state == "expired"]
-    remarks = []
-    if soon:
-        remarks.append(
-            f"not renewed yet, with less than a third of their time left: {', '.join(soon)}"
-            " (rossec ca serve renews nodes that run; others: rossec ca renew NAME)"
-        )
-    if over:
-        remarks.append(
-            f"over: {', '.join(over)} (with key and grants back by: rossec ca renew --expired NAME)"
-        )
-    return remarks
 
 
 @click.command()
@@ -339,7 +328,14 @@ def revoke_invitations(
     batch = Batch(len(ids), "id")
     for invitation_id in ids:
         with batch.item(invitation_id):
-            ended.append(_end(service, invitation_id, reason))
+            with contextlib.closing(service.home.store()) as store:
+                found = find(store, invitation_id)
+                denied = end(store, found, reason, now())
+            record(invitation=found.row.id.hex(), denied=denied)
+            say(f"invitation {found.short_id} is ended")
+            if denied:
+                say(f"denied {denied} request{'s' * (denied != 1)} that waited")
+            ended.append(found)
             if not and_nodes and (uses := ended[-1].uses):
                 note(f"{len(uses)} joined by it and stay enrolled; to revoke them: --and-nodes")
     if and_nodes and ended:
@@ -357,17 +353,6 @@ def revoke_invitations(
             say("no node that joined by it is left to revoke")
             remind_to_publish(service)
     batch.finish()
-
-
-def _end(service: AuthorityService, invitation_id: str, reason: str) -> InvitationStatus:
-    with contextlib.closing(service.home.store()) as store:
-        found = find(store, invitation_id)
-        denied = end(store, found, reason, now())
-    record(invitation=found.row.id.hex(), denied=denied)
-    say(f"invitation {found.short_id} is ended")
-    if denied:
-        say(f"denied {denied} request{'s' * (denied != 1)} that waited")
-    return found
 
 
 @click.command()

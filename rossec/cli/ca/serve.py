@@ -4,7 +4,6 @@ import asyncio
 import logging
 import time
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
 from pathlib import Path
 
 import click
@@ -152,10 +151,14 @@ def serve(
             del secret
         reached = lambda: _join_address(environment, join_address, face)  # noqa: E731 - one expression
         console = Console(where, environment.home, operations, network, policy_path, reached)
-        admit = _Admission(console, face).admit
+
+        def admit(peer: UnixPeer) -> None:
+            if face is not None:
+                face.admit(peer)
+            console.peers.refuse(peer)
+
         process = KeyServiceProcess(home, operations, admit, console.access.phone_code)
-        served = _Serving(environment, home, process, console, face, network)
-        asyncio.run(served.run(as_json=as_json))
+        asyncio.run(_serve(environment, home, process, console, face, network, as_json=as_json))
 
 
 def _join_address(environment: Environment, given: str, face: FaceProcess | None) -> str:
@@ -167,57 +170,42 @@ def _join_address(environment: Environment, given: str, face: FaceProcess | None
     return addresses.join(own_address(environment) if given.startswith(ANY) else host, face.port)
 
 
-@dataclass
-class _Admission:
-    console: Console
-    face: FaceProcess | None
+async def _serve(
+    environment: Environment,
+    home: AuthorityHome,
+    process: KeyServiceProcess,
+    console: Console,
+    face: FaceProcess | None,
+    network: NetworkWork | None,
+    *,
+    as_json: bool,
+) -> None:
+    audit, stop = logging.getLogger(AUDIT), stop_on_signals()
 
-    def admit(self, peer: UnixPeer) -> None:
-        if self.face is not None:
-            self.face.admit(peer)
-        self.console.peers.refuse(peer)
-
-
-@dataclass
-class _Serving:
-    environment: Environment
-    home: AuthorityHome
-    process: KeyServiceProcess
-    console: Console
-    face: FaceProcess | None
-    network: NetworkWork | None
-
-    async def run(self, *, as_json: bool) -> None:
-        audit, stop = logging.getLogger(AUDIT), stop_on_signals()
-        try:
-            await self.process.start()
-            await self.console.socket.start()
-            audit.info("the service began")
-            tasks = [self._until_stopped(stop, as_json=as_json), self.process.watch_time()]
-            tasks.append(self.network.run() if self.network else self.console.rounds.run())
-            await until_first_ends(*tasks)
-        finally:
-            await self.console.socket.close()
-            await self.process.close()
-            audit.info("the service ended")
-
-    async def _until_stopped(self, stop: asyncio.Event, *, as_json: bool) -> None:
-        port = None if self.face is None else await self.face.started()
-        self._print_state(port, as_json=as_json)
-        notify(READY, self.environment.variables)
-        await stop.wait()
-        notify(STOPPING, self.environment.variables)
-
-    def _print_state(self, port: int | None, *, as_json: bool) -> None:
-        remaining = self.process.operations.held.remaining()
+    async def until_stopped() -> None:
+        port = None if face is None else await face.started()
+        remaining = process.operations.held.remaining()
         if as_json:
-            path = str(self.home.path / SOCKET)
             about: dict[str, object] = {"remaining": remaining, "join_port": port}
-            say_json({"ready": path, "console": str(self.console.where.path), **about})
-            return
-        say(f"authority of {self.home.domain}: {describe_remaining(remaining)}")
-        if port:
-            say(f"nodes join at port {port}: rossec ca invite PATTERN")
+            say_json({"ready": str(home.path / SOCKET), "console": str(console.where.path), **about})
+        else:
+            say(f"authority of {home.domain}: {describe_remaining(remaining)}")
+            if port:
+                say(f"nodes join at port {port}: rossec ca invite PATTERN")
+        notify(READY, environment.variables)
+        await stop.wait()
+        notify(STOPPING, environment.variables)
+
+    try:
+        await process.start()
+        await console.socket.start()
+        audit.info("the service began")
+        work = network.run() if network else console.rounds.run()
+        await until_first_ends(until_stopped(), process.watch_time(), work)
+    finally:
+        await console.socket.close()
+        await process.close()
+        audit.info("the service ended")
 
 
 def describe_remaining(remaining: int | None) -> str:

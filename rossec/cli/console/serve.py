@@ -6,7 +6,7 @@ import socket
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, nullcontext
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 from rossec.authority.console.messages import SOCKET
 from rossec.authority.home import AuthorityHome
@@ -16,8 +16,8 @@ from rossec.cli.shared.context import Environment, now
 from rossec.console.listening import only_console, write_address
 from rossec.console.options import HAND_OUT_PORT, Endpoint, Options, check_origin, read_options
 from rossec.console.tls.certificates import DIRECTORY, TlsSetup, prepare_tls, renewed_from
-from rossec.console.tls.own_authority import TlsAuthority, describe
 from rossec.console.tls.own_authority import as_json as described
+from rossec.console.tls.own_authority import describe
 from rossec.errors import ConfigurationError
 from rossec.host.runner import READY, STOPPING, log_as_json, notify
 from rossec.terminal import say, say_block, say_json
@@ -37,30 +37,27 @@ def check_libraries() -> None:
         )
 
 
-class Form(NamedTuple):
-    log: str
-    as_json: bool
-
-
-def serve(environment: Environment, options: Options, form: Form, *, rename: bool) -> None:
-    """Run the console until it is interrupted."""
+def serve(environment: Environment, options: Options, *, rename: bool, log: str, as_json: bool) -> None:
+    """Run the console until it is interrupted; `log` is the form of its log."""
     check_libraries()
     from rossec.console.server.supervisor import WebOptions, settings_for, supervise  # noqa: PLC0415 - extra
 
-    if form.log == "json":
+    if log == "json":
         log_as_json()
     endpoint = read_options(options, socket.gethostname())
     home = AuthorityHome.at(environment.home)
     if not endpoint.read_only:  # nobody approves there
-        check_origin(endpoint, _origins_of_phones(home), rename=rename)
+        with closing(home.store()) as store:
+            origins = {passkey.origin for passkey in store.passkeys.active()}
+        check_origin(endpoint, origins, rename=rename)
     setup = prepare_tls(endpoint, home.path / DIRECTORY, now(), rename=rename)
     with closing(running_service(home)) as client, _ending(home, environment, endpoint):
-        web = WebOptions(settings_for(endpoint, home.domain), home.path / SOCKET, form.log)
+        web = WebOptions(settings_for(endpoint, home.domain), home.path / SOCKET, log)
 
         def ready() -> None:
             if not endpoint.read_only:  # the codes of `rossec console phone` are for the other one
                 write_address(home.path, endpoint.origin)
-            _say_ready(client, endpoint, setup, as_json=form.as_json)
+            _say_ready(client, endpoint, setup, as_json=as_json)
             notify(READY, environment.variables)
 
         certificates = None if setup is None else renewed_from(setup.source, now)
@@ -85,11 +82,6 @@ def _ending(home: AuthorityHome, environment: Environment, endpoint: Endpoint) -
             notify(STOPPING, environment.variables)
 
 
-def _origins_of_phones(home: AuthorityHome) -> set[str]:
-    with closing(home.store()) as store:
-        return {passkey.origin for passkey in store.passkeys.active()}
-
-
 @contextmanager
 def _handing_out(endpoint: Endpoint, setup: TlsSetup | None, environment: Environment) -> Iterator[None]:
     if not endpoint.hand_out or setup is None or setup.authority is None:
@@ -111,19 +103,14 @@ def _say_ready(
         about = {} if authority is None else {"tls": described(authority)}
         say_json({"ready": endpoint.origin, "login": address, "process": os.getpid(), **about})
         return
-    if authority is not None:
-        _say_authority(endpoint, authority)
+    if authority is not None:  # what a person needs whose phone does not trust it yet
+        for line in describe(authority, now()):
+            say(line)
+        if endpoint.hand_out:
+            say("for ten minutes a phone gets the certificate, and how to install it, at")
+            say(f"    http://{endpoint.name}:{HAND_OUT_PORT}/")
+            say_block("compare the fingerprint before you trust it: that page is not protected\n")
+        else:
+            say("a phone that does not trust it yet: start with --hand-out")
     show_code(address)
     say(f"the console is at {endpoint.origin}; Ctrl-C ends it")
-
-
-def _say_authority(endpoint: Endpoint, authority: TlsAuthority) -> None:
-    # What a person needs whose phone does not trust the authority yet.
-    for line in describe(authority, now()):
-        say(line)
-    if not endpoint.hand_out:
-        say("a phone that does not trust it yet: start with --hand-out")
-        return
-    say("for ten minutes a phone gets the certificate, and how to install it, at")
-    say(f"    http://{endpoint.name}:{HAND_OUT_PORT}/")
-    say_block("compare the fingerprint before you trust it: that page is not protected\n")

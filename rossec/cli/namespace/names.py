@@ -1,4 +1,4 @@
-"""`rossec namespace name | launch`: one name by rules, or those of a launch file.
+"""`rossec namespace name | launch | rules | messages`: one name by rules, or those of a launch file.
 
 A launch file is written beside OUT with those it includes from its own directory. Only `$(dirname)/FILE`
 is followed: a file of another directory belongs to somebody else, and what `$(find package)` or an
@@ -22,6 +22,7 @@ from rossec import files
 from rossec.cli.shared import options, rules
 from rossec.cli.shared.options import json_result
 from rossec.errors import ConfigurationError, MetadataRefused, RossecError
+from rossec.namespace import topic_names
 from rossec.namespace.launch_file import (
     Edit,
     Include,
@@ -34,9 +35,10 @@ from rossec.namespace.launch_file import (
     named,
     scan,
 )
+from rossec.naming import rule_runner
 from rossec.naming.requests import MAX_INPUT, Kind
 from rossec.naming.rule_runner import RuleRunner
-from rossec.terminal import note, printable, record, say, say_json
+from rossec.terminal import note, printable, record, say, say_block, say_json
 
 MAX_FILES: Final = 32
 MODE: Final = 0o644  # a launch file is for every user of the host, as the source is
@@ -222,3 +224,28 @@ def show_name(
         say_json({"kind": kind.value, "which": which, "name": found})
     else:
         say(found)
+
+
+@click.command("rules")
+def show_rules() -> None:
+    """Print the rules that are shipped, to be changed.
+
+    They are those of the thesis, in XSLT 1.0: rossec namespace rules > names.xsl
+    """
+    say_block(rule_runner.shipped_rules().decode().removesuffix("\n"))
+
+
+@click.command()
+@click.argument(
+    "directory", metavar="DIRECTORY", type=click.Path(path_type=Path, exists=True, file_okay=False)
+)
+@json_result()
+def messages(directory: Path) -> None:
+    """Write the package rossec_namespace into DIRECTORY: the type of the service.
+
+    Programs need it to call /get_topic_name: from rossec_namespace.srv import GetTopicName. The
+    directory may be the `src` of a catkin workspace.
+    """
+    written = str(topic_names.write(directory))
+    record(path=written)
+    say(printable(written))

@@ -151,15 +151,10 @@ def review(environment: Environment, log: Path, policy_path: Path | None) -> Non
     before = _count_own(read)
     for seen in _read_log(log):
         item = learnable(seen)
-        if item is not None and _undecided(read, item):
+        if item is not None and learn_from(read.text, read.decider, [item], _day())[1]:
             read = _ask_about(read, item)
     total = _count_own(read)
     say(f"{count(total - before, 'new rule')}, {total} in {read.path}")
-
-
-def _undecided(read: PolicyFile, item: Observation) -> bool:
-    _, rules = learn_from(read.text, read.decider, [item], _day())
-    return bool(rules)
 
 
 def _ask_about(read: PolicyFile, item: Observation) -> PolicyFile:

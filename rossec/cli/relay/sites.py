@@ -423,9 +423,7 @@ def remove_site(environment: Environment, labels: tuple[str, ...]) -> None:
     batch = Batch(len(labels), "name")
     for label in labels:
         with batch.item(label):
-            SiteFile(_home(environment).path).change(
-                lambda sites, label=label: sites.pop(_find(sites, label).label)
-            )
+            SiteFile(_home(environment).path).change(partial(_unfollow, label))
             say(f"{label} is followed no longer")
     batch.finish()
 

@@ -186,11 +186,6 @@ class LazyCommand(click.Command):
         command: click.Command = getattr(importlib.import_module(f"rossec.cli.{module}"), attribute)
         return command
 
-    def outlined(self) -> click.Command:
-        from rossec.cli.completion.shells import completed  # noqa: PLC0415 - for completion alone
-
-        return completed(self.name or "", self.place, self.load)
-
 
 class LazyGroup(click.Group):
     """A group made from a table of names and places, see `LazyCommand`."""
@@ -205,5 +200,9 @@ class LazyGroup(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         name, command, rest = super().resolve_command(ctx, args)
         if isinstance(command, LazyCommand):
-            command = command.outlined() if ctx.resilient_parsing else command.load()
+            if ctx.resilient_parsing:  # for completion, whatever it needs to know of the command
+                from rossec.cli.completion.shells import completed  # noqa: PLC0415
+
+                return name, completed(command.name or "", command.place, command.load), rest
+            command = command.load()
         return name, command, rest
