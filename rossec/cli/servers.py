@@ -94,19 +94,15 @@ _PORT: Final = 5683
 def master(
     context: click.Context,
     environment: Environment,
-    port: int | None,
+    *,
     as_json: bool,
-    complaints: Path | None,
     config_file: Path | None,
-    log: str | None,
-    admin: bool,
     name: str | None,
     follow_announced: bool,
-    announce: bool,
-    metrics: int | None,
     renew_identities: bool,
     passphrase_file: Path | None,
     post_quantum: str | None,
+    **given: Any,
 ) -> None:
     """Run a master, as the node /master. Ends with Ctrl-C."""
     if context.invoked_subcommand is not None:
@@ -114,12 +110,11 @@ def master(
     from rossec.cli.master.serve import run  # noqa: PLC0415 - imported when it runs
     from rossec.environment import OWN_MASTER, own_master  # noqa: PLC0415 - as above
 
-    given: dict[str, Any] = {"port": port, "log": log, "complaints": complaints, "metrics": metrics}
-    given |= {"admin": admin or None, "announce": announce or None}  # a flag only switches on
     run(
         environment,
         config_file,
-        {key: value for key, value in given.items() if value is not None},
+        # a flag only switches on
+        {key: value for key, value in given.items() if value is not None and value is not False},
         passphrase_file,
         renew_identities=renew_identities,
         post_quantum=post_quantum,

@@ -241,12 +241,7 @@ def enroll(
         try:
             *chain, root = from_pem(bundle)
             offer = core.offer(chain, root, secrets.token_bytes(NONCE_SIZE), now())
-
-            def show(digits: str) -> None:
-                say(f"digits {group_digits(digits)}")
-                say("the same at the node? then confirm there; if not, stop here and there")
-
-            asyncio.run(deliver(core, offer, *destination, now, show))
+            asyncio.run(deliver(core, offer, *destination, now, _show_digits))
         except HintedError:
             remind_to_publish(service)
             raise
@@ -254,6 +249,11 @@ def enroll(
         say(f"enrolled {row.name}")
     give_outright(service, row.name)
     publish_if_revoked(service)
+
+
+def _show_digits(digits: str) -> None:
+    say(f"digits {group_digits(digits)}")
+    say("the same at the node? then confirm there; if not, stop here and there")
 
 
 def _read_code(code: str | None, image: Path | None, csr_file: Path | None) -> qr.Code:

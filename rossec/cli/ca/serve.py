@@ -4,6 +4,7 @@ import asyncio
 import logging
 import time
 from contextlib import ExitStack, closing
+from functools import partial
 from pathlib import Path
 
 import click
@@ -149,14 +150,9 @@ def serve(
             secret = passphrase.read(passphrase_file, environment.variables)
             operations.unlock(secret, seconds, OPERATOR)
             del secret
-        reached = lambda: _join_address(environment, join_address, face)  # noqa: E731 - one expression
+        reached = partial(_join_address, environment, join_address, face)
         console = Console(where, environment.home, operations, network, policy_path, reached)
-
-        def admit(peer: UnixPeer) -> None:
-            if face is not None:
-                face.admit(peer)
-            console.peers.refuse(peer)
-
+        admit = partial(_admit, console, face)
         process = KeyServiceProcess(home, operations, admit, console.access.phone_code)
         asyncio.run(_serve(environment, home, process, console, face, network, as_json=as_json))
 
@@ -168,6 +164,12 @@ def _join_address(environment: Environment, given: str, face: FaceProcess | None
         )
     host = addresses.split(given.replace(ANY, "localhost", 1), JOIN_PORT)[0]
     return addresses.join(own_address(environment) if given.startswith(ANY) else host, face.port)
+
+
+def _admit(console: Console, face: FaceProcess | None, peer: UnixPeer) -> None:
+    if face is not None:
+        face.admit(peer)
+    console.peers.refuse(peer)
 
 
 async def _serve(

@@ -154,18 +154,14 @@ def accept(
     that are admitted may then connect and say who they are; what they may do is up to grants. By
     default the names are admitted that the card asks for. Accepting it again changes the terms.
     """
+    # 1. The card is the one that was meant, as far as that can be checked here.
     home, data = service.home, files.read(card, MAX_CARD)
     if image is not None:
         code = code_in_file(image, sys.stdin.buffer)
     if code is not None:
         check_code(code, data)
     found = open_card(data, now())
-    shown = format_fingerprint(found.anchor.thumbprint)
-    if expected is not None and "".join(expected.lower().split()) != shown.replace(" ", ""):
-        raise ConfigurationError(
-            f"the fingerprint of the card is {shown}",
-            "it is another authority's: ask yours for its card again, and trust no other",
-        )
+    _check_fingerprint(found, expected)
     domain = ForeignDomain(
         found.anchor.domain,
         _label(home, found, label),
@@ -176,7 +172,7 @@ def accept(
         read_rules(exported) if exported else None,
         read_rules(imported) if imported else None,
     )
-    # What would be refused when it is signed, before a person compares and answers.
+    # 2. What would be refused when it is signed, before a person compares and answers.
     if domain.domain == home.domain:
         raise ConfigurationError(
             f"this is the card of {home.domain}, the own domain",
@@ -184,6 +180,7 @@ def accept(
         )
     for row in home.store().domains.accepted():
         check_domains_apart(row, domain.domain, domain.label, domain.anchor.thumbprint)
+    # 3. A person compares.
     _show(home, domain, found, is_checked=code is not None or expected is not None)
     confirm("trust this domain so far?", yes=yes)
     listed = service.accept_domain(domain)
@@ -193,10 +190,18 @@ def accept(
     note(f"  here: rossec domain card --out {home.domain}.card")
     note(f"  there: rossec domain accept {home.domain}.card --as LABEL")
     for uri in found.masters[:1]:
-        follow = f"rossec federation add {uri} --as {domain.label}"
-        note(printable(f"your master follows theirs: {follow}"))
+        note(printable(f"your master follows theirs: rossec federation add {uri} --as {domain.label}"))
     note(f"its nodes may do nothing yet: rossec grant sign {domain.label}:/NODE --certificate FILE")
     publish_domains(service)
+
+
+def _check_fingerprint(card: Card, expected: str | None) -> None:
+    shown = format_fingerprint(card.anchor.thumbprint)
+    if expected is not None and "".join(expected.lower().split()) != shown.replace(" ", ""):
+        raise ConfigurationError(
+            f"the fingerprint of the card is {shown}",
+            "it is another authority's: ask yours for its card again, and trust no other",
+        )
 
 
 def _label(home: AuthorityHome, card: Card, given: str | None) -> str:

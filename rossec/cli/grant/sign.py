@@ -118,8 +118,8 @@ def rights(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-def wishes(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add every option for rights and their restrictions; `read` takes what they say."""
+def permission_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add every option for rights and their restrictions; `read_permissions` takes what they say."""
     for option in reversed(_RESTRICTING):
         command = option(command)
     return rights(command)
@@ -127,7 +127,7 @@ def wishes(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @click.command()
 @click.argument("node")
-@wishes
+@permission_options
 @options.duration("--for", "lifetime", days=MAX_DAYS, default="7d", text="how long it holds")
 @click.option(
     "--renew-until",
@@ -162,7 +162,7 @@ def sign(
     out: Path | None,
     may_narrow: int,
     certificate: Path | None,
-    **wishes: Any,
+    **said: Any,
 ) -> None:
     """Let NODE publish, subscribe, call and so on, under conditions and through filters.
 
@@ -191,8 +191,8 @@ def sign(
         )
     if out is not None:
         check_new(out)
-    wanted = for_node(wishes, name, lambda: _has_tail(service, name))
-    permissions = read(wanted)
+    wanted = for_node(said, name, lambda: _has_suffix(service, name))
+    permissions = read_permissions(wanted)
     pem = b"" if certificate is None else files.read(certificate, options.MAX_PEM)
     draft, data = service.sign_grant(name, permissions, lifetime, renewal, may_narrow, pem)
     record(id=document.grant_id(data).hex(), node=name, expires=draft.expires)
@@ -210,18 +210,17 @@ def check_new(out: Path) -> None:
         raise ConfigurationError(f"there is no directory {out.parent}", "make it first")
 
 
-def for_node(said: Mapping[str, Any], node: str, tail: Callable[[], bool]) -> dict[str, Any]:
-    """What `wishes` say, with own names as those of `node`.
+def for_node(said: Mapping[str, Any], node: str, has_suffix: Callable[[], bool]) -> dict[str, Any]:
+    """What `permission_options` say, with own names as those of `node`.
 
-    Args:
-        tail: asked only if there are own names: whether the node has a wildcard tail.
+    Only if there are own names it is asked whether the node `has_suffix`: one for anonymous nodes.
     """
     named = patterns_by_right(said)
     if not any(is_own_text(each) for each in itertools.chain(*named.values())):
         return dict(said)
-    has_tail = tail()
+    suffix = has_suffix()
     own = {
-        str(right.name).lower(): tuple(own_pattern(each, node, tail=has_tail) for each in patterns)
+        str(right.name).lower(): tuple(own_pattern(each, node, tail=suffix) for each in patterns)
         for right, patterns in named.items()
     }
     return {**said, **own}
@@ -245,7 +244,7 @@ def own_pattern(text: str, node: str, *, tail: bool) -> str:
     return found
 
 
-def _has_tail(service: AuthorityService, name: str) -> bool:
+def _has_suffix(service: AuthorityService, name: str) -> bool:
     with contextlib.closing(service.home.store()) as store:
         return not is_alias(name) and store.valid_certificate(name, now()).wildcard
 
@@ -272,8 +271,8 @@ def permissions(
     return tuple(made)
 
 
-def read(said: Mapping[str, Any]) -> tuple[Permission, ...]:
-    """The permissions that the options of `wishes` say."""
+def read_permissions(said: Mapping[str, Any]) -> tuple[Permission, ...]:
+    """The permissions that the options say."""
     filters = rules(said["clear"], said["rounds"], said["clamps"])
     inside = restrictions(said["type_name"], filters, said["when"], said["rate"], said["preset_name"])
     return permissions(patterns_by_right(said), graph=said["graph"], restricted=inside)
@@ -376,7 +375,7 @@ def presets() -> None:
     metavar="CERTIFICATE",
     help="the certificate of the node that gets the right: its node.pem",
 )
-@wishes
+@permission_options
 @options.duration(
     "--for",
     "lifetime",
@@ -405,7 +404,7 @@ def narrow(
     lifetime: int,
     may_narrow: int,
     out: Path,
-    **wishes: Any,
+    **said: Any,
 ) -> None:
     """Hand the grant in FILE on to another node of this domain, restricted further.
 
@@ -438,7 +437,7 @@ def narrow(
         expires=end,
         cap=end,
         serial=secrets.token_bytes(16),
-        permissions=read(wishes),
+        permissions=read_permissions(said),
         may_narrow=may_narrow,
     )
     _check_useful(draft, held)
