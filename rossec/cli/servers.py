@@ -94,6 +94,7 @@ _PORT: Final = 5683
 def master(
     context: click.Context,
     environment: Environment,
+    /,
     *,
     as_json: bool,
     config_file: Path | None,
