@@ -17,6 +17,7 @@ from ca.errors import HintedError
 from ca.names import spiffe_id
 from ca.store.record import Store
 from ca.store.values import OPEN, RequestRow, RequestState
+from ca.svid import MAX_REQUEST
 from grants.policy.model import Subject
 from grants.policy.wanted import projected_grants
 from rossec import files
@@ -270,7 +271,7 @@ def _read_code(code: str | None, image: Path | None, csr_file: Path | None) -> q
         case (None, Path(), None):
             found = qr.parse(code_in_file(image, sys.stdin.buffer))
         case (None, None, Path()):
-            return qr.Code(sha256(read_request(csr_file)).digest())
+            return qr.Code(sha256(read_request(csr_file, MAX_REQUEST)).digest())
         case _:
             raise click.UsageError("give a code, or --image, or --csr: one of them")
     found.check_time(now())
@@ -289,7 +290,7 @@ def _destination(code: qr.Code, given_address: str | None, csr_file: Path | None
 
 def _fetch_request(core: AuthorityEnrollment, csr_file: Path | None, destination: Destination | None) -> None:
     if csr_file is not None:
-        core.receive(write(Delivery(read_request(csr_file))), now())
+        core.receive(write(Delivery(read_request(csr_file, MAX_REQUEST))), now())
         return
     assert destination is not None  # noqa: S101 - a code without an address was refused
     asyncio.run(fetch(core, *destination, now))

@@ -12,7 +12,7 @@ from ca.certificates import Identity, check_intermediate_request, from_pem
 from ca.enrollment import qr
 from ca.keys.signing import thumbprint
 from ca.names import check_wildcard, spiffe_id
-from ca.svid import MAX_REQUEST, check_request
+from ca.svid import check_request
 from ca.things.constrained_nodes import PSK, Credential, ThingKey, ThingStatement, read_ccs, read_description
 from rossec import files
 from rossec.authority import renewals
@@ -136,10 +136,10 @@ def warn_of_wildcard(name: str) -> None:
     say("  all of them have one key and the same grants, and are revoked together")
 
 
-def read_request(path: Path) -> bytes:
-    """The octets of a request, one more than it may have: it is refused where it is checked."""
+def read_request(path: Path, most: int = _MAX_REQUEST) -> bytes:
+    """The octets of a request, at most one more than `most`: it is refused where it is checked."""
     with path.open("rb") as stream:
-        return stream.read(MAX_REQUEST + 1)
+        return stream.read(most + 1)
 
 
 def write_identity(request: Path, bundle: bytes) -> Path:
