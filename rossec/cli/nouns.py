@@ -145,9 +145,9 @@ def log(context: click.Context, last: int | None, in_json: bool) -> None:
     """Show everything the authority did, oldest first."""
     if context.invoked_subcommand is not None:
         return
-    from rossec.cli.ca.identities import show_log as show  # noqa: PLC0415 - imported when it runs
+    from rossec.cli.ca.identities import show_log  # noqa: PLC0415 - imported when it runs
 
-    show(context.ensure_object(Environment), last, in_json=in_json)
+    show_log(context.ensure_object(Environment), last, in_json=in_json)
 
 
 @click.group(cls=LazyGroup, table=_INVITATIONS, invoke_without_command=True)
@@ -158,9 +158,9 @@ def invitations(context: click.Context, everything: bool, in_json: bool) -> None
     """Show the invitations that can be used, and who joined by them."""
     if context.invoked_subcommand is not None:
         return
-    from rossec.cli.ca.identities import show_invitations as show  # noqa: PLC0415 - imported when it runs
+    from rossec.cli.ca.identities import show_invitations  # noqa: PLC0415 - imported when it runs
 
-    show(context.ensure_object(Environment), everything=everything, in_json=in_json)
+    show_invitations(context.ensure_object(Environment), everything=everything, in_json=in_json)
 
 
 @click.group(cls=LazyGroup, table=_NODE)
@@ -198,10 +198,10 @@ def privacy(
     """Show every field of every topic: which node sees it, how, why and until when."""
     if context.invoked_subcommand is not None:
         return
-    from rossec.cli.policy.explain import show_privacy as show  # noqa: PLC0415 - imported when it runs
+    from rossec.cli.policy.explain import show_privacy  # noqa: PLC0415 - imported when it runs
 
     read = (context.ensure_object(Environment), policy_path)
-    show(*read, node=node, field=field, held=held, html=html, as_json=as_json)
+    show_privacy(*read, node=node, field=field, held=held, html=html, as_json=as_json)
 
 
 @click.group(cls=LazyGroup, table=_DOMAIN)

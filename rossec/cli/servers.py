@@ -160,9 +160,9 @@ def console(
 
     found = Options(**options)  # type: ignore[arg-type]  # click has checked each
     if is_demo:
-        from rossec.cli.demo import show_console_demo as show_demo  # noqa: PLC0415
+        from rossec.cli.demo import show_console_demo  # noqa: PLC0415
 
-        show_demo(context, found)
+        show_console_demo(context, found)
         return
     serve(context.ensure_object(Environment), found, rename=rename, log=log, as_json=as_json)
 
@@ -405,9 +405,9 @@ def border(
             raise click.UsageError("options of the router do not stand before a verb")
         return
     if is_demo:
-        from rossec.cli.demo import show_border_demo as show_demo  # noqa: PLC0415 - when it runs
+        from rossec.cli.demo import show_border_demo  # noqa: PLC0415 - when it runs
 
-        show_demo(context)
+        show_border_demo(context)
         return
     try:
         from rossec.cli.border.serve import run  # noqa: PLC0415 - an extra, and when it runs

@@ -47,9 +47,7 @@ def serve(environment: Environment, options: Options, *, rename: bool, log: str,
     endpoint = read_options(options, socket.gethostname())
     home = AuthorityHome.at(environment.home)
     if not endpoint.read_only:  # nobody approves there
-        with closing(home.store()) as store:
-            origins = {passkey.origin for passkey in store.passkeys.active()}
-        check_origin(endpoint, origins, rename=rename)
+        check_origin(endpoint, _origins_of_phones(home), rename=rename)
     setup = prepare_tls(endpoint, home.path / DIRECTORY, now(), rename=rename)
     with closing(running_service(home)) as client, _ending(home, environment, endpoint):
         web = WebOptions(settings_for(endpoint, home.domain), home.path / SOCKET, log)
@@ -71,6 +69,11 @@ def _preview(environment: Environment) -> "PreviewProcess":
 
     check_enrolled(environment.home)
     return PreviewProcess({**environment.variables, "ROSSEC_HOME": str(environment.home)})
+
+
+def _origins_of_phones(home: AuthorityHome) -> set[str]:
+    with closing(home.store()) as store:
+        return {passkey.origin for passkey in store.passkeys.active()}
 
 
 @contextmanager

@@ -28,7 +28,7 @@ def test_without_a_verb_it_runs(empty: Shell, monkeypatch: pytest.MonkeyPatch) -
 
 def test_the_demonstration(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[click.Context] = []
-    monkeypatch.setattr(demo, "show_demo", shown.append)
+    monkeypatch.setattr(demo, "show_border_demo", shown.append)
     assert empty("border", "--demo").code == 0
     assert len(shown) == 1
 
