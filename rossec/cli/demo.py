@@ -1,13 +1,9 @@
-"""`rossec demo`: the main job, end to end, with real processes.
-
-`rossec console --demo`: the demo's home, running, with a console that shows it.
-
-`rossec border --demo`: a border router and a lamp in a home of their own, and it ends.
-"""
+"""`rossec demo`, `rossec console --demo`, `rossec border --demo`: real processes, in a home of their own."""
 
 import asyncio
 import sys
 import tempfile
+from collections.abc import Awaitable, Callable
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,42 +18,12 @@ from rossec.console.listening import listen
 from rossec.console.options import PORT, Options, read_options
 from rossec.demo import steps
 from rossec.demo.environment import DemoEnvironment, Run, StepPrinter
-from rossec.demo.steps import FRIDGE, begin_story, run_border_steps, show_code
+from rossec.demo.steps import FRIDGE, begin_story, show_code
 from rossec.errors import ConfigurationError
 from rossec.host.runner import stop_on_signals, until_first_ends
 from rossec.terminal import say, say_block, say_picture
 
-
-@click.command()
-@click.option("--keep", type=click.Path(path_type=Path), help="new directory to leave everything in")
-@click.pass_context
-def demo(called: click.Context, keep: Path | None) -> None:
-    """Show the main job: enroll, grant, filter, refuse, revoke. Needs no ROS, ends by itself."""
-    run = partial(context.run, called.find_root().command)
-    if keep is None:
-        with tempfile.TemporaryDirectory(prefix="rossec-demo-") as directory:
-            asyncio.run(_run(Path(directory), run))
-        say_block(_LOOK)
-        return
-    try:
-        keep.mkdir(mode=0o700, parents=True)
-    except FileExistsError:
-        raise ConfigurationError(f"{keep} exists", "give a directory that does not exist") from None
-    asyncio.run(_run(keep.resolve(), run))
-    say_block(_CONTINUE.format(directory=keep.resolve(), programs=Path(sys.executable).parent))
-
-
-async def _run(directory: Path, run: Run) -> None:
-    printer = StepPrinter(sys.stdout.write)
-    environment = DemoEnvironment(directory, printer, {"ROS_IP": "127.0.0.1"}, run)
-    try:
-        await steps.run_steps(environment)
-    finally:
-        await environment.stop_all()
-
-
 _LOOK = "\nto look at such a home in a browser: rossec console --demo"
-
 _CONTINUE = """
 Everything is in {directory}. To continue, in three terminals:
 
@@ -76,15 +42,38 @@ To look at it in a browser, in two more terminals (pip install 'rossec[console]'
     rossec ca serve --unlock-for 0 --passphrase-file {directory}/passphrase
     rossec console
 """
+_LIBRARIES = ("aiocoap", "lakers")
+
+
+@click.command()
+@click.option("--keep", type=click.Path(path_type=Path), help="new directory to leave everything in")
+@click.pass_context
+def demo(called: click.Context, keep: Path | None) -> None:
+    """Show the main job: enroll, grant, filter, refuse, revoke. Needs no ROS, ends by itself."""
+    run = partial(context.run, called.find_root().command)
+    if keep is None:
+        with tempfile.TemporaryDirectory(prefix="rossec-demo-") as directory:
+            asyncio.run(_run(Path(directory), run, steps.run_steps))
+        say_block(_LOOK)
+        return
+    try:
+        keep.mkdir(mode=0o700, parents=True)
+    except FileExistsError:
+        raise ConfigurationError(f"{keep} exists", "give a directory that does not exist") from None
+    asyncio.run(_run(keep.resolve(), run, steps.run_steps))
+    say_block(_CONTINUE.format(directory=keep.resolve(), programs=Path(sys.executable).parent))
+
+
+async def _run(directory: Path, run: Run, play: Callable[[DemoEnvironment], Awaitable[None]]) -> None:
+    demo = DemoEnvironment(directory, StepPrinter(sys.stdout.write), {"ROS_IP": "127.0.0.1"}, run)
+    try:
+        await play(demo)
+    finally:
+        await demo.stop_all()
 
 
 def show_console_demo(called: click.Context, options: Options) -> None:
-    """Run the demo's home with a console until it is interrupted; nothing is left.
-
-    Raises:
-        ConfigurationError: a library is missing, or an option is not for it.
-        DemoFailed: a step did not do what it says.
-    """
+    """Run the demo's home with a console until it is interrupted; nothing is left."""
     check_libraries()
     if options != Options(port=options.port):
         raise ConfigurationError("--demo is for localhost", "leave the other options, but --port")
@@ -122,16 +111,8 @@ async def _show(demo: DemoEnvironment, port: int, others: list[DemoEnvironment])
     await demo.until_one_ends()
 
 
-_LIBRARIES = ("aiocoap", "lakers")
-
-
 def show_border_demo(called: click.Context) -> None:
-    """Show a lamp behind a border router; nothing is left.
-
-    Raises:
-        ConfigurationError: a library is missing, or another option was given.
-        DemoFailed: a step did not do what it says.
-    """
+    """Show a lamp behind a border router; nothing is left."""
     if any(find_spec(name) is None for name in _LIBRARIES):
         raise ConfigurationError("CoAP for things is not installed", "pip install 'rossec[constrained]'")
     others = (name for name in called.params if name != "is_demo")
@@ -139,13 +120,4 @@ def show_border_demo(called: click.Context) -> None:
         raise ConfigurationError("--demo has a home of its own", "leave the other options out")
     run = partial(context.run, called.find_root().command)
     with tempfile.TemporaryDirectory(prefix="rossec-demo-") as directory:
-        asyncio.run(_show_demo_play(Path(directory), run))
-
-
-async def _show_demo_play(directory: Path, run: Run) -> None:
-    printer = StepPrinter(sys.stdout.write)
-    demo = DemoEnvironment(directory, printer, {"ROS_IP": "127.0.0.1"}, run)
-    try:
-        await run_border_steps(demo)
-    finally:
-        await demo.stop_all()
+        asyncio.run(_run(Path(directory), run, steps.run_border_steps))

@@ -1,15 +1,4 @@
-"""The group `rossec master`, which runs the ROS master of a trust domain.
-
-The group `rossec console`, which by itself runs the console.
-
-The group `rossec gateway`, which runs the gateway of a site.
-
-The group `rossec relay`, which runs the relay of a site.
-
-The groups `rossec router`, which runs a router between sites, and `rossec router seats`.
-
-The group `rossec border`, which runs the border router of constrained things.
-"""
+"""The groups that run a server when no verb is given: master, console, gateway, relay, router, border."""
 
 from pathlib import Path
 from typing import Any, Final
@@ -22,19 +11,46 @@ from rossec.cli.shared.context import Environment, LazyGroup, pass_environment
 from rossec.console.options import HAND_OUT_PORT, PORT
 
 _MASTER: Final = {
-    "delegate": (
-        "grant.delivery:delegate",
-        "Let the master renew grants, unchanged and up to their caps, while the authority is away.",
-    ),
-    "status": (
-        "status:master_status",
-        "Show the status of the running master; it must have been started with --admin.",
-    ),
-    "stop": (
-        "status:stop_master",
-        "Stop the running master in order; it must have been started with --admin.",
-    ),
+    "delegate": "grant.delivery:delegate",
+    "status": "status:master_status",
+    "stop": "status:stop_master",
 }
+_CONSOLE: Final = {
+    "approvals": "console.phones:approvals",
+    "phone": "console.phones:phone",
+    "phones": "servers:phones",
+    "tls": "console.tls:tls",
+}
+_FILE: Final = click.Path(path_type=Path)
+_PHONES: Final = {"remove": "console.phones:remove"}
+_GATEWAY: Final = {"status": "status:gateway_status"}
+_RULES: Final = "rossec.gateway.rules"
+_EXAMPLE: Final = "rossec gateway --from hospital /robot/pose"
+_RELAY: Final = {
+    "add": "relay.sites:add_relay",
+    "card": "relay.sites:card",
+    "list": "relay.sites:list_relays",
+    "remove": "relay.sites:remove_relay",
+    "seat": "relay.sites:seat",
+    "status": "status:relay_status",
+}
+_ROUTER: Final = {"seats": "servers:seats", "share": "relay.sites:share", "take": "relay.sites:take"}
+_SEATS: Final = {
+    "add": "relay.sites:add_account",
+    "list": "relay.sites:list_accounts",
+    "remove": "relay.sites:remove_account",
+    "show": "relay.sites:show_account",
+}
+_BORDER: Final = {
+    "add": "border.constrained_nodes:add",
+    "credential": "border.constrained_nodes:credential",
+    "forget": "border.constrained_nodes:forget",
+    "install": "border.constrained_nodes:install",
+    "labels": "border.constrained_nodes:labels",
+    "list": "border.constrained_nodes:list_",
+    "status": "border.constrained_nodes:status_",
+}
+_PORT: Final = 5683
 
 
 @click.group(cls=LazyGroup, table=_MASTER, invoke_without_command=True)
@@ -78,19 +94,16 @@ _MASTER: Final = {
 def master(
     context: click.Context,
     environment: Environment,
-    port: int | None,
+    /,
+    *,
     as_json: bool,
-    complaints: Path | None,
     config_file: Path | None,
-    log: str | None,
-    admin: bool,
     name: str | None,
     follow_announced: bool,
-    announce: bool,
-    metrics: int | None,
     renew_identities: bool,
     passphrase_file: Path | None,
     post_quantum: str | None,
+    **given: Any,
 ) -> None:
     """Run a master, as the node /master. Ends with Ctrl-C."""
     if context.invoked_subcommand is not None:
@@ -98,12 +111,11 @@ def master(
     from rossec.cli.master.serve import run  # noqa: PLC0415 - imported when it runs
     from rossec.environment import OWN_MASTER, own_master  # noqa: PLC0415 - as above
 
-    given: dict[str, Any] = {"port": port, "log": log, "complaints": complaints, "metrics": metrics}
-    given |= {"admin": admin or None, "announce": announce or None}  # a flag only switches on
     run(
         environment,
         config_file,
-        {key: value for key, value in given.items() if value is not None},
+        # a flag only switches on
+        {key: value for key, value in given.items() if value is not None and value is not False},
         passphrase_file,
         renew_identities=renew_identities,
         post_quantum=post_quantum,
@@ -111,26 +123,6 @@ def master(
         follow_announced=follow_announced,
         as_json=as_json,
     )
-
-
-_CONSOLE: Final = {
-    "approvals": (
-        "console.phones:approvals",
-        "Show who approved what at the console, oldest first, and what came of it.",
-    ),
-    "phone": (
-        "console.phones:phone",
-        "Show a one-time code that logs in a phone, and can set it up to approve.",
-    ),
-    "phones": ("servers:phones", "Show the phones that can approve."),
-    "tls": (
-        "console.tls:tls",
-        "Show the console's own TLS authority (--lan): its fingerprint, in words and hex.",
-    ),
-}
-_FILE: Final = click.Path(path_type=Path)
-
-_PHONES: Final = {"remove": ("console.phones:remove", "Let the phone NAME approve nothing any more.")}
 
 
 @click.group(cls=LazyGroup, table=_CONSOLE, invoke_without_command=True)
@@ -163,16 +155,16 @@ def console(
     """
     if context.invoked_subcommand is not None:
         return
-    from rossec.cli.console.serve import Form, serve  # noqa: PLC0415 - when it runs
+    from rossec.cli.console.serve import serve  # noqa: PLC0415 - when it runs
     from rossec.console.options import Options  # noqa: PLC0415
 
     found = Options(**options)  # type: ignore[arg-type]  # click has checked each
     if is_demo:
-        from rossec.cli.demo import show_console_demo as show_demo  # noqa: PLC0415
+        from rossec.cli.demo import show_console_demo  # noqa: PLC0415
 
-        show_demo(context, found)
+        show_console_demo(context, found)
         return
-    serve(context.ensure_object(Environment), found, Form(log, as_json), rename=rename)
+    serve(context.ensure_object(Environment), found, rename=rename, log=log, as_json=as_json)
 
 
 @click.group(cls=LazyGroup, table=_PHONES, invoke_without_command=True)
@@ -186,11 +178,6 @@ def phones(context: click.Context, everything: bool, as_json: bool) -> None:
     from rossec.cli.console.phones import show  # noqa: PLC0415 - imported when it runs
 
     show(context.ensure_object(Environment), everything=everything, as_json=as_json)
-
-
-_GATEWAY: Final = {"status": ("status:gateway_status", "Show what the running gateway serves, and what not.")}
-_RULES: Final = "rossec.gateway.rules"
-_EXAMPLE: Final = "rossec gateway --from hospital /robot/pose"
 
 
 class GatewayGroup(LazyGroup):
@@ -268,19 +255,6 @@ def gateway(context: click.Context, environment: Environment, name: str | None, 
     run(environment, rules, as_json=as_json)
 
 
-_RELAY: Final = {
-    "add": ("relay.sites:add_relay", "Take the card in FILE of another site's relay, and call it LABEL."),
-    "card": (
-        "relay.sites:card",
-        "Print the card for the relay LABEL: the mailbox that it alone shall send to.",
-    ),
-    "list": ("relay.sites:list_relays", "List the relays of other sites, as cards have named them."),
-    "remove": ("relay.sites:remove_relay", "Link with LABEL no longer: its links end at once."),
-    "seat": ("relay.sites:seat", "Keep the seat FILE that the operator of the routers made."),
-    "status": ("status:relay_status", "Show the links of the running relay."),
-}
-
-
 @click.group(cls=LazyGroup, table=_RELAY, invoke_without_command=True)
 @click.option(
     "--doors",
@@ -328,23 +302,6 @@ def relay(
     from rossec.cli.relay.serve import run  # noqa: PLC0415 - imported when it runs
 
     run(environment, doors, seat_file, as_json=as_json)
-
-
-_ROUTER: Final = {
-    "seats": ("servers:seats", "Say who may use the router, and make the files for relays."),
-    "share": ("relay.sites:share", "Write what another router of the operator needs to join."),
-    "take": ("relay.sites:take", "Take over FILE of `share` here, and join that router."),
-}
-
-_SEATS: Final = {
-    "add": ("relay.sites:add_account", "Make the seat NAME, and print its file for the relay of that site."),
-    "list": ("relay.sites:list_accounts", "List the seats."),
-    "remove": (
-        "relay.sites:remove_account",
-        "Take the seat NAME away; a router that runs cuts its relay off within a second.",
-    ),
-    "show": ("relay.sites:show_account", "Print the file of the seat NAME again, with the routers of now."),
-}
 
 
 @click.group(cls=LazyGroup, table=_ROUTER, invoke_without_command=True)
@@ -419,36 +376,6 @@ def seats() -> None:
     """
 
 
-_BORDER: Final = {
-    "add": (
-        "border.constrained_nodes:add",
-        "Prepare the thing NAME: the request of its node, and its secret if it has one.",
-    ),
-    "credential": (
-        "border.constrained_nodes:credential",
-        "Write the router's credential for its things to FILE: they know it by this key.",
-    ),
-    "forget": (
-        "border.constrained_nodes:forget",
-        "Forget the thing NAME: its statement and its secret are removed here.",
-    ),
-    "install": (
-        "border.constrained_nodes:install",
-        "Install what the authority signed about a thing: STATEMENT, and the identity in BUNDLE.",
-    ),
-    "labels": (
-        "border.constrained_nodes:labels",
-        "Write a sheet of labels for the things with these CREDENTIALS, 24 to a page.",
-    ),
-    "list": ("border.constrained_nodes:list_", "List the things that this border router serves."),
-    "status": (
-        "border.constrained_nodes:status_",
-        "Say what the border router that runs does: which things are there, what they offer.",
-    ),
-}
-_PORT: Final = 5683
-
-
 @click.group(cls=LazyGroup, table=_BORDER, invoke_without_command=True)
 @click.option("--as", "router", metavar="NAME", default="/border", show_default=True, help="its name")
 @click.option("--listen", "host", metavar="ADDRESS", default="::", help="where; :: is everywhere")
@@ -478,9 +405,9 @@ def border(
             raise click.UsageError("options of the router do not stand before a verb")
         return
     if is_demo:
-        from rossec.cli.demo import show_border_demo as show_demo  # noqa: PLC0415 - when it runs
+        from rossec.cli.demo import show_border_demo  # noqa: PLC0415 - when it runs
 
-        show_demo(context)
+        show_border_demo(context)
         return
     try:
         from rossec.cli.border.serve import run  # noqa: PLC0415 - an extra, and when it runs

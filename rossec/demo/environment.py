@@ -27,7 +27,7 @@ Run = Callable[[Sequence[str], Mapping[str, str]], int]
 
 
 class DemoFailed(RossecError):
-    """A step of the demo failed."""
+    pass
 
 
 class StepPrinter:
@@ -39,7 +39,6 @@ class StepPrinter:
 
     @contextlib.contextmanager
     def step(self, title: str) -> Iterator[None]:
-        """One step; its time is printed when it succeeded."""
         self._step += 1
         self._write(f"\n{self._step:2}. {title}\n")
         begin = time.perf_counter()

@@ -1,22 +1,7 @@
-"""The demo, step by step: from an authority to a filtered, encrypted, revoked topic.
+"""The demos, step by step: `rossec demo`, `rossec border --demo`, `rossec console --demo`.
 
-Each step does the real thing through the command line and real processes, and checks what it
-claims; a claim that does not hold ends the demo with an error.
-
-The demo of a border router, step by step: `rossec border --demo`.
-
-A lamp with a thermometer speaks CoAP with EDHOC and OSCORE, a doctor and a heating see what their
-grants say, and at the end the lamp is revoked. Each step does the real thing and checks it.
-
-What a person can try at the console of the demo: a question to answer, a node to add.
-
-A lamp asks to see where the robot is, and a fridge on another computer (a directory of its own)
-waits with its code. Both are real: the answer is signed, and the fridge is enrolled.
-
-The story of the demo, running: a robot and its receivers, the authority, and its console.
-
-`rossec console --demo`: what `rossec demo` sets up, left running until somebody ends it. Like the
-demo it does everything by commands and processes; the console is one of them.
+Each step does the real thing through the command line and real processes, and checks what it claims; a
+claim that does not hold ends the demo with an error.
 """
 
 import asyncio
@@ -40,6 +25,35 @@ NODES: Final = ("/master", "/robot", "/doctor", "/heating")
 _TOLERANCE: Final = 1e-9
 # Seconds to wait for images after the revocation.
 _SILENCE: Final = 1.5
+LAMP: Final = "/things/lamp"
+TEMPERATURE: Final = (f"{LAMP}/temperature", "sensor_msgs/Temperature")
+LIGHT: Final = (f"{LAMP}/light", "std_msgs/Bool")
+STEP: Final = 5.0  # degrees that the heating sees
+BORDER_NODES: Final = ("/master", "/border", "/doctor", "/heating")
+_THING: Final = "rossec.demo.thing"
+_EVERY: Final = 2  # seconds between two registrations of the lamp
+_BORDER_STEPS_SILENCE: Final = 3.5  # seconds after the revocation; the lamp measures once a second
+TRIED_LAMP: Final = "/lamp"
+FRIDGE: Final = "/fridge"
+WHY: Final = "to light the room that the robot is in"
+POLICY: Final = f"""\
+# Whatever a node asks for waits for a person. What was granted before is by hand, and stays.
+rossec: 1
+robot: the robot at home
+defaults: {{decision: prompt, prompt_timeout: 8h, lifetime: 7d}}
+types: {{{", ".join(f"{topic}: {kind}" for topic, kind in (POSE, SCAN, CAMERA))}}}
+title:
+  /robot: the robot
+  /doctor: Dr. Meier
+  /heating: the heating
+  {TRIED_LAMP}: the lamp in the hall
+  {FRIDGE}: the fridge
+  {POSE[0]}: where the robot is
+  {SCAN[0]}: what the laser meets
+  {CAMERA[0]}: what the camera sees
+rules: []
+"""
+START = 60.0  # seconds for the console on a busy machine
 
 
 async def run_steps(demo: DemoEnvironment) -> None:
@@ -67,6 +81,10 @@ async def found_authority(demo: DemoEnvironment) -> None:
     await demo.command("ca", "init", "home", *passphrase(demo))
 
 
+def passphrase(demo: DemoEnvironment) -> tuple[str, str]:
+    return "--passphrase-file", str(demo.root / "passphrase")
+
+
 async def enroll(demo: DemoEnvironment, names: Sequence[str] = NODES, shown: str = "/robot") -> None:
     codes = []
     for name in names:
@@ -76,9 +94,14 @@ async def enroll(demo: DemoEnvironment, names: Sequence[str] = NODES, shown: str
     demo.printer.print(f"this is what {shown} shows to the camera of the phone:")
     await demo.command("node", "code", shown)
     scanned = [item for code in codes for item in ("--code", code)]
-    await demo.command("ca", "sign", *map(_request_of(demo), names), *scanned, "--yes", *passphrase(demo))
+    requests = [str(directory(demo, name) / "node.csr") for name in names]
+    await demo.command("ca", "sign", *requests, *scanned, "--yes", *passphrase(demo))
     for name in names:
         await demo.command("node", "install", str(directory(demo, name) / "node.pem"), "--yes", quiet=True)
+
+
+def directory(demo: DemoEnvironment, name: str) -> Path:
+    return NodeHome.of(demo.root, name).path
 
 
 async def sign_grants(demo: DemoEnvironment) -> str:
@@ -88,21 +111,9 @@ async def sign_grants(demo: DemoEnvironment) -> str:
     await demo.command(*sign, "/robot", *publishes, *always)
     await demo.command(*sign, "/doctor", "--subscribe", POSE[0], "--subscribe", SCAN[0], *always)
     output = await demo.command(*sign, "/doctor", "--subscribe", CAMERA[0], *always)
-    await demo.command(
-        *sign,
-        "/heating",
-        "--subscribe",
-        POSE[0],
-        "--type",
-        POSE[1],
-        "--round",
-        f"pose.position={COARSE:g}",
-        "--clear",
-        "pose.orientation",
-        "--clear",
-        "header.frame_id",
-        *always,
-    )
+    sees = ("--subscribe", POSE[0], "--type", POSE[1], "--round", f"pose.position={COARSE:g}")
+    hidden = ("--clear", "pose.orientation", "--clear", "header.frame_id")
+    await demo.command(*sign, "/heating", *sees, *hidden, *always)
     return output.split()[1]
 
 
@@ -123,6 +134,10 @@ async def start(demo: DemoEnvironment) -> tuple[DemoProcess, DemoProcess, DemoPr
     return robot, doctor, heating, int(listening["tcpros"])
 
 
+def on_topic(topic: str) -> Callable[[Report], bool]:
+    return lambda report: report.get("topic") == topic
+
+
 async def compare(demo: DemoEnvironment, doctor: DemoProcess, heating: DemoProcess) -> None:
     for _ in range(3):
         coarse = await heating.expect("a pose", on_topic(POSE[0]), after=len(heating.reports))
@@ -137,6 +152,24 @@ async def compare(demo: DemoEnvironment, doctor: DemoProcess, heating: DemoProce
     )
 
 
+def same_message(one: Report, other: Report) -> bool:
+    return (one["topic"], one["seq"]) == (other.get("topic"), other.get("seq"))
+
+
+def _check_coarse(exact: Report, coarse: Report) -> None:
+    # Raise unless `coarse` is `exact` on a grid of COARSE metres, without its frame.
+    wanted = [math.floor(value / COARSE + 0.5) * COARSE for value in exact["position"]]
+    if any(abs(a - b) > _TOLERANCE for a, b in zip(wanted, coarse["position"], strict=True)):
+        raise DemoFailed(f"the heating saw {coarse['position']}, expected {wanted}")
+    if coarse["frame"] or exact["frame"] != FRAME:
+        raise DemoFailed("the frame was not cleared for the heating, or was for the doctor")
+
+
+def _describe(report: Report) -> str:
+    x, y = report["position"]
+    return f"position ({x:8.4f}, {y:8.4f})  frame {report['frame']!r}"
+
+
 async def connect_intruder(demo: DemoEnvironment, port: int) -> None:
     other = DemoEnvironment(demo.root / "intruder", demo.printer, {}, demo.run)
     other.root.mkdir(mode=0o700)
@@ -144,7 +177,9 @@ async def connect_intruder(demo: DemoEnvironment, port: int) -> None:
     quiet = {"quiet": True}
     await other.command("ca", "init", "home", *passphrase(other), **quiet)
     await other.command("node", "request", "/doctor", "--domain", "home", **quiet)
-    await other.command("ca", "sign", _request_of(other)("/doctor"), "--yes", *passphrase(other), **quiet)
+    await other.command(
+        "ca", "sign", str(directory(other, "/doctor") / "node.csr"), "--yes", *passphrase(other), **quiet
+    )
     await other.command("node", "install", str(directory(other, "/doctor") / "node.pem"), "--yes", **quiet)
     try:
         intruder = await other.start("rossec.demo.intruder", "/doctor", str(port), name="intruder")
@@ -175,52 +210,7 @@ async def revoke(demo: DemoEnvironment, doctor: DemoProcess, grant: str) -> None
     demo.printer.print("poses and laser scans continue: they have another grant")
 
 
-def passphrase(demo: DemoEnvironment) -> tuple[str, str]:
-    return "--passphrase-file", str(demo.root / "passphrase")
-
-
-def directory(demo: DemoEnvironment, name: str) -> Path:
-    return NodeHome.of(demo.root, name).path
-
-
-def _request_of(demo: DemoEnvironment) -> Callable[[str], str]:
-    return lambda name: str(directory(demo, name) / "node.csr")
-
-
-def on_topic(topic: str) -> Callable[[Report], bool]:
-    return lambda report: report.get("topic") == topic
-
-
-def same_message(one: Report, other: Report) -> bool:
-    return (one["topic"], one["seq"]) == (other.get("topic"), other.get("seq"))
-
-
-def _check_coarse(exact: Report, coarse: Report) -> None:
-    # Raise unless `coarse` is `exact` on a grid of COARSE metres, without its frame.
-    wanted = [math.floor(value / COARSE + 0.5) * COARSE for value in exact["position"]]
-    if any(abs(a - b) > _TOLERANCE for a, b in zip(wanted, coarse["position"], strict=True)):
-        raise DemoFailed(f"the heating saw {coarse['position']}, expected {wanted}")
-    if coarse["frame"] or exact["frame"] != FRAME:
-        raise DemoFailed("the frame was not cleared for the heating, or was for the doctor")
-
-
-def _describe(report: Report) -> str:
-    x, y = report["position"]
-    return f"position ({x:8.4f}, {y:8.4f})  frame {report['frame']!r}"
-
-
-LAMP: Final = "/things/lamp"
-TEMPERATURE: Final = (f"{LAMP}/temperature", "sensor_msgs/Temperature")
-LIGHT: Final = (f"{LAMP}/light", "std_msgs/Bool")
-STEP: Final = 5.0  # degrees that the heating sees
-BORDER_NODES: Final = ("/master", "/border", "/doctor", "/heating")
-_THING: Final = "rossec.demo.thing"
-_EVERY: Final = 2  # seconds between two registrations of the lamp
-_BORDER_STEPS_SILENCE: Final = 3.5  # seconds after the revocation; the lamp measures once a second
-
-
 async def run_border_steps(demo: DemoEnvironment) -> None:
-    """Run every step in `demo`, whose directory is empty."""
     with demo.printer.step("a home with an authority, a border router and two receivers"):
         await found_authority(demo)
         await enroll(demo, BORDER_NODES, "/border")
@@ -246,21 +236,9 @@ async def add_lamp(demo: DemoEnvironment) -> Path:
     await made.wait()
     ccs = str(things / "lamp.ccs")
     await demo.command("border", "add", LAMP, "--key", ccs)
-    await demo.command(
-        "ca",
-        "thing",
-        LAMP,
-        "--border",
-        "/border",
-        "--key",
-        ccs,
-        "--yes",
-        "--request",
-        str(directory(demo, LAMP) / "node.csr"),
-        "--out",
-        str(things / "lamp.thing"),
-        *passphrase(demo),
-    )
+    stated = ("--border", "/border", "--key", ccs, "--yes")
+    request = ("--request", str(directory(demo, LAMP) / "node.csr"), "--out", str(things / "lamp.thing"))
+    await demo.command("ca", "thing", LAMP, *stated, *request, *passphrase(demo))
     return things
 
 
@@ -270,17 +248,8 @@ async def sign_border_grants(demo: DemoEnvironment) -> None:
     doctor = ("--subscribe", TEMPERATURE[0], "--publish", LIGHT[0])
     await demo.command(*sign, LAMP, *lamp, *always)
     await demo.command(*sign, "/doctor", *doctor, *always)
-    await demo.command(
-        *sign,
-        "/heating",
-        "--subscribe",
-        TEMPERATURE[0],
-        "--type",
-        TEMPERATURE[1],
-        "--round",
-        f"temperature={STEP:g}",
-        *always,
-    )
+    sees = ("--subscribe", TEMPERATURE[0], "--type", TEMPERATURE[1], "--round", f"temperature={STEP:g}")
+    await demo.command(*sign, "/heating", *sees, *always)
 
 
 async def start_border(demo: DemoEnvironment, things: Path) -> tuple[DemoProcess, DemoProcess, DemoProcess]:
@@ -302,6 +271,10 @@ async def start_border(demo: DemoEnvironment, things: Path) -> tuple[DemoProcess
     return lamp, doctor, heating
 
 
+def _said(line: str) -> Callable[[Report], bool]:
+    return lambda report: report.get("said") == line
+
+
 async def compare_lamp(demo: DemoEnvironment, doctor: DemoProcess, heating: DemoProcess) -> None:
     for _ in range(2):
         coarse = await heating.expect("a temperature", on_topic(TEMPERATURE[0]), after=len(heating.reports))
@@ -311,7 +284,6 @@ async def compare_lamp(demo: DemoEnvironment, doctor: DemoProcess, heating: Demo
 
 
 def check_coarse_lamp(exact: Report, coarse: Report) -> None:
-    """Raise `DemoFailed` unless `coarse` is `exact` in steps of five degrees."""
     wanted = math.floor(exact["temperature"] / STEP + 0.5) * STEP
     if coarse["temperature"] != wanted or exact["temperature"] == wanted:
         raise DemoFailed(f"the heating saw {coarse['temperature']}, expected {wanted}")
@@ -339,44 +311,9 @@ async def revoke_lamp(demo: DemoEnvironment, doctor: DemoProcess) -> None:
     )
 
 
-def _said(line: str) -> Callable[[Report], bool]:
-    return lambda report: report.get("said") == line
-
-
-TRIED_LAMP: Final = "/lamp"
-FRIDGE: Final = "/fridge"
-WHY: Final = "to light the room that the robot is in"
-POLICY: Final = f"""\
-# Whatever a node asks for waits for a person. What was granted before is by hand, and stays.
-rossec: 1
-robot: the robot at home
-defaults: {{decision: prompt, prompt_timeout: 8h, lifetime: 7d}}
-types: {{{", ".join(f"{topic}: {kind}" for topic, kind in (POSE, SCAN, CAMERA))}}}
-title:
-  /robot: the robot
-  /doctor: Dr. Meier
-  /heating: the heating
-  {TRIED_LAMP}: the lamp in the hall
-  {FRIDGE}: the fridge
-  {POSE[0]}: where the robot is
-  {SCAN[0]}: what the laser meets
-  {CAMERA[0]}: what the camera sees
-rules: []
-"""
-
-
 class WaitingNode(NamedTuple):
     code: str
     environment: DemoEnvironment
-
-
-async def ask(demo: DemoEnvironment) -> None:
-    create(demo.root / "ca" / "policy.yaml", POLICY.encode())
-    await demo.command("node", "request", TRIED_LAMP, "--domain", "home", quiet=True)
-    request, answer = (str(directory(demo, TRIED_LAMP) / f"node.{end}") for end in ("csr", "pem"))
-    await demo.command("ca", "sign", request, "--yes", *passphrase(demo), quiet=True)
-    await demo.command("node", "install", answer, "--yes", quiet=True)
-    await demo.command("grant", "request", TRIED_LAMP, "--subscribe", POSE[0], "--why", WHY, quiet=True)
 
 
 async def show_code(demo: DemoEnvironment) -> WaitingNode:
@@ -391,9 +328,6 @@ async def show_code(demo: DemoEnvironment) -> WaitingNode:
     except DemoFailed:
         await other.stop_all()
         raise
-
-
-START = 60.0  # seconds for the console on a busy machine
 
 
 async def begin_story(demo: DemoEnvironment, port: int) -> str:
@@ -416,30 +350,20 @@ async def begin_story(demo: DemoEnvironment, port: int) -> str:
     with demo.printer.step("a lamp asks to see where the robot is, and waits for an answer"):
         await ask(demo)
     with demo.printer.step("the authority's service starts, then the console"):
-        return await _start_console(demo, port)
+        with socket.create_server(("127.0.0.1", 0)) as sock:  # a free port, to name it
+            where = ("--join-address", f"127.0.0.1:{sock.getsockname()[1]}")
+        serve = ("ca", "serve", "--json", "--unlock-for", "0")
+        service = await demo.start("rossec", *serve, *where, *passphrase(demo), name="authority")
+        await service.expect("starting", lambda report: "ready" in report, within=START)
+        console = await demo.start("rossec", "console", "--json", "--port", str(port), name="console")
+        ready = await console.expect("starting", lambda report: "ready" in report, within=START)
+        return str(ready["login"])
 
 
-async def _start_console(demo: DemoEnvironment, port: int) -> str:
-    service = await demo.start(
-        "rossec",
-        "ca",
-        "serve",
-        "--json",
-        "--unlock-for",
-        "0",
-        "--join-address",
-        f"127.0.0.1:{_free_port()}",
-        "--passphrase-file",
-        str(demo.root / "passphrase"),
-        name="authority",
-    )
-    await service.expect("starting", lambda report: "ready" in report, within=START)
-    console = await demo.start("rossec", "console", "--json", "--port", str(port), name="console")
-    ready = await console.expect("starting", lambda report: "ready" in report, within=START)
-    return str(ready["login"])
-
-
-def _free_port() -> int:
-    # A port that nobody listens at now; the join port must be named.
-    with socket.create_server(("127.0.0.1", 0)) as sock:
-        return int(sock.getsockname()[1])
+async def ask(demo: DemoEnvironment) -> None:
+    create(demo.root / "ca" / "policy.yaml", POLICY.encode())
+    await demo.command("node", "request", TRIED_LAMP, "--domain", "home", quiet=True)
+    request, answer = (str(directory(demo, TRIED_LAMP) / f"node.{end}") for end in ("csr", "pem"))
+    await demo.command("ca", "sign", request, "--yes", *passphrase(demo), quiet=True)
+    await demo.command("node", "install", answer, "--yes", quiet=True)
+    await demo.command("grant", "request", TRIED_LAMP, "--subscribe", POSE[0], "--why", WHY, quiet=True)

@@ -1,15 +1,11 @@
-"""Where the metadata of nodes stand in a launch file: positions in its bytes. Pure.
+"""A launch file with the names that rules gave, in place of metadata. Pure: bytes to bytes.
 
-Metadata are elements in `urn:schemas-tum-de:vmi:ns` inside a `<node>`. Everything else is only
-passed over, so that an edit by these positions leaves it as it is. What the rules are to see of a
-node is written anew (`LaunchNode.metadata`): without the namespace, and with the node's name.
-A substitution of roslaunch, `$(...)`, has no value yet: it is refused where a name comes of it.
+Metadata are elements in `urn:schemas-tum-de:vmi:ns` inside a `<node>`. What the rules are to see of a
+node is written anew (`LaunchNode.metadata`): without the namespace, and with the node's name. A
+substitution of roslaunch, `$(...)`, has no value yet: it is refused where a name comes of it.
 
-A launch file with the names that rules gave, in place of metadata. Pure: bytes to bytes.
-
-Edits are made at positions of the source, never by writing the document anew: comments, spaces,
-order and encoding of everything else remain. A node gets `ns=`, and another `name=` if the rules
-gave one; a topic or service becomes a `<remap>`; a line that had nothing but metadata is left out.
+Edits are made at positions of the source, never by writing the document anew: comments, spaces, order
+and encoding of everything else remain.
 """
 
 import re
@@ -33,6 +29,12 @@ _ATTRIBUTE: Final = re.compile(rb"""\s+([^\s=<>/"']+)\s*=\s*("[^"]*"|'[^']*')"""
 _TAG_END: Final = re.compile(rb"\s*(/?)>")
 _ENTRIES: Final = frozenset({Kind.TOPIC.value, Kind.SERVICE.value})
 _SUBSTITUTION: Final = "$("
+Query = tuple[Kind, str]
+NameOf = Callable[[bytes, Sequence[Query]], Sequence[str]]
+"""The names for the queries by some metadata, in order; raises a `RossecError` if there is none."""
+_BEFORE: Final = re.compile(rb"[ \t]*\Z")
+_AFTER: Final = re.compile(rb"[ \t]*(?:\r?\n|\Z)")
+_BETWEEN: Final = re.compile(rb"[ \t]*")
 
 
 class Span(NamedTuple):
@@ -88,8 +90,6 @@ class LaunchNode:
 
 @dataclass
 class Include:
-    """An `<include>`: what it names, and where that stands."""
-
     file: str
     line: int
     value: Span
@@ -97,8 +97,6 @@ class Include:
 
 @dataclass
 class Launch:
-    """What was found in a launch file."""
-
     nodes: list[LaunchNode]
     includes: list[Include]
 
@@ -118,10 +116,6 @@ def scan(data: bytes) -> Launch:
     for node in nodes:
         _check(node)
     return Launch(nodes, reader.includes)
-
-
-def refuse(line: int, message: str, hint: str = "") -> NoReturn:
-    raise MetadataRefused(f"line {line}: {message}", hint)
 
 
 class _Reader:
@@ -203,6 +197,10 @@ class _Reader:
         return Tag(Span(start, end.end()), end[1] == b"/", values)
 
 
+def refuse(line: int, message: str, hint: str = "") -> NoReturn:
+    raise MetadataRefused(f"line {line}: {message}", hint)
+
+
 def _check(node: LaunchNode) -> None:
     if "ns" in node.tag.values:
         refuse(node.line, f"the node {node.name!a} has metadata and ns=", "leave one of them out")
@@ -234,37 +232,6 @@ def _check_element(element: Element) -> None:
         _check_element(child)
 
 
-def _entry(element: Element, node: LaunchNode) -> tuple[Element, Kind, str, str]:
-    name, source = element.child("name"), element.attributes.get("type", "")
-    if not name:
-        refuse(element.line, f"a {element.name} of {node.name!a} without <name>")
-    if _FROM.fullmatch(source) is None:
-        refuse(
-            element.line,
-            f"a {element.name} of {node.name!a} without the name that it replaces",
-            f'write which name the program uses: <{element.name} type="~output">',
-        )
-    if source in node.remaps:
-        refuse(element.line, f"{source} of {node.name!a} is remapped already", "leave one out")
-    return element, Kind(element.name), name, source
-
-
-Query = tuple[Kind, str]
-NameOf = Callable[[bytes, Sequence[Query]], Sequence[str]]
-"""The names for the queries by some metadata, in order; raises a `RossecError` if there is none."""
-
-_BEFORE: Final = re.compile(rb"[ \t]*\Z")
-_AFTER: Final = re.compile(rb"[ \t]*(?:\r?\n|\Z)")
-_BETWEEN: Final = re.compile(rb"[ \t]*")
-
-
-class Edit(NamedTuple):
-    """The bytes of `span` become `text`."""
-
-    span: Span
-    text: bytes
-
-
 class NamedEntry(NamedTuple):
     kind: Kind
     source: str
@@ -272,15 +239,12 @@ class NamedEntry(NamedTuple):
 
 
 class NamedNode(NamedTuple):
-    """A node of the file with the names that it gets."""
-
     line: int
     name: str
     entries: tuple[NamedEntry, ...]
 
 
 def named(launch: Launch, name_of: NameOf) -> list[NamedNode]:
-    """The names for the nodes of a file, in its order."""
     found = [_named(node, name_of) for node in launch.nodes]
     lines: dict[str, int] = {}
     for node in found:
@@ -292,33 +256,6 @@ def named(launch: Launch, name_of: NameOf) -> list[NamedNode]:
             )
         lines[node.name] = node.line
     return found
-
-
-def edits(data: bytes, launch: Launch, nodes: Sequence[NamedNode]) -> list[Edit]:
-    """What becomes of the metadata in the file."""
-    made: list[Edit] = []
-    for node, given in zip(launch.nodes, nodes, strict=True):
-        made += _of_tag(node, given.name)
-        remaps = {id(entry[0]): new for entry, new in zip(node.entries(), given.entries, strict=True)}
-        gone: list[Span] = []
-        for element in node.elements:
-            new = remaps.get(id(element))
-            if new is None:
-                gone.append(element.whole)
-            else:
-                made.append(Edit(element.whole, _remap(new)))
-        made += [Edit(_lines(data, span), b"") for span in _joined(data, gone)]
-    return made
-
-
-def apply(data: bytes, changes: Sequence[Edit]) -> bytes:
-    """The bytes after `changes`, which do not overlap."""
-    parts: list[bytes] = []
-    at = 0
-    for span, text in sorted(changes):
-        parts += [data[at : span.start], text]
-        at = span.end
-    return b"".join([*parts, data[at:]])
 
 
 def _named(node: LaunchNode, name_of: NameOf) -> NamedNode:
@@ -342,21 +279,47 @@ def _named(node: LaunchNode, name_of: NameOf) -> NamedNode:
     )
 
 
-def _of_tag(node: LaunchNode, name: str) -> list[Edit]:
-    above, _, last = name.rpartition("/")
-    at = node.tag.insertion
-    made = [Edit(Span(at, at), b" ns=" + _quoted(above or "/"))]
-    if last != node.name:
-        made.append(Edit(node.tag.values["name"], last.encode("ascii")))
+class Edit(NamedTuple):
+    """The bytes of `span` become `text`."""
+
+    span: Span
+    text: bytes
+
+
+def edits(data: bytes, launch: Launch, nodes: Sequence[NamedNode]) -> list[Edit]:
+    """What becomes of the metadata in the file."""
+    made: list[Edit] = []
+    for node, given in zip(launch.nodes, nodes, strict=True):
+        # A node gets `ns=`, and another `name=` if the rules gave one; a topic or service a `<remap>`.
+        above, _, last = given.name.rpartition("/")
+        at = node.tag.insertion
+        made.append(Edit(Span(at, at), b" ns=" + _quoted(above or "/")))
+        if last != node.name:
+            made.append(Edit(node.tag.values["name"], last.encode("ascii")))
+        remaps = {id(entry[0]): new for entry, new in zip(node.entries(), given.entries, strict=True)}
+        gone: list[Span] = []
+        for element in node.elements:
+            new = remaps.get(id(element))
+            if new is None:
+                gone.append(element.whole)
+            else:
+                remap = b"<remap from=" + _quoted(new.source) + b" to=" + _quoted(new.name) + b"/>"
+                made.append(Edit(element.whole, remap))
+        made += [Edit(_lines(data, span), b"") for span in _joined(data, gone)]
     return made
-
-
-def _remap(entry: NamedEntry) -> bytes:
-    return b"<remap from=" + _quoted(entry.source) + b" to=" + _quoted(entry.name) + b"/>"
 
 
 def _quoted(text: str) -> bytes:
     return quoteattr(text).encode("ascii")
+
+
+def _lines(data: bytes, span: Span) -> Span:
+    # A line that has nothing but metadata is left out.
+    start = data.rfind(b"\n", 0, span.start) + 1
+    after = _AFTER.match(data, span.end)
+    if after is None or _BEFORE.fullmatch(data, start, span.start) is None:
+        return span
+    return Span(start, after.end())
 
 
 def _joined(data: bytes, spans: Sequence[Span]) -> list[Span]:
@@ -369,9 +332,26 @@ def _joined(data: bytes, spans: Sequence[Span]) -> list[Span]:
     return made
 
 
-def _lines(data: bytes, span: Span) -> Span:
-    start = data.rfind(b"\n", 0, span.start) + 1
-    after = _AFTER.match(data, span.end)
-    if after is None or _BEFORE.fullmatch(data, start, span.start) is None:
-        return span
-    return Span(start, after.end())
+def apply(data: bytes, changes: Sequence[Edit]) -> bytes:
+    """The bytes after `changes`, which do not overlap."""
+    parts: list[bytes] = []
+    at = 0
+    for span, text in sorted(changes):
+        parts += [data[at : span.start], text]
+        at = span.end
+    return b"".join([*parts, data[at:]])
+
+
+def _entry(element: Element, node: LaunchNode) -> tuple[Element, Kind, str, str]:
+    name, source = element.child("name"), element.attributes.get("type", "")
+    if not name:
+        refuse(element.line, f"a {element.name} of {node.name!a} without <name>")
+    if _FROM.fullmatch(source) is None:
+        refuse(
+            element.line,
+            f"a {element.name} of {node.name!a} without the name that it replaces",
+            f'write which name the program uses: <{element.name} type="~output">',
+        )
+    if source in node.remaps:
+        refuse(element.line, f"{source} of {node.name!a} is remapped already", "leave one out")
+    return element, Kind(element.name), name, source

@@ -1,18 +1,8 @@
-"""The service `/get_topic_name`: answers with names, and applies none of them.
+"""The service `/get_topic_name`: answers with names, and applies none of them; its package for catkin.
 
-Metadata are claims of the caller, and a name is worth nothing without a grant. What a caller sends
-is bounded in size before it is read, in time by the rules' process, and in number by its turns:
-others get their answers meanwhile.
-
-Turns of callers: what one of them asks for delays none of the others by more than its turn.
-
-A caller has one turn at a time, and a bounded number of requests that wait for it. Free places go
-to those who wait, one caller after the other, however many requests each of them has.
-
-The ROS package that describes the type of `/get_topic_name`: for catkin, or for genpy alone.
-
-The fields are the thesis's (appendix A): programs that were written for its `GetTopicName` call
-this service, since ROS compares md5sums.
+Metadata are claims of the caller, and a name is worth nothing without a grant. What a caller sends is
+bounded in size before it is read, in time by the rules' process, and in number by its turns: others get
+their answers meanwhile.
 """
 
 import asyncio
@@ -27,18 +17,94 @@ from ca.certificates import Identity
 from ca.errors import HintedError
 from rossec import files
 from rossec.errors import ConfigurationError, NameUndefined, RossecError, ServiceFailed
-from rossec.naming.requests import Kind, Result
+from rossec.naming.requests import Kind
 from rossec.naming.rule_runner import RuleRunner
 from rossec.participant.service_types import ServiceType, register_service_type
 from rossec.peer_limits import printable
 
+# The fields of the type are the thesis's (appendix A): programs that were written for its `GetTopicName`
+# call this service, since ROS compares md5sums.
+PACKAGE: Final = "rossec_namespace"
+TYPE: Final = f"{PACKAGE}/GetTopicName"
+_SRV: Final = "srv/GetTopicName.srv"
+_FILES: Final = ("package.xml", "CMakeLists.txt", _SRV)
+_MODE: Final = 0o644
+SERVICE: Final = "/get_topic_name"
+CHILDREN: Final = 4
+SECONDS: Final = 1.0  # for an answer of the rules
+DEADLINE: Final = 10.0  # seconds for a call, its turn included
+WAITING: Final = 8  # requests of one caller
+CALLS: Final = 64  # at a time, of all callers
+PARAMETER: Final = "metadata"
+_TEXT: Final = 300
+_NOTHING: Final = "there are no metadata: send them, or set the parameter ~metadata"
 
-class CallerTurns:
-    """Places that callers take in turns.
+
+def service_type() -> ServiceType:
+    return register_service_type(TYPE, _text(_SRV))
+
+
+def _text(name: str) -> str:
+    return resources("rossec.namespace").joinpath(PACKAGE, *name.split("/")).read_text()
+
+
+def write(directory: Path) -> Path:
+    package = directory / PACKAGE
+    if package.exists():
+        raise ConfigurationError(f"{package} exists and is not overwritten", "remove it first")
+    (package / "srv").mkdir(parents=True)
+    for name in _FILES:
+        files.create(package / name, _text(name).encode(), _MODE)
+    return package
+
+
+class TopicNames:
+    """Names for what callers publish, subscribe and serve.
 
     Args:
-        places: how many callers have a turn at the same time.
-        waiting: how many requests of one caller wait; more are refused.
+        runner: of the rules, with `CHILDREN` processes and `SECONDS` for each answer.
+        parameter: reads a parameter; it raises `HintedError` if it cannot.
+    """
+
+    def __init__(self, runner: RuleRunner, parameter: Callable[[str], Awaitable[object]]) -> None:
+        self._runner = runner
+        self._parameter = parameter
+        self._turns = CallerTurns(CHILDREN, WAITING)
+
+    async def answer(self, request: Any, caller: Identity) -> dict[str, object]:
+        """The response to one request of `caller`."""
+        async with self._turns.turn(caller.thumbprint):
+            metadata = request.metadata if request.metadata.strip() else await self._own(caller)
+            try:
+                return {"topicname": await self._name(metadata.encode(), request.name)}
+            except RossecError as error:
+                raise ServiceFailed(printable(str(error), _TEXT)) from error
+
+    async def _own(self, caller: Identity) -> str:
+        try:
+            found = await self._parameter(f"{caller.name}/{PARAMETER}")
+        except HintedError as error:
+            raise ServiceFailed(_NOTHING) from error
+        if not isinstance(found, str) or not found.strip():
+            raise ServiceFailed(_NOTHING)
+        return found
+
+    async def _name(self, metadata: bytes, which: str) -> str:
+        # The name of a topic, or else of a service: the request does not say which it is.
+        kinds = (Kind.TOPIC, Kind.SERVICE)
+        results = await self._runner.names(metadata, [(kind, which) for kind in kinds])
+        errors = [result for result in results if isinstance(result, RossecError)]
+        for result in results:
+            if isinstance(result, str):
+                return result
+        raise next((error for error in errors if not isinstance(error, NameUndefined)), errors[0])
+
+
+class CallerTurns:
+    """Places that callers take in turns: what one asks for delays no other by more than its turn.
+
+    A caller has one turn at a time, and `waiting` requests that wait for it; more are refused. Free
+    places go to one caller after the other, however many requests each of them has.
     """
 
     def __init__(self, places: int, waiting: int) -> None:
@@ -90,85 +156,3 @@ class CallerTurns:
                 self._having.add(caller)
             if queue:
                 self._queues[caller] = queue  # behind all others
-
-
-PACKAGE: Final = "rossec_namespace"
-TYPE: Final = f"{PACKAGE}/GetTopicName"
-_SRV: Final = "srv/GetTopicName.srv"
-_FILES: Final = ("package.xml", "CMakeLists.txt", _SRV)
-_MODE: Final = 0o644
-
-
-def service_type() -> ServiceType:
-    return register_service_type(TYPE, _text(_SRV))
-
-
-def write(directory: Path) -> Path:
-    package = directory / PACKAGE
-    if package.exists():
-        raise ConfigurationError(f"{package} exists and is not overwritten", "remove it first")
-    (package / "srv").mkdir(parents=True)
-    for name in _FILES:
-        files.create(package / name, _text(name).encode(), _MODE)
-    return package
-
-
-def _text(name: str) -> str:
-    return resources("rossec.namespace").joinpath(PACKAGE, *name.split("/")).read_text()
-
-
-SERVICE: Final = "/get_topic_name"
-CHILDREN: Final = 4
-SECONDS: Final = 1.0  # for an answer of the rules
-DEADLINE: Final = 10.0  # seconds for a call, its turn included
-WAITING: Final = 8  # requests of one caller
-CALLS: Final = 64  # at a time, of all callers
-PARAMETER: Final = "metadata"
-_TEXT: Final = 300
-_NOTHING: Final = "there are no metadata: send them, or set the parameter ~metadata"
-
-
-class TopicNames:
-    """Names for what callers publish, subscribe and serve.
-
-    Args:
-        runner: of the rules, with `CHILDREN` processes and `SECONDS` for each answer.
-        parameter: reads a parameter; it raises `HintedError` if it cannot.
-    """
-
-    def __init__(self, runner: RuleRunner, parameter: Callable[[str], Awaitable[object]]) -> None:
-        self._runner = runner
-        self._parameter = parameter
-        self._turns = CallerTurns(CHILDREN, WAITING)
-
-    async def answer(self, request: Any, caller: Identity) -> dict[str, object]:
-        """The response to one request of `caller`."""
-        async with self._turns.turn(caller.thumbprint):
-            metadata = request.metadata if request.metadata.strip() else await self._own(caller)
-            try:
-                return {"topicname": await self._name(metadata.encode(), request.name)}
-            except RossecError as error:
-                raise ServiceFailed(printable(str(error), _TEXT)) from error
-
-    async def _own(self, caller: Identity) -> str:
-        try:
-            found = await self._parameter(f"{caller.name}/{PARAMETER}")
-        except HintedError as error:
-            raise ServiceFailed(_NOTHING) from error
-        if not isinstance(found, str) or not found.strip():
-            raise ServiceFailed(_NOTHING)
-        return found
-
-    async def _name(self, metadata: bytes, which: str) -> str:
-        # The name of a topic, or else of a service: the request does not say which it is.
-        kinds = (Kind.TOPIC, Kind.SERVICE)
-        found = await self._runner.names(metadata, [(kind, which) for kind in kinds])
-        return _first(found)
-
-
-def _first(results: list[Result]) -> str:
-    for result in results:
-        if isinstance(result, str):
-            return result
-    errors = [result for result in results if isinstance(result, RossecError)]
-    raise next((error for error in errors if not isinstance(error, NameUndefined)), errors[0])

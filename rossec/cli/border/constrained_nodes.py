@@ -1,14 +1,7 @@
-"""`rossec border add | install`: on the border router, a thing before and after the authority.
-
-`rossec border credential`: what things know their border router by.
-
-`rossec border labels`: a sheet of labels, whose codes name what things prove themselves by.
-
-`rossec border list | status | forget`: what a border router has of things, and does.
-"""
+"""`rossec border`, its verbs: the things of a border router."""
 
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import click
 
@@ -40,10 +33,10 @@ from rossec.terminal import fail, note, printable, record, say, say_json, say_pi
 BORDER: Final = "/border"
 _MAX_CREDENTIAL: Final = 4096
 _MAX_BUNDLE: Final = 64 * 1024
-
 as_border = click.option(
     "--as", "router", metavar="NAME", default=BORDER, show_default=True, help="the border router"
 )
+as_json_option = click.option("--json", "as_json", is_flag=True, help="a line of JSON")
 
 
 @click.command()
@@ -195,9 +188,6 @@ def _read(data: bytes) -> Credential:
         return read_ccs(data)
 
 
-as_json_option = click.option("--json", "as_json", is_flag=True, help="a line of JSON")
-
-
 @click.command("list")
 @as_border
 @as_json_option
@@ -231,6 +221,12 @@ def list_(environment: Environment, router: str, *, as_json: bool) -> None:
         note("there are no things here: rossec border add NAME --key FILE")
 
 
+def _home(environment: Environment, router: str) -> NodeHome:
+    home = NodeHome.of(environment.home, router)
+    home.anchor()
+    return home
+
+
 @click.command("status")
 @as_border
 @as_json_option
@@ -252,7 +248,18 @@ def status_(environment: Environment, router: str, *, as_json: bool) -> None:
         f" came, {counts['refused']} of {counts['datagrams']} datagrams refused"
     )
     for name, thing in sorted(found["things"].items()):
-        say(f"{name}  {_words(thing)}")
+        there = "there" if thing["there"] else "not there"
+        if "resources" not in thing:
+            say(f"{name}  {'is there, starting' if thing['there'] else there}")
+            continue
+        say(
+            f"{name}  {there}, offers {thing['offered']} of {thing['resources']},"
+            f" {thing['received']} messages, {thing['refused'] + thing['over_rate']} dropped"
+        )
+
+
+def needs_extra() -> ConfigurationError:
+    return ConfigurationError("CoAP for things is not installed", "pip install 'rossec[constrained]'")
 
 
 @click.command()
@@ -275,24 +282,3 @@ def forget(environment: Environment, names: tuple[str, ...], router: str) -> Non
             say(f"{name} is not served here any more")
             note(f"if it is lost, at the authority: rossec ca revoke --thing {name}")
     batch.finish()
-
-
-def needs_extra() -> ConfigurationError:
-    """The error that CoAP is not installed."""
-    return ConfigurationError("CoAP for things is not installed", "pip install 'rossec[constrained]'")
-
-
-def _home(environment: Environment, router: str) -> NodeHome:
-    home = NodeHome.of(environment.home, router)
-    home.anchor()
-    return home
-
-
-def _words(thing: dict[str, Any]) -> str:
-    if "resources" not in thing:
-        return "is there, starting" if thing["there"] else "not there"
-    there = "there" if thing["there"] else "not there"
-    return (
-        f"{there}, offers {thing['offered']} of {thing['resources']},"
-        f" {thing['received']} messages, {thing['refused'] + thing['over_rate']} dropped"
-    )

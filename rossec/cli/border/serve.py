@@ -21,17 +21,7 @@ LOCK: Final = "border.lock"
 
 
 def run(environment: Environment, name: str, host: str, port: int, *, as_json: bool) -> None:
-    """Run the border router `name` until a signal ends it.
-
-    Args:
-        environment: of the command.
-        name: of its node.
-        host, port: where it listens for things.
-        as_json: print where it listens as JSON.
-
-    Raises:
-        HintedError: it has no identity, another one runs, the master is out of reach.
-    """
+    """Run the border router `name`, which listens for things at `host` and `port`, until a signal ends it."""
     home = NodeHome.of(environment.home, name)
     home.identity(now())
     busy = ConfigurationError(f"{name} runs already", "see: rossec border status")
@@ -46,23 +36,19 @@ async def _serve(environment: Environment, home: NodeHome, host: str, port: int,
     router = BorderRouter(home.name, key, await with_master(environment, home), host, port)
     try:
         await router.start()
-        _print_ready(router, as_json=as_json)
+        host, port = router.server.address
+        if as_json:
+            say_json({"ready": [host, port], "things": len(router.roster)})
+        else:
+            say(f"border router {router.node.name} at {host} port {port} (UDP), {len(router.roster)} things")
+            if not len(router.roster):
+                note("add things: rossec border add NAME --key FILE")
         notify(READY, environment.variables)
         await until_first_ends(router.wait_ended(), _write_status(router), stop.wait())
         notify(STOPPING, environment.variables)
     finally:
         await router.close()
         (home.path / border_router.STATUS_FILE).unlink(missing_ok=True)
-
-
-def _print_ready(router: BorderRouter, *, as_json: bool) -> None:
-    host, port = router.server.address
-    if as_json:
-        say_json({"ready": [host, port], "things": len(router.roster)})
-        return
-    say(f"border router {router.node.name} at {host} port {port} (UDP), {len(router.roster)} things")
-    if not len(router.roster):
-        note("add things: rossec border add NAME --key FILE")
 
 
 async def _write_status(router: BorderRouter) -> None:

@@ -7,7 +7,6 @@ import click
 from ca.domains.trust import MAX_LIST as MAX_DOMAINS
 from ca.keys.passphrases import MAX_BACKUP
 from rossec import files
-from rossec.authority import backup as authority_contents
 from rossec.authority import backup as backups
 from rossec.authority import restored_lists
 from rossec.authority.home import AuthorityHome, fingerprint
@@ -32,7 +31,7 @@ def backup(environment: Environment, file: Path, passphrase_file: Path | None) -
     with working("encrypting the backup"):
         home.unlock(secret).store.close()  # a backup that its key does not open is invalid
         files.create(file, backups.back_up(home, secret))
-    left = authority_contents.undeclared(home.path)
+    left = backups.undeclared(home.path)
     found = fingerprint(home.anchor())
     record(domain=home.domain, file=str(file), fingerprint=found, left_out=left)
     for name in left:
@@ -62,11 +61,7 @@ def backup(environment: Environment, file: Path, passphrase_file: Path | None) -
     is_flag=True,
     help="there is no newer list: what was revoked after the backup is valid again",
 )
-@click.option(
-    "--entries",
-    type=options.FILE,
-    help="of that list where it is a tree; by default revocations.entries beside it",
-)
+@options.entries
 @click.option(
     "--domains",
     type=options.FILE,

@@ -1,7 +1,4 @@
-"""`rossec ca enroll`: read a node's code, show its request, and sign its identity.
-
-`rossec ca requests | approve | deny`: requests for an identity, and their answers.
-"""
+"""`rossec ca enroll | requests | approve | deny`: requests for an identity, answered."""
 
 import asyncio
 import secrets
@@ -25,10 +22,11 @@ from grants.policy.model import Subject
 from grants.policy.wanted import projected_grants
 from rossec import files
 from rossec.authority.home import AuthorityHome, format_fingerprint
-from rossec.authority.policyfile import PolicyFile, place
+from rossec.authority.policyfile import place
 from rossec.authority.service import AuthorityService
 from rossec.cli.ca import sign
-from rossec.cli.ca.sign import warn_of_wildcard, write_identity
+from rossec.cli.ca.invite import policy_lines
+from rossec.cli.ca.sign import read_request, warn_of_wildcard, write_identity
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, ask_yes_no, now, pass_environment, reraise_interrupt
 from rossec.cli.shared.options import Batch, json_result, unique
@@ -44,6 +42,9 @@ from rossec.enrollment.enroll import code_in_file, deliver, fetch
 from rossec.errors import ConfigurationError
 from rossec.host import addresses
 from rossec.terminal import printable, record, say, say_json
+
+Destination = tuple[str, int]
+_DENIED: Final = "denied at the authority"
 
 
 @click.command()
@@ -65,6 +66,19 @@ def requests(environment: Environment, everything: bool, as_json: bool) -> None:
         say(f"  fingerprint {format_fingerprint(row.thumbprint)}  until {format_time(row.expires)}")
     if not rows:
         say("no open requests")
+
+
+def _summary(row: RequestRow) -> dict[str, object]:
+    return {
+        "request": row.digest.hex(),
+        "state": row.state,
+        "name": row.name,
+        "key": row.thumbprint.hex(),
+        "source": row.source,
+        "arrived": row.arrived,
+        "until": row.expires,
+        "reason": row.reason,
+    }
 
 
 @click.command()
@@ -113,6 +127,33 @@ def approve(
     batch.finish()
 
 
+def show_request(service: AuthorityService, row: RequestRow, *, wildcard: bool) -> None:
+    """Show all that matters before a name is given to a key."""
+    home = service.home
+    say(f"{spiffe_id(home.domain, row.name)} asks for an identity")
+    say(f"  fingerprint {format_fingerprint(row.thumbprint)}")
+    say(f"  from {printable(row.source)}")
+    if wildcard:
+        warn_of_wildcard(row.name)
+    say(f"  {_enrollment_status(home.store(), row)}")
+    subject = Subject(row.name, row.thumbprint, wildcard)
+    path = place(service.rossec_home, None)
+    for line in policy_lines(path, lambda policy: projected_grants(policy, subject), "it", "this name"):
+        say(f"  {line}")
+
+
+def _enrollment_status(store: Store, row: RequestRow) -> str:
+    known = store.identities.valid(row.name, now())
+    if any(each.thumbprint != row.thumbprint for each in known):
+        until = format_time(known[-1].not_after)
+        return f"WARNING: {row.name} is enrolled with ANOTHER KEY until {until}"
+    if known:
+        return f"{row.name} is enrolled with this key until {format_time(known[-1].not_after)}"
+    if row.state is not RequestState.PENDING:
+        return f"the request was {row.state} {format_time(row.changed)}"
+    return f"{row.name} is new here"
+
+
 @click.command()
 @click.argument("request_ids", metavar="REQUEST_ID...", nargs=-1, required=True)
 @click.option("--reason", default="", help="why, for the record")
@@ -134,65 +175,9 @@ def deny(environment: Environment, request_ids: tuple[str, ...], reason: str) ->
     batch.finish()
 
 
-def show_request(service: AuthorityService, row: RequestRow, *, wildcard: bool) -> None:
-    """Show all that matters before a name is given to a key."""
-    home = service.home
-    say(f"{spiffe_id(home.domain, row.name)} asks for an identity")
-    say(f"  fingerprint {format_fingerprint(row.thumbprint)}")
-    say(f"  from {printable(row.source)}")
-    if wildcard:
-        warn_of_wildcard(row.name)
-    say(f"  {_enrollment_status(home.store(), row)}")
-    for line in _policy_lines(place(service.rossec_home, None), row, wildcard=wildcard):
-        say(f"  {line}")
-
-
-def _enrollment_status(store: Store, row: RequestRow) -> str:
-    known = store.identities.valid(row.name, now())
-    if any(each.thumbprint != row.thumbprint for each in known):
-        until = format_time(known[-1].not_after)
-        return f"WARNING: {row.name} is enrolled with ANOTHER KEY until {until}"
-    if known:
-        return f"{row.name} is enrolled with this key until {format_time(known[-1].not_after)}"
-    if row.state is not RequestState.PENDING:
-        return f"the request was {row.state} {format_time(row.changed)}"
-    return f"{row.name} is new here"
-
-
-def _policy_lines(path: Path, row: RequestRow, *, wildcard: bool) -> list[str]:
-    if not path.exists():
-        return ["there is no policy: it is granted nothing"]
-    policy = PolicyFile.read(path, own=True).policy
-    lines = projected_grants(policy, Subject(row.name, row.thumbprint, wildcard))
-    if not lines:
-        return [f"the policy has no rule for it: {policy.defaults.decision}"]
-    return ["the policy for this name:", *(f"  {line}" for line in lines)]
-
-
-def _summary(row: RequestRow) -> dict[str, object]:
-    return {
-        "request": row.digest.hex(),
-        "state": row.state,
-        "name": row.name,
-        "key": row.thumbprint.hex(),
-        "source": row.source,
-        "arrived": row.arrived,
-        "until": row.expires,
-        "reason": row.reason,
-    }
-
-
-Destination = tuple[str, int]
-_DENIED: Final = "denied at the authority"
-
-
 @click.command()
 @click.argument("code", required=False)
-@click.option(
-    "--image",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False, allow_dash=True),
-    help="read the code from this picture; - is standard input",
-)
+@options.image
 @click.option(
     "--csr", "csr_file", type=options.FILE, help="no code: this request, whose fingerprint you have compared"
 )
@@ -255,7 +240,9 @@ def enroll(
         say(f"signed: {target}; at the node: rossec node install {target.name}")
     else:
         try:
-            _deliver_identity(core, bundle, destination)
+            *chain, root = from_pem(bundle)
+            offer = core.offer(chain, root, secrets.token_bytes(NONCE_SIZE), now())
+            asyncio.run(deliver(core, offer, *destination, now, _show_digits))
         except HintedError:
             remind_to_publish(service)
             raise
@@ -263,6 +250,11 @@ def enroll(
         say(f"enrolled {row.name}")
     give_outright(service, row.name)
     publish_if_revoked(service)
+
+
+def _show_digits(digits: str) -> None:
+    say(f"digits {group_digits(digits)}")
+    say("the same at the node? then confirm there; if not, stop here and there")
 
 
 def _read_code(code: str | None, image: Path | None, csr_file: Path | None) -> qr.Code:
@@ -279,7 +271,7 @@ def _read_code(code: str | None, image: Path | None, csr_file: Path | None) -> q
         case (None, Path(), None):
             found = qr.parse(code_in_file(image, sys.stdin.buffer))
         case (None, None, Path()):
-            return qr.Code(sha256(_read(csr_file)).digest())
+            return qr.Code(sha256(read_request(csr_file, MAX_REQUEST)).digest())
         case _:
             raise click.UsageError("give a code, or --image, or --csr: one of them")
     found.check_time(now())
@@ -298,7 +290,7 @@ def _destination(code: qr.Code, given_address: str | None, csr_file: Path | None
 
 def _fetch_request(core: AuthorityEnrollment, csr_file: Path | None, destination: Destination | None) -> None:
     if csr_file is not None:
-        core.receive(write(Delivery(_read(csr_file))), now())
+        core.receive(write(Delivery(read_request(csr_file, MAX_REQUEST))), now())
         return
     assert destination is not None  # noqa: S101 - a code without an address was refused
     asyncio.run(fetch(core, *destination, now))
@@ -307,19 +299,3 @@ def _fetch_request(core: AuthorityEnrollment, csr_file: Path | None, destination
 def _source(code: qr.Code, csr_file: Path | None, destination: Destination | None) -> str:
     kind = "a screen code" if code.secret else "a label" if csr_file is None else "a file"
     return kind if destination is None else f"{kind} at {addresses.join(*destination)}"
-
-
-def _deliver_identity(core: AuthorityEnrollment, bundle: bytes, destination: Destination) -> None:
-    *chain, root = from_pem(bundle)
-    offer = core.offer(chain, root, secrets.token_bytes(NONCE_SIZE), now())
-
-    def show(digits: str) -> None:
-        say(f"digits {group_digits(digits)}")
-        say("the same at the node? then confirm there; if not, stop here and there")
-
-    asyncio.run(deliver(core, offer, *destination, now, show))
-
-
-def _read(path: Path) -> bytes:
-    with path.open("rb") as stream:
-        return stream.read(MAX_REQUEST + 1)

@@ -1,11 +1,4 @@
-"""`rossec ca list | show | renew`: the identities of the authority, and their renewal.
-
-`rossec ca revoke | refresh | publish`: revoke identities, sign the list, deliver it.
-
-`rossec ca invitations`: which there are, who joined by them, and how they end.
-
-`rossec ca log`: what the authority did, whether the log is complete, and proofs for others.
-"""
+"""`rossec ca list | show | renew | revoke | refresh | publish`, `ca invitations` and `ca log`: the record."""
 
 import base64
 import contextlib
@@ -28,7 +21,7 @@ from rossec.authority.invitations import InvitationStatus, end, find, invitation
 from rossec.authority.service import AuthorityService
 from rossec.authority.signing import OWN_NODE
 from rossec.cli.shared import options
-from rossec.cli.shared.context import Duration, Environment, now, pass_environment
+from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.options import Batch, json_result, unique, working
 from rossec.cli.shared.service import pass_service, publish_list, remind_to_publish
 from rossec.clock import format_time
@@ -37,50 +30,8 @@ from rossec.home import NodeHome
 from rossec.terminal import note, printable, record, say, say_json
 
 _ITS = "its machine", "their machines"
-
-
-def states(store: Store, at: int) -> list[tuple[CertificateRow, str]]:
-    """Every identity with what it is now: valid, replaced by a newer one, expired, or revoked."""
-    with store.database.read_transaction():
-        rows, revoked = store.identities.all(), store.revoked_entries()
-        in_force = store.identities.with_valid_issuer(rows)
-    valid = {row.serial for row in in_force if row.thumbprint not in revoked}
-    newest = {row.name: row.serial for row in rows if row.serial in valid}
-    return [(row, _state(row, at, newest, row.serial not in valid)) for row in rows]
-
-
-def _state(row: CertificateRow, at: int, newest: dict[str, int], revoked: bool) -> str:
-    if revoked:
-        return "revoked"
-    if at > row.not_after:
-        return "expired"
-    return "valid" if newest[row.name] == row.serial else "replaced"
-
-
-def as_json(row: CertificateRow, state: str) -> dict[str, Any]:
-    """One identity as JSON."""
-    return {
-        "name": row.name,
-        "state": state,
-        "anonymous": row.wildcard,
-        "not_before": row.not_before,
-        "expires": row.not_after,
-        "ends_soon": state == "valid" and ends_soon(row, now()),
-        "key": row.thumbprint.hex(),
-        "serial": f"{row.serial:x}",
-    }
-
-
-def ends_soon(row: CertificateRow, at: int) -> bool:
-    """Whether it should have been renewed by now."""
-    return at >= renew_at(row.not_before, row.not_after)
-
-
-def line(row: CertificateRow, state: str) -> str:
-    """One identity as a line of text."""
-    name = f"{row.name} and {row.name}_*" if row.wildcard else row.name
-    until, key = (f"until {format_time(row.not_after)}", f"fingerprint {format_fingerprint(row.thumbprint)}")
-    return "  ".join([name, until, key, *[terminal.state(state)] * (state != "valid")])
+_REASON = "the invitation was revoked"
+_MAX_HEAD = 4096
 
 
 @click.command("list")
@@ -96,27 +47,57 @@ def list_(environment: Environment, everything: bool, in_json: bool) -> None:
         return
     for row, state in chosen:
         say(line(row, state))
-    for text in _remarks(found, now()):
-        note(text)
-
-
-def _remarks(found: list[tuple[CertificateRow, str]], at: int) -> list[str]:
     # What is to be done: identities that end soon and were not renewed, and those that are over.
     # Of a name only the newest identity counts: an older one was renewed, or another key replaced it.
     newest = {row.name: (row, state) for row, state in found}.values()
-    soon = [row.name for row, state in newest if state == "valid" and ends_soon(row, at)]
-    over = [row.name for row, state in newest if state == "expired"]
-    remarks = []
-    if soon:
-        remarks.append(
+    if soon := [row.name for row, state in newest if state == "valid" and ends_soon(row, now())]:
+        note(
             f"not renewed yet, with less than a third of their time left: {', '.join(soon)}"
             " (rossec ca serve renews nodes that run; others: rossec ca renew NAME)"
         )
-    if over:
-        remarks.append(
-            f"over: {', '.join(over)} (with key and grants back by: rossec ca renew --expired NAME)"
-        )
-    return remarks
+    if over := [row.name for row, state in newest if state == "expired"]:
+        note(f"over: {', '.join(over)} (with key and grants back by: rossec ca renew --expired NAME)")
+
+
+def states(store: Store, at: int) -> list[tuple[CertificateRow, str]]:
+    """Every identity with what it is now: valid, replaced by a newer one, expired, or revoked."""
+    with store.database.read_transaction():
+        rows, revoked = store.identities.all(), store.revoked_entries()
+        in_force = store.identities.with_valid_issuer(rows)
+    valid = {row.serial for row in in_force if row.thumbprint not in revoked}
+    newest = {row.name: row.serial for row in rows if row.serial in valid}
+
+    def state(row: CertificateRow) -> str:
+        if row.serial not in valid:
+            return "revoked"
+        if at > row.not_after:
+            return "expired"
+        return "valid" if newest[row.name] == row.serial else "replaced"
+
+    return [(row, state(row)) for row in rows]
+
+
+def as_json(row: CertificateRow, state: str) -> dict[str, Any]:
+    return {
+        "name": row.name,
+        "state": state,
+        "anonymous": row.wildcard,
+        "not_before": row.not_before,
+        "expires": row.not_after,
+        "ends_soon": state == "valid" and ends_soon(row, now()),
+        "key": row.thumbprint.hex(),
+        "serial": f"{row.serial:x}",
+    }
+
+
+def ends_soon(row: CertificateRow, at: int) -> bool:
+    return at >= renew_at(row.not_before, row.not_after)
+
+
+def line(row: CertificateRow, state: str) -> str:
+    name = f"{row.name} and {row.name}_*" if row.wildcard else row.name
+    until, key = (f"until {format_time(row.not_after)}", f"fingerprint {format_fingerprint(row.thumbprint)}")
+    return "  ".join([name, until, key, *[terminal.state(state)] * (state != "valid")])
 
 
 @click.command()
@@ -145,13 +126,8 @@ def show(environment: Environment, name: str | None, in_json: bool) -> None:
 
 @click.command()
 @click.argument("names", metavar="NAME...", nargs=-1, required=True)
-@click.option(
-    "--for",
-    "lifetime",
-    type=Duration(MAX_LIFETIME // DAY),
-    default="30d",
-    show_default=True,
-    help="how long the new identity lasts",
+@options.duration(
+    "--for", "lifetime", days=MAX_LIFETIME // DAY, default="30d", text="how long the new identity lasts"
 )
 @click.option("--expired", is_flag=True, help="also one that is over: it keeps its key, and so its grants")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="where to write it")
@@ -237,11 +213,7 @@ def publish(service: AuthorityService) -> None:
     type=options.FILE,
     help="first revoke what this list revokes: a node's, from before a restore that lacked it",
 )
-@click.option(
-    "--entries",
-    type=options.FILE,
-    help="of that list where it is a tree; by default revocations.entries beside it",
-)
+@options.entries
 @options.master_uri
 @json_result()
 @pass_service
@@ -336,24 +308,6 @@ def _revoke_node(service: AuthorityService, name: str, reason: str, certificate:
     return f"revoked {shown(local)}, {count} key{'s' * (count != 1)} (list {listed.seq})"
 
 
-_REASON = "the invitation was revoked"
-
-
-def show_invitations(environment: Environment, *, everything: bool, in_json: bool) -> None:
-    """Show the invitations that can be used, or all of them."""
-    at = now()
-    with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
-        found = [each for each in invitations(store) if everything or each.state(at) == "open"]
-    if in_json:
-        say_json([_summary(each, at) for each in found])
-        return
-    for each in found:
-        for line in _lines(each, at):
-            say(line)
-    if not found:
-        say("no invitations" if everything else "no open invitations")
-
-
 @click.command()
 @click.argument("invitation_ids", metavar="INVITATION_ID...", nargs=-1, required=True)
 @click.option("--and-nodes", is_flag=True, help="also revoke every node that joined by it")
@@ -374,7 +328,14 @@ def revoke_invitations(
     batch = Batch(len(ids), "id")
     for invitation_id in ids:
         with batch.item(invitation_id):
-            ended.append(_end(service, invitation_id, reason))
+            with contextlib.closing(service.home.store()) as store:
+                found = find(store, invitation_id)
+                denied = end(store, found, reason, now())
+            record(invitation=found.row.id.hex(), denied=denied)
+            say(f"invitation {found.short_id} is ended")
+            if denied:
+                say(f"denied {denied} request{'s' * (denied != 1)} that waited")
+            ended.append(found)
             if not and_nodes and (uses := ended[-1].uses):
                 note(f"{len(uses)} joined by it and stay enrolled; to revoke them: --and-nodes")
     if and_nodes and ended:
@@ -392,57 +353,6 @@ def revoke_invitations(
             say("no node that joined by it is left to revoke")
             remind_to_publish(service)
     batch.finish()
-
-
-def _end(service: AuthorityService, invitation_id: str, reason: str) -> InvitationStatus:
-    with contextlib.closing(service.home.store()) as store:
-        found = find(store, invitation_id)
-        denied = end(store, found, reason, now())
-    record(invitation=found.row.id.hex(), denied=denied)
-    say(f"invitation {found.short_id} is ended")
-    if denied:
-        say(f"denied {denied} request{'s' * (denied != 1)} that waited")
-    return found
-
-
-def _lines(each: InvitationStatus, at: int) -> list[str]:
-    row = each.row
-    anonymous = "  for anonymous nodes too" if row.wildcard else ""
-    joined = f"{len(each.uses)} of {row.uses} joined"
-    until = f"until {format_time(row.expires)}{anonymous}"
-    return [
-        "  ".join((each.short_id, printable(each.state(at)), row.pattern, joined, until)),
-        *(f"  {use.name}  {format_time(use.at)}" for use in each.uses),
-    ]
-
-
-def _summary(each: InvitationStatus, at: int) -> dict[str, object]:
-    row = each.row
-    return {
-        "id": row.id.hex(),
-        "state": each.state(at).partition(":")[0],
-        "reason": each.ended or "",
-        "pattern": row.pattern,
-        "uses": row.uses,
-        "anonymous": row.wildcard,
-        "made": row.at,
-        "until": row.expires,
-        "joined": [{"name": use.name, "key": use.thumbprint.hex(), "at": use.at} for use in each.uses],
-    }
-
-
-_MAX_HEAD = 4096
-
-
-def show_log(environment: Environment, last: int | None, *, in_json: bool) -> None:
-    """Show the newest `last` entries, by default all."""
-    entries = AuthorityHome.at(environment.home).store().log.entries()[-(last or 0) :]
-    if in_json:
-        say_json([({**entry._asdict(), "digest": entry.digest.hex()}) for entry in entries])
-        return
-    for entry in entries:
-        words = [str(entry.number), format_time(entry.at), entry.what, entry.subject, entry.detail]
-        say(printable("  ".join(filter(None, words))))
 
 
 @click.command()
@@ -522,3 +432,54 @@ def prove(environment: Environment, entry: int | None, since: Path | None) -> No
         proof = tree.consistency(old.size, newest.size)
     head_text = base64.b64encode(signed).decode()
     say_json({**shown, "proof": [digest.hex() for digest in proof], "head": head_text})
+
+
+def show_invitations(environment: Environment, *, everything: bool, in_json: bool) -> None:
+    at = now()
+    with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
+        found = [each for each in invitations(store) if everything or each.state(at) == "open"]
+    if in_json:
+        say_json([_summary(each, at) for each in found])
+        return
+    for each in found:
+        for line in _lines(each, at):
+            say(line)
+    if not found:
+        say("no invitations" if everything else "no open invitations")
+
+
+def _summary(each: InvitationStatus, at: int) -> dict[str, object]:
+    row = each.row
+    return {
+        "id": row.id.hex(),
+        "state": each.state(at).partition(":")[0],
+        "reason": each.ended or "",
+        "pattern": row.pattern,
+        "uses": row.uses,
+        "anonymous": row.wildcard,
+        "made": row.at,
+        "until": row.expires,
+        "joined": [{"name": use.name, "key": use.thumbprint.hex(), "at": use.at} for use in each.uses],
+    }
+
+
+def _lines(each: InvitationStatus, at: int) -> list[str]:
+    row = each.row
+    anonymous = "  for anonymous nodes too" if row.wildcard else ""
+    joined = f"{len(each.uses)} of {row.uses} joined"
+    until = f"until {format_time(row.expires)}{anonymous}"
+    return [
+        "  ".join((each.short_id, printable(each.state(at)), row.pattern, joined, until)),
+        *(f"  {use.name}  {format_time(use.at)}" for use in each.uses),
+    ]
+
+
+def show_log(environment: Environment, last: int | None, *, in_json: bool) -> None:
+    """Show the newest `last` entries, by default all."""
+    entries = AuthorityHome.at(environment.home).store().log.entries()[-(last or 0) :]
+    if in_json:
+        say_json([({**entry._asdict(), "digest": entry.digest.hex()}) for entry in entries])
+        return
+    for entry in entries:
+        words = [str(entry.number), format_time(entry.at), entry.what, entry.subject, entry.detail]
+        say(printable("  ".join(filter(None, words))))

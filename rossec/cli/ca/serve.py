@@ -1,13 +1,10 @@
-"""`rossec ca serve`: the authority as a service, which holds the key and lets nodes join.
-
-`rossec ca unlock | lock | status`: the service that runs in the authority's directory.
-"""
+"""`rossec ca serve | unlock | lock | status`: the authority as a service, which holds the key."""
 
 import asyncio
 import logging
 import time
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import click
@@ -44,6 +41,9 @@ from rossec.ros import names
 from rossec.terminal import record, say, say_json
 
 OPERATOR = "the operator who started it"
+_START = "start it with: rossec ca serve"
+_STARTING = 3.0  # seconds: `rossec ca serve &` and `rossec ca unlock` may be pasted together
+_PAUSE = 0.1
 
 
 @click.command()
@@ -150,65 +150,11 @@ def serve(
             secret = passphrase.read(passphrase_file, environment.variables)
             operations.unlock(secret, seconds, OPERATOR)
             del secret
-        reached = lambda: _join_address(environment, join_address, face)  # noqa: E731 - one expression
+        reached = partial(_join_address, environment, join_address, face)
         console = Console(where, environment.home, operations, network, policy_path, reached)
-        admit = _Admission(console, face).admit
+        admit = partial(_admit, console, face)
         process = KeyServiceProcess(home, operations, admit, console.access.phone_code)
-        served = _Serving(environment, home, process, console, face, network)
-        asyncio.run(served.run(as_json=as_json))
-
-
-@dataclass
-class _Admission:
-    console: Console
-    face: FaceProcess | None
-
-    def admit(self, peer: UnixPeer) -> None:
-        if self.face is not None:
-            self.face.admit(peer)
-        self.console.peers.refuse(peer)
-
-
-@dataclass
-class _Serving:
-    environment: Environment
-    home: AuthorityHome
-    process: KeyServiceProcess
-    console: Console
-    face: FaceProcess | None
-    network: NetworkWork | None
-
-    async def run(self, *, as_json: bool) -> None:
-        audit, stop = logging.getLogger(AUDIT), stop_on_signals()
-        try:
-            await self.process.start()
-            await self.console.socket.start()
-            audit.info("the service began")
-            tasks = [self._until_stopped(stop, as_json=as_json), self.process.watch_time()]
-            tasks.append(self.network.run() if self.network else self.console.rounds.run())
-            await until_first_ends(*tasks)
-        finally:
-            await self.console.socket.close()
-            await self.process.close()
-            audit.info("the service ended")
-
-    async def _until_stopped(self, stop: asyncio.Event, *, as_json: bool) -> None:
-        port = None if self.face is None else await self.face.started()
-        self._print_state(port, as_json=as_json)
-        notify(READY, self.environment.variables)
-        await stop.wait()
-        notify(STOPPING, self.environment.variables)
-
-    def _print_state(self, port: int | None, *, as_json: bool) -> None:
-        remaining = self.process.operations.held.remaining()
-        if as_json:
-            path = str(self.home.path / SOCKET)
-            about: dict[str, object] = {"remaining": remaining, "join_port": port}
-            say_json({"ready": path, "console": str(self.console.where.path), **about})
-            return
-        say(f"authority of {self.home.domain}: {describe_remaining(remaining)}")
-        if port:
-            say(f"nodes join at port {port}: rossec ca invite PATTERN")
+        asyncio.run(_serve(environment, home, process, console, face, network, as_json=as_json))
 
 
 def _join_address(environment: Environment, given: str, face: FaceProcess | None) -> str:
@@ -220,16 +166,55 @@ def _join_address(environment: Environment, given: str, face: FaceProcess | None
     return addresses.join(own_address(environment) if given.startswith(ANY) else host, face.port)
 
 
+def _admit(console: Console, face: FaceProcess | None, peer: UnixPeer) -> None:
+    if face is not None:
+        face.admit(peer)
+    console.peers.refuse(peer)
+
+
+async def _serve(
+    environment: Environment,
+    home: AuthorityHome,
+    process: KeyServiceProcess,
+    console: Console,
+    face: FaceProcess | None,
+    network: NetworkWork | None,
+    *,
+    as_json: bool,
+) -> None:
+    audit, stop = logging.getLogger(AUDIT), stop_on_signals()
+
+    async def until_stopped() -> None:
+        port = None if face is None else await face.started()
+        remaining = process.operations.held.remaining()
+        if as_json:
+            about: dict[str, object] = {"remaining": remaining, "join_port": port}
+            say_json({"ready": str(home.path / SOCKET), "console": str(console.where.path), **about})
+        else:
+            say(f"authority of {home.domain}: {describe_remaining(remaining)}")
+            if port:
+                say(f"nodes join at port {port}: rossec ca invite PATTERN")
+        notify(READY, environment.variables)
+        await stop.wait()
+        notify(STOPPING, environment.variables)
+
+    try:
+        await process.start()
+        await console.socket.start()
+        audit.info("the service began")
+        work = network.run() if network else console.rounds.run()
+        await until_first_ends(until_stopped(), process.watch_time(), work)
+    finally:
+        await console.socket.close()
+        await process.close()
+        audit.info("the service ended")
+
+
 def describe_remaining(remaining: int | None) -> str:
     """Whether the key is held, and for how long (`HeldKey.remaining`), for people."""
     if remaining is None:
         return "locked; unlock it with: rossec ca unlock --for 15m"
     return f"unlocked for {format_duration(remaining)}" if remaining else "unlocked while it runs"
-
-
-_START = "start it with: rossec ca serve"
-_STARTING = 3.0  # seconds: `rossec ca serve &` and `rossec ca unlock` may be pasted together
-_PAUSE = 0.1
 
 
 @click.command()
@@ -254,6 +239,22 @@ def unlock(environment: Environment, seconds: int, passphrase_file: Path | None)
         found = client.unlock(secret, seconds)
         record(**found)
         say(_describe(found))
+
+
+def _running(environment: Environment, wait: float = 0) -> KeyServiceClient:
+    directory, seconds = AuthorityHome.at(environment.home).path, clock.counter()
+    until = seconds() + wait
+    while (client := KeyServiceClient.find(directory)) is None:
+        if seconds() >= until:
+            raise ConfigurationError("the authority's service does not run", _START)
+        time.sleep(_PAUSE)
+    return client
+
+
+def _describe(found: dict[str, Value]) -> str:
+    remaining = found.get("remaining")
+    state = describe_remaining(remaining if isinstance(remaining, int) else None)
+    return f"authority of {found.get('domain')!s}: {state}"
 
 
 @click.command()
@@ -283,19 +284,3 @@ def status(environment: Environment, as_json: bool) -> None:
         say(f"no service runs, each command asks for the passphrase; {_START}")
     else:
         say(_describe(found))
-
-
-def _running(environment: Environment, wait: float = 0) -> KeyServiceClient:
-    directory, seconds = AuthorityHome.at(environment.home).path, clock.counter()
-    until = seconds() + wait
-    while (client := KeyServiceClient.find(directory)) is None:
-        if seconds() >= until:
-            raise ConfigurationError("the authority's service does not run", _START)
-        time.sleep(_PAUSE)
-    return client
-
-
-def _describe(found: dict[str, Value]) -> str:
-    remaining = found.get("remaining")
-    state = describe_remaining(remaining if isinstance(remaining, int) else None)
-    return f"authority of {found.get('domain')!s}: {state}"

@@ -1,13 +1,4 @@
-"""`rossec ca sign`: sign the identity requests of nodes.
-
-Options of the commands that sign identities.
-
-`rossec ca intermediate`: a host that signs nodes for a limited time, below an offline root.
-
-`rossec ca import`: record at the root the identities that intermediates have signed.
-
-`rossec ca thing | things`: what the authority says of constrained things.
-"""
+"""`rossec ca sign | import | thing | things`, `rossec ca intermediate`: what is signed from files."""
 
 import contextlib
 from collections.abc import Callable
@@ -21,7 +12,7 @@ from ca.certificates import Identity, check_intermediate_request, from_pem
 from ca.enrollment import qr
 from ca.keys.signing import thumbprint
 from ca.names import check_wildcard, spiffe_id
-from ca.svid import IdentityRequest, check_request
+from ca.svid import check_request
 from ca.things.constrained_nodes import PSK, Credential, ThingKey, ThingStatement, read_ccs, read_description
 from rossec import files
 from rossec.authority import renewals
@@ -29,7 +20,7 @@ from rossec.authority.home import AuthorityHome, format_fingerprint
 from rossec.authority.service import AuthorityService, SignedThing, ThingOrder
 from rossec.authority.signing import IN_FORCE, OTHER_KEY, ThingState, states
 from rossec.cli.shared import options, passphrase
-from rossec.cli.shared.context import Duration, Environment, confirm, now, pass_environment
+from rossec.cli.shared.context import Environment, confirm, now, pass_environment
 from rossec.cli.shared.options import Batch, json_result
 from rossec.cli.shared.service import (
     give_outright,
@@ -42,21 +33,21 @@ from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.terminal import printable, record, say, say_json
 
-identity_lifetime = click.option(
-    "--for",
-    "lifetime",
-    type=Duration(MAX_LIFETIME // DAY),
-    default="30d",
-    show_default=True,
-    help="how long the identity lasts",
+identity_lifetime = options.duration(
+    "--for", "lifetime", days=MAX_LIFETIME // DAY, default="30d", text="how long the identity lasts"
 )
 anonymous = click.option(
     "--anonymous", is_flag=True, help="for anonymous nodes too: /rviz also as /rviz_1234_1700000000000"
 )
+_MAX_REQUEST: Final = 16 * 1024
+_MAX_BUNDLE = 64 * 1024
+_MAX_DAYS: Final = 3650
+_MAX_CREDENTIAL: Final = 4096
+_ONE: Final = "give --key FILE, --psk FILE or --renew"
+_SHOWN: Final = (IN_FORCE, OTHER_KEY)
 
 
 def replace_key(*, multiple: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Add `--replace-key` to a command that signs one identity, or `multiple`."""
     return click.option(
         "--replace-key",
         "replaced",
@@ -64,9 +55,6 @@ def replace_key(*, multiple: bool = False) -> Callable[[Callable[..., Any]], Cal
         metavar="NAME",
         help="let the known name NAME come with another key; revokes the old one",
     )
-
-
-_MAX_REQUEST = 16 * 1024
 
 
 @click.command()
@@ -95,19 +83,28 @@ def sign(
     refused the others are signed, and the exit code is 1.
     """
     home, batch = service.home, Batch(len(requests))
-    read = [(path, _read(path)) for path in requests]
+    read = [(path, read_request(path)) for path in requests]
     if codes:
         _check_codes(codes, [data for _, data in read])
     checked: list[tuple[Path, bytes, str]] = []
     for path, data in read:
         with batch.item(path, last=False):
             request = check_request(data, home.domain, wildcard=anonymous)
-            _show_request(path, request, home, code_checked=bool(codes))
+            code_checked = bool(codes)
+            how = (
+                "its code fits"
+                if code_checked
+                else "no code was checked: compare the fingerprint with the one the node shows"
+            )
+            say(f"{printable(spiffe_id(home.domain, request.name))} asks for an identity ({path})")
+            say(f"  fingerprint {format_fingerprint(request.thumbprint)}")
+            say(f"  {how}")
             if anonymous:
                 warn_of_wildcard(request.name)
             checked.append((path, data, request.name))
     if checked:
-        confirm(f"sign {_count(len(checked))}?", yes=yes)
+        what = "this identity" if len(checked) == 1 else f"these {len(checked)} identities"
+        confirm(f"sign {what}?", yes=yes)
         service.unlock()
         for path, data, name in checked:
             with batch.item(path):
@@ -119,14 +116,6 @@ def sign(
                 give_outright(service, name)
         publish_if_revoked(service)
     batch.finish()
-
-
-def write_identity(request: Path, bundle: bytes) -> Path:
-    """Write an identity beside its request; returns where."""
-    name = "node.pem" if request.name == "node.csr" else f"{request.stem}.pem"
-    target = request.with_name(name)
-    files.replace(target, bundle, 0o644)
-    return target
 
 
 def _check_codes(codes: tuple[str, ...], requests: list[bytes]) -> None:
@@ -141,38 +130,24 @@ def _check_codes(codes: tuple[str, ...], requests: list[bytes]) -> None:
         )
 
 
-def _show_request(path: Path, request: IdentityRequest, home: AuthorityHome, *, code_checked: bool) -> None:
-    how = (
-        "its code fits"
-        if code_checked
-        else "no code was checked: compare the fingerprint with the one the node shows"
-    )
-    say(f"{printable(spiffe_id(home.domain, request.name))} asks for an identity ({path})")
-    say(f"  fingerprint {format_fingerprint(request.thumbprint)}")
-    say(f"  {how}")
-
-
 def warn_of_wildcard(name: str) -> None:
-    """Print what a wildcard identity allows.
-
-    Raises:
-        NameRefused: a name that cannot be a wildcard.
-    """
     check_wildcard(name)
     say(f"  it may run as any number of nodes, under every name that begins with {name}_")
     say("  all of them have one key and the same grants, and are revoked together")
 
 
-def _read(path: Path) -> bytes:
+def read_request(path: Path, most: int = _MAX_REQUEST) -> bytes:
+    """The octets of a request, at most one more than `most`: it is refused where it is checked."""
     with path.open("rb") as stream:
-        return stream.read(_MAX_REQUEST + 1)
+        return stream.read(most + 1)
 
 
-def _count(number: int) -> str:
-    return "this identity" if number == 1 else f"these {number} identities"
-
-
-_MAX_FILE = 16 * 1024
+def write_identity(request: Path, bundle: bytes) -> Path:
+    """Write an identity beside its request; returns where."""
+    name = "node.pem" if request.name == "node.csr" else f"{request.stem}.pem"
+    target = request.with_name(name)
+    files.replace(target, bundle, 0o644)
+    return target
 
 
 @click.command()
@@ -199,21 +174,14 @@ def request_intermediate(environment: Environment, domain: str, passphrase_file:
     type=click.Choice(["renew", "enroll"]),
     help="renew identities that exist, or enroll new nodes as well",
 )
-@click.option(
-    "--for",
-    "lifetime",
-    type=Duration(MAX_LIFETIME // DAY),
-    default="90d",
-    show_default=True,
-    help="how long it may sign",
-)
+@options.duration("--for", "lifetime", days=MAX_LIFETIME // DAY, default="90d", text="how long it may sign")
 @click.option("--yes", is_flag=True, help="do not ask")
 @json_result()
 @pass_service
 def sign_intermediate(service: AuthorityService, request: Path, may: str, lifetime: int, yes: bool) -> None:
     """At the root: sign REQUEST of a host, and set what it may do."""
     domain = service.home.domain
-    data = files.read(request, _MAX_FILE)
+    data = files.read(request, _MAX_REQUEST)
     key = check_intermediate_request(data, domain)
     powers = "renew identities" + (" and enroll new nodes" if may == "enroll" else "")
     say(f"an intermediate of {domain} that may {powers} until {format_time(now() + lifetime)}")
@@ -235,15 +203,12 @@ def sign_intermediate(service: AuthorityService, request: Path, may: str, lifeti
 @pass_environment
 def install_intermediate(environment: Environment, bundle: Path, passphrase_file: Path | None) -> None:
     """On the host: install BUNDLE, which the root signed."""
-    data = files.read(bundle, _MAX_FILE)
+    data = files.read(bundle, _MAX_REQUEST)
     secret = passphrase.read(passphrase_file, environment.variables)
     found = renewals.install(environment.home, data, secret, now())
     powers = "renew and enroll" if found.may_enroll else "renew"
     record(may=powers, expires=found.not_after)
     say(f"this host may {powers} until {format_time(found.not_after)}")
-
-
-_MAX_BUNDLE = 64 * 1024
 
 
 @click.command("import")
@@ -286,13 +251,6 @@ def _show_identity(home: AuthorityHome, path: Path, identity: Identity) -> None:
         say(f"  signed by intermediate/{issuer.hex()[:16]}")
 
 
-_MAX_DAYS: Final = 3650
-_THINGS_MAX_REQUEST: Final = 16 * 1024
-_MAX_CREDENTIAL: Final = 4096
-_ONE: Final = "give --key FILE, --psk FILE or --renew"
-_SHOWN: Final = (IN_FORCE, OTHER_KEY)
-
-
 @click.command()
 @click.argument("name")
 @click.option("--border", metavar="NAME", help="the border router that serves it")
@@ -313,21 +271,13 @@ _SHOWN: Final = (IN_FORCE, OTHER_KEY)
     metavar="NAME",
     help="end what is said of NAME: it was renamed or moved, or its device is another one",
 )
-@click.option(
-    "--for",
-    "lifetime",
-    type=Duration(_MAX_DAYS),
-    default="365d",
-    show_default=True,
-    help="how long this is so",
-)
-@click.option(
+@options.duration("--for", "lifetime", days=_MAX_DAYS, default="365d", text="how long this is so")
+@options.duration(
     "--identity-for",
     "identity_lifetime",
-    type=Duration(MAX_LIFETIME // DAY),
+    days=MAX_LIFETIME // DAY,
     default="30d",
-    show_default=True,
-    help="how long the identity lasts",
+    text="how long the identity lasts",
 )
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="where to write it")
 @click.option("--yes", is_flag=True, help="do not ask")
@@ -341,10 +291,22 @@ def thing(service: AuthorityService, name: str, yes: bool, renew: bool, **given:
     ROSSEC_HOME. With --request the identity of the node NAME is signed in the same step.
     """
     if renew:
-        _check_renewal(given)
+        if any(given[name] for name in ("border", "ccs", "description", "request", "code", "replaced")):
+            raise ConfigurationError("--renew says the same again, and takes nothing new", _ONE)
         signed = service.renew_thing(name, given["lifetime"])
     else:
-        order = _order(name, given)
+        if given["border"] is None:
+            raise ConfigurationError("which border router serves it?", "give --border NAME")
+        request: Path | None = given["request"]
+        order = ThingOrder(
+            name,
+            given["border"],
+            _credential(given["ccs"], given["description"]),
+            given["lifetime"],
+            frozenset(given["replaced"]),
+            b"" if request is None else files.read(request, _MAX_REQUEST),
+            given["identity_lifetime"],
+        )
         checked = _check_code(given["code"], order.credential)
         what = "key" if isinstance(order.credential, ThingKey) else "secret"
         say(f"{printable(order.name)} at the border router {printable(order.border)}")
@@ -360,42 +322,10 @@ def thing(service: AuthorityService, name: str, yes: bool, renew: bool, **given:
     _hand_over(service, signed, given["request"], given["out"])
     if service.has_revoked:
         record(revoked=signed.revoked)
-        say(f"what it replaces is revoked ({signed.revoked} entr{_ies(signed.revoked)})")
+        say(f"what it replaces is revoked ({signed.revoked} entr{'y' if signed.revoked == 1 else 'ies'})")
         publish_list(service)
     else:
         remind_to_publish(service)
-
-
-@click.command()
-@click.option("--all", "everything", is_flag=True, help="also what is renewed, expired or revoked")
-@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
-@pass_environment
-def things(environment: Environment, everything: bool, in_json: bool) -> None:
-    """List the things that are stated now, with their border routers."""
-    with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
-        found = [each for each in states(store, now()) if everything or each.state in _SHOWN]
-    if in_json:
-        say_json([_summary(each) for each in found])
-        return
-    for each in found:
-        say(_line(each))
-    if not found:
-        say("no things")
-
-
-def _order(name: str, given: dict[str, Any]) -> ThingOrder:
-    if given["border"] is None:
-        raise ConfigurationError("which border router serves it?", "give --border NAME")
-    request: Path | None = given["request"]
-    return ThingOrder(
-        name,
-        given["border"],
-        _credential(given["ccs"], given["description"]),
-        given["lifetime"],
-        frozenset(given["replaced"]),
-        b"" if request is None else files.read(request, _THINGS_MAX_REQUEST),
-        given["identity_lifetime"],
-    )
 
 
 def _credential(ccs: Path | None, description: Path | None) -> Credential:
@@ -406,12 +336,6 @@ def _credential(ccs: Path | None, description: Path | None) -> Credential:
             return read_description(files.read(description, _MAX_CREDENTIAL))
         case _:
             raise ConfigurationError("a thing has a key or a secret", _ONE)
-
-
-def _check_renewal(given: dict[str, Any]) -> None:
-    others = ("border", "ccs", "description", "request", "code", "replaced")
-    if any(given[name] for name in others):
-        raise ConfigurationError("--renew says the same again, and takes nothing new", _ONE)
 
 
 def _check_code(code: str | None, credential: Credential) -> bool:
@@ -453,18 +377,21 @@ def _hand_over(
         give_outright(service, name)
 
 
-def _line(each: ThingState) -> str:
-    found = each.row.read()
-    kind = "secret" if found.kind == PSK else "key"
-    return "  ".join(
-        [
-            each.row.name,
-            f"at {each.row.border}",
-            f"until {format_time(each.row.expires)}",
-            f"{kind} {format_fingerprint(found.credential.thumbprint)}",
-            *[each.state] * (each.state != IN_FORCE),
-        ]
-    )
+@click.command()
+@click.option("--all", "everything", is_flag=True, help="also what is renewed, expired or revoked")
+@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@pass_environment
+def things(environment: Environment, everything: bool, in_json: bool) -> None:
+    """List the things that are stated now, with their border routers."""
+    with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
+        found = [each for each in states(store, now()) if everything or each.state in _SHOWN]
+    if in_json:
+        say_json([_summary(each) for each in found])
+        return
+    for each in found:
+        say(_line(each))
+    if not found:
+        say("no things")
 
 
 def _summary(each: ThingState) -> dict[str, object]:
@@ -483,5 +410,15 @@ def _summary(each: ThingState) -> dict[str, object]:
     }
 
 
-def _ies(count: int) -> str:
-    return "y" if count == 1 else "ies"
+def _line(each: ThingState) -> str:
+    found = each.row.read()
+    kind = "secret" if found.kind == PSK else "key"
+    return "  ".join(
+        [
+            each.row.name,
+            f"at {each.row.border}",
+            f"until {format_time(each.row.expires)}",
+            f"{kind} {format_fingerprint(found.credential.thumbprint)}",
+            *[each.state] * (each.state != IN_FORCE),
+        ]
+    )

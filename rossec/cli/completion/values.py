@@ -1,24 +1,9 @@
-"""Which names stand for which argument: a row for each command that takes some.
+"""Outlines of commands, as JSON values, and which names complete which of their arguments.
 
-A row has the kinds of the arguments that are text, in their order. Nothing is offered for `FREE`: a
-new name, a pattern, a value. Options mean the same in all commands, but for those in `_OTHERWISE`.
-Pure: what a kind reads is asked of `sources.Sources`.
-
-Which words completion offers: only those that no shell and no terminal can take for more.
-
-Names reach a home from elsewhere: from peers, by files that were carried. What has any other
-character than these (a space, a quote, `$`, a control character) is not offered at all. `,` and tab
-separate the fields of an answer. Pure.
-
-`completion.json` in ROSSEC_HOME: the names that the last look at the graph showed.
-
-Written after a command has asked the master with an identity, so that Tab asks nobody. Readable by
-its owner only: what a node may see of the graph is not for every user of the host.
-
-The outline of a command: its options and arguments as JSON values, and a command made of them.
-
-Pure. What completes a command line needs no more than that, while the module of the command takes
-half a second to import. A command made of an outline has no callback: it can only be completed.
+What completes a command line needs no more, while the module of the command takes half a second to
+import. A command made of an outline has no callback: it can only be completed. Names reach a home
+from elsewhere, so a word is offered only if no shell and no terminal can take it for more; `,` and
+tab separate the fields of an answer. What a kind reads is asked of `sources.Sources`.
 """
 
 import contextlib
@@ -38,139 +23,23 @@ from ca.keys import ownership
 
 MAX_WORDS: Final = 2000
 _WORD: Final = re.compile(r"[A-Za-z0-9/][A-Za-z0-9_./:+-]{0,299}", re.ASCII)
-
-
-def is_offered(word: object) -> bool:
-    """Whether completion may offer `word`."""
-    return isinstance(word, str) and _WORD.fullmatch(word) is not None
-
-
-def offered(words: Iterable[object], incomplete: str) -> list[str]:
-    """Those of `words` that may be offered and begin with `incomplete`: sorted, each once."""
-    found = {word for word in words if isinstance(word, str) and is_offered(word)}
-    return sorted(word for word in found if word.startswith(incomplete))[:MAX_WORDS]
-
-
+# Written after a command has asked the master with an identity, so that Tab asks nobody. Readable by its
+# owner only: what a node may see of the graph is not for every user of the host.
 NAME: Final = "completion.json"
 TOPIC: Final = "topic"
 SERVICE: Final = "service"
 NODE: Final = "node"
 TYPE: Final = "type"
 _MAX: Final = 1024 * 1024
-
-
-def keep(home: Path, master: str, names: Mapping[str, Iterable[str]]) -> None:
-    """Keep the names of each kind, as the master at the URI `master` gave them.
-
-    A home that cannot be written is no failure of the command that looked.
-    """
-    from rossec import files  # noqa: PLC0415 - not needed to read
-
-    kept = {kind: [*filter(is_offered, found)][:MAX_WORDS] for kind, found in names.items()}
-    data = json.dumps({"master": master, "names": kept}).encode()
-    with contextlib.suppress(OSError, HintedError):
-        files.replace(home / NAME, data, 0o600)
-
-
-def read(home: Path, master: str, kind: str) -> list[object]:
-    """The names of a kind; none if the last look was at another master."""
-    try:
-        with os.fdopen(ownership.open_trusted(home / NAME), "rb") as stream:
-            found = json.loads(stream.read(_MAX))
-    except (OSError, HintedError, ValueError):
-        return []
-    match found:
-        case {"master": str() as uri, "names": {**names}} if uri == master:
-            words = names.get(kind)
-            return words if isinstance(words, list) else []
-    return []
-
-
 Outline = dict[str, Any]
 Values = Callable[[click.Context, click.Parameter, str], list[Any]]
 _FILES: Final = ("file", "dir")
-
-
-def outline_of(command: click.Command) -> Outline:
-    """The outline of a command that is no group."""
-    return {
-        "params": [_param(each) for each in command.params if not getattr(each, "hidden", False)],
-        "interspersed": command.allow_interspersed_args,
-        "unknown": command.ignore_unknown_options,
-    }
-
-
-def command_of(name: str, outline: Outline, values: Sequence[Values | None]) -> click.Command:
-    """A command to be completed; `values` complete its params, in their order.
-
-    Raises:
-        KeyError, TypeError: not an outline.
-    """
-    params = [*map(_parameter, outline["params"], values)]
-    settings = {
-        "allow_interspersed_args": outline["interspersed"],
-        "ignore_unknown_options": outline["unknown"],
-    }
-    return click.Command(name, params=params, context_settings=settings)
-
-
-def _param(param: click.Parameter) -> Outline:
-    found: Outline = {"name": param.name, "nargs": param.nargs} | _type(param.type)
-    if isinstance(param, click.Option):
-        found |= {
-            "opts": list(param.opts),
-            "others": list(param.secondary_opts),
-            "flag": param.is_flag or param.count,
-            "multiple": param.multiple,
-            "help": param.help or "",
-        }
-    return found
-
-
-def _type(kind: click.ParamType[Any]) -> Outline:
-    if isinstance(kind, click.Choice):
-        return {"choices": [str(each) for each in kind.choices]}
-    if isinstance(kind, click.Path):
-        return {"path": _FILES[kind.dir_okay and not kind.file_okay]}
-    return {"text": kind.name == "text"}
-
-
-def _parameter(outline: Outline, complete: Values | None) -> click.Parameter:
-    kind = _made_type(outline)
-    if "opts" not in outline:
-        return click.Argument(
-            [outline["name"]], nargs=outline["nargs"], type=kind, required=False, shell_complete=complete
-        )
-    if outline["flag"]:
-        return click.Option([outline["name"], *_flags(outline)], is_flag=True, help=outline["help"])
-    return click.Option(
-        [outline["name"], *outline["opts"]],
-        nargs=outline["nargs"],
-        type=kind,
-        multiple=outline["multiple"],
-        help=outline["help"],
-        shell_complete=complete,
-    )
-
-
-def _flags(outline: Outline) -> list[str]:
-    pairs = itertools.zip_longest(outline["opts"], outline["others"], fillvalue="")
-    return [f"{one}/{other}" if other else one for one, other in pairs]
-
-
-def _made_type(outline: Outline) -> click.ParamType[Any]:
-    if "choices" in outline:
-        return click.Choice(outline["choices"])
-    if "path" in outline:
-        return click.Path(file_okay=outline["path"] == "file", dir_okay=True)
-    return click.STRING
-
-
+_WHOLE: Final = 1000  # no help line is cut
 Read = Callable[[Any], Iterator[object]]  # of `sources.Sources`
-
-FREE: Final = "free"  # nothing to offer
+FREE: Final = "free"  # nothing to offer: a new name, a pattern, a value
 COMMAND: Final = "command"
-
+# The kinds of the arguments that are text, in their order, of each command that takes some. Options mean the
+# same in all commands, but for those in `_OTHERWISE`.
 ARGUMENTS: Final[dict[str, tuple[str, ...]]] = {
     "border.constrained_nodes:forget": ("thing",),
     "border.constrained_nodes:add": (FREE,),
@@ -231,7 +100,6 @@ ARGUMENTS: Final[dict[str, tuple[str, ...]]] = {
     "relay.sites:remove_account": (FREE,),
     "relay.sites:show_account": (FREE,),
 }
-
 OPTIONS: Final = {
     "--as": "own node",
     "--border": "recorded node",
@@ -254,13 +122,11 @@ _OTHERWISE: Final = {
     ("grant.sign:narrow", "--as"): "own node",
     ("ros.calls:call", "--type"): "service type",
 }
-
 _OWN: Final = methodcaller("own_nodes")
 _WRITTEN: Final = methodcaller("written")
 _NODES: Final = methodcaller("recorded", "node")
 _TOPICS: Final = methodcaller("seen", TOPIC)
 _SERVICES: Final = methodcaller("seen", SERVICE)
-
 KINDS: Final[dict[str, tuple[Read, ...]]] = {
     FREE: (),
     COMMAND: (),
@@ -286,8 +152,115 @@ KINDS: Final[dict[str, tuple[Read, ...]]] = {
 """What is read for a kind, all of it together."""
 
 
+def offered(words: Iterable[object], incomplete: str) -> list[str]:
+    found = {word for word in words if isinstance(word, str) and is_offered(word)}
+    return sorted(word for word in found if word.startswith(incomplete))[:MAX_WORDS]
+
+
+def is_offered(word: object) -> bool:
+    return isinstance(word, str) and _WORD.fullmatch(word) is not None
+
+
+def keep(home: Path, master: str, names: Mapping[str, Iterable[str]]) -> None:
+    """Keep the names of each kind, as the master at the URI `master` gave them.
+
+    A home that cannot be written is no failure of the command that looked.
+    """
+    from rossec import files  # noqa: PLC0415 - not needed to read
+
+    kept = {kind: [*filter(is_offered, found)][:MAX_WORDS] for kind, found in names.items()}
+    data = json.dumps({"master": master, "names": kept}).encode()
+    with contextlib.suppress(OSError, HintedError):
+        files.replace(home / NAME, data, 0o600)
+
+
+def read(home: Path, master: str, kind: str) -> list[object]:
+    """The names of a kind; none if the last look was at another master."""
+    try:
+        with os.fdopen(ownership.open_trusted(home / NAME), "rb") as stream:
+            found = json.loads(stream.read(_MAX))
+    except (OSError, HintedError, ValueError):
+        return []
+    match found:
+        case {"master": str() as uri, "names": {**names}} if uri == master:
+            words = names.get(kind)
+            return words if isinstance(words, list) else []
+    return []
+
+
+def outline_of(command: click.Command) -> Outline:
+    """The outline of a command; of a group its help line alone."""
+    line = {"help": command.get_short_help_str(_WHOLE)}
+    if isinstance(command, click.Group):
+        return line
+    return {
+        **line,
+        "params": [_param(each) for each in command.params if not getattr(each, "hidden", False)],
+        "interspersed": command.allow_interspersed_args,
+        "unknown": command.ignore_unknown_options,
+    }
+
+
+def _param(param: click.Parameter) -> Outline:
+    found: Outline = {"name": param.name, "nargs": param.nargs} | _type(param.type)
+    if isinstance(param, click.Option):
+        found |= {
+            "opts": list(param.opts),
+            "others": list(param.secondary_opts),
+            "flag": param.is_flag or param.count,
+            "multiple": param.multiple,
+            "help": param.help or "",
+        }
+    return found
+
+
+def _type(kind: click.ParamType[Any]) -> Outline:
+    if isinstance(kind, click.Choice):
+        return {"choices": [str(each) for each in kind.choices]}
+    if isinstance(kind, click.Path):
+        return {"path": _FILES[kind.dir_okay and not kind.file_okay]}
+    return {"text": kind.name == "text"}
+
+
+def command_of(name: str, outline: Outline, values: Sequence[Values | None]) -> click.Command:
+    """A command to be completed; `values` complete its params, in their order."""
+    params = [*map(_parameter, outline["params"], values)]
+    settings = {
+        "allow_interspersed_args": outline["interspersed"],
+        "ignore_unknown_options": outline["unknown"],
+    }
+    return click.Command(name, params=params, context_settings=settings)
+
+
+def _parameter(outline: Outline, complete: Values | None) -> click.Parameter:
+    kind = _made_type(outline)
+    if "opts" not in outline:
+        return click.Argument(
+            [outline["name"]], nargs=outline["nargs"], type=kind, required=False, shell_complete=complete
+        )
+    if outline["flag"]:
+        pairs = itertools.zip_longest(outline["opts"], outline["others"], fillvalue="")
+        flags = [f"{one}/{other}" if other else one for one, other in pairs]
+        return click.Option([outline["name"], *flags], is_flag=True, help=outline["help"])
+    return click.Option(
+        [outline["name"], *outline["opts"]],
+        nargs=outline["nargs"],
+        type=kind,
+        multiple=outline["multiple"],
+        help=outline["help"],
+        shell_complete=complete,
+    )
+
+
+def _made_type(outline: Outline) -> click.ParamType[Any]:
+    if "choices" in outline:
+        return click.Choice(outline["choices"])
+    if "path" in outline:
+        return click.Path(file_okay=outline["path"] == "file", dir_okay=True)
+    return click.STRING
+
+
 def kinds_of(place: str, outline: Outline) -> list[str]:
-    """The kind of each option and argument of the command at `place`, in their order."""
     arguments = iter(ARGUMENTS.get(place, ()))
     return [
         _kind_of_option(place, each["opts"])

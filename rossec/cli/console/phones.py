@@ -1,11 +1,4 @@
-"""`rossec console phones`: which phones can approve, and how one is removed at the terminal.
-
-The authority's service as the console's commands ask it, and the code that they show.
-
-`rossec console phone`: a one-time code for a phone.
-
-`rossec console approvals`: what persons approved with their phones, and whether it is true.
-"""
+"""`rossec console phone | phones | approvals`: which phones can approve, and what was approved with them."""
 
 import time
 from contextlib import closing
@@ -30,36 +23,6 @@ from rossec.console.listening import read_address
 from rossec.console.options import LOCALHOST, MAX_PHONE_NAME
 from rossec.errors import ConfigurationError
 from rossec.terminal import printable, record, say, say_json, say_picture
-
-
-def running_service(home: AuthorityHome) -> KeyServiceClient:
-    """The service of the authority in `home`.
-
-    Raises:
-        ConfigurationError: none runs.
-        KeyServiceFailed: another user listens there, or it does not answer.
-    """
-    client = KeyServiceClient.find(home.path)
-    if client is None:
-        raise ConfigurationError(
-            "the authority's service does not run", "start it in another terminal: rossec ca serve"
-        )
-    return client
-
-
-def login_address(origin: str, code: str, name: str = "") -> str:
-    """The address that logs in with a code; in the fragment, which browsers send to nobody."""
-    return f"{origin}/login#{code}" + (f".{quote(name, safe='')}" if name else "")
-
-
-def show_code(address: str) -> None:
-    """Print an address with a code, and as a QR code."""
-    say_picture(qr.terminal(address))
-    say(address)
-    if urlsplit(address).hostname == LOCALHOST:
-        say("for a browser of this computer; for a phone see: rossec console --help, --lan")
-    say("works once, within 2 minutes; another one: rossec console phone")
-
 
 _PERIOD: Final = 0.5  # seconds between two looks at the record
 
@@ -92,9 +55,31 @@ def phone(environment: Environment, name: str, no_wait: bool, as_json: bool) -> 
         say(_wait(home, known))
 
 
+def running_service(home: AuthorityHome) -> KeyServiceClient:
+    client = KeyServiceClient.find(home.path)
+    if client is None:
+        raise ConfigurationError(
+            "the authority's service does not run", "start it in another terminal: rossec ca serve"
+        )
+    return client
+
+
 def _phones(home: AuthorityHome) -> dict[bytes, str]:
     with closing(home.store()) as store:
         return {passkey.id: passkey.name for passkey in store.passkeys.active()}
+
+
+def login_address(origin: str, code: str, name: str = "") -> str:
+    """The address that logs in with a code; in the fragment, which browsers send to nobody."""
+    return f"{origin}/login#{code}" + (f".{quote(name, safe='')}" if name else "")
+
+
+def show_code(address: str) -> None:
+    say_picture(qr.terminal(address))
+    say(address)
+    if urlsplit(address).hostname == LOCALHOST:
+        say("for a browser of this computer; for a phone see: rossec console --help, --lan")
+    say("works once, within 2 minutes; another one: rossec console phone")
 
 
 def _wait(home: AuthorityHome, known: dict[bytes, str]) -> str:
@@ -105,23 +90,6 @@ def _wait(home: AuthorityHome, known: dict[bytes, str]) -> str:
                 return f"{printable(name)} is set up"
         time.sleep(_PERIOD)
     return "the code is over, and set up no phone"
-
-
-def show(environment: Environment, *, everything: bool, as_json: bool) -> None:
-    """Show the phones that can approve, or every one there was."""
-    with closing(AuthorityHome.at(environment.home).store()) as store:
-        found = store.passkeys.all() if everything else store.passkeys.active()
-        ended, used = store.passkeys.ended(), _last_used(store)
-    if as_json:
-        say_json([_summary(each, used, ended) for each in found])
-        return
-    for each in found:
-        at = used.get(each.id)
-        last = f"approved last {format_time(at)}" if at else "has approved nothing"
-        end = f"  removed: {ended[each.id]}" if each.id in ended else ""
-        say(printable(f"{each.name}  since {format_time(each.at)}  {last}  {each.origin}{end}"))
-    if not found:
-        say("no phone can approve; next: rossec console phone")
 
 
 @click.command()
@@ -142,22 +110,6 @@ def remove(environment: Environment, name: str, reason: str) -> None:
     say(f"{printable(name)} can approve nothing any more")
     if ended:
         say(f"what it approved and was not done yet comes to nothing: {ended}")
-
-
-def _last_used(store: Store) -> dict[bytes, int]:
-    return {each.passkey: each.at for each in store.approvals.all()}
-
-
-def _summary(passkey: Passkey, used: dict[bytes, int], ended: dict[bytes, str]) -> dict[str, object]:
-    return {
-        "id": passkey.id.hex(),
-        "name": passkey.name,
-        "since": passkey.at,
-        "approved_last": used.get(passkey.id),
-        "origin": passkey.origin,
-        "added_by": passkey.approval.hex(),
-        "ended": ended.get(passkey.id),
-    }
 
 
 @click.command()
@@ -214,3 +166,35 @@ def _line(item: dict[str, object]) -> str:
     result = f" ({item['result']})" if item["result"] else ""
     head = f"{str(item['id'])[:8]}  {time}  {item['phone']}"
     return f"{head}  {item['what']}: {item['state']}{result}"
+
+
+def show(environment: Environment, *, everything: bool, as_json: bool) -> None:
+    with closing(AuthorityHome.at(environment.home).store()) as store:
+        found = store.passkeys.all() if everything else store.passkeys.active()
+        ended, used = store.passkeys.ended(), _last_used(store)
+    if as_json:
+        say_json([_summary(each, used, ended) for each in found])
+        return
+    for each in found:
+        at = used.get(each.id)
+        last = f"approved last {format_time(at)}" if at else "has approved nothing"
+        end = f"  removed: {ended[each.id]}" if each.id in ended else ""
+        say(printable(f"{each.name}  since {format_time(each.at)}  {last}  {each.origin}{end}"))
+    if not found:
+        say("no phone can approve; next: rossec console phone")
+
+
+def _last_used(store: Store) -> dict[bytes, int]:
+    return {each.passkey: each.at for each in store.approvals.all()}
+
+
+def _summary(passkey: Passkey, used: dict[bytes, int], ended: dict[bytes, str]) -> dict[str, object]:
+    return {
+        "id": passkey.id.hex(),
+        "name": passkey.name,
+        "since": passkey.at,
+        "approved_last": used.get(passkey.id),
+        "origin": passkey.origin,
+        "added_by": passkey.approval.hex(),
+        "ended": ended.get(passkey.id),
+    }

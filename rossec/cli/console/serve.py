@@ -6,7 +6,7 @@ import socket
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, nullcontext
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 from rossec.authority.console.messages import SOCKET
 from rossec.authority.home import AuthorityHome
@@ -16,8 +16,8 @@ from rossec.cli.shared.context import Environment, now
 from rossec.console.listening import only_console, write_address
 from rossec.console.options import HAND_OUT_PORT, Endpoint, Options, check_origin, read_options
 from rossec.console.tls.certificates import DIRECTORY, TlsSetup, prepare_tls, renewed_from
-from rossec.console.tls.own_authority import TlsAuthority, describe
 from rossec.console.tls.own_authority import as_json as described
+from rossec.console.tls.own_authority import describe
 from rossec.errors import ConfigurationError
 from rossec.host.runner import READY, STOPPING, log_as_json, notify
 from rossec.terminal import say, say_block, say_json
@@ -29,11 +29,6 @@ _LIBRARIES: Final = ("fido2", "jinja2", "starlette", "uvicorn")
 
 
 def check_libraries() -> None:
-    """Return if the libraries of the extra are there.
-
-    Raises:
-        ConfigurationError: one is missing.
-    """
     missing = [name for name in _LIBRARIES if find_spec(name) is None]
     if missing:
         raise ConfigurationError(
@@ -42,24 +37,12 @@ def check_libraries() -> None:
         )
 
 
-class Form(NamedTuple):
-    """How it reports: the form of its log, and whether it says that it is ready as JSON."""
-
-    log: str
-    as_json: bool
-
-
-def serve(environment: Environment, options: Options, form: Form, *, rename: bool) -> None:
-    """Run the console until it is interrupted.
-
-    Raises:
-        ConfigurationError: a library or the service is missing, it cannot listen, or phones know
-            it by another address and `rename` was not given.
-    """
+def serve(environment: Environment, options: Options, *, rename: bool, log: str, as_json: bool) -> None:
+    """Run the console until it is interrupted; `log` is the form of its log."""
     check_libraries()
     from rossec.console.server.supervisor import WebOptions, settings_for, supervise  # noqa: PLC0415 - extra
 
-    if form.log == "json":
+    if log == "json":
         log_as_json()
     endpoint = read_options(options, socket.gethostname())
     home = AuthorityHome.at(environment.home)
@@ -67,12 +50,12 @@ def serve(environment: Environment, options: Options, form: Form, *, rename: boo
         check_origin(endpoint, _origins_of_phones(home), rename=rename)
     setup = prepare_tls(endpoint, home.path / DIRECTORY, now(), rename=rename)
     with closing(running_service(home)) as client, _ending(home, environment, endpoint):
-        web = WebOptions(settings_for(endpoint, home.domain), home.path / SOCKET, form.log)
+        web = WebOptions(settings_for(endpoint, home.domain), home.path / SOCKET, log)
 
         def ready() -> None:
             if not endpoint.read_only:  # the codes of `rossec console phone` are for the other one
                 write_address(home.path, endpoint.origin)
-            _say_ready(client, endpoint, setup, as_json=form.as_json)
+            _say_ready(client, endpoint, setup, as_json=as_json)
             notify(READY, environment.variables)
 
         certificates = None if setup is None else renewed_from(setup.source, now)
@@ -88,6 +71,11 @@ def _preview(environment: Environment) -> "PreviewProcess":
     return PreviewProcess({**environment.variables, "ROSSEC_HOME": str(environment.home)})
 
 
+def _origins_of_phones(home: AuthorityHome) -> set[str]:
+    with closing(home.store()) as store:
+        return {passkey.origin for passkey in store.passkeys.active()}
+
+
 @contextmanager
 def _ending(home: AuthorityHome, environment: Environment, endpoint: Endpoint) -> Iterator[None]:
     with nullcontext() if endpoint.read_only else only_console(home.path):
@@ -95,11 +83,6 @@ def _ending(home: AuthorityHome, environment: Environment, endpoint: Endpoint) -
             yield
         finally:
             notify(STOPPING, environment.variables)
-
-
-def _origins_of_phones(home: AuthorityHome) -> set[str]:
-    with closing(home.store()) as store:
-        return {passkey.origin for passkey in store.passkeys.active()}
 
 
 @contextmanager
@@ -123,19 +106,14 @@ def _say_ready(
         about = {} if authority is None else {"tls": described(authority)}
         say_json({"ready": endpoint.origin, "login": address, "process": os.getpid(), **about})
         return
-    if authority is not None:
-        _say_authority(endpoint, authority)
+    if authority is not None:  # what a person needs whose phone does not trust it yet
+        for line in describe(authority, now()):
+            say(line)
+        if endpoint.hand_out:
+            say("for ten minutes a phone gets the certificate, and how to install it, at")
+            say(f"    http://{endpoint.name}:{HAND_OUT_PORT}/")
+            say_block("compare the fingerprint before you trust it: that page is not protected\n")
+        else:
+            say("a phone that does not trust it yet: start with --hand-out")
     show_code(address)
     say(f"the console is at {endpoint.origin}; Ctrl-C ends it")
-
-
-def _say_authority(endpoint: Endpoint, authority: TlsAuthority) -> None:
-    # What a person needs whose phone does not trust the authority yet.
-    for line in describe(authority, now()):
-        say(line)
-    if not endpoint.hand_out:
-        say("a phone that does not trust it yet: start with --hand-out")
-        return
-    say("for ten minutes a phone gets the certificate, and how to install it, at")
-    say(f"    http://{endpoint.name}:{HAND_OUT_PORT}/")
-    say_block("compare the fingerprint before you trust it: that page is not protected\n")

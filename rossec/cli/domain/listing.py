@@ -21,7 +21,9 @@ from rossec.terminal import printable, say, say_json
 def list_(environment: Environment, everything: bool, in_json: bool) -> None:
     """List the foreign domains that are trusted."""
     with closing(AuthorityHome.at(environment.home).store()) as store:
-        rows = _newest(store.domains.all()) if everything else store.domains.accepted()
+        rows = store.domains.accepted()
+        if everything:
+            rows = list({(row.label, row.root): row for row in store.domains.all()}.values())
         states = [(row, _state(store, row)) for row in rows]
     if in_json:
         say_json([{**trust.as_json(row.read()), "state": state} for row, state in states])
@@ -58,10 +60,6 @@ def show(environment: Environment, label: str, in_json: bool) -> None:
         say(printable(f"  removed {format_time(ended)}{f': {reason}' * bool(reason)}"))
     else:
         say("  whether it trusts this domain too, the master knows: rossec federation status")
-
-
-def _newest(rows: list[DomainRow]) -> list[DomainRow]:
-    return list({(row.label, row.root): row for row in rows}.values())
 
 
 def _state(store: Store, row: DomainRow) -> str:

@@ -1,13 +1,4 @@
-"""The terms of a foreign domain as options and as lines of text.
-
-The list of domains, given to the master by the commands that change it.
-
-`rossec domain card`: the file that another authority accepts, and the code that fits it.
-
-`rossec domain accept`: show the card of another domain, ask, and trust it so far.
-
-`rossec domain limit | remove`: trust a domain differently, or no more.
-"""
+"""`rossec domain card | accept | limit | remove`: how far, and until when, a foreign domain is trusted."""
 
 import sys
 from collections.abc import Callable, Iterable, Iterator
@@ -38,7 +29,7 @@ from rossec.authority.domain_operations import living_grants
 from rossec.authority.home import AuthorityHome, fingerprint, format_fingerprint
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
-from rossec.cli.shared.context import Duration, confirm, now
+from rossec.cli.shared.context import confirm, now
 from rossec.cli.shared.options import json_result
 from rossec.cli.shared.service import pass_service, publish_list
 from rossec.clock import format_time
@@ -54,147 +45,12 @@ MAX_DAYS: Final = 10 * 366
 _RIGHTS: Final = {right.label: right for right in Right} | {"all": ALL_RIGHTS}
 _RULE: Final = "'/robot/** subscribe', '/door/open call'; or everything, or nothing"
 _UNITS: Final = ((86400, "d"), (3600, "h"), (60, "m"))
-
 admit = click.option(
     "--admit",
     multiple=True,
     metavar="PATTERN",
     help="nodes of it that may connect; its masters and relays may as well",
 )
-
-
-def fresh(default: str | None) -> Callable[..., Any]:
-    """Add `--fresh` to a command."""
-    return click.option(
-        "--fresh",
-        type=Duration(MOST_FRESH // 86400),
-        default=default,
-        show_default=True,
-        help="how old its last word on its revocations may be",
-    )
-
-
-def lifetime(default: str | None) -> Callable[..., Any]:
-    """Add `--for` to a command."""
-    return click.option(
-        "--for",
-        "lifetime",
-        type=Duration(MAX_DAYS),
-        default=default,
-        show_default=True,
-        help="how long it is trusted, from now on",
-    )
-
-
-def rules(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add `--export` and `--import` to a command."""
-    for option, name, what in (
-        ("--import", "imported", "taken from it into the graph here"),
-        ("--export", "exported", "shown to it, where grants allow it too"),
-    ):
-        command = click.option(
-            option, name, multiple=True, metavar="RULE", help=f"{what}: PATTERN RIGHT[,RIGHT]"
-        )(command)
-    return command
-
-
-def check_fresh(seconds: int) -> int:
-    """Return `seconds` if a domain's word may be so old.
-
-    Raises:
-        ConfigurationError: it is too short.
-    """
-    if seconds < LEAST_FRESH:
-        raise ConfigurationError(
-            f"--fresh {seconds}s is too short", f"masters ask every 10 s: at least {LEAST_FRESH}s"
-        )
-    return seconds
-
-
-def admitted(patterns: Iterable[str]) -> tuple[str, ...]:
-    """The patterns that are admitted: those given, masters and relays; each once, sorted."""
-    return tuple(sorted({*map(check_pattern, patterns), *OF_MASTERS, *OF_RELAYS}))
-
-
-def read_rules(texts: tuple[str, ...]) -> tuple[NameRights, ...] | None:
-    """The rules of an export or import; None: no rule, and so no limit.
-
-    Raises:
-        ConfigurationError: not `PATTERN RIGHT[,RIGHT]`.
-        PatternRefused: not a pattern.
-    """
-    if texts == (EVERYTHING,):
-        return None
-    return () if texts == (NOTHING,) else tuple(sorted(map(_rule, texts)))
-
-
-def _rule(text: str) -> NameRights:
-    pattern, _, listed = text.strip().partition(" ")
-    bits = Right(0)
-    for label in listed.replace(",", " ").split():
-        if label not in _RIGHTS:
-            raise ConfigurationError(f"{label!a} is not a right", f"one of {', '.join(_RIGHTS)}")
-        bits |= _RIGHTS[label]
-    if not bits:
-        raise ConfigurationError(f"{text!a} is not a pattern and its rights", f"as in {_RULE}")
-    return check_pattern(pattern), int(bits)
-
-
-def lines(terms: ForeignDomain) -> Iterator[str]:
-    """The terms for people."""
-    yield f"  fingerprint {fingerprint(terms.anchor)}"
-    yield f"  admits {_admitted(terms.admitted)}"
-    yield f"  until {format_time(terms.until)}"
-    yield f"  its word on its revocations may be {duration(terms.fresh)} old"
-    for what, given in (("shown to it", terms.exported), ("taken from it", terms.imported)):
-        if given is None:
-            yield f"  {what}: whatever grants allow"
-        else:
-            said = (f"{pattern} ({Right(bits).label})" for pattern, bits in given)
-            yield f"  {what}: {', '.join(said) or NOTHING}"
-
-
-def _admitted(patterns: tuple[str, ...]) -> str:
-    kinds = {"masters": OF_MASTERS, "relays": OF_RELAYS}
-    nodes = [each for each in patterns if each not in {*OF_MASTERS, *OF_RELAYS}]
-    whole = [word for word, names in kinds.items() if {*names} <= {*patterns}]
-    return (", ".join(nodes) or "no node") + (f", and its {' and '.join(whole)}" if whole else "")
-
-
-def as_json(terms: ForeignDomain) -> dict[str, Any]:
-    """The terms for programs."""
-    return {
-        "label": terms.label,
-        "domain": terms.domain,
-        "fingerprint": terms.anchor.thumbprint.hex(),
-        "admitted": [*terms.admitted],
-        "fresh": terms.fresh,
-        "until": terms.until,
-        "exported": _rules_json(terms.exported),
-        "imported": _rules_json(terms.imported),
-    }
-
-
-def duration(seconds: int) -> str:
-    """Seconds as an option takes them: `1h`, `90s`."""
-    for size, unit in _UNITS:
-        if seconds % size == 0:
-            return f"{seconds // size}{unit}"
-    return f"{seconds}s"
-
-
-def _rules_json(given: tuple[NameRights, ...] | None) -> list[dict[str, Any]] | None:
-    if given is None:
-        return None
-    return [{"pattern": pattern, "rights": [right.label for right in Right(bits)]} for pattern, bits in given]
-
-
-def publish_domains(service: AuthorityService) -> None:
-    """Deliver the list of domains that was signed just now, and say so."""
-    record(published=False)
-    service.publish_domains()
-    record(published=True)
-    say("the master has the new list of domains")
 
 
 @click.command()
@@ -210,13 +66,8 @@ def publish_domains(service: AuthorityService) -> None:
     help="your nodes that shall be admitted there",
 )
 @click.option("--at", "masters", multiple=True, metavar="URI", help="where they reach your master")
-@click.option(
-    "--for",
-    "lifetime",
-    type=Duration(MAX_CARD_LIFETIME // 86400),
-    default="7d",
-    show_default=True,
-    help="how long it can be accepted",
+@options.duration(
+    "--for", "lifetime", days=MAX_CARD_LIFETIME // 86400, default="7d", text="how long it can be accepted"
 )
 @click.option("--qr", "picture", is_flag=True, help="also show its code as a picture, on stderr")
 @json_result()
@@ -248,6 +99,27 @@ def card(
     note("that lets your nodes in there; for theirs here, accept their card: it is two-sided")
 
 
+def lifetime(default: str | None) -> Callable[..., Any]:
+    text = "how long it is trusted, from now on"
+    return options.duration("--for", "lifetime", days=MAX_DAYS, default=default, text=text)
+
+
+def fresh(default: str | None) -> Callable[..., Any]:
+    text = "how old its last word on its revocations may be"
+    return options.duration("--fresh", days=MOST_FRESH // 86400, default=default, text=text)
+
+
+def rules(command: Callable[..., Any]) -> Callable[..., Any]:
+    for option, name, what in (
+        ("--import", "imported", "taken from it into the graph here"),
+        ("--export", "exported", "shown to it, where grants allow it too"),
+    ):
+        command = click.option(
+            option, name, multiple=True, metavar="RULE", help=f"{what}: PATTERN RIGHT[,RIGHT]"
+        )(command)
+    return command
+
+
 @click.command()
 @click.argument("card", type=options.FILE)
 @click.option("--as", "label", help="what it is called here, for example hospital")
@@ -256,11 +128,7 @@ def card(
 @lifetime("365d")
 @rules
 @click.option("--code", help="the code that its authority shows (rossec domain card)")
-@click.option(
-    "--image",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False, allow_dash=True),
-    help="read the code from this picture; - is standard input",
-)
+@options.image
 @click.option("--fingerprint", "expected", help="the fingerprint that its authority has told you")
 @options.master_uri
 @click.option("--yes", is_flag=True, help="do not ask")
@@ -286,6 +154,7 @@ def accept(
     that are admitted may then connect and say who they are; what they may do is up to grants. By
     default the names are admitted that the card asks for. Accepting it again changes the terms.
     """
+    # 1. The card is the one that was meant, as far as that can be checked here.
     home, data = service.home, files.read(card, MAX_CARD)
     if image is not None:
         code = code_in_file(image, sys.stdin.buffer)
@@ -303,14 +172,36 @@ def accept(
         read_rules(exported) if exported else None,
         read_rules(imported) if imported else None,
     )
-    _check_apart(home, domain)
+    # 2. What would be refused when it is signed, before a person compares and answers.
+    if domain.domain == home.domain:
+        raise ConfigurationError(
+            f"this is the card of {home.domain}, the own domain",
+            "accept the card that the other authority wrote",
+        )
+    for row in home.store().domains.accepted():
+        check_domains_apart(row, domain.domain, domain.label, domain.anchor.thumbprint)
+    # 3. A person compares.
     _show(home, domain, found, is_checked=code is not None or expected is not None)
     confirm("trust this domain so far?", yes=yes)
     listed = service.accept_domain(domain)
     record(**as_json(domain), list=listed.seq)
     say(f"{domain.domain} is trusted as {domain.label} (list of domains {listed.seq})")
-    _say_what_is_next(home, domain, found)
+    note(f"this is one way: until {domain.label} accepts you too, connections with it fail there")
+    note(f"  here: rossec domain card --out {home.domain}.card")
+    note(f"  there: rossec domain accept {home.domain}.card --as LABEL")
+    for uri in found.masters[:1]:
+        note(printable(f"your master follows theirs: rossec federation add {uri} --as {domain.label}"))
+    note(f"its nodes may do nothing yet: rossec grant sign {domain.label}:/NODE --certificate FILE")
     publish_domains(service)
+
+
+def _check_fingerprint(card: Card, expected: str | None) -> None:
+    shown = format_fingerprint(card.anchor.thumbprint)
+    if expected is not None and "".join(expected.lower().split()) != shown.replace(" ", ""):
+        raise ConfigurationError(
+            f"the fingerprint of the card is {shown}",
+            "it is another authority's: ask yours for its card again, and trust no other",
+        )
 
 
 def _label(home: AuthorityHome, card: Card, given: str | None) -> str:
@@ -326,24 +217,36 @@ def _label(home: AuthorityHome, card: Card, given: str | None) -> str:
         raise ConfigurationError(f"domain {domain} needs a name here", "for example: --as hospital") from None
 
 
-def _check_apart(home: AuthorityHome, domain: ForeignDomain) -> None:
-    # What would be refused when it is signed, before a person compares and answers.
-    if domain.domain == home.domain:
-        raise ConfigurationError(
-            f"this is the card of {home.domain}, the own domain",
-            "accept the card that the other authority wrote",
-        )
-    for row in home.store().domains.accepted():
-        check_domains_apart(row, domain.domain, domain.label, domain.anchor.thumbprint)
+def admitted(patterns: Iterable[str]) -> tuple[str, ...]:
+    """The patterns that are admitted: those given, masters and relays; each once, sorted."""
+    return tuple(sorted({*map(check_pattern, patterns), *OF_MASTERS, *OF_RELAYS}))
 
 
-def _check_fingerprint(card: Card, expected: str | None) -> None:
-    shown = format_fingerprint(card.anchor.thumbprint)
-    if expected is not None and "".join(expected.lower().split()) != shown.replace(" ", ""):
+def check_fresh(seconds: int) -> int:
+    if seconds < LEAST_FRESH:
         raise ConfigurationError(
-            f"the fingerprint of the card is {shown}",
-            "it is another authority's: ask yours for its card again, and trust no other",
+            f"--fresh {seconds}s is too short", f"masters ask every 10 s: at least {LEAST_FRESH}s"
         )
+    return seconds
+
+
+def read_rules(texts: tuple[str, ...]) -> tuple[NameRights, ...] | None:
+    """The rules of an export or import; None: no rule, and so no limit."""
+    if texts == (EVERYTHING,):
+        return None
+    return () if texts == (NOTHING,) else tuple(sorted(map(_rule, texts)))
+
+
+def _rule(text: str) -> NameRights:
+    pattern, _, listed = text.strip().partition(" ")
+    bits = Right(0)
+    for label in listed.replace(",", " ").split():
+        if label not in _RIGHTS:
+            raise ConfigurationError(f"{label!a} is not a right", f"one of {', '.join(_RIGHTS)}")
+        bits |= _RIGHTS[label]
+    if not bits:
+        raise ConfigurationError(f"{text!a} is not a pattern and its rights", f"as in {_RULE}")
+    return check_pattern(pattern), int(bits)
 
 
 def _show(home: AuthorityHome, domain: ForeignDomain, card: Card, *, is_checked: bool) -> None:
@@ -362,14 +265,58 @@ def _show(home: AuthorityHome, domain: ForeignDomain, card: Card, *, is_checked:
     )
 
 
-def _say_what_is_next(home: AuthorityHome, domain: ForeignDomain, card: Card) -> None:
-    note(f"this is one way: until {domain.label} accepts you too, connections with it fail there")
-    note(f"  here: rossec domain card --out {home.domain}.card")
-    note(f"  there: rossec domain accept {home.domain}.card --as LABEL")
-    for uri in card.masters[:1]:
-        follow = f"rossec federation add {uri} --as {domain.label}"
-        note(printable(f"your master follows theirs: {follow}"))
-    note(f"its nodes may do nothing yet: rossec grant sign {domain.label}:/NODE --certificate FILE")
+def lines(terms: ForeignDomain) -> Iterator[str]:
+    yield f"  fingerprint {fingerprint(terms.anchor)}"
+    yield f"  admits {_admitted(terms.admitted)}"
+    yield f"  until {format_time(terms.until)}"
+    yield f"  its word on its revocations may be {duration(terms.fresh)} old"
+    for what, given in (("shown to it", terms.exported), ("taken from it", terms.imported)):
+        if given is None:
+            yield f"  {what}: whatever grants allow"
+        else:
+            said = (f"{pattern} ({Right(bits).label})" for pattern, bits in given)
+            yield f"  {what}: {', '.join(said) or NOTHING}"
+
+
+def _admitted(patterns: tuple[str, ...]) -> str:
+    kinds = {"masters": OF_MASTERS, "relays": OF_RELAYS}
+    nodes = [each for each in patterns if each not in {*OF_MASTERS, *OF_RELAYS}]
+    whole = [word for word, names in kinds.items() if {*names} <= {*patterns}]
+    return (", ".join(nodes) or "no node") + (f", and its {' and '.join(whole)}" if whole else "")
+
+
+def duration(seconds: int) -> str:
+    """Seconds as an option takes them: `1h`, `90s`."""
+    for size, unit in _UNITS:
+        if seconds % size == 0:
+            return f"{seconds // size}{unit}"
+    return f"{seconds}s"
+
+
+def as_json(terms: ForeignDomain) -> dict[str, Any]:
+    return {
+        "label": terms.label,
+        "domain": terms.domain,
+        "fingerprint": terms.anchor.thumbprint.hex(),
+        "admitted": [*terms.admitted],
+        "fresh": terms.fresh,
+        "until": terms.until,
+        "exported": _rules_json(terms.exported),
+        "imported": _rules_json(terms.imported),
+    }
+
+
+def _rules_json(given: tuple[NameRights, ...] | None) -> list[dict[str, Any]] | None:
+    if given is None:
+        return None
+    return [{"pattern": pattern, "rights": [right.label for right in Right(bits)]} for pattern, bits in given]
+
+
+def publish_domains(service: AuthorityService) -> None:
+    record(published=False)
+    service.publish_domains()
+    record(published=True)
+    say("the master has the new list of domains")
 
 
 @click.command()

@@ -3,7 +3,7 @@
 import asyncio
 import logging
 from collections.abc import Sequence
-from contextlib import AsyncExitStack, ExitStack, suppress
+from contextlib import AsyncExitStack, suppress
 from functools import partial
 from typing import Final
 
@@ -27,18 +27,12 @@ _log = logging.getLogger("rossec.gateway")
 
 
 def run(environment: Environment, rules: Sequence[TopicRule], *, as_json: bool) -> None:
-    """Run the gateway of this host.
-
-    Raises:
-        HintedError: it cannot start, or a part of it has failed.
-    """
     name = own_gateway(environment.variables)
     home = NodeHome.of(environment.home, name)
     home.anchor()  # before anything is written there
     busy = ConfigurationError(f"{name} runs already", "end it first, or take another --name")
     raise_descriptor_limit()
-    with ExitStack() as stack:
-        stack.enter_context(process_lock(home.path / LOCK, busy))
+    with process_lock(home.path / LOCK, busy):
         asyncio.run(_serve(environment, name, home, rules, as_json=as_json))
 
 
@@ -55,7 +49,11 @@ async def _serve(
         admin = AdminPort(home.path / ADMIN_SOCKET, {"status": partial(status, serving, name)})
         await admin.start()
         try:
-            _say_ready(node, rules, as_json=as_json)
+            if as_json:
+                say_json({"ready": node.name})
+            else:
+                labels = ", ".join(dict.fromkeys(each.label for each in rules))
+                say(printable(f"gateway {node.name} serves topics of {labels}"))
             notify(READY, environment.variables)
             await until_first_ends(serving.run(), node.wait_ended(), stop.wait())
             notify(STOPPING, environment.variables)
@@ -98,11 +96,3 @@ def _check_origins(node: Node, rules: Sequence[TopicRule]) -> None:
                 f" {node.home.path.name}.pem --subscribe {pattern} --out FILE;"
                 " here: rossec grant install FILE"
             )
-
-
-def _say_ready(node: Node, rules: Sequence[TopicRule], *, as_json: bool) -> None:
-    if as_json:
-        say_json({"ready": node.name})
-        return
-    labels = ", ".join(dict.fromkeys(each.label for each in rules))
-    say(printable(f"gateway {node.name} serves topics of {labels}"))

@@ -37,12 +37,7 @@ class _Group:
 
 
 def split(words: Sequence[str]) -> tuple[tuple[TopicRule, ...], list[str]]:
-    """The rules in a command line, and its other words.
-
-    Raises:
-        click.UsageError: a word is missing, or a rate is not a number.
-        ConfigurationError: a label, pattern or rate is wrong.
-    """
+    """The rules in a command line, and its other words."""
     groups, rest, left = list[_Group](), list[str](), iter(words)
     current: _Group | None = None
     for word in left:

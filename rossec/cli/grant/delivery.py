@@ -1,11 +1,5 @@
-"""`rossec grant list | deliver`: the grants that were signed, and whether their nodes have them.
+"""`rossec grant list | deliver | show | install | revoke`, `rossec master delegate`: signed grants."""
 
-`rossec grant show | install | revoke`: one grant that was signed.
-
-`rossec master delegate`: let the master renew grants in place of the authority.
-"""
-
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
@@ -20,7 +14,7 @@ from rossec import terminal
 from rossec.authority.grant_operations import require_delivered
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
-from rossec.cli.shared.context import Duration, Environment, now, pass_environment
+from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import holder_home, open_held, read_token
 from rossec.cli.shared.options import Batch, json_result, unique
 from rossec.cli.shared.service import pass_service, publish_list, remind_to_publish, say_deposited, service_of
@@ -32,6 +26,7 @@ from rossec.terminal import note, printable, record, say, say_json
 
 _OVER = ("expired", "revoked")
 _STATES = {"held": "held", "fetched": "delivered", "waiting": "waiting", "": "undelivered"}
+DAY: Final = 86400
 
 
 @click.command("list")
@@ -52,7 +47,13 @@ def list_(environment: Environment, nodes: tuple[str, ...], as_json: bool, maste
     store = service.home.store()
     grants = [document.peek(row.data) for row in store.grants() if not nodes or row.name in nodes]
     revoked = store.revoked_entries()
-    states = {grant.id: _ended(grant, revoked) for grant in grants}
+    at = now()
+    states = {
+        grant.id: "revoked"
+        if not revoked.isdisjoint((grant.id, grant.holder))
+        else "expired" * (at >= grant.cap)
+        for grant in grants
+    }
     if not all(states.values()):
         _complete(service, grants, states)
     grants.sort(key=lambda grant: _place(grant, states[grant.id]))
@@ -61,6 +62,58 @@ def list_(environment: Environment, nodes: tuple[str, ...], as_json: bool, maste
         return
     for grant in grants:
         say(_line(grant, states[grant.id]))
+
+
+def _complete(service: AuthorityService, grants: list[Grant], states: dict[bytes, str]) -> None:
+    answered, reason = dict[bytes, str](), ""
+    try:
+        answered = dict(service.delivery_states())
+    except (NotDelivered, ConfigurationError) as error:
+        reason = str(error)
+    for grant in grants:
+        if states[grant.id]:
+            continue
+        states[grant.id] = _STATES.get(answered.get(grant.id, "?"), "unknown")
+        here = NodeHome.of(service.rossec_home, grant.subject).grant_file(grant.id).exists()
+        if here and states[grant.id] != "held":
+            states[grant.id] = "delivered"
+    if reason and "unknown" in states.values():
+        note(f"whether nodes have their grants is unknown: {reason}")
+
+
+def _place(grant: Grant, state: str) -> tuple[object, ...]:
+    foreign = is_alias(grant.subject)
+    return foreign, grant.subject, state in _OVER, -grant.expires, -grant.not_before, grant.id
+
+
+def _summary(grant: Grant, revoked: frozenset[bytes], state: str) -> dict[str, object]:
+    return {
+        "id": grant.id.hex(),
+        "node": grant.subject,
+        "not_before": grant.not_before,
+        "expires": grant.expires,
+        "revoked": grant.id in revoked,
+        "state": state,
+        "permissions": permissions_json(grant),
+    }
+
+
+def permissions_json(grant: Grant) -> list[dict[str, object]]:
+    return [
+        {
+            "rights": item.rights.label,
+            "pattern": item.pattern,
+            "restrictions": item.restriction.lines() if item.restriction else [],
+        }
+        for item in grant.permissions
+    ]
+
+
+def _line(grant: Grant, state: str) -> str:
+    given = (f"{item.rights.label} {item.pattern}" for item in grant.permissions)
+    rights = "; ".join(dict.fromkeys(given))  # a right may have several restrictions
+    end = f"until {format_time(grant.expires)}"
+    return f"{grant.id.hex()}  {shown(grant.subject)}  {rights}  {end}  {terminal.state(state)}"
 
 
 @click.command()
@@ -78,68 +131,6 @@ def deliver(environment: Environment, master_uri: str | None) -> None:
     if not count and not refused:
         say("the master has every grant in force")
     require_delivered(refused)
-
-
-def _place(grant: Grant, state: str) -> tuple[object, ...]:
-    foreign = is_alias(grant.subject)
-    return foreign, grant.subject, state in _OVER, -grant.expires, -grant.not_before, grant.id
-
-
-def _ended(grant: Grant, revoked: frozenset[bytes]) -> str:
-    if not revoked.isdisjoint((grant.id, grant.holder)):
-        return "revoked"
-    return "expired" if now() >= grant.cap else ""
-
-
-def _complete(service: AuthorityService, grants: list[Grant], states: dict[bytes, str]) -> None:
-    answered, reason = _ask_master(service)
-    for grant in grants:
-        if states[grant.id]:
-            continue
-        states[grant.id] = _STATES.get(answered.get(grant.id, "?"), "unknown")
-        here = NodeHome.of(service.rossec_home, grant.subject).grant_file(grant.id).exists()
-        if here and states[grant.id] != "held":
-            states[grant.id] = "delivered"
-    if reason and "unknown" in states.values():
-        note(f"whether nodes have their grants is unknown: {reason}")
-
-
-def _ask_master(service: AuthorityService) -> tuple[Mapping[bytes, str], str]:
-    try:
-        return service.delivery_states(), ""
-    except (NotDelivered, ConfigurationError) as error:
-        return {}, str(error)
-
-
-def _summary(grant: Grant, revoked: frozenset[bytes], state: str) -> dict[str, object]:
-    return {
-        "id": grant.id.hex(),
-        "node": grant.subject,
-        "not_before": grant.not_before,
-        "expires": grant.expires,
-        "revoked": grant.id in revoked,
-        "state": state,
-        "permissions": permissions_json(grant),
-    }
-
-
-def permissions_json(grant: Grant) -> list[dict[str, object]]:
-    """The permissions of a grant for programs."""
-    return [
-        {
-            "rights": item.rights.label,
-            "pattern": item.pattern,
-            "restrictions": item.restriction.lines() if item.restriction else [],
-        }
-        for item in grant.permissions
-    ]
-
-
-def _line(grant: Grant, state: str) -> str:
-    given = (f"{item.rights.label} {item.pattern}" for item in grant.permissions)
-    rights = "; ".join(dict.fromkeys(given))  # a right may have several restrictions
-    end = f"until {format_time(grant.expires)}"
-    return f"{grant.id.hex()}  {shown(grant.subject)}  {rights}  {end}  {terminal.state(state)}"
 
 
 @click.command()
@@ -222,24 +213,19 @@ def revoke(service: AuthorityService, grant_ids: tuple[str, ...], reason: str) -
     batch.finish()
 
 
-DAY: Final = 86400
-
-
 @click.command()
-@click.option(
+@options.duration(
     "--for",
     "lifetime",
-    type=Duration(MAX_DELEGATION // DAY),
+    days=MAX_DELEGATION // DAY,
     default="90d",
-    show_default=True,
-    help="how long the master may renew grants",
+    text="how long the master may renew grants",
 )
-@click.option(
+@options.duration(
     "--ticket",
-    type=Duration(MAX_TICKET // DAY),
+    days=MAX_TICKET // DAY,
     default="8h",
-    show_default=True,
-    help="how long a renewed grant holds before it is renewed again; at least a minute",
+    text="how long a renewed grant holds before it is renewed again; at least a minute",
 )
 @click.option(
     "--to",

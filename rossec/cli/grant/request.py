@@ -31,7 +31,7 @@ from rossec.terminal import note, printable, record, say, say_json
 _ASKABLE = ("publish", "subscribe", "call", "provide", "param-get", "param-set", "graph")
 
 
-def _wish_options(command: Callable[..., Any]) -> Callable[..., Any]:
+def _right_options(command: Callable[..., Any]) -> Callable[..., Any]:
     for label in reversed(_ASKABLE):
         text = f"ask for the right {label} on NAME; may be repeated"
         command = click.option(f"--{label}", multiple=True, metavar="NAME", help=text)(command)
@@ -40,7 +40,7 @@ def _wish_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @click.command()
 @click.argument("node")
-@_wish_options
+@_right_options
 @click.option("--why", required=True, help="the reason, for the person or policy that decides")
 @click.option("--out", type=click.Path(path_type=Path), help="write the request to this new file")
 @json_result()

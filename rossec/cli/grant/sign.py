@@ -1,11 +1,7 @@
-"""`rossec grant sign | presets`: what nodes may do, signed.
+"""`rossec grant sign | presets | narrow`: what nodes may do, and their options as permissions.
 
-The options of `rossec grant sign` as permissions: rights, conditions and filters.
-
-`rossec grant narrow`: a node hands a right of its own on to another node of its domain.
-
-Signed with the node's own key, in its home. Nothing is recorded at an authority: the chain is a
-file for the other node, and ends with each of its links.
+A grant is narrowed with the node's own key, in its home. Nothing is recorded at an authority: the
+chain is a file for another node, and ends with each of its links.
 """
 
 import contextlib
@@ -57,7 +53,6 @@ from rossec.terminal import printable, record, say
 _EXAMPLES: Final = (
     "for example --clear header.frame_id, --round pose.position=2.0, --when 'msg.header.frame_id == \"map\"'"
 )
-
 _RIGHTS: Final = {
     Right.PUBLISH: "may publish these topics",
     Right.SUBSCRIBE: "may subscribe to these topics",
@@ -68,6 +63,9 @@ _RIGHTS: Final = {
     Right.ADMIN: "may end these nodes and clean up after them",
 }
 _RESTRICTED: Final = Right.SUBSCRIBE | Right.CALL  # by conditions and filters given here
+MAX_DAYS: Final = 3650  # an authority's own certificate does not last longer
+MAX_NARROWED_DAYS: Final = 365
+_OVERHEAD: Final = 16  # of the array it is presented in
 
 
 def _once(_context: click.Context, _parameter: click.Parameter, given: tuple[Any, ...]) -> Any:
@@ -114,187 +112,23 @@ _RESTRICTING: Final = (
 )
 
 
-def wishes(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add every option for rights and their restrictions; `read` takes what they say."""
-    for option in reversed(_RESTRICTING):
-        command = option(command)
-    return rights(command)
-
-
-def own_pattern(text: str, node: str, *, tail: bool) -> str:
-    """The pattern that `{node}/pose` is for `node`; every other one is returned as it is.
-
-    Raises:
-        PatternRefused: not a pattern, or none for this node.
-    """
-    if not is_own_text(text):
-        return text
-    found = resolve(check_rule_pattern(text), node, tail=tail)
-    if found is None:
-        raise PatternRefused(f"{text[:80]!a} is no name of {node}", "its own authority grants it")
-    return found
-
-
-def read(said: Mapping[str, Any]) -> tuple[Permission, ...]:
-    """The permissions that the options of `wishes` say.
-
-    Raises:
-        ConfigurationError: no right is given, or an invalid parameter.
-        ConditionRefused, FilterRefused: a restriction that does not fit the message type.
-    """
-    filters = rules(said["clear"], said["rounds"], said["clamps"])
-    inside = restrictions(said["type_name"], filters, said["when"], said["rate"], said["preset_name"])
-    return permissions(patterns_by_right(said), graph=said["graph"], restricted=inside)
-
-
 def rights(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add an option for every right over names: `--publish`, `--param-get` and so on."""
     for right, help_text in reversed(_RIGHTS.items()):
         command = click.option(f"--{right.label}", multiple=True, metavar="PATTERN", help=help_text)(command)
     return command
 
 
-def for_node(said: Mapping[str, Any], node: str, tail: Callable[[], bool]) -> dict[str, Any]:
-    """What `wishes` say, with own names as those of `node`.
-
-    Args:
-        tail: asked only if there are own names: whether the node has a wildcard tail.
-
-    Raises:
-        PatternRefused: as `own_pattern`.
-    """
-    named = patterns_by_right(said)
-    if not any(is_own_text(each) for each in itertools.chain(*named.values())):
-        return dict(said)
-    has_tail = tail()
-    own = {
-        str(right.name).lower(): tuple(own_pattern(each, node, tail=has_tail) for each in patterns)
-        for right, patterns in named.items()
-    }
-    return {**said, **own}
-
-
-def is_own_text(text: str) -> bool:
-    """Whether it is meant as an own name, well-formed or not."""
-    return NODE in text or text.startswith("~")
-
-
-def patterns_by_right(options: Mapping[str, Any]) -> dict[Right, tuple[str, ...]]:
-    """The patterns given with these options, by right."""
-    return {right: options[str(right.name).lower()] for right in _RIGHTS}
-
-
-def rules(
-    clear: tuple[str, ...], rounds: tuple[str, ...], clamps: tuple[str, ...]
-) -> dict[str, dict[str, object]]:
-    """The filters, by field.
-
-    Raises:
-        ConfigurationError: an invalid parameter, or a field with two filters: one would be lost.
-    """
-    given: list[tuple[str, dict[str, object]]] = [(path, {"clear": True}) for path in clear]
-    given += [(path, {"round": {"step": step}}) for path, step in map(_rounding, rounds)]
-    given += [(path, {"clamp": {"low": low, "high": high}}) for path, low, high in map(_clamping, clamps)]
-    for path, times in Counter(path for path, _ in given).items():
-        if times > 1:
-            raise ConfigurationError(
-                f"{path}: {times} filters for one field", "one of --clear, --round and --clamp"
-            )
-    return dict(given)
-
-
-def restrictions(
-    type_name: str | None,
-    filters: dict[str, dict[str, object]],
-    when: tuple[str, ...],
-    rate: float | None,
-    preset_name: str | None,
-) -> list[Restriction]:
-    """Build the restrictions and compile them for the message type: mistakes show here."""
-    if not filters and not when and rate is None and preset_name is None:
-        return []
-    if type_name is None:
-        raise ConfigurationError("restrictions need the message type they are for", "add --type PKG/TYPE")
-    shape = parse(type_name, part_type(type_name).definition)
-    try:
-        made = [preset(preset_name).restriction(shape)] if preset_name is not None else []
-        if filters or when or rate is not None:
-            made.append(Restriction(type_name, when, filter_rules(filters), rate))
-        for restriction in made:
-            compile_filter(shape, restriction.filters)
-            for text in restriction.conditions:
-                compile_condition(shape, text)
-    except (ConditionRefused, FilterRefused) as error:
-        error.hint = error.hint or _EXAMPLES
-        raise
-    return made
-
-
-def permissions(
-    wanted: Mapping[Right, tuple[str, ...]], *, graph: bool, restricted: list[Restriction]
-) -> tuple[Permission, ...]:
-    """The permissions of the grant.
-
-    Raises:
-        ConfigurationError: no right is given, or no right that can be restricted.
-    """
-    made: list[Permission] = []
-    for right, patterns in wanted.items():
-        inside = restricted if right in _RESTRICTED and restricted else [None]
-        # all restrictions that cover a name hold together
-        made += [Permission(pattern, right, item) for pattern in patterns for item in inside]
-    if graph:
-        made.append(Permission("/**", Right.GRAPH))
-    if not made:
-        raise ConfigurationError(
-            "a grant that allows nothing", "add --publish, --subscribe, --call or another right"
-        )
-    if restricted and not any(item.restriction for item in made):
-        raise ConfigurationError(
-            "conditions and filters restrict what a subscriber sees and what a caller may ask",
-            "add --subscribe or --call",
-        )
-    return tuple(made)
-
-
-def _clamping(text: str) -> tuple[str, float, float]:
-    path, _, limits = text.partition("=")
-    low, _, high = limits.partition(":")
-    try:
-        return path, _number(low), _number(high)
-    except ValueError:
-        raise ConfigurationError(
-            f"--clamp {text} has no range", "for example --clamp ranges=0.5:10"
-        ) from None
-
-
-def _number(text: str) -> float:
-    # An integer where it is written so: integer fields accept no float.
-    try:
-        return int(text)
-    except ValueError:
-        return float(text)
-
-
-def _rounding(text: str) -> tuple[str, float]:
-    path, _, step = text.partition("=")
-    try:
-        return path, float(step)
-    except ValueError:
-        raise ConfigurationError(
-            f"--round {text} has no step", "for example --round pose.position=2.0"
-        ) from None
-
-
-MAX_DAYS: Final = 3650  # an authority's own certificate does not last longer
+def permission_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add every option for rights and their restrictions; `read_permissions` takes what they say."""
+    for option in reversed(_RESTRICTING):
+        command = option(command)
+    return rights(command)
 
 
 @click.command()
 @click.argument("node")
-@wishes
-@click.option(
-    "--for", "lifetime", type=Duration(MAX_DAYS), default="7d", show_default=True, help="how long it holds"
-)
+@permission_options
+@options.duration("--for", "lifetime", days=MAX_DAYS, default="7d", text="how long it holds")
 @click.option(
     "--renew-until",
     "renewal",
@@ -328,7 +162,7 @@ def sign(
     out: Path | None,
     may_narrow: int,
     certificate: Path | None,
-    **wishes: Any,
+    **said: Any,
 ) -> None:
     """Let NODE publish, subscribe, call and so on, under conditions and through filters.
 
@@ -339,11 +173,26 @@ def sign(
     verified below that domain's listed root, and the grant is a file that somebody carries there.
     """
     name = check_name(local_name(node))
-    _check_foreign(node, renewal, out, certificate, foreign=is_alias(name))
+    foreign = is_alias(name)
+    if not foreign:
+        if certificate is not None:
+            raise ConfigurationError(
+                f"{node} is a node of this domain, whose key is in the record",
+                "--certificate is for nodes of other domains: LABEL:/NAME",
+            )
+    elif renewal:
+        raise ConfigurationError(
+            "a grant for another domain is not renewed: its nodes ask another master",
+            "give the whole time: --for",
+        )
+    elif out is None:
+        raise ConfigurationError(
+            f"no master of this domain delivers to {node}", "give --out FILE, and carry it there"
+        )
     if out is not None:
         check_new(out)
-    wanted = for_node(wishes, name, lambda: _has_tail(service, name))
-    permissions = read(wanted)
+    wanted = for_node(said, name, lambda: _has_suffix(service, name))
+    permissions = read_permissions(wanted)
     pem = b"" if certificate is None else files.read(certificate, options.MAX_PEM)
     draft, data = service.sign_grant(name, permissions, lifetime, renewal, may_narrow, pem)
     record(id=document.grant_id(data).hex(), node=name, expires=draft.expires)
@@ -351,6 +200,152 @@ def sign(
     refused = deliver_grant(service, data, out)
     remind_to_publish(service)
     require_delivered(refused)
+
+
+def check_new(out: Path) -> None:
+    """Before anything is signed: a grant that cannot be written would exist nevertheless."""
+    if out.exists() or out.is_symlink():
+        raise ConfigurationError(f"{out} exists and is not overwritten", "give a new file")
+    if not out.parent.is_dir():
+        raise ConfigurationError(f"there is no directory {out.parent}", "make it first")
+
+
+def for_node(said: Mapping[str, Any], node: str, has_suffix: Callable[[], bool]) -> dict[str, Any]:
+    """What `permission_options` say, with own names as those of `node`.
+
+    Only if there are own names it is asked whether the node `has_suffix`: one for anonymous nodes.
+    """
+    named = patterns_by_right(said)
+    if not any(is_own_text(each) for each in itertools.chain(*named.values())):
+        return dict(said)
+    suffix = has_suffix()
+    own = {
+        str(right.name).lower(): tuple(own_pattern(each, node, tail=suffix) for each in patterns)
+        for right, patterns in named.items()
+    }
+    return {**said, **own}
+
+
+def patterns_by_right(options: Mapping[str, Any]) -> dict[Right, tuple[str, ...]]:
+    return {right: options[str(right.name).lower()] for right in _RIGHTS}
+
+
+def is_own_text(text: str) -> bool:
+    return NODE in text or text.startswith("~")
+
+
+def own_pattern(text: str, node: str, *, tail: bool) -> str:
+    """The pattern that `{node}/pose` is for `node`; every other one is returned as it is."""
+    if not is_own_text(text):
+        return text
+    found = resolve(check_rule_pattern(text), node, tail=tail)
+    if found is None:
+        raise PatternRefused(f"{text[:80]!a} is no name of {node}", "its own authority grants it")
+    return found
+
+
+def _has_suffix(service: AuthorityService, name: str) -> bool:
+    with contextlib.closing(service.home.store()) as store:
+        return not is_alias(name) and store.valid_certificate(name, now()).wildcard
+
+
+def permissions(
+    wanted: Mapping[Right, tuple[str, ...]], *, graph: bool, restricted: list[Restriction]
+) -> tuple[Permission, ...]:
+    made: list[Permission] = []
+    for right, patterns in wanted.items():
+        inside = restricted if right in _RESTRICTED and restricted else [None]
+        # all restrictions that cover a name hold together
+        made += [Permission(pattern, right, item) for pattern in patterns for item in inside]
+    if graph:
+        made.append(Permission("/**", Right.GRAPH))
+    if not made:
+        raise ConfigurationError(
+            "a grant that allows nothing", "add --publish, --subscribe, --call or another right"
+        )
+    if restricted and not any(item.restriction for item in made):
+        raise ConfigurationError(
+            "conditions and filters restrict what a subscriber sees and what a caller may ask",
+            "add --subscribe or --call",
+        )
+    return tuple(made)
+
+
+def read_permissions(said: Mapping[str, Any]) -> tuple[Permission, ...]:
+    """The permissions that the options say."""
+    filters = rules(said["clear"], said["rounds"], said["clamps"])
+    inside = restrictions(said["type_name"], filters, said["when"], said["rate"], said["preset_name"])
+    return permissions(patterns_by_right(said), graph=said["graph"], restricted=inside)
+
+
+def rules(
+    clear: tuple[str, ...], rounds: tuple[str, ...], clamps: tuple[str, ...]
+) -> dict[str, dict[str, object]]:
+    given: list[tuple[str, dict[str, object]]] = [(path, {"clear": True}) for path in clear]
+    given += [(path, {"round": {"step": step}}) for path, step in map(_rounding, rounds)]
+    given += [(path, {"clamp": {"low": low, "high": high}}) for path, low, high in map(_clamping, clamps)]
+    for path, times in Counter(path for path, _ in given).items():
+        if times > 1:
+            raise ConfigurationError(
+                f"{path}: {times} filters for one field", "one of --clear, --round and --clamp"
+            )
+    return dict(given)
+
+
+def _rounding(text: str) -> tuple[str, float]:
+    path, _, step = text.partition("=")
+    try:
+        return path, float(step)
+    except ValueError:
+        raise ConfigurationError(
+            f"--round {text} has no step", "for example --round pose.position=2.0"
+        ) from None
+
+
+def _clamping(text: str) -> tuple[str, float, float]:
+    path, _, limits = text.partition("=")
+    low, _, high = limits.partition(":")
+    try:
+        return path, _number(low), _number(high)
+    except ValueError:
+        raise ConfigurationError(
+            f"--clamp {text} has no range", "for example --clamp ranges=0.5:10"
+        ) from None
+
+
+def _number(text: str) -> float:
+    # An integer where it is written so: integer fields accept no float.
+    try:
+        return int(text)
+    except ValueError:
+        return float(text)
+
+
+def restrictions(
+    type_name: str | None,
+    filters: dict[str, dict[str, object]],
+    when: tuple[str, ...],
+    rate: float | None,
+    preset_name: str | None,
+) -> list[Restriction]:
+    """Build the restrictions and compile them for the message type: mistakes show here."""
+    if not filters and not when and rate is None and preset_name is None:
+        return []
+    if type_name is None:
+        raise ConfigurationError("restrictions need the message type they are for", "add --type PKG/TYPE")
+    shape = parse(type_name, part_type(type_name).definition)
+    try:
+        made = [preset(preset_name).restriction(shape)] if preset_name is not None else []
+        if filters or when or rate is not None:
+            made.append(Restriction(type_name, when, filter_rules(filters), rate))
+        for restriction in made:
+            compile_filter(shape, restriction.filters)
+            for text in restriction.conditions:
+                compile_condition(shape, text)
+    except (ConditionRefused, FilterRefused) as error:
+        error.hint = error.hint or _EXAMPLES
+        raise
+    return made
 
 
 @click.command()
@@ -369,43 +364,6 @@ def presets() -> None:
         say(f"  still discloses {entry.reveals}")
 
 
-def _has_tail(service: AuthorityService, name: str) -> bool:
-    with contextlib.closing(service.home.store()) as store:
-        return not is_alias(name) and store.valid_certificate(name, now()).wildcard
-
-
-def _check_foreign(
-    node: str, renewal: int, out: Path | None, certificate: Path | None, *, foreign: bool
-) -> None:
-    if not foreign:
-        if certificate is not None:
-            raise ConfigurationError(
-                f"{node} is a node of this domain, whose key is in the record",
-                "--certificate is for nodes of other domains: LABEL:/NAME",
-            )
-    elif renewal:
-        raise ConfigurationError(
-            "a grant for another domain is not renewed: its nodes ask another master",
-            "give the whole time: --for",
-        )
-    elif out is None:
-        raise ConfigurationError(
-            f"no master of this domain delivers to {node}", "give --out FILE, and carry it there"
-        )
-
-
-def check_new(out: Path) -> None:
-    """Before anything is signed: a grant that cannot be written would exist nevertheless."""
-    if out.exists() or out.is_symlink():
-        raise ConfigurationError(f"{out} exists and is not overwritten", "give a new file")
-    if not out.parent.is_dir():
-        raise ConfigurationError(f"there is no directory {out.parent}", "make it first")
-
-
-MAX_NARROWED_DAYS: Final = 365
-_OVERHEAD: Final = 16  # of the array it is presented in
-
-
 @click.command()
 @click.argument("file", type=options.FILE)
 @click.option("--as", "own", required=True, metavar="NODE", help="the node that holds the grant")
@@ -417,14 +375,13 @@ _OVERHEAD: Final = 16  # of the array it is presented in
     metavar="CERTIFICATE",
     help="the certificate of the node that gets the right: its node.pem",
 )
-@wishes
-@click.option(
+@permission_options
+@options.duration(
     "--for",
     "lifetime",
-    type=Duration(MAX_NARROWED_DAYS),
+    days=MAX_NARROWED_DAYS,
     default="8h",
-    show_default=True,
-    help="how long it holds; never longer than the grant in FILE",
+    text="how long it holds; never longer than the grant in FILE",
 )
 @click.option(
     "--may-narrow",
@@ -447,7 +404,7 @@ def narrow(
     lifetime: int,
     may_narrow: int,
     out: Path,
-    **wishes: Any,
+    **said: Any,
 ) -> None:
     """Hand the grant in FILE on to another node of this domain, restricted further.
 
@@ -458,7 +415,19 @@ def narrow(
     home, at = NodeHome.find(environment.home, check_name(own)), now()
     token, receiver = read_token(file), _receiver(home, certificate, at)
     held = peek(token)
-    _check_held(home, held, may_narrow, at)
+    if held.holder != home.identity(at).thumbprint:
+        raise GrantNotHeld(
+            printable(f"grant {held.short_id} is not held by {home.name}"),
+            printable(f"it is for {held.subject}"),
+        )
+    check_time(held, at)
+    if held.may_narrow <= may_narrow:
+        raise NarrowingNotAllowed(
+            f"grant {held.short_id} allows {held.may_narrow} narrowings after it",
+            "fewer with --may-narrow"
+            if held.may_narrow
+            else "at the authority: rossec grant sign NODE --may-narrow N",
+        )
     end = min(at + lifetime, held.expires)
     draft = Draft(
         domain=held.domain,
@@ -468,7 +437,7 @@ def narrow(
         expires=end,
         cap=end,
         serial=secrets.token_bytes(16),
-        permissions=read(wishes),
+        permissions=read_permissions(said),
         may_narrow=may_narrow,
     )
     _check_useful(draft, held)
@@ -488,22 +457,6 @@ def _receiver(home: NodeHome, path: Path, at: int) -> Identity:
     anchor = home.anchor()
     chain = [each for each in from_pem(pem) if each != anchor.certificate]
     return anchor.verify(chain, at)
-
-
-def _check_held(home: NodeHome, held: Grant, may_narrow: int, at: int) -> None:
-    if held.holder != home.identity(at).thumbprint:
-        raise GrantNotHeld(
-            printable(f"grant {held.short_id} is not held by {home.name}"),
-            printable(f"it is for {held.subject}"),
-        )
-    check_time(held, at)
-    if held.may_narrow <= may_narrow:
-        raise NarrowingNotAllowed(
-            f"grant {held.short_id} allows {held.may_narrow} narrowings after it",
-            "fewer with --may-narrow"
-            if held.may_narrow
-            else "at the authority: rossec grant sign NODE --may-narrow N",
-        )
 
 
 def _check_useful(draft: Draft, held: Grant) -> None:

@@ -10,7 +10,6 @@ from rossec.terminal import say
 
 
 def main() -> None:
-    """Write them, and say where."""
     written, _ = make(rossec, version("rossec"), Path(sys.argv[1]))
     say(f"{len(written)} pages in {written[0].parent}")
 

@@ -4,7 +4,7 @@ import asyncio
 import logging
 import os
 from collections.abc import Mapping
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -48,21 +48,10 @@ def run(
     follow_announced: bool,
     as_json: bool,
 ) -> None:
-    """Run the master; the options that were `given` prevail over the configuration file.
+    """Run the master; the fields of `Config` that were `given` prevail over the configuration file.
 
-    Args:
-        environment: of the command.
-        config_file: the configuration, or None for the defaults.
-        given: fields of `Config` that options set.
-        passphrase_file: of the intermediate's key, to renew identities.
-        renew_identities: renew them with the intermediate of this host.
-        post_quantum: the policy, instead of that of the environment.
-        name: of the master, `/master` or `/master/<segment>`.
-        follow_announced: follow every master of the own domain that is announced.
-        as_json: print the address as JSON.
-
-    Raises:
-        HintedError: the master cannot start, or ended by itself.
+    With `renew_identities` it renews them with the intermediate of this host, whose key
+    `passphrase_file` opens.
     """
     suites = opening.post_quantum(environment.variables, post_quantum)
     config = replace(Config() if config_file is None else configs.load(config_file), **given)
@@ -76,18 +65,14 @@ def run(
         names.read((), own_variables(environment), default_name=name)  # likewise
         found = read_config(config.federation, str(config_file))
         federation = replace(found, follow_announced=True) if follow_announced else found
-        stack.enter_context(_only_master(home.path))
+        busy = ConfigurationError(
+            f"another master runs from {home.path}", "end it first; two would lose each other's parameters"
+        )
+        stack.enter_context(process_lock(home.path / LOCK, busy))
         if config.audit:
             stack.enter_context(audit_written(home.path / AUDIT, home.signer()))
         renewer = _renewer(environment, passphrase_file) if renew_identities else None
         asyncio.run(_serve(environment, home, config, suites, renewer, federation, as_json=as_json))
-
-
-def _only_master(directory: Path) -> AbstractContextManager[None]:
-    busy = ConfigurationError(
-        f"another master runs from {directory}", "end it first; two would lose each other's parameters"
-    )
-    return process_lock(directory / LOCK, busy)
 
 
 async def _serve(
@@ -127,7 +112,13 @@ async def _serve(
             exporter = MetricsExporter(on_loop(server.status), config.metrics)
         if config.admin:
             await admin.start()
-        _print_address(server, home, exporter, as_json=as_json)
+        metrics = {} if exporter is None else {"metrics": f"http://127.0.0.1:{exporter.port}/metrics"}
+        if as_json:
+            say_json({"ready": server.uri, **metrics})
+        else:
+            say(f"master of {home.anchor().domain} at {server.uri}")
+            for uri in metrics.values():
+                say(f"metrics at {uri}")
         logging.getLogger("rossec.audit").info("the master began at %s", server.uri)
         notify(READY, environment.variables)
         announcing = (_announce(server, home),) if config.announce else ()
@@ -151,18 +142,6 @@ async def _start(server: MasterServer) -> None:
             f"cannot listen on port {server.port}: {os.strerror(error.errno or 0).lower()}",
             "is a master running already? --port, or ROS_MASTER_URI, chooses another port",
         ) from error
-
-
-def _print_address(
-    server: MasterServer, home: NodeHome, exporter: MetricsExporter | None, *, as_json: bool
-) -> None:
-    metrics = {} if exporter is None else {"metrics": f"http://127.0.0.1:{exporter.port}/metrics"}
-    if as_json:
-        say_json({"ready": server.uri, **metrics})
-        return
-    say(f"master of {home.anchor().domain} at {server.uri}")
-    for uri in metrics.values():
-        say(f"metrics at {uri}")
 
 
 async def _announce(server: MasterServer, home: NodeHome) -> None:

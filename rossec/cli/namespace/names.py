@@ -1,13 +1,9 @@
-"""A launch file and those it includes from its own directory: read, named, written beside OUT.
+"""`rossec namespace name | launch | rules | messages`: one name by rules, or those of a launch file.
 
-Only `$(dirname)/FILE` is followed: a file of another directory belongs to somebody else, and what
-`$(find package)` or an argument give is known to roslaunch alone. What is not followed is said
-(`notes`), since metadata in there would have no effect. No file is overwritten, and nothing is
-written before everything has its names.
-
-`rossec namespace launch`: a launch file whose metadata become names.
-
-`rossec namespace name`: one name, by rules.
+A launch file is written beside OUT with those it includes from its own directory. Only `$(dirname)/FILE`
+is followed: a file of another directory belongs to somebody else, and what `$(find package)` or an
+argument give is known to roslaunch alone. What is not followed is said (`notes`), since metadata in there
+would have no effect. No file is overwritten, and nothing is written before everything has its names.
 """
 
 import asyncio
@@ -26,6 +22,7 @@ from rossec import files
 from rossec.cli.shared import options, rules
 from rossec.cli.shared.options import json_result
 from rossec.errors import ConfigurationError, MetadataRefused, RossecError
+from rossec.namespace import topic_names
 from rossec.namespace.launch_file import (
     Edit,
     Include,
@@ -38,14 +35,48 @@ from rossec.namespace.launch_file import (
     named,
     scan,
 )
+from rossec.naming import rule_runner
 from rossec.naming.requests import MAX_INPUT, Kind
 from rossec.naming.rule_runner import RuleRunner
-from rossec.terminal import note, printable, record, say, say_json
+from rossec.terminal import note, printable, record, say, say_block, say_json
 
 MAX_FILES: Final = 32
 MODE: Final = 0o644  # a launch file is for every user of the host, as the source is
 _BESIDE: Final = re.compile(r"\$\(dirname\)/([A-Za-z0-9_.-]+)")
 _DIRNAME: Final = b"$(dirname)"
+
+
+@click.command("launch")
+@click.argument("source", metavar="IN.launch", type=options.FILE)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    required=True,
+    metavar="OUT",
+    help="the new file; one that exists is not overwritten",
+)
+@rules.option
+@json_result()
+def launch(source: Path, out: Path, rules_path: Path | None) -> None:
+    """Write the launch file IN.launch again, with names that rules give in place of metadata.
+
+    Nodes get a namespace, their topics and services are remapped; everything else stays as it is.
+    Included files of the same directory (`$(dirname)/...`) are written beside OUT. Then start it:
+    rossec run -- roslaunch OUT
+    """
+    found = asyncio.run(_named(source, out, rules.read_rules(rules_path)))
+    found.write()
+    for node in found.nodes:
+        note(printable(node.name))
+        for entry in node.entries:
+            note(printable(f"  {entry.kind} {entry.source} is {entry.name}"))
+    for text in found.notes:
+        note(printable(text))
+    if not found.nodes:
+        note(f"{source} has no node with metadata")
+    record(files=[str(path) for path in found.written], nodes=[each.name for each in found.nodes])
+    for path in found.written:
+        say(printable(str(path)))
 
 
 @dataclass
@@ -67,12 +98,24 @@ class LaunchFiles:
             undo.pop_all()
 
 
-def read(source: Path, out: Path, name_of: NameOf) -> LaunchFiles:
-    """The transformed files for `source`, which is to be written to `out`.
+async def _named(source: Path, out: Path, sheet: bytes) -> LaunchFiles:
+    async with RuleRunner(sheet) as runner:
+        loop = asyncio.get_running_loop()
 
-    Raises:
-        RossecError: a file cannot be read, or there is no name; it names file and line.
-    """
+        def name_of(metadata: bytes, queries: Sequence[Query]) -> list[str]:
+            asked = runner.names(metadata, queries)
+            found = list[str]()
+            for result in asyncio.run_coroutine_threadsafe(asked, loop).result():
+                if isinstance(result, RossecError):
+                    raise result
+                found.append(result)
+            return found
+
+        return await asyncio.to_thread(read, source, out, name_of)
+
+
+def read(source: Path, out: Path, name_of: NameOf) -> LaunchFiles:
+    """The transformed files for `source`, which is to be written to `out`."""
     reader = _Reader(source.absolute().parent, out, name_of)
     reader.add(source, out)
     found = reader.found
@@ -139,56 +182,6 @@ class _Reader:
             )
 
 
-@click.command("launch")
-@click.argument("source", metavar="IN.launch", type=options.FILE)
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    required=True,
-    metavar="OUT",
-    help="the new file; one that exists is not overwritten",
-)
-@rules.option
-@json_result()
-def launch(source: Path, out: Path, rules_path: Path | None) -> None:
-    """Write the launch file IN.launch again, with names that rules give in place of metadata.
-
-    Nodes get a namespace, their topics and services are remapped; everything else stays as it is.
-    Included files of the same directory (`$(dirname)/...`) are written beside OUT. Then start it:
-    rossec run -- roslaunch OUT
-    """
-    found = asyncio.run(_named(source, out, rules.read_rules(rules_path)))
-    found.write()
-    for node in found.nodes:
-        note(printable(node.name))
-        for entry in node.entries:
-            note(printable(f"  {entry.kind} {entry.source} is {entry.name}"))
-    for text in found.notes:
-        note(printable(text))
-    if not found.nodes:
-        note(f"{source} has no node with metadata")
-    record(files=[str(path) for path in found.written], nodes=[each.name for each in found.nodes])
-    for path in found.written:
-        say(printable(str(path)))
-
-
-async def _named(source: Path, out: Path, sheet: bytes) -> LaunchFiles:
-    async with RuleRunner(sheet) as runner:
-        loop = asyncio.get_running_loop()
-
-        def name_of(metadata: bytes, queries: Sequence[Query]) -> list[str]:
-            asked = runner.names(metadata, queries)
-            return [_name(each) for each in asyncio.run_coroutine_threadsafe(asked, loop).result()]
-
-        return await asyncio.to_thread(read, source, out, name_of)
-
-
-def _name(result: str | RossecError) -> str:
-    if isinstance(result, RossecError):
-        raise result
-    return result
-
-
 @click.command()
 @click.argument("meta", type=options.FILE)
 @click.option("--topic", metavar="TOPIC", help="the name of this topic of the node")
@@ -221,13 +214,38 @@ def show_name(
     elif service is not None:
         kind, which = Kind.SERVICE, service
     sheet, document = rules.read_rules(rules_path), rules.read_metadata(meta)
-    found = asyncio.run(_name_name(sheet, document, kind, which, thesis_defaults=thesis_defaults))
+
+    async def ask() -> str:
+        async with RuleRunner(sheet, thesis_defaults=thesis_defaults) as runner:
+            return await runner.name(document, kind, which)
+
+    found = asyncio.run(ask())
     if as_json:
         say_json({"kind": kind.value, "which": which, "name": found})
     else:
         say(found)
 
 
-async def _name_name(sheet: bytes, document: bytes, kind: Kind, which: str, *, thesis_defaults: bool) -> str:
-    async with RuleRunner(sheet, thesis_defaults=thesis_defaults) as runner:
-        return await runner.name(document, kind, which)
+@click.command("rules")
+def show_rules() -> None:
+    """Print the rules that are shipped, to be changed.
+
+    They are those of the thesis, in XSLT 1.0: rossec namespace rules > names.xsl
+    """
+    say_block(rule_runner.shipped_rules().decode().removesuffix("\n"))
+
+
+@click.command()
+@click.argument(
+    "directory", metavar="DIRECTORY", type=click.Path(path_type=Path, exists=True, file_okay=False)
+)
+@json_result()
+def messages(directory: Path) -> None:
+    """Write the package rossec_namespace into DIRECTORY: the type of the service.
+
+    Programs need it to call /get_topic_name: from rossec_namespace.srv import GetTopicName. The
+    directory may be the `src` of a catkin workspace.
+    """
+    written = str(topic_names.write(directory))
+    record(path=written)
+    say(printable(written))

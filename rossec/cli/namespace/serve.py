@@ -1,15 +1,7 @@
-"""`rossec namespace serve`: the node that tells others which names to use.
-
-Whether grants in files, or a policy, give a node any right on a name that rules gave it.
-
-Grants are read unverified: this is advice for who writes rules, and decides nothing. A rule that
-pins a key counts as if the node had it, since its key is not known before it is enrolled.
-
-`rossec namespace check`: rules tried on the metadata of many nodes, before they are used.
-"""
+"""`rossec namespace serve | check`: names for nodes that ask, and rules tried before they are used."""
 
 import asyncio
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Final
@@ -32,7 +24,7 @@ from rossec.errors import ConfigurationError, ProposedNameRefused
 from rossec.host.runner import READY, STOPPING, notify, stop_on_signals, until_first_ends
 from rossec.namespace import topic_names
 from rossec.namespace.topic_names import CALLS, CHILDREN, DEADLINE, SECONDS, SERVICE, TopicNames
-from rossec.naming.examine import Covered, Report, examine
+from rossec.naming.examine import Report, examine
 from rossec.naming.requests import MAX_INPUT, Kind
 from rossec.naming.rule_runner import RuleRunner
 from rossec.terminal import note, printable, say, say_json
@@ -40,60 +32,6 @@ from rossec.terminal import note, printable, say, say_json
 RIGHTS: Final = {Kind.TOPIC: Right.PUBLISH | Right.SUBSCRIBE, Kind.SERVICE: Right.PROVIDE | Right.CALL}
 SUFFIX: Final = "*.grant"
 _NO_KEY: Final = bytes(32)
-
-
-class Coverage:
-    """Grants and a policy, asked together: what either of them gives is covered.
-
-    Args:
-        grants: of any nodes; their subject says for whom.
-        policy: None for no policy.
-    """
-
-    def __init__(self, grants: Iterable[Grant], policy: Policy | None) -> None:
-        self._grants = tuple(grants)
-        self._decider = None if policy is None else Decider(policy)
-        rules = () if policy is None else policy.rules
-        pinned = {who.key for rule in rules for who in rule.who if who.key is not None}
-        self._keys = (_NO_KEY, *sorted(pinned))
-
-    def __call__(self, node: str, kind: Kind, name: str) -> bool:
-        held = [grant for grant in self._grants if covers(grant.subject, node, wildcard=True)]
-        if kind is Kind.NODE:
-            return bool(held) or any(map(self._has_rules, self._subjects(node)))
-        return Reach.of(held).covers_any(RIGHTS[kind], name) or any(
-            self._allows(subject, right, name) for subject in self._subjects(node) for right in RIGHTS[kind]
-        )
-
-    def _subjects(self, node: str) -> list[Subject]:
-        return [Subject(node, key) for key in self._keys]
-
-    def _has_rules(self, subject: Subject) -> bool:
-        return self._decider is not None and bool(self._decider.rules_of(subject))
-
-    def _allows(self, subject: Subject, right: Right, name: str) -> bool:
-        if self._decider is None:
-            return False
-        return self._decider.decide(subject, right, name).effect is not Effect.DENY
-
-
-def read_grants(directory: Path) -> list[Grant]:
-    """The grants in the files `*.grant` of a directory, not verified.
-
-    Raises:
-        ConfigurationError: there are none, or a file is not a grant.
-    """
-    found = []
-    for path in sorted(directory.glob(SUFFIX)):
-        try:
-            found.append(peek(read_token(path)))
-        except GrantError as error:
-            raise ConfigurationError(f"{path} is not a grant: {error}", error.hint) from None
-    if not found:
-        raise ConfigurationError(f"there are no grants in {directory}", f"it is a folder with files {SUFFIX}")
-    return found
-
-
 METADATA_SUFFIX: Final = "*.xml"
 MAX_FILES: Final = 1024
 _DIRECTORY: Final = click.Path(path_type=Path, exists=True, file_okay=False)
@@ -141,12 +79,28 @@ def check(
     if len(found) > MAX_FILES:
         raise ConfigurationError(f"{len(found)} files in {directory} where {MAX_FILES} are allowed")
     documents = [(str(path), files.read(path, MAX_INPUT)) for path in found]
-    covered = _coverage(policy_path, grants_path)
-    report = asyncio.run(_examined(files.read(rules, MAX_INPUT), documents, covered))
+    covered = None
+    if policy_path is not None or grants_path is not None:
+        held = [] if grants_path is None else read_grants(grants_path)
+        covered = Coverage(held, None if policy_path is None else PolicyFile.read(policy_path).policy)
+
+    async def examined() -> Report:
+        async with RuleRunner(files.read(rules, MAX_INPUT)) as runner:
+            return await examine(runner, documents, covered)
+
+    report = asyncio.run(examined())
     if as_json:
-        say_json({"names": _rows(report), "findings": [asdict(each) for each in report.findings]})
+        names = [
+            {"kind": kind.value, "name": name, **asdict(place)}
+            for (kind, name), places in sorted(report.names.items())
+            for place in places
+        ]
+        say_json({"names": names, "findings": [asdict(each) for each in report.findings]})
     else:
-        _print(report)
+        for finding in report.findings:
+            say(printable(str(finding)))
+        count = sum(map(len, report.names.values()))
+        say(f"{count} names, {len(report.findings)} findings")
     if covered is None:
         note("names were not compared with rights: give --policy or --grants")
     if report.findings:
@@ -156,31 +110,50 @@ def check(
         )
 
 
-def _coverage(policy_path: Path | None, grants_path: Path | None) -> Covered | None:
-    if policy_path is None and grants_path is None:
-        return None
-    held = [] if grants_path is None else read_grants(grants_path)
-    return Coverage(held, None if policy_path is None else PolicyFile.read(policy_path).policy)
+def read_grants(directory: Path) -> list[Grant]:
+    found = []
+    for path in sorted(directory.glob(SUFFIX)):
+        try:
+            found.append(peek(read_token(path)))
+        except GrantError as error:
+            raise ConfigurationError(f"{path} is not a grant: {error}", error.hint) from None
+    if not found:
+        raise ConfigurationError(f"there are no grants in {directory}", f"it is a folder with files {SUFFIX}")
+    return found
 
 
-async def _examined(rules: bytes, documents: Sequence[tuple[str, bytes]], covered: Covered | None) -> Report:
-    async with RuleRunner(rules) as runner:
-        return await examine(runner, documents, covered)
+class Coverage:
+    """Grants of any nodes and a policy, asked together: what either of them gives is covered.
 
+    Grants are not verified: this is advice for who writes rules, and decides nothing. A rule that
+    pins a key counts as if the node had it, since its key is not known before it is enrolled.
+    """
 
-def _rows(report: Report) -> list[dict[str, object]]:
-    return [
-        {"kind": kind.value, "name": name, **asdict(place)}
-        for (kind, name), places in sorted(report.names.items())
-        for place in places
-    ]
+    def __init__(self, grants: Iterable[Grant], policy: Policy | None) -> None:
+        self._grants = tuple(grants)
+        self._decider = None if policy is None else Decider(policy)
+        rules = () if policy is None else policy.rules
+        pinned = {who.key for rule in rules for who in rule.who if who.key is not None}
+        self._keys = (_NO_KEY, *sorted(pinned))
 
+    def __call__(self, node: str, kind: Kind, name: str) -> bool:
+        held = [grant for grant in self._grants if covers(grant.subject, node, wildcard=True)]
+        if kind is Kind.NODE:
+            return bool(held) or any(map(self._has_rules, self._subjects(node)))
+        return Reach.of(held).covers_any(RIGHTS[kind], name) or any(
+            self._allows(subject, right, name) for subject in self._subjects(node) for right in RIGHTS[kind]
+        )
 
-def _print(report: Report) -> None:
-    for finding in report.findings:
-        say(printable(str(finding)))
-    count = sum(map(len, report.names.values()))
-    say(f"{count} names, {len(report.findings)} findings")
+    def _subjects(self, node: str) -> list[Subject]:
+        return [Subject(node, key) for key in self._keys]
+
+    def _has_rules(self, subject: Subject) -> bool:
+        return self._decider is not None and bool(self._decider.rules_of(subject))
+
+    def _allows(self, subject: Subject, right: Right, name: str) -> bool:
+        if self._decider is None:
+            return False
+        return self._decider.decide(subject, right, name).effect is not Effect.DENY
 
 
 @click.command()

@@ -3,28 +3,8 @@
 Each check is one line, `ok` or `not ok` with what to do; the command fails when one is not ok. What
 is revoked is not ok, wherever on this machine that is known, without a running master. Plain
 connections that are allowed get a line of their own and are no failure: they were configured.
-
-What a node knows of foreign domains, and whether that is the newest: for `rossec doctor`.
-
-A node without a list knows none, which is in order unless an authority on this machine has one.
-
-What this machine knows to be revoked, without a running master: for `rossec doctor`.
-
-The record of an authority that lives here, and the signed lists that lie in the homes of a node, of
-the master and of the authority. A list is accepted when the node's own authority signed it. What is
-revoked stays revoked: of several lists every entry counts.
-
-What `rossec doctor` says of addresses: that of this host, and those of nodes it may reach.
-
-The commonest fault of a ROS network: a name that only one host knows, or the address of yesterday.
-Whoever gives it away notices nothing; whoever is given it finds nobody there.
-
-What `rossec doctor` learns from the master: who answers there, the clock, and what is revoked.
-
-All of it comes over a connection on which the master proved its identity, and both things that are
-relied on are signed: the list by the authority, the timestamp by the master, in the second in which
-it answers. So the timestamp shows how far this host's clock is off. Of an unauthenticated host no
-time is taken.
+What is learned from the master comes over a connection on which it proved its identity, and is signed;
+of an unauthenticated host not even the time is taken.
 """
 
 import asyncio
@@ -76,48 +56,118 @@ from rossec.saved_statements import DomainFiles
 from rossec.terminal import printable as terminal_printable
 from rossec.terminal import say, say_json, state
 
+Outcome = str | HintedError
+"""A line that is ok, or a fault that does not end the check."""
+LIMIT: Final = 64  # nodes whose address is looked up
+_ENTER: Final = "enter the name in /etc/hosts here, or set ROS_IP on its host and start it again"
+_MINUTE: Final = 60  # seconds that a connection may last whose certificate is out of its time
+_SOON = 1 / 3  # of an identity's life: by then it should have been renewed
+_MAX_FILE = 64 * 1024
+Check = Callable[[Environment, NodeHome], Iterator[Outcome]]
 
-def check_domains(home: Path, node: NodeHome, now: int) -> Iterator[str]:
-    """A line for each domain that the node trusts.
 
-    Raises:
-        ConfigurationError: its list has expired, or is not the newest of this machine.
-        DomainsRefused: its list is not the authority's.
+@click.command()
+@click.argument("names", metavar="[NODE]...", nargs=-1)
+@click.option("--offline", is_flag=True, help="do not ask the master")
+@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@pass_environment
+def doctor(environment: Environment, names: tuple[str, ...], offline: bool, as_json: bool) -> None:
+    """Check the set-up of NODE on this machine: identity, grants, master, what is plain.
+
+    Without NODE every node of this machine; what several have in common is said once.
     """
-    anchor = node.anchor()
-    held, newest = DomainFiles(node, anchor).anchors().current, _recorded(home, anchor)
-    for each in () if held is None else held.domains:
-        ended = "" if now < each.until else ", which is over"
-        until = format_time(each.until)
-        yield f"admits nodes of {each.domain}, here {each.label}, until {until}{ended}"
-    if held is not None and now >= held.expires:
-        raise ConfigurationError(
-            "the list of domains has expired: no foreign node is admitted",
-            "at the authority: rossec ca refresh",
+    homes, unfinished = [NodeHome.find(environment.home, name) for name in names], list[str]()
+    if not homes:
+        homes, unfinished = _all(environment)
+    findings = [finding for home in homes for finding in _examine(environment, home, offline=offline)]
+    plain = list(_plain(environment))
+    if as_json:
+        say_json(
+            {"findings": [asdict(finding) for finding in findings], "plain": plain, "unfinished": unfinished}
         )
-    if newest is not None and (held is None or held.number < newest.number):
-        raise ConfigurationError(
-            "the node has not the newest list of domains",
-            "deliver it: rossec ca publish; the node takes it from the master while it runs",
-        )
+    else:
+        _say(findings, plain, several=len(homes) > 1)
+        for name in unfinished:
+            say(f"-       {shown(name)} is not enrolled yet: rossec node join again, or remove")
+            say(f"        {terminal_printable(str(NodeHome.of(environment.home, name).path))}")
+    failed = {(finding.node, finding.check) for finding in findings if not finding.ok}
+    if failed:
+        said = {(finding.text, finding.hint) for finding in findings if not finding.ok}
+        of = f"{len(failed)} of {len(homes) * len(_checks(offline=offline))} checks"
+        causes = "for one cause" if len(said) == 1 else f"for {len(said)} causes"
+        raise ConfigurationError(f"{of} failed" + f", {causes}" * (len(said) < len(failed)), "see above")
 
 
-def _recorded(home: Path, anchor: TrustAnchor) -> DomainList | None:
-    with suppress(HintedError):
-        authority = AuthorityHome.at(home)
-        if authority.anchor().thumbprint == anchor.thumbprint:
-            found = authority.domain_list()
-            return None if found is None else found[1]
-    return None
+def _all(environment: Environment) -> tuple[list[NodeHome], list[str]]:
+    # Where none has an identity, that is what has to be said of each.
+    found = [NodeHome.of(environment.home, name) for name in nodes_in(environment.home)]
+    if not found:
+        raise ConfigurationError(
+            f"there is no node in {environment.home / 'nodes'}", missing_nodes(environment.home)
+        )
+    enrolled = [home for home in found if (home.path / "node.pem").exists()]
+    if not enrolled:
+        return found, []
+    return enrolled, [home.name for home in found if home not in enrolled]
+
+
+@dataclass(frozen=True)
+class Finding:
+    node: str
+    check: str
+    ok: bool
+    text: str
+    hint: str = ""
+
+
+def _examine(environment: Environment, home: NodeHome, *, offline: bool) -> Iterator[Finding]:
+    for name, check in _checks(offline=offline).items():
+        try:
+            for found in check(environment, home):
+                yield _finding(home, name, found)
+        except HintedError as error:
+            yield _finding(home, name, error)
+            if isinstance(error, IdentityRevoked):
+                return  # nobody talks to it: whatever else would be said has this cause
+
+
+def _checks(*, offline: bool) -> dict[str, Check]:
+    checks: dict[str, Check] = {
+        "identity": _identity,
+        "address": lambda environment, _: check_own_address(environment.variables),
+        "grants": _grants,
+        "domains": lambda environment, home: check_domains(environment.home, home, now()),
+    }
+    return checks if offline else {**checks, "master": _master}
+
+
+def _identity(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
+    identity = home.identity(now())
+    known = known_revocations(environment.home, home)
+    if revoked := [key for key in identity.keys if key in known]:
+        which = "" if revoked[0] == identity.thumbprint else "intermediate's "
+        raise IdentityRevoked(
+            f"the {which}key of {identity.name} is revoked according to {known[revoked[0]]}", anew(home)
+        )
+    yield f"{identity.name} of {identity.domain} until {format_time(identity.not_after)}"
+    yield from _clock(home, identity)
+    life = identity.not_after - signed_at(identity.not_before, identity.not_after)
+    if identity.not_after - now() < life * _SOON:
+        raise ConfigurationError(
+            f"the identity ends soon, in {format_duration(identity.not_after - now())}, and was not renewed",
+            f"it is while {home.name} runs, if where the authority is `rossec ca serve` runs and is"
+            f" unlocked (rossec ca status); or there: rossec ca renew {home.name}, then here:"
+            " rossec node install FILE",
+        )
 
 
 def known_revocations(home: Path, node: NodeHome) -> dict[bytes, str]:
-    """Each entry that is revoked, with the source that lists it."""
+    """Each entry that is revoked, with the source that lists it: of several, every entry counts."""
     anchor, found = node.anchor(), dict[bytes, str]()
     for place in (node, NodeHome.of(home, MASTER)):
         for entry in _listed(place, anchor):
             found.setdefault(entry, f"the list in {place.path}")
-    for entry in _known_revocations_recorded(home, anchor):
+    for entry in _recorded_revocations(home, anchor):
         found[entry] = f"the authority's record in {home / 'ca'}"
     return found
 
@@ -137,7 +187,7 @@ def _listed(place: NodeHome, anchor: TrustAnchor) -> Iterator[bytes]:
             yield from listing.entries
 
 
-def _known_revocations_recorded(home: Path, anchor: TrustAnchor) -> frozenset[bytes]:
+def _recorded_revocations(home: Path, anchor: TrustAnchor) -> frozenset[bytes]:
     # Of the authority itself, if it is the node's and not an intermediate below it.
     with suppress(HintedError):
         authority = AuthorityHome.at(home)
@@ -147,59 +197,133 @@ def _known_revocations_recorded(home: Path, anchor: TrustAnchor) -> frozenset[by
     return frozenset()
 
 
-Outcome = str | HintedError
-"""A line that is ok, or a fault that does not end the check."""
+class IdentityRevoked(ConfigurationError):
+    pass
 
-LIMIT: Final = 64  # nodes whose address is looked up
-_ENTER: Final = "enter the name in /etc/hosts here, or set ROS_IP on its host and start it again"
+
+def _clock(home: NodeHome, identity: Identity) -> Iterator[Outcome]:
+    signed = signed_at(identity.not_before, identity.not_after)
+    if (data := home.load_revocations()) is not None:
+        with suppress(RevocationRefused):  # a list of another authority says nothing
+            signed = max(signed, open_statement(data, home.anchor().public_key).issued)
+    if now() < signed - SKEW:
+        yield ConfigurationError(
+            f"the clock of this host is {format_duration(signed - now())} or more behind:"
+            f" the authority has signed what is here at {format_time(signed)}",
+            "set the clock of this host, or synchronize it (NTP)",
+        )
 
 
 def check_own_address(variables: Mapping[str, str]) -> Iterator[Outcome]:
-    """Whether ROS_HOSTNAME or ROS_IP leads to this host.
-
-    Raises:
-        ConfigurationError: it does not.
-    """
     address = names.own_address(variables)
     if address is None:
         return
     yield addresses.check_own_address(address, addresses.variable_of(variables))
 
 
-async def check_node_addresses(home: NodeHome, call: MasterCall) -> AsyncIterator[Outcome]:
-    """Whether the host names of the nodes that the master shows to this one are known here."""
-    await call(PRESENT_GRANTS, home.grants())
-    for name in islice(_nodes(await call("getSystemState")), LIMIT):
-        with suppress(ConfigurationError):  # a service without a slave API
-            host, _ = names.parse_uri(str(await call("lookupNode", name)))
-            if not await asyncio.to_thread(addresses.resolved, host):
-                yield ConfigurationError(
-                    f"{shown(name)} is at {printable(host)}, a name that this host does not know", _ENTER
-                )
+def _grants(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
+    held, (usable, refused) = home.grants(), _open_grants(environment, home)
+    for grant in usable:
+        label = _label(home, grant)
+        for permission in grant.links[-1].permissions:
+            until = format_time(grant.expires)
+            pattern = display_name(label, permission.pattern)
+            yield f"may {permission.rights.label} {pattern} until {until}"
+    if not held and is_relay_name(home.name):
+        yield "no grants: a relay needs none"
+    elif not held and is_master_name(home.name):
+        yield "no grants: within its own domain a master needs none"
+    elif not held:
+        own = in_shell("{node}/**" if home.identity(now()).wildcard else f"{home.name}/**")
+        raise ConfigurationError(
+            "no grants: it may do nothing",
+            f"at the authority, for example its own topics: rossec grant sign {home.name} --publish"
+            f" {own}; a program says what it lacks when it is refused",
+        )
+    for errors in refused.values():
+        others = f" (and {len(errors) - 1} more)" if errors[1:] else ""
+        yield ConfigurationError(f"{errors[0]}{others}", errors[0].hint)
 
 
-def _nodes(state: object) -> list[str]:
-    match state:
-        case [list() as publishers, _, list() as services]:
-            entries = [*publishers, *services]
-            nodes = [node for entry in entries for node in (entry[1] if len(entry) == 2 else ())]
-            return list(dict.fromkeys(map(str, nodes)))
-        case _:
-            return []
+def _open_grants(
+    environment: Environment, home: NodeHome
+) -> tuple[list[Grant], dict[type[HintedError], list[HintedError]]]:
+    revoked = known_revocations(environment.home, home)
+    refused = defaultdict[type[HintedError], list[HintedError]](list)
+    usable = []
+    for data in home.grants():
+        try:
+            grant = open_held(home, data, now())
+            for entry in (*grant.revocable, grant.holder):
+                if entry in revoked:
+                    raise GrantRevoked(
+                        f"grant {grant.short_id} is revoked according to {revoked[entry]}",
+                        f"ask for another; it does no harm in {grant.subject}'s directory",
+                    )
+        except HintedError as error:
+            refused[type(error)].append(error)
+        else:
+            usable.append(grant)
+    return usable, refused
 
 
-_MINUTE: Final = 60  # seconds that a connection may last whose certificate is out of its time
-_NO_LIST: Final = "the master has no revocation list"
+def _label(home: NodeHome, grant: Grant) -> str:
+    anchor = home.anchor()
+    listed = DomainFiles(home, anchor).anchors().listed_domain(grant.domain)
+    if listed is not None:
+        return listed.entry.label
+    return "" if grant.domain == anchor.domain else grant.domain
+
+
+def check_domains(home: Path, node: NodeHome, now: int) -> Iterator[str]:
+    anchor = node.anchor()
+    held, newest = DomainFiles(node, anchor).anchors().current, _newest_domains(home, anchor)
+    for each in () if held is None else held.domains:
+        ended = "" if now < each.until else ", which is over"
+        until = format_time(each.until)
+        yield f"admits nodes of {each.domain}, here {each.label}, until {until}{ended}"
+    if held is not None and now >= held.expires:
+        raise ConfigurationError(
+            "the list of domains has expired: no foreign node is admitted",
+            "at the authority: rossec ca refresh",
+        )
+    if newest is not None and (held is None or held.number < newest.number):
+        raise ConfigurationError(
+            "the node has not the newest list of domains",
+            "deliver it: rossec ca publish; the node takes it from the master while it runs",
+        )
+
+
+def _newest_domains(home: Path, anchor: TrustAnchor) -> DomainList | None:
+    with suppress(HintedError):
+        authority = AuthorityHome.at(home)
+        if authority.anchor().thumbprint == anchor.thumbprint:
+            found = authority.domain_list()
+            return None if found is None else found[1]
+    return None
+
+
+def _master(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
+    if home.name == own_master(environment.variables):  # it would meet its own certificate
+        yield "the master of this host: rossec master status"
+        return
+    yield from asyncio.run(_ask_master(environment, home))
+
+
+async def _ask_master(environment: Environment, home: NodeHome) -> list[Outcome]:
+    found = list[Outcome]()
+    try:
+        usable, _ = _open_grants(environment, home)
+        async for outcome in check_master(environment, home, usable):
+            found.append(outcome)
+    except HintedError as error:
+        found.append(error)
+    return found
 
 
 async def check_master(
     environment: Environment, home: NodeHome, grants: Iterable[Grant]
 ) -> AsyncIterator[Outcome]:
-    """Ask the master as the node in `home`, which holds `grants`.
-
-    Raises:
-        HintedError: it is out of reach, or not the master; the node is revoked.
-    """
     uri = await find_master(environment, home)
     judge = _Judge(home)
     stream = await _connect(environment, home, uri, judge)
@@ -219,10 +343,18 @@ async def check_master(
         revocations = Revocations(home.anchor().public_key)
         revocations.update(data, now())
         revocations.confirm(stamp, now())
-        await _check_master_key(revocations, stream.peer, call)
+        if await _revoked_of(revocations, stream.peer.keys, call):
+            raise ConfigurationError(
+                f"the identity of {shown(stream.peer.name)} is revoked, so that no node trusts it any more",
+                "on its host: move its directory away, and enroll it anew with a new key",
+            )
         yield f"the master at {uri} has a fresh revocation list"
-        async for outcome in _check_grants(revocations, grants, call):
-            yield outcome
+        by_entry = {entry: grant for grant in grants for entry in grant.revocable}
+        for entry in await _revoked_of(revocations, tuple(by_entry), call):
+            yield ConfigurationError(
+                f"grant {by_entry[entry].short_id} is revoked according to the master's list",
+                f"ask for another; it does no harm in {by_entry[entry].subject}'s directory",
+            )
         async for outcome in check_node_addresses(home, call):
             yield outcome
     finally:
@@ -278,7 +410,7 @@ def _opened(home: NodeHome, master: Identity, answer: object) -> tuple[bytes, Ti
         case [bytes() as data, bytes() as timestamp] if data:
             return data, open_timestamp(timestamp, master.public_key)
         case _:
-            raise ConfigurationError(_NO_LIST, "next: rossec ca publish")
+            raise ConfigurationError("the master has no revocation list", "next: rossec ca publish")
 
 
 def _where(home: NodeHome, data: bytes) -> str:
@@ -311,26 +443,6 @@ def describe_offset(issued: int, begun: float, ended: float) -> Outcome:
     )
 
 
-async def _check_master_key(revocations: Revocations, master: Identity, call: MasterCall) -> None:
-    found = await _revoked_of(revocations, master.keys, call)
-    if found:
-        raise ConfigurationError(
-            f"the identity of {shown(master.name)} is revoked, so that no node trusts it any more",
-            "on its host: move its directory away, and enroll it anew with a new key",
-        )
-
-
-async def _check_grants(
-    revocations: Revocations, grants: Iterable[Grant], call: MasterCall
-) -> AsyncIterator[Outcome]:
-    by_entry = {entry: grant for grant in grants for entry in grant.revocable}
-    for entry in await _revoked_of(revocations, tuple(by_entry), call):
-        yield ConfigurationError(
-            f"grant {by_entry[entry].short_id} is revoked according to the master's list",
-            f"ask for another; it does no harm in {by_entry[entry].subject}'s directory",
-        )
-
-
 async def _revoked_of(revocations: Revocations, entries: Sequence[bytes], call: MasterCall) -> list[bytes]:
     for start in range(0, len(entries), MAX_PROOFS_PER_CALL):
         for entry in entries[start : start + MAX_PROOFS_PER_CALL]:
@@ -348,101 +460,40 @@ def _is_revoked(revocations: Revocations, entry: bytes) -> bool:
     return False
 
 
-_SOON = 1 / 3  # of an identity's life: by then it should have been renewed
-_MAX_FILE = 64 * 1024
+async def check_node_addresses(home: NodeHome, call: MasterCall) -> AsyncIterator[Outcome]:
+    await call(PRESENT_GRANTS, home.grants())
+    for name in islice(_nodes(await call("getSystemState")), LIMIT):
+        with suppress(ConfigurationError):  # a service without a slave API
+            host, _ = names.parse_uri(str(await call("lookupNode", name)))
+            if not await asyncio.to_thread(addresses.resolved, host):
+                yield ConfigurationError(
+                    f"{shown(name)} is at {printable(host)}, a name that this host does not know", _ENTER
+                )
 
 
-class IdentityRevoked(ConfigurationError):
-    """This host knows that the identity of a node is revoked."""
-
-
-Check = Callable[[Environment, NodeHome], Iterator[Outcome]]
-
-
-@click.command()
-@click.argument("names", metavar="[NODE]...", nargs=-1)
-@click.option("--offline", is_flag=True, help="do not ask the master")
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
-@pass_environment
-def doctor(environment: Environment, names: tuple[str, ...], offline: bool, as_json: bool) -> None:
-    """Check the set-up of NODE on this machine: identity, grants, master, what is plain.
-
-    Without NODE every node of this machine; what several have in common is said once.
-    """
-    homes, unfinished = [NodeHome.find(environment.home, name) for name in names], list[str]()
-    if not homes:
-        homes, unfinished = _all(environment)
-    findings = [finding for home in homes for finding in _examine(environment, home, offline=offline)]
-    plain = list(_plain(environment))
-    if as_json:
-        say_json(
-            {"findings": [asdict(finding) for finding in findings], "plain": plain, "unfinished": unfinished}
-        )
-    else:
-        _say(findings, plain, several=len(homes) > 1)
-        for name in unfinished:
-            say(f"-       {shown(name)} is not enrolled yet: rossec node join again, or remove")
-            say(f"        {terminal_printable(str(NodeHome.of(environment.home, name).path))}")
-    failed = {(finding.node, finding.check) for finding in findings if not finding.ok}
-    if failed:
-        said = {(finding.text, finding.hint) for finding in findings if not finding.ok}
-        of = f"{len(failed)} of {len(homes) * len(_checks(offline=offline))} checks"
-        causes = f"{of} failed" if len(said) >= len(failed) else f"{of} failed, {_causes(len(said))}"
-        raise ConfigurationError(causes, "see above")
-
-
-@dataclass(frozen=True)
-class Finding:
-    node: str
-    check: str
-    ok: bool
-    text: str
-    hint: str = ""
-
-
-def _all(environment: Environment) -> tuple[list[NodeHome], list[str]]:
-    # Where none has an identity, that is what has to be said of each.
-    found = [NodeHome.of(environment.home, name) for name in nodes_in(environment.home)]
-    if not found:
-        raise ConfigurationError(
-            f"there is no node in {environment.home / 'nodes'}", missing_nodes(environment.home)
-        )
-    enrolled = [home for home in found if (home.path / "node.pem").exists()]
-    if not enrolled:
-        return found, []
-    return enrolled, [home.name for home in found if home not in enrolled]
-
-
-def _causes(number: int) -> str:
-    return "for one cause" if number == 1 else f"for {number} causes"
-
-
-def _checks(*, offline: bool) -> dict[str, Check]:
-    checks: dict[str, Check] = {
-        "identity": _identity,
-        "address": _address,
-        "grants": _grants,
-        "domains": _domains,
-    }
-    return checks if offline else {**checks, "master": _master}
-
-
-def _examine(environment: Environment, home: NodeHome, *, offline: bool) -> Iterator[Finding]:
-    for name, check in _checks(offline=offline).items():
-        try:
-            for found in check(environment, home):
-                yield _finding(home, name, found)
-        except IdentityRevoked as error:
-            yield _finding(home, name, error)
-            return  # nobody talks to it: whatever else would be said has this cause
-        except HintedError as error:
-            yield _finding(home, name, error)
+def _nodes(state: object) -> list[str]:
+    match state:
+        case [list() as publishers, _, list() as services]:
+            entries = [*publishers, *services]
+            nodes = [node for entry in entries for node in (entry[1] if len(entry) == 2 else ())]
+            return list(dict.fromkeys(map(str, nodes)))
+        case _:
+            return []
 
 
 def _finding(home: NodeHome, check: str, found: Outcome) -> Finding:
     if isinstance(found, str):
         return Finding(home.name, check, True, found)
     return Finding(home.name, check, False, str(found), found.hint)
+
+
+def _plain(environment: Environment) -> tuple[str, ...]:
+    path = file_of(environment.variables)
+    missing = ConfigurationError(f"{path} cannot be read")
+    text = None
+    if path.exists():  # as `rossec.secure` reads it
+        text = files.read(path, _MAX_FILE, missing).decode(errors="replace")
+    return read(environment.variables, text).allow_plain
 
 
 def _say(findings: list[Finding], plain: list[str], *, several: bool) -> None:
@@ -456,127 +507,3 @@ def _say(findings: list[Finding], plain: list[str], *, several: bool) -> None:
             say(f"        {terminal_printable(hint)}")
     for entry in plain:
         say(f"PLAIN   {terminal_printable(entry)} is neither encrypted nor checked: allow_plain names it")
-
-
-def _identity(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
-    identity = home.identity(now())
-    known = known_revocations(environment.home, home)
-    if revoked := [key for key in identity.keys if key in known]:
-        which = "" if revoked[0] == identity.thumbprint else "intermediate's "
-        raise IdentityRevoked(
-            f"the {which}key of {identity.name} is revoked according to {known[revoked[0]]}", anew(home)
-        )
-    yield f"{identity.name} of {identity.domain} until {format_time(identity.not_after)}"
-    yield from _clock(home, identity)
-    life = identity.not_after - signed_at(identity.not_before, identity.not_after)
-    if identity.not_after - now() < life * _SOON:
-        raise ConfigurationError(
-            f"the identity ends soon, in {format_duration(identity.not_after - now())}, and was not renewed",
-            f"it is while {home.name} runs, if where the authority is `rossec ca serve` runs and is"
-            f" unlocked (rossec ca status); or there: rossec ca renew {home.name}, then here:"
-            " rossec node install FILE",
-        )
-
-
-def _clock(home: NodeHome, identity: Identity) -> Iterator[Outcome]:
-    signed = signed_at(identity.not_before, identity.not_after)
-    if (data := home.load_revocations()) is not None:
-        with suppress(RevocationRefused):  # a list of another authority says nothing
-            signed = max(signed, open_statement(data, home.anchor().public_key).issued)
-    if now() < signed - SKEW:
-        yield ConfigurationError(
-            f"the clock of this host is {format_duration(signed - now())} or more behind:"
-            f" the authority has signed what is here at {format_time(signed)}",
-            "set the clock of this host, or synchronize it (NTP)",
-        )
-
-
-def _address(environment: Environment, _: NodeHome) -> Iterator[Outcome]:
-    yield from check_own_address(environment.variables)
-
-
-def _grants(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
-    held, (usable, refused) = home.grants(), _doctor_opened(environment, home)
-    for grant in usable:
-        label = _label(home, grant)
-        for permission in grant.links[-1].permissions:
-            until = format_time(grant.expires)
-            pattern = display_name(label, permission.pattern)
-            yield f"may {permission.rights.label} {pattern} until {until}"
-    if not held and is_relay_name(home.name):
-        yield "no grants: a relay needs none"
-    elif not held and is_master_name(home.name):
-        yield "no grants: within its own domain a master needs none"
-    elif not held:
-        own = in_shell("{node}/**" if home.identity(now()).wildcard else f"{home.name}/**")
-        raise ConfigurationError(
-            "no grants: it may do nothing",
-            f"at the authority, for example its own topics: rossec grant sign {home.name} --publish"
-            f" {own}; a program says what it lacks when it is refused",
-        )
-    for errors in refused.values():
-        others = f" (and {len(errors) - 1} more)" if errors[1:] else ""
-        yield ConfigurationError(f"{errors[0]}{others}", errors[0].hint)
-
-
-def _doctor_opened(
-    environment: Environment, home: NodeHome
-) -> tuple[list[Grant], dict[type[HintedError], list[HintedError]]]:
-    revoked, refused = (
-        known_revocations(environment.home, home),
-        defaultdict[type[HintedError], list[HintedError]](list),
-    )
-    usable = []
-    for data in home.grants():
-        try:
-            grant = open_held(home, data, now())
-            for entry in (*grant.revocable, grant.holder):
-                if entry in revoked:
-                    raise GrantRevoked(
-                        f"grant {grant.short_id} is revoked according to {revoked[entry]}",
-                        f"ask for another; it does no harm in {grant.subject}'s directory",
-                    )
-        except HintedError as error:
-            refused[type(error)].append(error)
-        else:
-            usable.append(grant)
-    return usable, refused
-
-
-def _label(home: NodeHome, grant: Grant) -> str:
-    anchor = home.anchor()
-    listed = DomainFiles(home, anchor).anchors().listed_domain(grant.domain)
-    if listed is not None:
-        return listed.entry.label
-    return "" if grant.domain == anchor.domain else grant.domain
-
-
-def _domains(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
-    yield from check_domains(environment.home, home, now())
-
-
-def _master(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
-    if home.name == own_master(environment.variables):  # it would meet its own certificate
-        yield "the master of this host: rossec master status"
-        return
-    yield from asyncio.run(_ask_master(environment, home))
-
-
-async def _ask_master(environment: Environment, home: NodeHome) -> list[Outcome]:
-    found = list[Outcome]()
-    try:
-        usable, _ = _doctor_opened(environment, home)
-        async for outcome in check_master(environment, home, usable):
-            found.append(outcome)
-    except HintedError as error:
-        found.append(error)
-    return found
-
-
-def _plain(environment: Environment) -> tuple[str, ...]:
-    path = file_of(environment.variables)
-    missing = ConfigurationError(f"{path} cannot be read")
-    text = None
-    if path.exists():  # as `rossec.secure` reads it
-        text = files.read(path, _MAX_FILE, missing).decode(errors="replace")
-    return read(environment.variables, text).allow_plain

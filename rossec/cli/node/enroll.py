@@ -1,9 +1,4 @@
-"""`rossec node enroll | confirm | labels`: a node is enrolled by its code, over the network.
-
-The terminal of `rossec node enroll`: its code, its messages, and the confirmation.
-
-`rossec node join`: the code of an invitation in, an identity on the disk.
-"""
+"""`rossec node enroll | confirm | labels | join`: a node gets its identity by a code, over the network."""
 
 import asyncio
 import os
@@ -50,6 +45,61 @@ SAME_DIGITS: Final = "does the authority show the same digits?"
 _CLEAR: Final = "\r\x1b[K"
 _MAX_LINE: Final = 256
 _MAX_REFUSALS: Final = 10  # any peer that reaches the port could fill the screen
+_DIGITS = re.compile(r"[0-9]{6}", re.ASCII)
+_MAX_INPUT: Final = 4096
+_QUESTION: Final = "the line of `rossec ca invite` (it is not shown)"
+
+
+@click.command()
+@click.argument("name")
+@click.option("--domain", default="home", show_default=True, help="trust domain of the authority")
+@click.option("--anonymous", is_flag=True, help="for anonymous nodes too: NAME and NAME_*")
+@click.option("--label", is_flag=True, help="wait for an authority that read the printed label")
+@click.option("--address", "host", help="the address in the code, instead of the one found")
+@click.option("--port", type=click.IntRange(0, 65535), help="listen here [any; a label's is 11317]")
+@click.option("--for", "window", type=Duration(1), help="with --label: wait so long [15m]")
+@click.option("--png", type=click.Path(path_type=Path), help="write the code to this PNG file too")
+@click.option("--svg", type=click.Path(path_type=Path), help="write the code to this SVG file too")
+@json_result()
+@pass_environment
+def enroll(
+    environment: Environment,
+    name: str,
+    domain: str,
+    anonymous: bool,
+    label: bool,
+    host: str | None,
+    port: int | None,
+    window: int | None,
+    png: Path | None,
+    svg: Path | None,
+) -> None:
+    """Enroll the node NAME: show its code, wait for the authority, and for your confirmation.
+
+    The code holds for five minutes and one use. When the authority has answered, both sides show
+    six digits: confirm here, or with `rossec node confirm`, only if they are the same. With --label
+    the printed label is enough, and only the digits protect against an impostor.
+
+    Exit codes: 0 enrolled, 1 refused or too late, 2 wrong usage, 130 interrupted.
+    """
+    if window is not None and not label:
+        raise click.UsageError("a code on a screen holds for five minutes: --for needs --label")
+    home = NodeHome.of(environment.home, name)
+    made = home.label_request if label else home.screen_request
+    csr = made(domain, wildcard=anonymous)
+    core = NodeEnrollment(
+        home.signer(),
+        csr,
+        domain,
+        secret=b"" if label else secrets.token_bytes(qr.SECRET_SIZE),
+        contribution=secrets.token_bytes(NONCE_SIZE),
+        expires=now() + (window or (3 * WINDOW if label else WINDOW)),
+        wildcard=anonymous,
+    )
+    where = host or own_address(environment)
+    listen = port if port is not None else addresses.DEFAULT_PORT * label
+    asyncio.run(EnrollmentScreen(home, core, label=label, png=png, svg=svg).run(where, listen))
+    record(name=home.name, domain=domain, path=str(home.path))
 
 
 class EnrollmentScreen:
@@ -157,77 +207,20 @@ class EnrollmentScreen:
         self._home.install(to_pem(*pending.chain, pending.root), now())
 
 
-def confirms(answer: str, digits: str) -> bool:
-    """Whether `answer` to "the same digits?" is yes; who types the right ones has compared them."""
-    return answer in {"y", "yes"} or re.sub("[ -]", "", answer) == digits
-
-
 def is_live() -> bool:
-    """Whether stderr is a terminal, which can show a countdown."""
     return sys.stderr.isatty()
 
 
 def authority_lines(pending: enrollment_control.Answer) -> list[str]:
-    """The authority of the offer, and the digits to compare."""
     return [
         f"authority of {printable(pending['domain'])}, fingerprint {pending['authority']}",
         f"digits {group_digits(pending['digits'])}",
     ]
 
 
-_DIGITS = re.compile(r"[0-9]{6}", re.ASCII)
-
-
-@click.command()
-@click.argument("name")
-@click.option("--domain", default="home", show_default=True, help="trust domain of the authority")
-@click.option("--anonymous", is_flag=True, help="for anonymous nodes too: NAME and NAME_*")
-@click.option("--label", is_flag=True, help="wait for an authority that read the printed label")
-@click.option("--address", "host", help="the address in the code, instead of the one found")
-@click.option("--port", type=click.IntRange(0, 65535), help="listen here [any; a label's is 11317]")
-@click.option("--for", "window", type=Duration(1), help="with --label: wait so long [15m]")
-@click.option("--png", type=click.Path(path_type=Path), help="write the code to this PNG file too")
-@click.option("--svg", type=click.Path(path_type=Path), help="write the code to this SVG file too")
-@json_result()
-@pass_environment
-def enroll(
-    environment: Environment,
-    name: str,
-    domain: str,
-    anonymous: bool,
-    label: bool,
-    host: str | None,
-    port: int | None,
-    window: int | None,
-    png: Path | None,
-    svg: Path | None,
-) -> None:
-    """Enroll the node NAME: show its code, wait for the authority, and for your confirmation.
-
-    The code holds for five minutes and one use. When the authority has answered, both sides show
-    six digits: confirm here, or with `rossec node confirm`, only if they are the same. With --label
-    the printed label is enough, and only the digits protect against an impostor.
-
-    Exit codes: 0 enrolled, 1 refused or too late, 2 wrong usage, 130 interrupted.
-    """
-    if window is not None and not label:
-        raise click.UsageError("a code on a screen holds for five minutes: --for needs --label")
-    home = NodeHome.of(environment.home, name)
-    made = home.label_request if label else home.screen_request
-    csr = made(domain, wildcard=anonymous)
-    core = NodeEnrollment(
-        home.signer(),
-        csr,
-        domain,
-        secret=b"" if label else secrets.token_bytes(qr.SECRET_SIZE),
-        contribution=secrets.token_bytes(NONCE_SIZE),
-        expires=now() + (window or (3 * WINDOW if label else WINDOW)),
-        wildcard=anonymous,
-    )
-    where = host or own_address(environment)
-    listen = port if port is not None else addresses.DEFAULT_PORT * label
-    asyncio.run(EnrollmentScreen(home, core, label=label, png=png, svg=svg).run(where, listen))
-    record(name=home.name, domain=domain, path=str(home.path))
+def confirms(answer: str, digits: str) -> bool:
+    """Whether `answer` to "the same digits?" is yes; who types the right ones has compared them."""
+    return answer in {"y", "yes"} or re.sub("[ -]", "", answer) == digits
 
 
 @click.command()
@@ -283,10 +276,6 @@ def labels(environment: Environment, names: tuple[str, ...], domain: str, out: P
     files.replace(out, sheet(made).encode(), 0o644)
     record(names=[each.name for each in made], file=str(out))
     say(f"{len(made)} label{'s' * (len(made) != 1)} in {out}: print it without scaling")
-
-
-_MAX_INPUT: Final = 4096
-_QUESTION: Final = "the line of `rossec ca invite` (it is not shown)"
 
 
 @click.command("join")
@@ -355,15 +344,6 @@ def _code(path: Path | None, stdin: BinaryIO) -> InvitationCode:
     return invitation.parse(typed)
 
 
-def _is_whole(typed: str) -> bool:
-    # Whether what was pasted so far is a code: a mail or a chat may have broken its line.
-    try:
-        invitation.parse(typed)
-    except CodeRefused:
-        return False
-    return True
-
-
 def _parsed(data: bytes) -> InvitationCode:
     if invitation.is_message(data):
         return invitation.read(data)
@@ -373,6 +353,15 @@ def _parsed(data: bytes) -> InvitationCode:
         raise CodeRefused(
             "this is not the code of an invitation", "give the line of `rossec ca invite`"
         ) from None
+
+
+def _is_whole(typed: str) -> bool:
+    # Whether what was pasted so far is a code: a mail or a chat may have broken its line.
+    try:
+        invitation.parse(typed)
+    except CodeRefused:
+        return False
+    return True
 
 
 def _name(code: InvitationCode, given: str | None) -> str:

@@ -49,19 +49,16 @@ def request(
     batch = Batch(len(chosen), "name")
     for name in chosen:
         with batch.item(name):
-            made.append(_request(NodeHome.of(environment.home, name), domain, anonymous=anonymous))
+            home = NodeHome.of(environment.home, name)
+            asked = home.create_request(domain, wildcard=anonymous)
+            record(file=str(home.request_path), key=asked.thumbprint.hex())
+            say(f"request of {home.name}: {home.request_path}")
+            say(f"fingerprint {format_fingerprint(asked.thumbprint)}")
+            made.append(home.request_path)
     if made:
         listed, option = " ".join(map(str, made)), " --anonymous" if anonymous else ""
         say(f"next, at the authority: rossec ca sign {listed}{option}")
     batch.finish()
-
-
-def _request(home: NodeHome, domain: str, *, anonymous: bool) -> Path:
-    made = home.create_request(domain, wildcard=anonymous)
-    record(file=str(home.request_path), key=made.thumbprint.hex())
-    say(f"request of {home.name}: {home.request_path}")
-    say(f"fingerprint {format_fingerprint(made.thumbprint)}")
-    return home.request_path
 
 
 def _names(given: tuple[str, ...], meta_path: Path | None, rules_path: Path | None) -> tuple[str, ...]:
@@ -117,17 +114,14 @@ def install(environment: Environment, bundles: tuple[Path, ...], yes: bool) -> N
         confirm("does the authority show the same fingerprint (rossec ca show)?", yes=yes)
         for bundle in found:
             with batch.item(bundle):
-                _install(environment, _read(bundle), anchor)
+                data = _read(bundle)
+                home, now_in_it = NodeHome.for_bundle(environment.home, data, now())
+                if now_in_it.thumbprint != anchor.thumbprint:
+                    raise ConfigurationError("the file has changed meanwhile", "copy it here again")
+                home.install(data, now())
+                record(name=home.name, domain=anchor.domain)
+                say(f"{home.name} is enrolled in {anchor.domain}")
     batch.finish()
-
-
-def _install(environment: Environment, data: bytes, confirmed: TrustAnchor) -> None:
-    home, anchor = NodeHome.for_bundle(environment.home, data, now())
-    if anchor.thumbprint != confirmed.thumbprint:
-        raise ConfigurationError("the file has changed meanwhile", "copy it here again")
-    home.install(data, now())
-    record(name=home.name, domain=anchor.domain)
-    say(f"{home.name} is enrolled in {anchor.domain}")
 
 
 def _read(bundle: Path) -> bytes:

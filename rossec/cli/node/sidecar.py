@@ -1,7 +1,4 @@
-"""`rossec sidecar`: secure the programs of a host that were not written for rossec.
-
-`rossec run`: secure a program that was not written for rossec.
-"""
+"""`rossec sidecar | run`: secure programs that were not written for rossec, of a host or one."""
 
 import json
 import os
@@ -13,6 +10,8 @@ import click
 
 from ca.names import check_name
 from rossec.cli.shared.context import Environment, pass_environment
+
+_LAST_USER = (1 << 32) - 2  # the last number means "no user"
 
 
 @click.command(context_settings={"allow_interspersed_args": False})
@@ -60,9 +59,6 @@ def exec_sidecar(
         os.execve(sys.executable, arguments, dict(environment.variables))  # noqa: S606 - no shell
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-
-
-_LAST_USER = (1 << 32) - 2  # the last number means "no user"
 
 
 @click.command()

@@ -1,9 +1,4 @@
-"""`rossec policy apply`: make the grants in force what the policy allows outright.
-
-`rossec policy learn | review`: rules made from what runs.
-
-`rossec privacy opt-out`: show a topic to no node, or no topic to a node.
-"""
+"""`rossec policy apply | learn | review`, `rossec privacy opt-out`: a policy grows and is put in force."""
 
 import asyncio
 import contextlib
@@ -53,6 +48,7 @@ from rossec.ros.names import PRESENT_GRANTS
 from rossec.terminal import note, record, say, say_json
 
 _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
+_CHOICES = {"a": "allow", "c": "allow coarsely", "g": "allow beside it too", "d": "deny", "s": "skip"}
 
 
 @click.command()
@@ -94,48 +90,9 @@ def learn(
     )
 
 
-@click.command()
-@click.option("--from-log", "log", type=_FILE, required=True, help="what to go through")
-@options.policy
-@pass_environment
-def review(environment: Environment, log: Path, policy_path: Path | None) -> None:
-    """Go through a denial log, and answer for each line no rule decides."""
-    read = _existing(place(environment.home, policy_path))
-    before = _count_own(read)
-    for seen in _read_log(log):
-        item = learnable(seen)
-        if item is not None and _undecided(read, item):
-            read = _ask_about(read, item)
-    total = _count_own(read)
-    say(f"{count(total - before, 'new rule')}, {total} in {read.path}")
-
-
-def _count_own(read: PolicyFile) -> int:
-    return sum(rule.id != BASICS for rule in read.policy.rules)
-
-
-def _existing(path: Path) -> PolicyFile:
-    # The policy, or a new one that gives basics alone; not written yet.
-    if path.exists():
-        return PolicyFile.read(path)
-    if not path.parent.is_dir():
-        raise ConfigurationError(f"there is no {path.parent}", "give --policy FILE")
-    text = beginning("robot")
-    return PolicyFile(path, text, parse_policy(text, str(path)))
-
-
 def _read_log(path: Path) -> list[Observation]:
     with path.open(encoding="utf-8", errors="replace") as file:
         return from_log(files.lines(file, MAX_LINE + 2))
-
-
-async def _observe_graph(environment: Environment, node: str) -> list[Observation]:
-    home = NodeHome.of(environment.home, node)
-    async with master_as(environment, home, await find_master(environment, home)) as client:
-        await client.ask(PRESENT_GRANTS, home.name, home.grants())
-        state = await client.ask("getSystemState", home.name)
-        types = await client.ask("getTopicTypes", home.name)
-    return [item for item in from_graph(state, types) if item.node != home.name]
 
 
 def _with_certified_names(environment: Environment, seen: list[Observation]) -> list[Observation]:
@@ -153,12 +110,51 @@ def _with_certified_names(environment: Environment, seen: list[Observation]) -> 
         return list(dict.fromkeys(named))
 
 
-def _undecided(read: PolicyFile, item: Observation) -> bool:
-    _, rules = learn_from(read.text, read.decider, [item], _day())
-    return bool(rules)
+async def _observe_graph(environment: Environment, node: str) -> list[Observation]:
+    home = NodeHome.of(environment.home, node)
+    async with master_as(environment, home, await find_master(environment, home)) as client:
+        await client.ask(PRESENT_GRANTS, home.name, home.grants())
+        state = await client.ask("getSystemState", home.name)
+        types = await client.ask("getTopicTypes", home.name)
+    return [item for item in from_graph(state, types) if item.node != home.name]
 
 
-_CHOICES = {"a": "allow", "c": "allow coarsely", "g": "allow beside it too", "d": "deny", "s": "skip"}
+def _existing(path: Path) -> PolicyFile:
+    # The policy, or a new one that gives basics alone; not written yet.
+    if path.exists():
+        return PolicyFile.read(path)
+    if not path.parent.is_dir():
+        raise ConfigurationError(f"there is no {path.parent}", "give --policy FILE")
+    text = beginning("robot")
+    return PolicyFile(path, text, parse_policy(text, str(path)))
+
+
+def _day() -> str:
+    return time.strftime("%Y-%m-%d", time.gmtime(now()))
+
+
+def _rights(rule: NewRule) -> str:
+    return "; ".join(f"{label} {', '.join(names)}" for label, names in rule.rights.items())
+
+
+def _count_own(read: PolicyFile) -> int:
+    return sum(rule.id != BASICS for rule in read.policy.rules)
+
+
+@click.command()
+@click.option("--from-log", "log", type=_FILE, required=True, help="what to go through")
+@options.policy
+@pass_environment
+def review(environment: Environment, log: Path, policy_path: Path | None) -> None:
+    """Go through a denial log, and answer for each line no rule decides."""
+    read = _existing(place(environment.home, policy_path))
+    before = _count_own(read)
+    for seen in _read_log(log):
+        item = learnable(seen)
+        if item is not None and learn_from(read.text, read.decider, [item], _day())[1]:
+            read = _ask_about(read, item)
+    total = _count_own(read)
+    say(f"{count(total - before, 'new rule')}, {total} in {read.path}")
 
 
 def _ask_about(read: PolicyFile, item: Observation) -> PolicyFile:
@@ -193,14 +189,6 @@ def _prompt_for_filter(read: PolicyFile) -> str:
         hint = suggest(name, read.policy.filters)
         raise ConfigurationError(f"no filter {name!r} in {read.path}", hint)
     return name
-
-
-def _rights(rule: NewRule) -> str:
-    return "; ".join(f"{label} {', '.join(names)}" for label, names in rule.rights.items())
-
-
-def _day() -> str:
-    return time.strftime("%Y-%m-%d", time.gmtime(now()))
 
 
 @click.command()

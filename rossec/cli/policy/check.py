@@ -1,15 +1,4 @@
-"""`rossec policy check | lint`: the mistakes in a policy, and advice on it.
-
-`rossec policy init`: the beginning of a policy.
-
-`rossec policy import-sros2`: an SROS2 policy as one of rossec.
-
-`rossec policy test`: what must stay true of a policy.
-
-The difference between a policy and the grants in force, as text and as JSON.
-
-What is the same for many nodes is one line of text. JSON has each right of each node.
-"""
+"""`rossec policy check | lint | init | import-sros2 | test`, and what a policy changes in grants."""
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -38,6 +27,11 @@ from rossec.errors import ConfigurationError
 from rossec.participant.host_types import layout_of
 from rossec.terminal import fail, note, printable, record, say, say_block, say_json
 
+_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
+_JSON = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+_NAMED = 3  # nodes of one line
+_NONE = "no rule allows it any more"
+
 
 @click.command()
 @click.argument("file", required=False, type=click.Path(path_type=Path))
@@ -59,9 +53,6 @@ def init(environment: Environment, file: Path | None, robot: str) -> None:
     files.create(path, text.encode(), 0o644)
     record(file=str(path))
     say(f"{path} is begun; write rules, then: rossec policy check {path}")
-
-
-_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 
 
 @click.command("import-sros2")
@@ -87,9 +78,6 @@ def import_(xml: Path, out: Path | None) -> None:
         return
     files.create(out, text.encode(), 0o644)
     say(f"written to {out}")
-
-
-_JSON = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
 
 
 @click.command()
@@ -120,6 +108,67 @@ def check(environment: Environment, file: Path | None, as_json: bool) -> None:
     say(f"{path} is right; {', '.join([*rules, *tests])}")
 
 
+def _print_mistakes(found: tuple[Mistake, ...], *, as_json: bool) -> None:
+    if as_json:
+        say_json([vars(item) for item in found])
+        return
+    for item in found:
+        fail(str(item), item.hint)
+
+
+def as_json(plan: PolicyPlan) -> dict[str, object]:
+    return {
+        "policy": str(plan.policy.path),
+        "changes": [_change_row(each) for node in plan.nodes for each in node.changes],
+        "withheld": [
+            {
+                "node": shown(node.subject.name),
+                "right": each.right.label,
+                "name": each.pattern,
+                "effect": each.effect,
+                "rule": _rule_row(each.rule),
+                "by": _rule_row(each.by),
+            }
+            for node in plan.nodes
+            for each in node.withheld
+        ],
+        "contradictions": [
+            {
+                "node": each.grant.subject,
+                "right": each.right.label,
+                "name": each.pattern,
+                "grant": each.grant.id.hex(),
+                "rule": _rule_row(each.rule),
+            }
+            for node in plan.nodes
+            for each in node.contradictions
+        ],
+        "refused": list(plan.refused),
+        "due": [grant.id.hex() for node in plan.nodes for grant in node.due],
+        "sign": plan.signs,
+        "revoke": [grant.id.hex() for grant in plan.revoke],
+        "listed": plan.listed,
+        "ends": plan.ends,
+    }
+
+
+def _change_row(change: Change) -> dict[str, object]:
+    return {
+        "sign": change.kind.sign,
+        "kind": str(change.kind),
+        "node": shown(change.subject.name),
+        "right": change.right.label,
+        "name": change.pattern,
+        "restrictions": list(change.restrictions),
+        "before": list(change.before),
+        "rules": [_rule_row(rule) for rule in change.rules],
+    }
+
+
+def _rule_row(rule: PolicyRule) -> dict[str, object]:
+    return {"id": rule.id, "line": rule.line, "why": rule.why}
+
+
 @click.command()
 @click.argument("file", required=False, type=_FILE)
 @_JSON
@@ -138,16 +187,12 @@ def lint(environment: Environment, file: Path | None, as_json: bool) -> None:
 
 
 def remarks(number: int) -> str:
-    """`1 remark`, `2 remarks`, `nothing to remark`."""
     return count(number, "remark") if number else "nothing to remark"
 
 
-def _print_mistakes(found: tuple[Mistake, ...], *, as_json: bool) -> None:
-    if as_json:
-        say_json([vars(item) for item in found])
-        return
-    for item in found:
-        fail(str(item), item.hint)
+def count(number: int, what: str) -> str:
+    """`1 grant`, `2 grants`."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 @click.command()
@@ -188,12 +233,7 @@ def _row(outcome: Outcome) -> dict[str, object]:
     }
 
 
-_NAMED = 3  # nodes of one line
-_NONE = "no rule allows it any more"
-
-
 def lines(plan: PolicyPlan) -> Iterator[str]:
-    """The plan as text, for people."""
     changes = [change for node in plan.nodes for change in node.changes]
     yield from _by_nodes(
         (shown(change.subject.name), _change(change)) for change in changes if change.kind != Kind.KEPT
@@ -213,70 +253,7 @@ def lines(plan: PolicyPlan) -> Iterator[str]:
     yield from _outlook(plan)
 
 
-def summary(plan: PolicyPlan) -> str:
-    """What would be done: `sign 3 grants and revoke 1 grant`."""
-    signs, revokes = plan.signs, len(plan.revoke)
-    parts = [f"sign {count(signs, 'grant')}"] if signs else []
-    parts += [f"revoke {count(revokes, 'grant')}"] if revokes else []
-    return " and ".join(parts)
-
-
-def count(number: int, what: str) -> str:
-    """`1 grant`, `2 grants`."""
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
-
-
-def as_json(plan: PolicyPlan) -> dict[str, object]:
-    """The plan for programs."""
-    return {
-        "policy": str(plan.policy.path),
-        "changes": [_change_row(each) for node in plan.nodes for each in node.changes],
-        "withheld": [
-            {
-                "node": shown(node.subject.name),
-                "right": each.right.label,
-                "name": each.pattern,
-                "effect": each.effect,
-                "rule": _rule_row(each.rule),
-                "by": _rule_row(each.by),
-            }
-            for node in plan.nodes
-            for each in node.withheld
-        ],
-        "contradictions": [
-            {
-                "node": each.grant.subject,
-                "right": each.right.label,
-                "name": each.pattern,
-                "grant": each.grant.id.hex(),
-                "rule": _rule_row(each.rule),
-            }
-            for node in plan.nodes
-            for each in node.contradictions
-        ],
-        "refused": list(plan.refused),
-        "due": [grant.id.hex() for node in plan.nodes for grant in node.due],
-        "sign": plan.signs,
-        "revoke": [grant.id.hex() for grant in plan.revoke],
-        "listed": plan.listed,
-        "ends": plan.ends,
-    }
-
-
-def _outlook(plan: PolicyPlan) -> Iterator[str]:
-    for reason in plan.refused:
-        yield printable(f"! {reason}")
-    if plan.is_empty and not plan.refused:
-        yield "the policy is in force, nothing to do"
-    if plan.needs_tree:
-        yield (f"the revocations are a tree of {plan.listed} entries: a list has at most {MAX_ENTRIES}")
-    due = sum(len(node.due) for node in plan.nodes)
-    if due:
-        yield f"{count(due, 'grant')} due for renewal: rossec policy apply --renew"
-    if plan.ends is not None:
-        yield f"the first grant of the policy ends {format_time(plan.ends)}"
-
-
+# What is the same for many nodes is one line of text; JSON has each right of each node.
 def _by_nodes(rows: Iterable[tuple[str, tuple[str, str]]]) -> Iterator[str]:
     nodes: dict[tuple[str, str], dict[str, None]] = {}
     for node, signed_text in rows:
@@ -302,6 +279,14 @@ def _change(change: Change) -> tuple[str, str]:
     return "~", f"{change.kind}: {what}, {restrictions} {rules}; before: {before}"
 
 
+def _rules(rules: Iterable[PolicyRule]) -> str:
+    return ", ".join(_rule(rule) for rule in rules)
+
+
+def _rule(rule: PolicyRule) -> str:
+    return f"rule {rule.id}, line {rule.line}"
+
+
 def _withheld(each: Withheld) -> tuple[str, str]:
     what = f"{each.right.label} {each.pattern}"
     if each.effect is Effect.PROMPT:
@@ -316,26 +301,23 @@ def _contradiction(each: Contradiction, *, pruned: bool) -> tuple[str, str]:
     return "-" if pruned else "!", f"{what}, against the denial of {_rule(each.rule)}"
 
 
-def _rules(rules: Iterable[PolicyRule]) -> str:
-    return ", ".join(_rule(rule) for rule in rules)
+def _outlook(plan: PolicyPlan) -> Iterator[str]:
+    for reason in plan.refused:
+        yield printable(f"! {reason}")
+    if plan.is_empty and not plan.refused:
+        yield "the policy is in force, nothing to do"
+    if plan.needs_tree:
+        yield (f"the revocations are a tree of {plan.listed} entries: a list has at most {MAX_ENTRIES}")
+    due = sum(len(node.due) for node in plan.nodes)
+    if due:
+        yield f"{count(due, 'grant')} due for renewal: rossec policy apply --renew"
+    if plan.ends is not None:
+        yield f"the first grant of the policy ends {format_time(plan.ends)}"
 
 
-def _rule(rule: PolicyRule) -> str:
-    return f"rule {rule.id}, line {rule.line}"
-
-
-def _rule_row(rule: PolicyRule) -> dict[str, object]:
-    return {"id": rule.id, "line": rule.line, "why": rule.why}
-
-
-def _change_row(change: Change) -> dict[str, object]:
-    return {
-        "sign": change.kind.sign,
-        "kind": str(change.kind),
-        "node": shown(change.subject.name),
-        "right": change.right.label,
-        "name": change.pattern,
-        "restrictions": list(change.restrictions),
-        "before": list(change.before),
-        "rules": [_rule_row(rule) for rule in change.rules],
-    }
+def summary(plan: PolicyPlan) -> str:
+    """What would be done: `sign 3 grants and revoke 1 grant`."""
+    signs, revokes = plan.signs, len(plan.revoke)
+    parts = [f"sign {count(signs, 'grant')}"] if signs else []
+    parts += [f"revoke {count(revokes, 'grant')}"] if revokes else []
+    return " and ".join(parts)

@@ -1,9 +1,7 @@
-"""`rossec explain`: whether a node may do something, by which rule, and what would change that.
-
-`rossec privacy`: which node has access to which data, and why.
-"""
+"""`rossec explain`, `rossec privacy`: whether a node may do something and why; who sees which data."""
 
 from collections.abc import Callable, Collection
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -67,7 +65,9 @@ def explain(
     grant that was signed by hand, or before the policy was changed, holds until it ends or is
     revoked, whatever the policy says.
     """
-    asked = _right(right)
+    if right not in RIGHTS:
+        raise PolicyRefused(f"unknown right {right!r}", suggest(right, RIGHTS))
+    asked = RIGHTS[right]
     subject = subject_of(environment, node)
     certified = _certified(environment)
     keys = {subject.key, *certified.get(subject.name, ())} - {_NO_KEY}
@@ -108,19 +108,36 @@ def explain(
             say(f"  {line}")
 
 
-def _tried(read: PolicyFile, verdict: Verdict, message_file: Path) -> dict[str, object]:
-    # What would become of a message.
-    kind = read.policy.type_of(verdict.name)
-    if kind is None:
-        raise ConfigurationError(f"{read.path} does not say the type of {verdict.name}", "add it to types")
-    message = _message(message_file, message_type(kind))
-    outcome = Trial(layout_of(kind), verdict)(message, now())
-    sent = outcome.message
-    return {
-        "sent": sent is not None,
-        "reason": outcome.reason,
-        "changed": changes(kind, message, sent) if sent is not None else [],
-    }
+def subject_of(environment: Environment, node: str) -> Subject:
+    """The node with the key it is enrolled with; with no key where it is not."""
+    name = check_name(local_name(node))
+    if (environment.home / "ca" / "ca.pem").exists():
+        with closing(AuthorityHome.at(environment.home).store()) as store:
+            if is_alias(name):
+                return Subject(name, domain_operations.holder(store, name, now()))
+            name = store.identities.certified_name(node, now())
+            rows = [row for row in store.identities.all() if row.name == name]
+        if rows:
+            return Subject(name, rows[-1].thumbprint, rows[-1].wildcard)
+    return Subject(name, _NO_KEY)
+
+
+def _certified(environment: Environment) -> dict[str, set[bytes]]:
+    found: dict[str, set[bytes]] = {}
+    if (environment.home / "ca" / "ca.pem").exists():
+        with closing(AuthorityHome.at(environment.home).store()) as store:
+            for row in store.identities.all():
+                found.setdefault(row.name, set()).add(row.thumbprint)
+    return found
+
+
+def _in_force(environment: Environment, keys: Collection[bytes], right: Right, name: str) -> list[Grant]:
+    if not keys or not (environment.home / "ca" / "ca.pem").exists():
+        return []
+    with closing(AuthorityHome.at(environment.home).store()) as store:
+        grants = [document.peek(row.data) for row in store.grants()]
+        revoked = store.revoked_entries()
+    return in_force(grants, keys, right, name, now=now(), revoked=revoked)
 
 
 def _without_policy(
@@ -159,22 +176,11 @@ def _as_json(grant: Grant) -> dict[str, object]:
     return {"grant": grant.id.hex(), "until": format_time(grant.expires)}
 
 
-def _certified(environment: Environment) -> dict[str, set[bytes]]:
-    found: dict[str, set[bytes]] = {}
-    if (environment.home / "ca" / "ca.pem").exists():
-        store = AuthorityHome.at(environment.home).store()
-        try:
-            for row in store.identities.all():
-                found.setdefault(row.name, set()).add(row.thumbprint)
-        finally:
-            store.close()
-    return found
-
-
 def _note_unknown(node: str, subject: Subject, policy: Policy, certified: Collection[str]) -> None:
     # Say what is not known of the node: whether there is one of that name, or its key.
     if not _is_known(policy, subject, certified):
-        close = suggest(subject.name, {*certified, *_named(policy)})
+        named = {who.node for rule in policy.rules for who in rule.who if who.node and "*" not in who.node}
+        close = suggest(subject.name, {*certified, *named})
         note(f"nobody named {node} is known: not enrolled here, and no rule names it ({close})")
     if subject.key == _NO_KEY and any(who.key for rule in policy.rules for who in rule.who):
         note(f"{node} is not enrolled here: rules that pin its key do not count")
@@ -193,42 +199,31 @@ def _is_known(policy: Policy, subject: Subject, certified: Collection[str]) -> b
 
 
 def is_for_all(node: str) -> bool:
-    """Whether a pattern of nodes means nobody in particular."""
     return node in ("/**", "**", "*")
 
 
-def _named(policy: Policy) -> set[str]:
-    nodes = (who.node for rule in policy.rules for who in rule.who)
-    return {node for node in nodes if node is not None and "*" not in node}
+def _tried(read: PolicyFile, verdict: Verdict, message_file: Path) -> dict[str, object]:
+    # What would become of a message.
+    kind = read.policy.type_of(verdict.name)
+    if kind is None:
+        raise ConfigurationError(f"{read.path} does not say the type of {verdict.name}", "add it to types")
+    message = _message(message_file, message_type(kind))
+    outcome = Trial(layout_of(kind), verdict)(message, now())
+    sent = outcome.message
+    return {
+        "sent": sent is not None,
+        "reason": outcome.reason,
+        "changed": changes(kind, message, sent) if sent is not None else [],
+    }
 
 
-def _in_force(environment: Environment, keys: Collection[bytes], right: Right, name: str) -> list[Grant]:
-    if not keys or not (environment.home / "ca" / "ca.pem").exists():
-        return []
-    store = AuthorityHome.at(environment.home).store()
-    try:
-        grants = [document.peek(row.data) for row in store.grants()]
-        revoked = store.revoked_entries()
-    finally:
-        store.close()
-    return in_force(grants, keys, right, name, now=now(), revoked=revoked)
-
-
-def subject_of(environment: Environment, node: str) -> Subject:
-    """The node with the key it is enrolled with; with no key where it is not."""
-    name = check_name(local_name(node))
-    if (environment.home / "ca" / "ca.pem").exists():
-        store = AuthorityHome.at(environment.home).store()
-        try:
-            if is_alias(name):
-                return Subject(name, domain_operations.holder(store, name, now()))
-            name = store.identities.certified_name(node, now())
-            rows = [row for row in store.identities.all() if row.name == name]
-        finally:
-            store.close()
-        if rows:
-            return Subject(name, rows[-1].thumbprint, rows[-1].wildcard)
-    return Subject(name, _NO_KEY)
+def _message(file: Path, kind: MessageType) -> bytes:
+    data = files.read(file, _MAX_MESSAGE)
+    if file.suffix not in (".yaml", ".yml", ".json"):
+        return data
+    message = kind.create()
+    fill(message, parse_message(data.decode(errors="replace")), stamp_now())
+    return bytes(kind.serialize(message))
 
 
 def changes(kind: str, before: bytes, after: bytes) -> list[str]:
@@ -246,21 +241,6 @@ def _short(value: str) -> str:
     return value if len(value) <= 60 else f"{value[:57]}..."
 
 
-def _right(label: str) -> Right:
-    if label not in RIGHTS:
-        raise PolicyRefused(f"unknown right {label!r}", suggest(label, RIGHTS))
-    return RIGHTS[label]
-
-
-def _message(file: Path, kind: MessageType) -> bytes:
-    data = files.read(file, _MAX_MESSAGE)
-    if file.suffix not in (".yaml", ".yml", ".json"):
-        return data
-    message = kind.create()
-    fill(message, parse_message(data.decode(errors="replace")), stamp_now())
-    return bytes(kind.serialize(message))
-
-
 def show_privacy(
     environment: Environment,
     policy_path: Path | None,
@@ -271,11 +251,14 @@ def show_privacy(
     html: Path | None,
     as_json: bool,
 ) -> None:
-    """Show the report of the policy, or of what is `held`, as text, JSON or a page."""
     read = read_policy(environment.home, policy_path)
     accesses = report.from_policy(read.decider)
     if held:
-        told = clock_format_time if html is None else _day
+        told: Callable[[int], str] = clock_format_time
+        if html is not None:
+            from rossec.console.words import day  # noqa: PLC0415 - for a page alone
+
+            told = day
         accesses = _held(AuthorityHome.at(environment.home), read.decider, told)
     if html is not None:
         wanted = partial(_is_wanted, node, field)
@@ -294,19 +277,10 @@ def show_privacy(
             say(line)
 
 
-def _day(time: int) -> str:
-    from rossec.console.words import day  # noqa: PLC0415 - for a page alone
-
-    return day(time)
-
-
 def _held(home: AuthorityHome, decider: Decider, told: Callable[[int], str]) -> list[ReceiverAccess]:
-    store = home.store()
-    try:
+    with closing(home.store()) as store:
         revoked = store.revoked_entries()
         grants = [document.peek(row.data) for row in store.grants() if row.id not in revoked]
-    finally:
-        store.close()
     return [
         _access(grant, permission, decider, told)
         for grant in grants

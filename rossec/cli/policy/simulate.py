@@ -106,7 +106,6 @@ def _in_force(environment: Environment) -> PolicyFile:
 def run(
     bag: Path, receivers: list[Subject], deciders: tuple[Decider, Decider]
 ) -> dict[tuple[str, str], tuple[Tally, Tally]]:
-    """Try every message of `bag`, for every receiver, under both policies."""
     found: dict[tuple[str, str], tuple[Tally, Tally]] = {}
     trials: dict[tuple[str, int, str], tuple[Trial, Trial]] = {}
     for topic, layout, number, now, message in _messages(bag):

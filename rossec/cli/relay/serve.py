@@ -4,7 +4,7 @@ import asyncio
 import logging
 import os
 import socket
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Final
@@ -39,29 +39,22 @@ _log = logging.getLogger("rossec.overlay")
 def run(environment: Environment, doors: str, seat_file: Path | None, *, as_json: bool) -> None:
     """Run the relay of this host.
 
-    Args:
-        environment: of the command.
-        doors: the address of doors; empty: loopback, for this user.
-        seat_file: the seat, instead of the one that is kept.
-        as_json: say that it runs as a line of JSON.
-
-    Raises:
-        HintedError: the relay cannot start, or a part of it has failed.
+    Without an address of `doors` they are on loopback, for this user. `seat_file` is used instead of
+    the seat that is kept.
     """
     store = relay_files(environment)
     store.home.anchor()  # before anything is written there
-    routers = store.routers() if seat_file is None else _read_seat(seat_file)
+    if seat_file is None:
+        routers = store.routers()
+    else:
+        missing = ConfigurationError(f"there is no {seat_file}", "`rossec router seats add` made it")
+        routers = Routers.read(files.read_own(seat_file, MAX_SEAT_FILE, missing, link=True))
     busy = ConfigurationError(f"{store.home.name} runs already", "end it first")
     raise_descriptor_limit()
     with ExitStack() as stack:
         stack.enter_context(process_lock(store.home.path / LOCK, busy))
         stack.enter_context(audit_written(store.home.path / AUDIT, store.home.signer()))
         asyncio.run(_serve(environment, store, routers, doors, as_json=as_json))
-
-
-def _read_seat(file: Path) -> Routers:
-    missing = ConfigurationError(f"there is no {file}", "`rossec router seats add` made it")
-    return Routers.read(files.read_own(file, MAX_SEAT_FILE, missing, link=True))
 
 
 async def _serve(
@@ -78,7 +71,12 @@ async def _serve(
     admin = AdminPort(store.home.path / RELAY_SOCKET, {"status": relay.status})
     try:
         await admin.start()
-        _say_ready(store, carrier, as_json=as_json)
+        if as_json:
+            say_json({"ready": store.home.name, "router": carrier.router})
+        else:
+            say(printable(f"relay {store.home.name} of {store.home.anchor().domain} at {carrier.router}"))
+            if not store.peers():
+                note("it has no peers yet: rossec relay card LABEL, rossec relay add LABEL FILE")
         notify(READY, environment.variables)
         await until_first_ends(relay.run(), stop.wait())
         notify(STOPPING, environment.variables)
@@ -98,11 +96,9 @@ async def _carrier(routers: Routers, stop: asyncio.Event) -> Carrier | None:
             if said != str(error):
                 _log.warning("%s (%s); trying again", error, error.hint)
             said = str(error)
-        try:
+        with suppress(TimeoutError):
             async with asyncio.timeout(AGAIN_AFTER):
                 await stop.wait()
-        except TimeoutError:
-            continue
     return None
 
 
@@ -118,12 +114,3 @@ def _admission(doors: str) -> Admission:
             f"{doors[:80]} is not an address of this host", "--doors 192.168.1.5, as ROS_IP is"
         ) from error
     return OpenDoors(address)
-
-
-def _say_ready(store: RelayFiles, carrier: Carrier, *, as_json: bool) -> None:
-    if as_json:
-        say_json({"ready": store.home.name, "router": carrier.router})
-        return
-    say(printable(f"relay {store.home.name} of {store.home.anchor().domain} at {carrier.router}"))
-    if not store.peers():
-        note("it has no peers yet: rossec relay card LABEL, rossec relay add LABEL FILE")

@@ -1,17 +1,4 @@
-"""What the commands of `rossec relay` share: the relay of this host, and what it knows.
-
-`rossec relay card | add | list | remove`: with which relays of other sites there are links.
-
-`rossec relay seat`: keep the seat file of the routers' operator.
-
-The router's directory for the commands of its group.
-
-`rossec router seats`: who may use the router.
-
-`rossec router share | take`: several routers of one operator.
-
-`rossec federation add | remove | param | list`: the file of sites in the master's home.
-"""
+"""`rossec relay`, `rossec router seats | share | take`, `rossec federation`: other sites."""
 
 import secrets
 import sys
@@ -45,30 +32,8 @@ from rossec.saved_statements import DomainFiles
 from rossec.terminal import note, printable, record, say, say_json, say_secret
 
 RELAY_SOCKET: Final = "admin.sock"
-
-
-def relay_files(environment: Environment) -> RelayFiles:
-    """The files of this host's relay, which need not be enrolled."""
-    return RelayFiles(NodeHome.of(environment.home, own_relay(environment.variables)))
-
-
-def known_domains(environment: Environment, home: NodeHome) -> Anchors:
-    """The newest list of domains on this host: of the relay, its master, or the authority.
-
-    Raises:
-        ConfigurationError: the relay is not enrolled.
-    """
-    anchors = Anchors(home.anchor())
-    master = NodeHome.of(environment.home, own_master(environment.variables))
-    found = [DomainFiles(each, anchors.own).load_domains() for each in (home, master)]
-    for data in (*found, LocalList(environment.home).domains()):
-        if data:
-            with suppress(DomainsRefused):  # of another authority, or older than one of the others
-                anchors.update(data)
-    return anchors
-
-
 _LISTED = "at the authority: rossec domain accept CARD; then the master has the list, and the relay"
+pass_home = click.make_pass_decorator(RouterHome)
 
 
 @click.command()
@@ -106,6 +71,32 @@ def card(environment: Environment, label: str, domain: str | None) -> None:
     if not store.peers()[label].is_complete:
         note(f"for the relay {label} alone; there: rossec relay add LABEL FILE")
         note(f"here, its card: rossec relay add {label} FILE")
+
+
+def relay_files(environment: Environment) -> RelayFiles:
+    """The files of this host's relay, which need not be enrolled."""
+    return RelayFiles(NodeHome.of(environment.home, own_relay(environment.variables)))
+
+
+def _check_listed(anchors: Anchors, label: str) -> None:
+    if anchors.listed(label) is None:
+        raise ConfigurationError(f"no trusted domain is called {label[:40]!a}", _LISTED)
+
+
+def known_domains(environment: Environment, home: NodeHome) -> Anchors:
+    """The newest list of domains on this host: of the relay, its master, or the authority."""
+    anchors = Anchors(home.anchor())
+    master = NodeHome.of(environment.home, own_master(environment.variables))
+    found = [DomainFiles(each, anchors.own).load_domains() for each in (home, master)]
+    for data in (*found, LocalList(environment.home).domains()):
+        if data:
+            with suppress(DomainsRefused):  # of another authority, or older than one of the others
+                anchors.update(data)
+    return anchors
+
+
+def _new_box() -> str:
+    return secrets.token_hex(BOX)
 
 
 @click.command()
@@ -146,6 +137,15 @@ def add_relay(environment: Environment, label: str, file: Path) -> None:
     note(f"it needs this relay's card too: rossec relay card {label} > FILE, and there: add")
 
 
+def _label_of(anchors: Anchors, found: RelayCard) -> str:
+    if found.domain == anchors.own.domain:
+        return ""
+    listed = anchors.listed_domain(found.domain)
+    if listed is None:
+        raise ConfigurationError(f"the card is of domain {found.domain}, not trusted here", _LISTED)
+    return listed.entry.label
+
+
 @click.command()
 @click.argument("labels", metavar="LABEL...", nargs=-1, required=True)
 @json_result()
@@ -159,12 +159,12 @@ def remove_relay(environment: Environment, labels: tuple[str, ...]) -> None:
     batch = Batch(len(labels), "name")
     for label in labels:
         with batch.item(label):
-            relay_files(environment).change(partial(_take, label))
+            relay_files(environment).change(partial(_forget, label))
             say(f"{label} is linked with no longer")
     batch.finish()
 
 
-def _take(label: str, peers: dict[str, Peer]) -> None:
+def _forget(label: str, peers: dict[str, Peer]) -> None:
     if label not in peers:
         raise ConfigurationError(
             f"there is no peer {label[:40]!a}", f"there are: {', '.join(sorted(peers)) or 'none'}"
@@ -187,24 +187,6 @@ def list_relays(environment: Environment, *, as_json: bool) -> None:
         note("no relay of another site: rossec relay card LABEL, rossec relay add LABEL FILE")
 
 
-def _new_box() -> str:
-    return secrets.token_hex(BOX)
-
-
-def _check_listed(anchors: Anchors, label: str) -> None:
-    if anchors.listed(label) is None:
-        raise ConfigurationError(f"no trusted domain is called {label[:40]!a}", _LISTED)
-
-
-def _label_of(anchors: Anchors, found: RelayCard) -> str:
-    if found.domain == anchors.own.domain:
-        return ""
-    listed = anchors.listed_domain(found.domain)
-    if listed is None:
-        raise ConfigurationError(f"the card is of domain {found.domain}, not trusted here", _LISTED)
-    return listed.entry.label
-
-
 @click.command()
 @click.argument("file", type=options.FILE)
 @json_result()
@@ -222,19 +204,6 @@ def seat(environment: Environment, file: Path) -> None:
     if before and before != found.seat:
         note("the mailboxes have other keys now: hand out the cards again, rossec relay card LABEL")
     note(f"{file} is not needed any more, and whoever has it has the seat: remove it")
-
-
-pass_home = click.make_pass_decorator(RouterHome)
-
-
-def home_of(environment: Environment, directory: Path | None) -> RouterHome:
-    """The directory that was given, else that in ROSSEC_HOME.
-
-    Raises:
-        PathRefused: others can write in ROSSEC_HOME.
-    """
-    found = environment.home / DIRECTORY if directory is None else directory.absolute()
-    return RouterHome(found)
 
 
 def _reached(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -269,6 +238,15 @@ def add_account(home: RouterHome, name: str, host: tuple[str, ...], listen: tupl
     _check_reached(home, host, listen)
     home.change_seats(lambda found: found.add(name, new_password()))
     _print_file(home, name)
+
+
+def _check_reached(home: RouterHome, host: tuple[str, ...], listen: tuple[str, ...]) -> None:
+    home.tell(hosts=host, listen=listen)
+    home.settings().locators  # noqa: B018 - raises
+
+
+def _print_file(home: RouterHome, name: str) -> None:
+    say_secret(home.seat_file(name).write().decode().rstrip())
 
 
 @click.command()
@@ -316,15 +294,6 @@ def remove_account(home: RouterHome, names: tuple[str, ...]) -> None:
             home.change_seats(methodcaller("remove", name))
             say(f"the seat {name} is no more")
     batch.finish()
-
-
-def _check_reached(home: RouterHome, host: tuple[str, ...], listen: tuple[str, ...]) -> None:
-    home.tell(hosts=host, listen=listen)
-    home.settings().locators  # noqa: B018 - raises
-
-
-def _print_file(home: RouterHome, name: str) -> None:
-    say_secret(home.seat_file(name).write().decode().rstrip())
 
 
 @click.command()
@@ -425,6 +394,22 @@ def add_site(
     say(f"{label} is followed: {display_name(found, master)} {site.place}")
 
 
+def _home(environment: Environment) -> NodeHome:
+    return NodeHome.of(environment.home, own_master(environment.variables))
+
+
+def _foreign(home: NodeHome, label: str) -> str:
+    if not home.path.is_dir():
+        return ""
+    try:
+        anchors = DomainFiles(home, home.anchor()).anchors()
+    except CAError as error:
+        raise ConfigurationError(
+            f"the list of domains of {home.name} is invalid: {error}", "rossec ca publish"
+        ) from error
+    return "" if anchors.listed(label) is None else label
+
+
 @click.command()
 @click.argument("labels", metavar="LABEL...", nargs=-1, required=True)
 @json_result()
@@ -438,14 +423,22 @@ def remove_site(environment: Environment, labels: tuple[str, ...]) -> None:
     batch = Batch(len(labels), "name")
     for label in labels:
         with batch.item(label):
-            SiteFile(_home(environment).path).change(partial(_sites_take, label))
+            SiteFile(_home(environment).path).change(partial(_unfollow, label))
             say(f"{label} is followed no longer")
     batch.finish()
 
 
-def _sites_take(label: str, sites: dict[str, SiteSettings]) -> None:
+def _unfollow(label: str, sites: dict[str, SiteSettings]) -> None:
     _find(sites, label)
     del sites[label]
+
+
+def _find(sites: dict[str, SiteSettings], label: str) -> SiteSettings:
+    if label not in sites:
+        raise ConfigurationError(
+            f"there is no site {label[:40]!a}", f"there are: {', '.join(sorted(sites)) or 'none'}"
+        )
+    return sites[label]
 
 
 @click.command()
@@ -502,25 +495,7 @@ def list_sites(environment: Environment, *, as_json: bool) -> None:
         note("no master is followed: rossec federation add URI --as LABEL")
 
 
-def _home(environment: Environment) -> NodeHome:
-    return NodeHome.of(environment.home, own_master(environment.variables))
-
-
-def _find(sites: dict[str, SiteSettings], label: str) -> SiteSettings:
-    if label not in sites:
-        raise ConfigurationError(
-            f"there is no site {label[:40]!a}", f"there are: {', '.join(sorted(sites)) or 'none'}"
-        )
-    return sites[label]
-
-
-def _foreign(home: NodeHome, label: str) -> str:
-    if not home.path.is_dir():
-        return ""
-    try:
-        anchors = DomainFiles(home, home.anchor()).anchors()
-    except CAError as error:
-        raise ConfigurationError(
-            f"the list of domains of {home.name} is invalid: {error}", "rossec ca publish"
-        ) from error
-    return "" if anchors.listed(label) is None else label
+def home_of(environment: Environment, directory: Path | None) -> RouterHome:
+    """The directory that was given, else that in ROSSEC_HOME."""
+    found = environment.home / DIRECTORY if directory is None else directory.absolute()
+    return RouterHome(found)

@@ -1,17 +1,15 @@
-"""`rossec service`: see and call services from the command line, with an identity.
-
-`rossec param`: read and write parameters from the command line, with an identity.
-"""
+"""`rossec service`, `rossec param`: services and parameters from the command line, with an identity."""
 
 import asyncio
 import base64
 import shlex
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import click
 
+from ca.certificates import Identity
 from ca.names import local_name, shown
 from rossec.cli.ros.topic import run_until_node_ends
 from rossec.cli.shared.context import Environment, pass_environment
@@ -19,13 +17,12 @@ from rossec.cli.shared.master import node_as
 from rossec.cli.shared.messages import fill, parse_arguments, parse_message, plain, render, stamp_now
 from rossec.cli.shared.options import Batch, json_result, unique
 from rossec.errors import ConfigurationError
-from rossec.node import ServiceClient, register_service_type, service_type
-from rossec.node.params import NodeParameters
+from rossec.node import Node, register_service_type, service_type
 from rossec.participant.handshakes import caller_here, text
-from rossec.participant.message_types import Message
 from rossec.terminal import json_text, printable, record, say, say_block, say_json
 
 _AS = click.option("--as", "node", required=True, metavar="NODE", help="identity to use")
+T = TypeVar("T")
 _JSON = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
 
 
@@ -35,7 +32,20 @@ _JSON = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
 @pass_environment
 def list_services(environment: Environment, node: str, as_json: bool) -> None:
     """List the services that NODE may see."""
-    asyncio.run(_list(environment, node, as_json))
+    known = _run(environment, node, lambda running: running.services.known())
+    if as_json:
+        say_json(known)
+        return
+    for name in sorted(known):
+        say(printable(shown(name)))
+
+
+def _run(environment: Environment, node: str, work: Callable[[Node], Awaitable[T]]) -> T:
+    async def run() -> T:
+        async with node_as(environment, node) as running:
+            return await work(running)
+
+    return asyncio.run(run())
 
 
 @click.command()
@@ -45,7 +55,21 @@ def list_services(environment: Environment, node: str, as_json: bool) -> None:
 @pass_environment
 def service_info(environment: Environment, name: str, node: str, as_json: bool) -> None:
     """Show which node provides the service NAME, where, and its type."""
-    asyncio.run(_info(environment, name, node, as_json))
+
+    async def ask(running: Node) -> tuple[str, Mapping[str, bytes], Identity]:
+        absolute = running.settings.resolve(local_name(name))
+        return await running.services.lookup(absolute), *await running.services.probe(absolute)
+
+    uri, fields, provider = _run(environment, node, ask)
+    caller = caller_here(provider, text(fields, "callerid"))
+    found = {"node": caller, "uri": uri, "type": text(fields, "type"), "md5sum": text(fields, "md5sum")}
+    if caller != provider.name:
+        found["identity"] = provider.name
+    if as_json:
+        say_json(found)
+        return
+    for key, value in found.items():
+        say(f"{key}: {printable(shown(value))}")
 
 
 @click.command("type")
@@ -55,7 +79,12 @@ def service_info(environment: Environment, name: str, node: str, as_json: bool) 
 @pass_environment
 def type_of_service(environment: Environment, name: str, node: str) -> None:
     """Print the type of the service NAME."""
-    asyncio.run(_type(environment, name, node))
+    service = local_name(name)
+    fields, _ = _run(
+        environment, node, lambda running: running.services.probe(running.settings.resolve(service))
+    )
+    record(service=service, type=text(fields, "type"))
+    say(printable(text(fields, "type")))
 
 
 @click.command()
@@ -104,39 +133,6 @@ def _register_definition(type_name: str | None, definition: Path) -> None:
     register_service_type(type_name, content)
 
 
-async def _list(environment: Environment, node: str, as_json: bool) -> None:
-    async with node_as(environment, node) as running:
-        known = await running.services.known()
-    if as_json:
-        say_json(known)
-        return
-    for name in sorted(known):
-        say(printable(shown(name)))
-
-
-async def _info(environment: Environment, name: str, own: str, as_json: bool) -> None:
-    async with node_as(environment, own) as running:
-        name = running.settings.resolve(local_name(name))
-        uri = await running.services.lookup(name)
-        fields, provider = await running.services.probe(name)
-    node = caller_here(provider, text(fields, "callerid"))
-    found = {"node": node, "uri": uri, "type": text(fields, "type"), "md5sum": text(fields, "md5sum")}
-    if node != provider.name:
-        found["identity"] = provider.name
-    if as_json:
-        say_json(found)
-        return
-    for key, value in found.items():
-        say(f"{key}: {printable(shown(value))}")
-
-
-async def _type(environment: Environment, name: str, own: str) -> None:
-    async with node_as(environment, own) as running:
-        fields, _ = await running.services.probe(running.settings.resolve(local_name(name)))
-    record(service=local_name(name), type=text(fields, "type"))
-    say(printable(text(fields, "type")))
-
-
 async def _call(
     environment: Environment,
     name: str,
@@ -155,15 +151,15 @@ async def _call(
         client = running.client(name, type_name, deadline=timeout)
         request = client.create()
         fill(request, content_fields, stamp_now())
-        await run_until_node_ends(running, _answer(client, request, as_json))
 
+        async def answer() -> None:
+            response = await client(request)
+            if as_json:
+                say_json(plain(response))
+            elif (said := render(response)) != "":
+                say_block(said)
 
-async def _answer(client: ServiceClient, request: Message, as_json: bool) -> None:
-    response = await client(request)
-    if as_json:
-        say_json(plain(response))
-    elif (said := render(response)) != "":
-        say_block(said)
+        await run_until_node_ends(running, answer())
 
 
 @click.command("list")
@@ -173,7 +169,7 @@ async def _answer(client: ServiceClient, request: Message, as_json: bool) -> Non
 @pass_environment
 def list_params(environment: Environment, namespace: str, node: str, as_json: bool) -> None:
     """List the parameters that NODE may read, of all or of one NAMESPACE."""
-    names = _run(environment, node, lambda params: params.names())
+    names = _run(environment, node, lambda running: running.params.names())
     prefix = local_name(namespace).rstrip("/") + "/"
     found = sorted(name for name in names if f"{name}/".startswith(prefix))
     if as_json:
@@ -191,11 +187,31 @@ def list_params(environment: Environment, namespace: str, node: str, as_json: bo
 def get_param(environment: Environment, name: str, node: str, as_json: bool) -> None:
     """Print the parameter NAME, or a namespace with all in it."""
     key = local_name(name)
-    value = _run(environment, node, lambda params: params.get(key))
+    value = _run(environment, node, lambda running: running.params.get(key))
     if as_json:
         say_json(_encodable(value))
     else:
         say_block(_readable(value))
+
+
+def _encodable(value: object) -> object:
+    match value:
+        case dict():
+            return {str(key): _encodable(below) for key, below in value.items()}
+        case list():
+            return [_encodable(item) for item in value]
+        case bytes():
+            return base64.b64encode(value).decode()
+        case bool() | int() | float() | str():
+            return value
+        case _:
+            return str(value)
+
+
+def _readable(value: object) -> str:
+    if isinstance(value, str):
+        return printable(value)
+    return json_text(_encodable(value), 2 if isinstance(value, dict) else None)
 
 
 @click.command("set")
@@ -217,7 +233,7 @@ def set_param(environment: Environment, name: str, values: tuple[str, ...], node
             "a parameter cannot be null", f"unset it: rossec param delete {name} --as NODE"
         )
     key = local_name(name)
-    _run(environment, node, lambda params: params.set(key, content))
+    _run(environment, node, lambda running: running.params.set(key, content))
     record(name=key, value=_encodable(content))
 
 
@@ -231,38 +247,10 @@ def delete_param(environment: Environment, names: tuple[str, ...], node: str) ->
     keys = unique([local_name(name) for name in names])
     batch = Batch(len(keys), "name")
 
-    async def work(params: NodeParameters) -> None:
+    async def work(running: Node) -> None:
         for key in keys:
             with batch.item(key):
-                await params.delete(key)
+                await running.params.delete(key)
 
     _run(environment, node, work)
     batch.finish()
-
-
-def _run(environment: Environment, node: str, work: Callable[[NodeParameters], Awaitable[Any]]) -> Any:
-    async def run() -> Any:
-        async with node_as(environment, node) as running:
-            return await work(running.params)
-
-    return asyncio.run(run())
-
-
-def _readable(value: object) -> str:
-    if isinstance(value, str):
-        return printable(value)
-    return json_text(_encodable(value), 2 if isinstance(value, dict) else None)
-
-
-def _encodable(value: object) -> object:
-    match value:
-        case dict():
-            return {str(key): _encodable(below) for key, below in value.items()}
-        case list():
-            return [_encodable(item) for item in value]
-        case bytes():
-            return base64.b64encode(value).decode()
-        case bool() | int() | float() | str():
-            return value
-        case _:
-            return str(value)

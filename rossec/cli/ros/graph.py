@@ -1,13 +1,4 @@
-"""`rossec graph`: which nodes publish, subscribe and provide, now or as it changes.
-
-The graph as ROS 1's tools ask for it: getSystemState and getTopicTypes, as a node may see it.
-
-`rossec topic list | info | type | find`: topics as the master shows them to a node.
-
-`rossec node list | info`: the nodes that run, as the master shows them to a node.
-
-`rossec discover`: the masters that announce themselves on the local links.
-"""
+"""`rossec graph | discover`, and what `rossec topic` and `rossec node` list of the graph."""
 
 import asyncio
 import socket
@@ -38,114 +29,12 @@ from rossec.terminal import note, printable, record, say, say_json
 UNKNOWN = "unknown type"  # as rostopic has it
 T = TypeVar("T")
 Names = Mapping[str, tuple[str, ...]]
-
 as_node = click.option("--as", "node", required=True, metavar="NODE", help="identity to use")
 as_json = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
-
-
-@dataclass(frozen=True)
-class SystemState:
-    publishers: Names
-    subscribers: Names
-    services: Names
-    types: Mapping[str, str]
-
-    @property
-    def topics(self) -> list[str]:
-        return sorted({*self.publishers, *self.subscribers})
-
-    @property
-    def nodes(self) -> list[str]:
-        groups = (self.publishers, self.subscribers, self.services)
-        return sorted({node for names in groups for nodes in names.values() for node in nodes})
-
-    def type_of(self, topic: str) -> str:
-        return self.types.get(topic, UNKNOWN)
-
-
-def system_state(environment: Environment, node: str) -> SystemState:
-    """The state of the master that ROS_MASTER_URI names, as far as `node` may see it.
-
-    Raises:
-        HintedError, OSError, TimeoutError: the master is unreachable, or answers wrongly.
-    """
-    found = asyncio.run(_ask(environment, node, read_state))
-    _keep_for_completion(environment, found)
-    return found
-
-
-def _keep_for_completion(environment: Environment, found: SystemState) -> None:
-    names = {
-        values.NODE: found.nodes,
-        values.SERVICE: sorted(found.services),
-        values.TOPIC: found.topics,
-        values.TYPE: sorted(set(found.types.values())),
-    }
-    values.keep(environment.home, environment.variables.get("ROS_MASTER_URI", ""), names)
-
-
-def addresses(environment: Environment, node: str, names: list[str]) -> dict[str, str]:
-    """The slave API of each of these nodes; one that `node` may not look up is left out."""
-
-    async def look_up(call: MasterCall) -> dict[str, str]:
-        found: dict[str, str] = {}
-        for name in names:
-            try:
-                uri = await call("lookupNode", name)
-            except AnswerRefused:
-                continue
-            found |= {name: uri} if isinstance(uri, str) else {}
-        return found
-
-    return asyncio.run(_ask(environment, node, look_up))
-
-
-def note_hidden(node: str) -> None:
-    """Say why a list may be empty."""
-    note(f"nothing that {node} may see; all of it needs: rossec grant sign {node} --graph")
-
-
-async def _ask(environment: Environment, node: str, question: Callable[[MasterCall], Awaitable[T]]) -> T:
-    home = NodeHome.of(environment.home, node)
-    async with calls_as(environment, home, await find_master(environment, home)) as call:
-        return await question(call)
-
-
-async def read_state(call: MasterCall) -> SystemState:
-    """Ask both questions on one connection.
-
-    Raises:
-        AnswerMalformed: not what these calls answer.
-    """
-    match await call("getSystemState"):
-        case [list() as publishers, list() as subscribers, list() as services]:
-            groups = _names(publishers), _names(subscribers), _names(services)
-        case _:
-            raise AnswerMalformed("an invalid system state")
-    types = await call("getTopicTypes")
-    return SystemState(*groups, dict(map(_type, types if isinstance(types, list) else [types])))
-
-
-def _names(rows: list[object]) -> Names:
-    found: dict[str, tuple[str, ...]] = {}
-    for row in rows:
-        match row:
-            case [str() as name, list() as nodes]:
-                found[name] = tuple(sorted(node for node in nodes if isinstance(node, str)))
-            case _:
-                raise AnswerMalformed("an invalid system state")
-    return found
-
-
-def _type(row: object) -> tuple[str, str]:
-    match row:
-        case [str() as topic, str() as kind]:
-            return topic, UNKNOWN if kind == ANY_TYPE else kind
-        case _:
-            raise AnswerMalformed("a list of topics that is malformed")
-
-
 _NAMESPACE = click.argument("namespace", required=False)
+PAUSE: Final = 1.0  # seconds until the first reconnection
+MAX_PAUSE: Final = 30.0  # seconds between later reconnections at most
+_HEADINGS: Final = {"publisher": "published by", "subscriber": "subscribed by"}
 
 
 @click.command("list")
@@ -185,6 +74,117 @@ def list_topics(
         note_hidden(node)
 
 
+@dataclass(frozen=True)
+class SystemState:
+    publishers: Names
+    subscribers: Names
+    services: Names
+    types: Mapping[str, str]
+
+    @property
+    def topics(self) -> list[str]:
+        return sorted({*self.publishers, *self.subscribers})
+
+    @property
+    def nodes(self) -> list[str]:
+        groups = (self.publishers, self.subscribers, self.services)
+        return sorted({node for names in groups for nodes in names.values() for node in nodes})
+
+    def type_of(self, topic: str) -> str:
+        return self.types.get(topic, UNKNOWN)
+
+
+def system_state(environment: Environment, node: str) -> SystemState:
+    found = asyncio.run(_ask(environment, node, read_state))
+    _keep_for_completion(environment, found)
+    return found
+
+
+async def _ask(environment: Environment, node: str, question: Callable[[MasterCall], Awaitable[T]]) -> T:
+    home = NodeHome.of(environment.home, node)
+    async with calls_as(environment, home, await find_master(environment, home)) as call:
+        return await question(call)
+
+
+async def read_state(call: MasterCall) -> SystemState:
+    match await call("getSystemState"):
+        case [list() as publishers, list() as subscribers, list() as services]:
+            groups = _names(publishers), _names(subscribers), _names(services)
+        case _:
+            raise AnswerMalformed("an invalid system state")
+    types = await call("getTopicTypes")
+    return SystemState(*groups, dict(map(_type, types if isinstance(types, list) else [types])))
+
+
+def _names(rows: list[object]) -> Names:
+    found: dict[str, tuple[str, ...]] = {}
+    for row in rows:
+        match row:
+            case [str() as name, list() as nodes]:
+                found[name] = tuple(sorted(node for node in nodes if isinstance(node, str)))
+            case _:
+                raise AnswerMalformed("an invalid system state")
+    return found
+
+
+def _type(row: object) -> tuple[str, str]:
+    match row:
+        case [str() as topic, str() as kind]:
+            return topic, UNKNOWN if kind == ANY_TYPE else kind
+        case _:
+            raise AnswerMalformed("a list of topics that is malformed")
+
+
+def _keep_for_completion(environment: Environment, found: SystemState) -> None:
+    names = {
+        values.NODE: found.nodes,
+        values.SERVICE: sorted(found.services),
+        values.TOPIC: found.topics,
+        values.TYPE: sorted(set(found.types.values())),
+    }
+    values.keep(environment.home, environment.variables.get("ROS_MASTER_URI", ""), names)
+
+
+def _lies_in(topic: str, namespace: str | None) -> bool:
+    if namespace is None:
+        return True
+    top = absolute(namespace).rstrip("/")
+    return topic == top or topic.startswith(f"{top}/")
+
+
+def absolute(name: str) -> str:
+    """The absolute name of what a person wrote, as stock tools take it: from the root."""
+    topic = local_name(name)
+    return topic if topic.startswith("/") else f"/{topic}"
+
+
+def _own_first(name: str) -> tuple[bool, str]:
+    return is_alias(name), name
+
+
+def _row(state: SystemState, topic: str) -> dict[str, object]:
+    return {
+        "topic": topic,
+        "type": None if state.type_of(topic) == UNKNOWN else state.type_of(topic),
+        "publishers": state.publishers.get(topic, ()),
+        "subscribers": state.subscribers.get(topic, ()),
+    }
+
+
+def _say_verbose(heading: str, one: str, names: Names, topics: list[str], state: SystemState) -> None:
+    say("")
+    say(f"{heading} topics:")
+    for topic in topics:
+        if count := len(names.get(topic, ())):
+            many = f"{count} {one}{'s' * (count != 1)}"
+            say(printable(f" * {shown(topic)} [{state.type_of(topic)}] {many}"))
+    say("")
+
+
+def note_hidden(node: str) -> None:
+    note(f"nothing that {node} may see; all of it needs: rossec grant sign {node} --graph")
+
+
 @click.command()
 @click.argument("name")
 @as_node
@@ -208,6 +208,32 @@ def topic_info(environment: Environment, name: str, node: str, as_json: bool) ->
             where = f" ({uris[each]})" if each in uris else ""
             say(printable(f" * {shown(each)}{where}"))
         say("")
+
+
+def _known(state: SystemState, name: str, node: str) -> str:
+    topic = absolute(name)
+    if topic not in state.publishers and topic not in state.subscribers:
+        raise ConfigurationError(
+            f"no topic {shown(topic)} that {node} may see",
+            f"rossec topic list --as {node} shows those that it may",
+        )
+    return topic
+
+
+def addresses(environment: Environment, node: str, names: list[str]) -> dict[str, str]:
+    """The slave API of each of these nodes; one that `node` may not look up is left out."""
+
+    async def look_up(call: MasterCall) -> dict[str, str]:
+        found: dict[str, str] = {}
+        for name in names:
+            try:
+                uri = await call("lookupNode", name)
+            except AnswerRefused:
+                continue
+            found |= {name: uri} if isinstance(uri, str) else {}
+        return found
+
+    return asyncio.run(_ask(environment, node, look_up))
 
 
 @click.command("type")
@@ -239,52 +265,6 @@ def find_topics(environment: Environment, type_name: str, node: str) -> None:
     record(type=type_name, topics=found)
     for topic in found:
         say(printable(shown(topic)))
-
-
-def _known(state: SystemState, name: str, node: str) -> str:
-    topic = absolute(name)
-    if topic not in state.publishers and topic not in state.subscribers:
-        raise ConfigurationError(
-            f"no topic {shown(topic)} that {node} may see",
-            f"rossec topic list --as {node} shows those that it may",
-        )
-    return topic
-
-
-def absolute(name: str) -> str:
-    """The absolute name of what a person wrote, as stock tools take it: from the root."""
-    topic = local_name(name)
-    return topic if topic.startswith("/") else f"/{topic}"
-
-
-def _lies_in(topic: str, namespace: str | None) -> bool:
-    if namespace is None:
-        return True
-    top = absolute(namespace).rstrip("/")
-    return topic == top or topic.startswith(f"{top}/")
-
-
-def _row(state: SystemState, topic: str) -> dict[str, object]:
-    return {
-        "topic": topic,
-        "type": None if state.type_of(topic) == UNKNOWN else state.type_of(topic),
-        "publishers": state.publishers.get(topic, ()),
-        "subscribers": state.subscribers.get(topic, ()),
-    }
-
-
-def _say_verbose(heading: str, one: str, names: Names, topics: list[str], state: SystemState) -> None:
-    say("")
-    say(f"{heading} topics:")
-    for topic in topics:
-        if count := len(names.get(topic, ())):
-            many = f"{count} {one}{'s' * (count != 1)}"
-            say(printable(f" * {shown(topic)} [{state.type_of(topic)}] {many}"))
-    say("")
-
-
-def _own_first(name: str) -> tuple[bool, str]:
-    return is_alias(name), name
 
 
 @click.command("list")
@@ -343,11 +323,6 @@ def _say(heading: str, names: list[str], state: SystemState | None) -> None:
     say("")
 
 
-PAUSE: Final = 1.0  # seconds until the first reconnection
-MAX_PAUSE: Final = 30.0  # seconds between later reconnections at most
-_HEADINGS: Final = {"publisher": "published by", "subscriber": "subscribed by"}
-
-
 @click.command()
 @click.option("--as", "node", required=True, metavar="NODE", help="identity to use")
 @click.option("--watch", is_flag=True, help="go on, and say what changes; ends with Ctrl-C")
@@ -367,18 +342,6 @@ def graph(environment: Environment, node: str, watch: bool, as_json: bool) -> No
     )
 
 
-async def _print_graph(environment: Environment, home: NodeHome, uri: str, as_json: bool) -> None:
-    view = GraphView()
-    async with calls_as(environment, home, uri) as call:
-        while view.take(await call(WATCH_GRAPH, *view.next_params)).more:
-            pass
-    if as_json:
-        say_json(_json(view, ObservedChange(tuple(sorted(view.facts)), (), False, False)))
-        return
-    for line in describe(view.facts):
-        say(line)
-
-
 async def _print_changes(environment: Environment, home: NodeHome, uri: str, as_json: bool) -> None:
     view, pause, last_error = GraphView(), PAUSE, ""
     own = LiveCredentials(home.credentials())
@@ -392,7 +355,10 @@ async def _print_changes(environment: Environment, home: NodeHome, uri: str, as_
         except (HintedError, OSError, TimeoutError) as error:
             if view.version < 0:
                 raise
-            _check_identity(home)
+            try:
+                home.identity(now())
+            except CertificateExpired as expired:
+                raise ConfigurationError(f"{expired}, and it was not renewed", expired.hint) from expired
             if before != view.version:
                 pause, last_error = PAUSE, ""
             if str(error) != last_error:
@@ -400,13 +366,6 @@ async def _print_changes(environment: Environment, home: NodeHome, uri: str, as_
                 note(f"no graph changes received: {printable(last_error)}")
             await asyncio.sleep(pause)
             pause = min(2 * pause, MAX_PAUSE)
-
-
-def _check_identity(home: NodeHome) -> None:
-    try:
-        home.identity(now())
-    except CertificateExpired as error:
-        raise ConfigurationError(f"{error}, and it was not renewed", error.hint) from error
 
 
 def _print_change(view: GraphView, change: ObservedChange, as_json: bool) -> None:
@@ -432,8 +391,19 @@ def _json(view: GraphView, change: ObservedChange) -> dict[str, object]:
     }
 
 
+async def _print_graph(environment: Environment, home: NodeHome, uri: str, as_json: bool) -> None:
+    view = GraphView()
+    async with calls_as(environment, home, uri) as call:
+        while view.take(await call(WATCH_GRAPH, *view.next_params)).more:
+            pass
+    if as_json:
+        say_json(_json(view, ObservedChange(tuple(sorted(view.facts)), (), False, False)))
+        return
+    for line in describe(view.facts):
+        say(line)
+
+
 def describe(facts: frozenset[Fact]) -> list[str]:
-    """The graph as text: topics with their types and nodes, then services."""
     types = {name: value for kind, name, value in facts if kind == "type"}
     nodes: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
     for kind, name, value in sorted(facts):

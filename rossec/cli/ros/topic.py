@@ -1,25 +1,10 @@
-"""`rossec topic`: publish and listen from the command line, with an identity.
-
-A node that runs for one command.
-
-The type a publisher claims, to show its messages by: one that is known here, or its definition.
-
-Nothing is decided by it. A type that is known here counts as it is known here.
-
-A topic of any type as a command listens to it: messages as bytes, and why there are none.
-
-A person who waits is told after a moment: that nobody publishes, or what each publisher was refused
-for. Each reason is said once.
-
-`rossec topic hz | bw`: how often messages arrive, and how much they are.
-"""
+"""`rossec topic pub | echo | hz | bw`: publish and listen as a node that runs for one command."""
 
 import asyncio
 import time
 from collections import deque
 from collections.abc import AsyncIterable, AsyncIterator, Callable, Coroutine, Sequence
 from contextlib import asynccontextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -49,46 +34,67 @@ from rossec.participant.definitions import Definition
 from rossec.participant.message_types import Message, MessageType, message_type, register_types
 from rossec.terminal import note, printable, say, say_block, say_json
 
-
-async def run_until_node_ends(node: Node, work: Coroutine[Any, Any, None]) -> None:
-    """Run `work`; if the node ends first, cancel it and raise why the node ended.
-
-    Both tasks have ended when this returns, also after Ctrl-C: the node is closed next.
-    """
-    tasks = [asyncio.ensure_future(node.wait_ended()), asyncio.ensure_future(work)]
-    try:
-        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-    finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
-    for task in done:
-        await task
-
-
-def readable(claimed: Definition) -> MessageType:
-    """The type to read messages of `claimed` by.
-
-    Raises:
-        MessageError: its name has another definition here, or the definition is none.
-    """
-    try:
-        known = message_type(claimed.name)
-    except MessageError:
-        register_types({claimed.name: claimed.definition})
-        known = message_type(claimed.name)
-    if known.md5sum != claimed.md5sum:
-        raise MessageError(
-            f"the publisher's {claimed.name} is another one than here",
-            "its messages cannot be read by the definition that is installed here",
-        )
-    return known
-
-
 MOMENT: Final = 2.0  # seconds in which a publisher that runs is connected
 KEPT: Final = 100  # messages that wait; older ones are dropped, as a subscriber's queue does
-
 Arrived = tuple[RawSource, bytes]
+Show = Callable[[Message], None]
+MAX_FILE: Final = 4 * 1024 * 1024  # as much YAML as is read
+PERIOD: Final = 1.0  # seconds between two lines
+_WINDOW = click.option(
+    "--window", "-w", type=click.IntRange(min=2), help="of the last N messages only", metavar="N"
+)
+_COUNT = click.option("--count", "-n", type=click.IntRange(min=1), help="end after N lines")
+Add = Callable[[float, int], None]
+
+
+@click.command()
+@click.argument("name")
+@click.argument("type_name", metavar="[TYPE]", required=False)
+@as_node
+@click.option("--count", "-n", type=click.IntRange(min=1), help="end after this many messages")
+@click.option("--noarr", is_flag=True, help="without lists, which may be long")
+@click.option("--nostr", is_flag=True, help="without text")
+@click.option("--json", "as_json", is_flag=True, help="a line of JSON for each message, with all")
+@pass_environment
+def echo(
+    environment: Environment,
+    name: str,
+    type_name: str | None,
+    node: str,
+    count: int | None,
+    noarr: bool,
+    nostr: bool,
+    as_json: bool,
+) -> None:
+    """Print the messages of the topic NAME, as NODE may see them.
+
+    With TYPE only messages of this type are received.
+    """
+    if as_json and (noarr or nostr):
+        raise click.UsageError("--json has all fields: leave --noarr and --nostr")
+    hidden = tuple(kind for kind, hide in ((list, noarr), (str, nostr)) if hide)
+
+    def show(message: Message) -> None:
+        if as_json:
+            say_json(plain(message))
+            return
+        say_block(render(message, hidden=hidden))
+        say("---")
+
+    asyncio.run(_echo(environment, name, type_name, node, count, show))
+
+
+async def _echo(
+    environment: Environment, name: str, type_name: str | None, node: str, count: int | None, show: Show
+) -> None:
+    if type_name is None:
+        async with listening(environment, name, node) as (running, arrivals):
+            await run_until_node_ends(running, _print(_read(arrivals), count, show))
+        return
+    async with node_as(environment, node) as running:
+        subscriber = await running.subscriber(local_name(name), type_name)
+        async with watched(subscriber):
+            await run_until_node_ends(running, _print(subscriber, count, show))
 
 
 class Arrivals:
@@ -123,7 +129,6 @@ class Arrivals:
 
 @asynccontextmanager
 async def listening(environment: Environment, name: str, node: str) -> AsyncIterator[tuple[Node, Arrivals]]:
-    """A running node that subscribes to the topic, and what arrives there."""
     async with node_as(environment, node) as running:
         arrivals = Arrivals()
         topic = running.settings.resolve(local_name(name))
@@ -134,8 +139,12 @@ async def listening(environment: Environment, name: str, node: str) -> AsyncIter
 
 @asynccontextmanager
 async def watched(subscriber: Subscriber) -> AsyncIterator[None]:
-    """Say it if nobody publishes after a moment."""
-    task = asyncio.ensure_future(_say_if_nobody(subscriber))
+    async def say_if_nobody() -> None:
+        await asyncio.sleep(MOMENT)
+        if not subscriber.publishers:
+            note(f"nobody publishes {shown(subscriber.topic)} at this master; waiting")
+
+    task = asyncio.ensure_future(say_if_nobody())
     try:
         yield
     finally:
@@ -143,48 +152,53 @@ async def watched(subscriber: Subscriber) -> AsyncIterator[None]:
         await asyncio.gather(task, return_exceptions=True)
 
 
-async def _say_if_nobody(subscriber: Subscriber) -> None:
-    await asyncio.sleep(MOMENT)
-    if not subscriber.publishers:
-        note(f"nobody publishes {shown(subscriber.topic)} at this master; waiting")
+async def run_until_node_ends(node: Node, work: Coroutine[Any, Any, None]) -> None:
+    """Run `work`; if the node ends first, cancel it and raise why the node ended.
 
-
-Show = Callable[[Message], None]
-MAX_FILE: Final = 4 * 1024 * 1024  # as much YAML as is read
-
-
-@click.command()
-@click.argument("name")
-@click.argument("type_name", metavar="[TYPE]", required=False)
-@as_node
-@click.option("--count", "-n", type=click.IntRange(min=1), help="end after this many messages")
-@click.option("--noarr", is_flag=True, help="without lists, which may be long")
-@click.option("--nostr", is_flag=True, help="without text")
-@click.option("--json", "as_json", is_flag=True, help="a line of JSON for each message, with all")
-@pass_environment
-def echo(
-    environment: Environment,
-    name: str,
-    type_name: str | None,
-    node: str,
-    count: int | None,
-    noarr: bool,
-    nostr: bool,
-    as_json: bool,
-) -> None:
-    """Print the messages of the topic NAME, as NODE may see them.
-
-    With TYPE only messages of this type are received.
+    Both tasks have ended when this returns, also after Ctrl-C: the node is closed next.
     """
-    if as_json and (noarr or nostr):
-        raise click.UsageError("--json has all fields: leave --noarr and --nostr")
-    hidden = tuple(kind for kind, hide in ((list, noarr), (str, nostr)) if hide)
-    show = _as_json if as_json else partial(_as_text, hidden=hidden)
-    asyncio.run(
-        _echo_any(environment, name, node, count, show)
-        if type_name is None
-        else _echo(environment, name, type_name, node, count, show)
-    )
+    tasks = [asyncio.ensure_future(node.wait_ended()), asyncio.ensure_future(work)]
+    try:
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+    for task in done:
+        await task
+
+
+async def _print(messages: AsyncIterable[Message], count: int | None, show: Show) -> None:
+    seen = 0
+    async for message in messages:
+        show(message)
+        seen += 1
+        if seen == count:
+            return
+
+
+async def _read(arrivals: Arrivals) -> AsyncIterator[Message]:
+    # Messages by the types that publishers claim; what cannot be read is said, and left out.
+    async for source, data in arrivals.messages():
+        try:
+            yield readable(source.type).deserialize(data)
+        except MessageError as error:
+            arrivals.refused(error)
+
+
+def readable(claimed: Definition) -> MessageType:
+    """The type to read messages of `claimed` by: nothing is decided by what a publisher claims."""
+    try:
+        known = message_type(claimed.name)
+    except MessageError:
+        register_types({claimed.name: claimed.definition})
+        known = message_type(claimed.name)
+    if known.md5sum != claimed.md5sum:
+        raise MessageError(
+            f"the publisher's {claimed.name} is another one than here",
+            "its messages cannot be read by the definition that is installed here",
+        )
+    return known
 
 
 @click.command()
@@ -232,45 +246,16 @@ def pub(
     asyncio.run(_pub(environment, name, messages, node, 1 / rate, ends))
 
 
-def _as_text(message: Message, hidden: tuple[type, ...]) -> None:
-    say_block(render(message, hidden=hidden))
-    say("---")
-
-
-def _as_json(message: Message) -> None:
-    say_json(plain(message))
-
-
-async def _echo_any(environment: Environment, name: str, node: str, count: int | None, show: Show) -> None:
-    async with listening(environment, name, node) as (running, arrivals):
-        await run_until_node_ends(running, _print(_read(arrivals), count, show))
-
-
-async def _read(arrivals: Arrivals) -> AsyncIterator[Message]:
-    # Messages by the types that publishers claim; what cannot be read is said, and left out.
-    async for source, data in arrivals.messages():
-        try:
-            yield readable(source.type).deserialize(data)
-        except MessageError as error:
-            arrivals.refused(error)
-
-
-async def _echo(
-    environment: Environment, name: str, type_name: str, node: str, count: int | None, show: Show
-) -> None:
-    async with node_as(environment, node) as running:
-        subscriber = await running.subscriber(local_name(name), type_name)
-        async with watched(subscriber):
-            await run_until_node_ends(running, _print(subscriber, count, show))
-
-
-async def _print(messages: AsyncIterable[Message], count: int | None, show: Show) -> None:
-    seen = 0
-    async for message in messages:
-        show(message)
-        seen += 1
-        if seen == count:
-            return
+def _contents(content: tuple[str, ...], file: Path | None) -> list[object]:
+    if file is None:
+        return [parse_arguments(content)]
+    if content:
+        raise click.UsageError("CONTENT and --file exclude each other")
+    text = files.read(file, MAX_FILE).decode(errors="replace")
+    contents = parse_documents(text)
+    if not contents:
+        raise ConfigurationError(f"{file} holds no message", "one or more, with --- between them")
+    return contents
 
 
 class Messages:
@@ -291,18 +276,6 @@ class Messages:
         return message
 
 
-def _contents(content: tuple[str, ...], file: Path | None) -> list[object]:
-    if file is None:
-        return [parse_arguments(content)]
-    if content:
-        raise click.UsageError("CONTENT and --file exclude each other")
-    text = files.read(file, MAX_FILE).decode(errors="replace")
-    contents = parse_documents(text)
-    if not contents:
-        raise ConfigurationError(f"{file} holds no message", "one or more, with --- between them")
-    return contents
-
-
 async def _pub(
     environment: Environment, name: str, messages: Messages, node: str, period: float, count: int | None
 ) -> None:
@@ -321,15 +294,6 @@ async def _publish(publisher: Publisher, messages: Messages, period: float, coun
         await asyncio.sleep(period)
 
 
-PERIOD: Final = 1.0  # seconds between two lines
-_WINDOW = click.option(
-    "--window", "-w", type=click.IntRange(min=2), help="of the last N messages only", metavar="N"
-)
-_COUNT = click.option("--count", "-n", type=click.IntRange(min=1), help="end after N lines")
-
-Add = Callable[[float, int], None]
-
-
 @click.command()
 @click.argument("name")
 @as_node
@@ -340,6 +304,33 @@ def hz(environment: Environment, name: str, node: str, window: int | None, count
     """Show how often messages of the topic NAME arrive, as NODE may see them."""
     rates = RateWindow(window)
     asyncio.run(_watch(environment, name, node, lambda now, _: rates.add(now), rates.describe, count))
+
+
+async def _watch(
+    environment: Environment, name: str, node: str, add: Add, describe: Callable[[], str], count: int | None
+) -> None:
+    async with listening(environment, name, node) as (running, arrivals):
+        note(f"subscribed to [{name}]")
+        await run_until_node_ends(running, _count_and_say(arrivals, add, describe, count))
+
+
+async def _count_and_say(
+    arrivals: Arrivals, add: Add, describe: Callable[[], str], count: int | None
+) -> None:
+    async def count_all() -> None:
+        async for _, data in arrivals.messages():
+            add(time.monotonic(), len(data))
+
+    counting = asyncio.ensure_future(count_all())
+    try:
+        lines = 0
+        while count is None or lines < count:
+            await asyncio.sleep(PERIOD)
+            say_block(describe())
+            lines += 1
+    finally:
+        counting.cancel()
+        await asyncio.gather(counting, return_exceptions=True)
 
 
 @click.command()
@@ -356,31 +347,3 @@ def bw(environment: Environment, name: str, node: str, window: int | None, count
         return sizes.describe(time.monotonic())
 
     asyncio.run(_watch(environment, name, node, sizes.add, describe, count))
-
-
-async def _watch(
-    environment: Environment, name: str, node: str, add: Add, describe: Callable[[], str], count: int | None
-) -> None:
-    async with listening(environment, name, node) as (running, arrivals):
-        note(f"subscribed to [{name}]")
-        await run_until_node_ends(running, _count_and_say(arrivals, add, describe, count))
-
-
-async def _count_and_say(
-    arrivals: Arrivals, add: Add, describe: Callable[[], str], count: int | None
-) -> None:
-    counting = asyncio.ensure_future(_count(arrivals, add))
-    try:
-        lines = 0
-        while count is None or lines < count:
-            await asyncio.sleep(PERIOD)
-            say_block(describe())
-            lines += 1
-    finally:
-        counting.cancel()
-        await asyncio.gather(counting, return_exceptions=True)
-
-
-async def _count(arrivals: Arrivals, add: Add) -> None:
-    async for _, data in arrivals.messages():
-        add(time.monotonic(), len(data))

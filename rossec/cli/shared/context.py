@@ -1,8 +1,6 @@
-"""What every command shares: the environment it was called with, and what follows from it.
+"""What every command shares: its environment, groups that import it when it runs, and its exit code.
 
-One command line, from arguments to exit code: a refusal is printed as error and hint.
-
-Groups whose commands are imported when they run: help and completion list them unimported.
+A refusal is printed as error and hint. Help and completion list commands unimported.
 """
 
 import importlib
@@ -53,7 +51,6 @@ class Environment:
 
     @property
     def home(self) -> Path:
-        """ROSSEC_HOME, if no other user can write there."""
         from rossec.environment import own_home  # noqa: PLC0415 - not needed for help and completion
 
         return own_home(self.variables)
@@ -63,7 +60,6 @@ pass_environment = click.make_pass_decorator(Environment)
 
 
 def now() -> int:
-    """Seconds since the epoch, host clock."""
     from rossec import clock  # noqa: PLC0415 - not needed for help and completion
 
     return clock.now()
@@ -78,7 +74,6 @@ class Duration(click.ParamType[int]):
         self._days = days
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        """Seconds of the duration `value`."""
         if isinstance(value, int):
             return value
         match = _DURATION.fullmatch(str(value))
@@ -103,33 +98,19 @@ class UnlockTime(click.ParamType[int]):
 
 
 def reraise_interrupt(abort: click.Abort) -> None:
-    """Distinguish Ctrl-C from the end of input: click raises `Abort` for both.
-
-    Raises:
-        KeyboardInterrupt: it was Ctrl-C.
-    """
+    """Distinguish Ctrl-C from the end of input: click raises `Abort` for both."""
     if isinstance(abort.__context__, KeyboardInterrupt):
         raise KeyboardInterrupt from None
 
 
 def confirm(question: str, *, yes: bool) -> None:
-    """Ask, unless `--yes` was given.
-
-    Raises:
-        ConfigurationError: the answer was no, or there was none.
-        KeyboardInterrupt: Ctrl-C.
-    """
+    """Ask, unless `--yes` was given."""
     if not ask_yes_no(question, yes=yes):
         raise ConfigurationError("nothing was done", _ANSWER)
 
 
 def ask_yes_no(question: str, *, yes: bool) -> bool:
-    """As `confirm`, but return the answer.
-
-    Raises:
-        ConfigurationError: there was no answer.
-        KeyboardInterrupt: Ctrl-C.
-    """
+    """As `confirm`, but return the answer."""
     if yes:
         return True
     try:
@@ -188,42 +169,40 @@ def _usage_hint(error: click.ClickException) -> str:
 
 
 class LazyCommand(click.Command):
-    """A command that is listed: its name, its help line, and the place it is imported from."""
+    """A command that is listed: its name, and the place in `rossec.cli` it is imported from."""
 
-    def __init__(self, name: str, place: str, help_line: str) -> None:
-        super().__init__(name, help=help_line)
+    def __init__(self, name: str, place: str) -> None:
+        super().__init__(name)
         self.place = place
 
     def get_short_help_str(self, limit: int = 45) -> str:  # noqa: ARG002 - as the base has it
-        """The whole help line: the list wraps it, click would cut it."""
-        return self.help or ""
+        """The first sentence of its help, whole: the list wraps it, click would cut it."""
+        from rossec.cli.completion.shells import outline  # noqa: PLC0415 - not needed to run a command
+
+        return str(outline(self.place, self.load)["help"])
 
     def load(self) -> click.Command:
-        """The command itself."""
         module, _, attribute = self.place.partition(":")
         command: click.Command = getattr(importlib.import_module(f"rossec.cli.{module}"), attribute)
         return command
 
-    def outlined(self) -> click.Command:
-        """The command as far as completion needs it; a group as it is."""
-        from rossec.cli.completion.shells import completed  # noqa: PLC0415 - for completion alone
-
-        return completed(self.name or "", self.place, self.load)
-
 
 class LazyGroup(click.Group):
-    """A group made from a table: name -> (place, help line), see `LazyCommand`."""
+    """A group made from a table of names and places, see `LazyCommand`."""
 
-    def __init__(self, *args: Any, table: Mapping[str, tuple[str, str]], **kwargs: Any) -> None:
+    def __init__(self, *args: Any, table: Mapping[str, str], **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        for name, (place, help_line) in table.items():
-            self.add_command(LazyCommand(name, place, help_line))
+        for name, place in table.items():
+            self.add_command(LazyCommand(name, place))
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """The command that is to run; to be completed, one that knows its parameters alone."""
         name, command, rest = super().resolve_command(ctx, args)
         if isinstance(command, LazyCommand):
-            command = command.outlined() if ctx.resilient_parsing else command.load()
+            if ctx.resilient_parsing:  # for completion, whatever it needs to know of the command
+                from rossec.cli.completion.shells import completed  # noqa: PLC0415
+
+                return name, completed(command.name or "", command.place, command.load), rest
+            command = command.load()
         return name, command, rest

@@ -1,12 +1,7 @@
-"""The master of a command: where it is, and a connection or a node there.
+"""The master of a command: where it is, and a connection or a node there; and files with grants.
 
 All commands take the master's URI from here, from `--master` or ROS_MASTER_URI. Where it is
 `discover:`, the master is found once, by what it announces (docs/howto/find-the-master.md).
-
-The address of this host as others can reach it, for a code that they read.
-
-Files with a grant or a chain of narrowings, as the commands of a node read them.
-
 A grant of the node's own domain, or of a listed one, is verified. Of one of another domain that is
 checked which the node can know: its form, its time and its key.
 """
@@ -41,7 +36,6 @@ from rossec.terminal import note
 if TYPE_CHECKING:
     from rossec.node import Node
 
-
 VARIABLE: Final = "ROS_MASTER_URI"
 DISCOVER: Final = "discover:"
 REVOCATIONS: Final = "rossec.revocations"
@@ -56,6 +50,10 @@ def master_at(environment: Environment, node: str | NodeHome | None, master_uri:
     return asyncio.run(find_master(environment, node, master_uri))
 
 
+def _given(environment: Environment, master_uri: str | None) -> str:
+    return master_uri or environment.variables.get(VARIABLE, names.DEFAULT_MASTER_URI)
+
+
 async def find_master(
     environment: Environment, node: str | NodeHome | None, master_uri: str | None = None
 ) -> str:
@@ -66,9 +64,6 @@ async def find_master(
         node: the name or directory of who will call it, for `discover:`; None: any node of the
             home, if all of them trust the same authority.
         master_uri: the value of `--master`.
-
-    Raises:
-        ConfigurationError, MasterNotFound: no trust anchor, or no master found.
     """
     uri = _given(environment, master_uri)
     if uri != DISCOVER:
@@ -90,26 +85,17 @@ async def find_master(
     return found
 
 
-async def with_master(environment: Environment, node: str | NodeHome | None) -> Mapping[str, str]:
-    """The variables of the environment, for what reads ROS_MASTER_URI itself.
-
-    Raises:
-        ConfigurationError, MasterNotFound: as for `find_master`.
-    """
-    return {**environment.variables, VARIABLE: await find_master(environment, node)}
-
-
 @contextlib.asynccontextmanager
 async def node_as(environment: Environment, name: str) -> AsyncIterator["Node"]:
-    """The running node `name`, for one command.
-
-    Raises:
-        HintedError, OSError: it has no identity, or the master is out of reach.
-    """
     from rossec.node import Node  # noqa: PLC0415 - commands without a node do not need it
 
     async with Node(name, environ=await with_master(environment, name)) as node:
         yield node
+
+
+async def with_master(environment: Environment, node: str | NodeHome | None) -> Mapping[str, str]:
+    """The variables of the environment, for what reads ROS_MASTER_URI itself."""
+    return {**environment.variables, VARIABLE: await find_master(environment, node)}
 
 
 def own_variables(environment: Environment) -> Mapping[str, str]:
@@ -122,20 +108,25 @@ def own_variables(environment: Environment) -> Mapping[str, str]:
     return {**environment.variables, VARIABLE: names.DEFAULT_MASTER_URI}
 
 
-def _given(environment: Environment, master_uri: str | None) -> str:
-    return master_uri or environment.variables.get(VARIABLE, names.DEFAULT_MASTER_URI)
+@contextlib.asynccontextmanager
+async def calls_as(
+    environment: Environment, home: NodeHome, uri: str, own: Credentials | None = None
+) -> AsyncIterator[MasterCall]:
+    """A connection on which the node has presented its grants; yields what calls over it."""
+    async with master_as(environment, home, uri, own) as client:
+
+        async def call(method: str, *parameters: object) -> object:
+            return await client.ask(method, home.name, *parameters)
+
+        await call(PRESENT_GRANTS, home.grants())
+        yield call
 
 
 @contextlib.asynccontextmanager
 async def master_as(
     environment: Environment, home: NodeHome, uri: str, own: Credentials | None = None
 ) -> AsyncIterator[RpcClient]:
-    """A connection to the master at `uri`, with the identity in `home`, or `own` instead.
-
-    Raises:
-        ConfigurationError: not a URI, or another node answers there; the identity is revoked.
-        HintedError, OSError, TimeoutError: it is unreachable.
-    """
+    """A connection to the master at `uri`, with the identity in `home`, or `own` instead."""
     credentials = home.credentials() if own is None else own
     suites = post_quantum(environment.variables)
     connection = partial(master_connection, credentials, home.anchor(), uri, suites)
@@ -150,7 +141,6 @@ async def master_as(
 
 
 def is_of_revoked(answer: object) -> bool:
-    """Whether a master answered `REVOCATIONS` as it does a revoked identity."""
     match answer:
         case [bytes() as data, b""]:
             return bool(data)
@@ -159,32 +149,11 @@ def is_of_revoked(answer: object) -> bool:
 
 
 def revoked_text(name: str) -> str:
-    """What is said then."""
     return f"the master says that this identity is revoked: {name}"
 
 
 def anew(home: NodeHome) -> str:
-    """What to do about it."""
     return f"move {home.path} away and enroll it anew: rossec node request {home.name}"
-
-
-@contextlib.asynccontextmanager
-async def calls_as(
-    environment: Environment, home: NodeHome, uri: str, own: Credentials | None = None
-) -> AsyncIterator[MasterCall]:
-    """A connection on which the node has presented its grants; yields what calls over it.
-
-    Raises:
-        ConfigurationError: not a URI, or another node answers there.
-        HintedError, OSError, TimeoutError: it is unreachable.
-    """
-    async with master_as(environment, home, uri, own) as client:
-
-        async def call(method: str, *parameters: object) -> object:
-            return await client.ask(method, home.name, *parameters)
-
-        await call(PRESENT_GRANTS, home.grants())
-        yield call
 
 
 def own_address(environment: Environment) -> str:
@@ -200,11 +169,7 @@ def own_address(environment: Environment) -> str:
 
 
 def read_token(path: Path) -> bytes:
-    """The octets of a file with a token; not verified.
-
-    Raises:
-        ConfigurationError: it is gone, or too large.
-    """
+    """The octets of a file with a token; not verified."""
     missing = ConfigurationError(f"there is no file {path}", "give the file `rossec grant` wrote")
     return files.read(path, MAX_TOKEN, missing)
 
@@ -215,16 +180,12 @@ def holder_home(rossec_home: Path, grant: Grant) -> NodeHome:
 
 
 def open_held(home: NodeHome, token: bytes, now: int) -> Grant:
-    """What a token of this node says, verified as far as this node can.
-
-    Raises:
-        GrantError: the subclass for what is wrong.
-    """
+    """What a token of this node says, verified as far as this node can."""
     anchor, grant = home.anchor(), peek(token)
     listed = DomainFiles(home, anchor).anchors().listed_domain(grant.domain)
     if grant.domain == anchor.domain or listed is not None:
         signer = anchor if listed is None else listed.anchor
-        Verifier(signer.public_key, signer.domain, (), 0, _not_asked).open(token, now)
+        Verifier(signer.public_key, signer.domain, (), 0, lambda _entry, _now: None).open(token, now)
     check_time(grant, now)
     if grant.holder != home.identity(now).thumbprint:
         raise GrantNotHeld(
@@ -232,6 +193,3 @@ def open_held(home: NodeHome, token: bytes, now: int) -> Grant:
             f"the domain {grant.domain} gave it to {shown(grant.subject)}: install it there",
         )
     return grant
-
-
-def _not_asked(entry: bytes, now: int) -> None: ...

@@ -1,16 +1,12 @@
-"""Messages as text for people and programs: as `rostopic echo` prints them, or as JSON.
+"""Messages as text: printed for people and programs, written by people, and counted. Pure.
 
 What is printed is YAML that `rostopic pub`, and `rossec topic pub`, take as it stands. It differs
 from rostopic's own output only where that would not come back: numbers that YAML 1.1 takes for text
 (`1e-05`, `nan`), and long or unusual text, which stays on its line here.
 
-Messages written by people: YAML as `rostopic pub` takes it, into the fields of a message.
-
-A message is a mapping of some of its fields, or a list of all of them in order. A time is
-`{secs, nsecs}`, a number of nanoseconds, or `now`; a header may be `auto`, which is the time now.
-`sec` and `nanosec`, the names of ROS 2, are understood too.
-
-What `rostopic hz` and `rostopic bw` say of the last messages of a topic. Pure.
+What is written is a mapping of some fields, or a list of all of them in order. A time is
+`{secs, nsecs}` (also by the names of ROS 2), a number of nanoseconds, or `now`; a header may be
+`auto`, which is the time now.
 """
 
 import math
@@ -41,107 +37,33 @@ from rossec.terminal import printable
 TIMES: Final = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 TIME_FIELDS: Final = {"sec": "secs", "nanosec": "nsecs"}
 _WIDTH: Final = 9  # of nanoseconds, as rostopic prints them
+Kinds = tuple[type, ...]
+_SHOWN = 60  # characters of what was typed
+_SECOND: Final = 1_000_000_000
+_HEADER: Final = "std_msgs/msg/Header"
+_ALL: Final = "its type has this many: give all of them"
+_SPOKEN: Final = {"inf": float("inf"), "-inf": float("-inf"), "nan": float("nan")}
+_UNITS: Final = ((1_000_000, "MB"), (1000, "KB"), (1, "B"))
+
+
+def plain(value: Any) -> object:
+    if is_message(value):
+        return {_shown_name(value, field): plain(field_value(value, field)) for field in field_names(value)}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return [plain(item) for item in value] if isinstance(value, list) else value
 
 
 def is_message(value: object) -> bool:
-    """Whether `value` is a message, and no other value of a field."""
     return hasattr(value, "__msgtype__")
-
-
-def is_time(value: object) -> bool:
-    """Whether `value` is a time or a duration of ROS 1."""
-    return getattr(value, "__msgtype__", "") in TIMES
-
-
-Kinds = tuple[type, ...]
-
-
-def render(message: Message, indent: int = 0, hidden: Kinds = ()) -> str:
-    """The message as rostopic prints it: one `field: value` a line, nested by two spaces.
-
-    Text was written by a peer: it stays on its line and cannot steer the terminal. Of lists and
-    texts, whichever is `hidden`, only the length is printed.
-    """
-    head = " " * indent
-    return "\n".join(
-        f"{head}{_shown_name(message, field)}: {_value(message, field, indent + 2, hidden)}"
-        for field in field_names(message)
-    )
 
 
 def _shown_name(message: Message, field: str) -> str:
     return TIME_FIELDS[field] if is_time(message) else field
 
 
-def _value(message: Message, field: str, indent: int, hidden: Kinds = ()) -> str:
-    value = field_value(message, field)
-    if hidden and (length := _length(message, field, hidden)):
-        return length
-    if field == "nanosec" and is_time(message):
-        return f"{value:{_WIDTH}d}"
-    if is_message(value):
-        return _below(render(value, indent, hidden))
-    if isinstance(value, np.ndarray):
-        value = value.tolist()
-    return _list(value, indent, hidden) if isinstance(value, list) else _scalar(value)
-
-
-def _list(values: list[Any], indent: int, hidden: Kinds) -> str:
-    head = f"\n{' ' * indent}- "
-    if values and is_message(values[0]):
-        return "".join(head + _below(render(item, indent + 2, hidden)) for item in values)
-    if values and isinstance(values[0], str):
-        return "".join(head + _scalar(item) for item in values)
-    return "[" + ", ".join(map(_scalar, values)) + "]"
-
-
-def _length(message: Message, field: str, hidden: Kinds) -> str:
-    value = field_value(message, field)
-    if isinstance(value, list | np.ndarray):
-        kind = element_type(message, field)
-        if list in hidden or (str in hidden and kind == "string"):
-            return f'"<array type: {kind}, length: {len(value)}>"'
-    if str in hidden and isinstance(value, str):
-        return f'"<string length: {len(value)}>"'
-    return ""
-
-
-def _below(text: str) -> str:
-    return f"\n{text}" if text else "{}"
-
-
-def _scalar(value: object) -> str:
-    if isinstance(value, str):
-        return quoted(value)
-    return _float(value) if isinstance(value, float) else str(value)
-
-
-def _float(value: float) -> str:
-    if math.isnan(value):
-        return ".nan"
-    if math.isinf(value):
-        return ".inf" if value > 0 else "-.inf"
-    text = repr(value)
-    return text.replace("e", ".0e") if "e" in text and "." not in text else text
-
-
-def quoted(text: str) -> str:
-    """`text` in quotes, on one line; empty text is `''`, as rostopic prints it."""
-    if not text:
-        return "''"
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-    for character, name in (("\n", "\\n"), ("\t", "\\t"), ("\r", "\\r")):
-        escaped = escaped.replace(character, name)
-    return f'"{printable(escaped)}"'
-
-
-def plain(value: Any) -> object:
-    """A message, or a value in one, as what JSON has."""
-    if is_message(value):
-        return {_shown_name(value, field): plain(field_value(value, field)) for field in field_names(value)}
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    return [plain(item) for item in value] if isinstance(value, list) else value
+def is_time(value: object) -> bool:
+    return getattr(value, "__msgtype__", "") in TIMES
 
 
 def flat(message: Message, path: str = "") -> dict[str, str]:
@@ -159,11 +81,79 @@ def flat(message: Message, path: str = "") -> dict[str, str]:
     return found
 
 
-_SHOWN = 60  # characters of what was typed
-_SECOND: Final = 1_000_000_000
-_HEADER: Final = "std_msgs/msg/Header"
-_ALL: Final = "its type has this many: give all of them"
-_SPOKEN: Final = {"inf": float("inf"), "-inf": float("-inf"), "nan": float("nan")}
+def _value(message: Message, field: str, indent: int, hidden: Kinds = ()) -> str:
+    value = field_value(message, field)
+    if hidden and (length := _length(message, field, hidden)):
+        return length
+    if field == "nanosec" and is_time(message):
+        return f"{value:{_WIDTH}d}"
+    if is_message(value):
+        return _below(render(value, indent, hidden))
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    return _list(value, indent, hidden) if isinstance(value, list) else _scalar(value)
+
+
+def _length(message: Message, field: str, hidden: Kinds) -> str:
+    value = field_value(message, field)
+    if isinstance(value, list | np.ndarray):
+        kind = element_type(message, field)
+        if list in hidden or (str in hidden and kind == "string"):
+            return f'"<array type: {kind}, length: {len(value)}>"'
+    if str in hidden and isinstance(value, str):
+        return f'"<string length: {len(value)}>"'
+    return ""
+
+
+def _below(text: str) -> str:
+    return f"\n{text}" if text else "{}"
+
+
+def render(message: Message, indent: int = 0, hidden: Kinds = ()) -> str:
+    """The message as rostopic prints it: one `field: value` a line, nested by two spaces.
+
+    Text was written by a peer: it stays on its line and cannot steer the terminal. Of lists and
+    texts, whichever is `hidden`, only the length is printed.
+    """
+    head = " " * indent
+    return "\n".join(
+        f"{head}{_shown_name(message, field)}: {_value(message, field, indent + 2, hidden)}"
+        for field in field_names(message)
+    )
+
+
+def _list(values: list[Any], indent: int, hidden: Kinds) -> str:
+    head = f"\n{' ' * indent}- "
+    if values and is_message(values[0]):
+        return "".join(head + _below(render(item, indent + 2, hidden)) for item in values)
+    if values and isinstance(values[0], str):
+        return "".join(head + _scalar(item) for item in values)
+    return "[" + ", ".join(map(_scalar, values)) + "]"
+
+
+def _scalar(value: object) -> str:
+    if isinstance(value, str):
+        return quoted(value)
+    return _float(value) if isinstance(value, float) else str(value)
+
+
+def quoted(text: str) -> str:
+    """`text` in quotes, on one line; empty text is `''`, as rostopic prints it."""
+    if not text:
+        return "''"
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    for character, name in (("\n", "\\n"), ("\t", "\\t"), ("\r", "\\r")):
+        escaped = escaped.replace(character, name)
+    return f'"{printable(escaped)}"'
+
+
+def _float(value: float) -> str:
+    if math.isnan(value):
+        return ".nan"
+    if math.isinf(value):
+        return ".inf" if value > 0 else "-.inf"
+    text = repr(value)
+    return text.replace("e", ".0e") if "e" in text and "." not in text else text
 
 
 def fill(message: Message, content: object, now: int = 0) -> None:
@@ -171,23 +161,8 @@ def fill(message: Message, content: object, now: int = 0) -> None:
 
     Args:
         now: nanoseconds since the epoch, which `now` and `auto` stand for.
-
-    Raises:
-        ConfigurationError: an unknown field, or a value of another kind than the field's.
     """
     _Filling(now).message("", message, content)
-
-
-def stamp_now() -> int:
-    """The time of this host in nanoseconds, for `fill`."""
-    return int(clock.time() * _SECOND)
-
-
-def mentions_now(content: object) -> bool:
-    """Whether `content` may have `now` or `auto` in it: it is another message each time."""
-    if isinstance(content, dict):
-        return any(map(mentions_now, content.values()))
-    return any(map(mentions_now, content)) if isinstance(content, list) else (content in ("now", "auto"))
 
 
 @dataclass(frozen=True)
@@ -272,6 +247,23 @@ def _by_name(path: str, message: Message, content: object) -> dict[str, object]:
     return content
 
 
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def _kind(value: object) -> str:
+    names = {
+        str: "text",
+        bool: "true or false",
+        int: "a whole number",
+        float: "a number",
+        list: "a list",
+        dict: "a mapping",
+        type(None): "nothing",
+    }
+    return names.get(type(value), "a list")
+
+
 def _like(path: str, current: Any, value: object) -> object:
     try:
         if isinstance(current, np.ndarray):
@@ -302,42 +294,22 @@ def _array(path: str, current: Any, value: object) -> Any:
     return np.asarray(value, dtype=current.dtype).reshape(len(value))
 
 
-def _counted(number: int, noun: str) -> str:
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
-
-
-def _kind(value: object) -> str:
-    names = {
-        str: "text",
-        bool: "true or false",
-        int: "a whole number",
-        float: "a number",
-        list: "a list",
-        dict: "a mapping",
-        type(None): "nothing",
-    }
-    return names.get(type(value), "a list")
-
-
 def _advice(current: object, value: object) -> str:
     if isinstance(current, str) and isinstance(value, int | float):
         return f"put text that looks like a number in quotes: '\"{value}\"'"
     return "write the values as rostopic does: '{field: value}', or '[1, 2]' for a list"
 
 
-def parse_message(text: str) -> object:
-    """The YAML of a message, as in rostopic; see `grants.policy.source.load`.
+def stamp_now() -> int:
+    """The time of this host in nanoseconds, for `fill`."""
+    return int(clock.time() * _SECOND)
 
-    Raises:
-        ConfigurationError: invalid YAML, or over the limits.
-    """
-    try:
-        return source.load_yaml(text)
-    except YamlRefused as error:
-        shown = printable(text[:_SHOWN]) + ("..." if len(text) > _SHOWN else "")
-        raise ConfigurationError(
-            f"cannot parse {shown}: {error}", error.hint or "for example '{data: hello}'"
-        ) from error
+
+def mentions_now(content: object) -> bool:
+    """Whether `content` may have `now` or `auto` in it: it is another message each time."""
+    if isinstance(content, dict):
+        return any(map(mentions_now, content.values()))
+    return any(map(mentions_now, content)) if isinstance(content, list) else (content in ("now", "auto"))
 
 
 def parse_arguments(texts: Sequence[str]) -> object:
@@ -364,6 +336,17 @@ def _unclosed(text: str) -> bool:
     return any(text.count(begin) > text.count(end) for begin, end in ("{}", "[]"))
 
 
+def parse_message(text: str) -> object:
+    """The YAML of a message, as in rostopic; see `grants.policy.source.load`."""
+    try:
+        return source.load_yaml(text)
+    except YamlRefused as error:
+        shown = printable(text[:_SHOWN]) + ("..." if len(text) > _SHOWN else "")
+        raise ConfigurationError(
+            f"cannot parse {shown}: {error}", error.hint or "for example '{data: hello}'"
+        ) from error
+
+
 def parse_documents(text: str) -> list[object]:
     """The messages of a file, each behind a line `---`, as `rossec topic echo` prints them."""
     documents = [""]
@@ -373,9 +356,6 @@ def parse_documents(text: str) -> list[object]:
         else:
             documents[-1] += line
     return [parse_message(document) for document in documents if document.strip()]
-
-
-_UNITS: Final = ((1_000_000, "MB"), (1000, "KB"), (1, "B"))
 
 
 class RateWindow:

@@ -1,21 +1,6 @@
-"""Options and parameter types that several commands share.
+"""Options that commands share, results as JSON, several names in one command, and work that takes long.
 
-`--json` of commands that act: what they `record`, as one JSON document on stdout.
-
-The document is printed when the command ends. If it ends with a refusal after something was done or
-tried, the document has `error` and `hint` as well, so that a program sees what was done before.
-Keys are documented in docs/spec/results.md.
-
-Commands over several names or files: one that is refused does not stop the others.
-
-Each refusal is printed with its name, the others are done, and the exit code is 1. With `--json`
-each has an entry in `results`. An unusable record ends the whole command.
-
-A line that says what takes longer than a second: on stderr, if that is a terminal.
-
-It gives way to every other line, and is gone without a trace when the work is done: a pipe, a file
-and a program that reads `--json` never see it. It is drawn anew each second, so that a person sees
-that the command is not stuck. What asks for anything stays outside.
+Keys of results are documented in docs/spec/results.md.
 """
 
 import contextlib
@@ -31,12 +16,12 @@ from typing import Any, Final
 import click
 
 from ca.errors import HintedError, RecordUnusable
+from rossec.cli.shared.context import Duration
 from rossec.errors import ConfigurationError
 from rossec.terminal import FACTS, TEMPORARY, fail, printable, say_json, say_secret, to_json
 
 MAX_PEM: Final = 64 * 1024
 FILE: Final = click.Path(path_type=Path, exists=True, dir_okay=False)
-
 policy = click.option(
     "--policy",
     "policy_path",
@@ -49,8 +34,22 @@ master_uri = click.option(
     metavar="URI",
     help="master to notify, instead of ROS_MASTER_URI; discover: finds it",
 )
-
+image = click.option(
+    "--image",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False, allow_dash=True),
+    help="read the code from this picture; - is standard input",
+)
+entries = click.option(
+    "--entries", type=FILE, help="of that list where it is a tree; by default revocations.entries beside it"
+)
 HELP = "the result as one line of JSON"
+AFTER: Final = 1.0  # seconds
+_WIDTH: Final = 72  # one line, on every terminal
+_CLEAR: Final = "\r\x1b[K"
+
+
+def duration(*names: str, days: int, default: str | None, text: str) -> Callable[..., Any]:
+    return click.option(*names, type=Duration(days), default=default, show_default=True, help=text)
 
 
 def json_result(*, secret: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -72,7 +71,7 @@ def json_result(*, secret: bool = False) -> Callable[[Callable[..., Any]], Calla
 
 @contextmanager
 def document(*, secret: bool = False) -> Iterator[None]:
-    """Collect what is recorded, and print it at the end."""
+    """Collect what is recorded, and print it at the end; after a refusal, if there is any."""
     found: dict[str, Any] = {}
     token = FACTS.set(found)
     try:
@@ -89,35 +88,15 @@ def document(*, secret: bool = False) -> Iterator[None]:
     _print(found, secret=secret)
 
 
-@contextmanager
-def recorded_in(facts: dict[str, Any]) -> Iterator[None]:
-    """What is recorded meanwhile belongs to one entry of the document."""
-    if FACTS.get() is None:
-        yield
-        return
-    token = FACTS.set(facts)
-    try:
-        yield
-    finally:
-        FACTS.reset(token)
-
-
-def add_entry(key: str, facts: dict[str, Any]) -> None:
-    """Add an entry to the list `key` of the document, if there is one."""
-    if (found := FACTS.get()) is not None:
-        found.setdefault(key, []).append(facts)
-
-
 def _print(found: dict[str, Any], *, secret: bool) -> None:
     say_secret(to_json(found)) if secret else say_json(found)
 
 
 class Batch:
-    """The results of `total` names; with a single one its refusal is raised as it is.
+    """The results of `total` names or files: one that is refused does not stop the others.
 
-    Args:
-        total: how many there are.
-        key: what they are called in the document: `file`, `name`, `id`.
+    With a single one its refusal is raised as it is. An unusable record ends the whole command.
+    `key` is what they are called in the document: `file`, `name`, `id`.
     """
 
     def __init__(self, total: int, key: str = "file") -> None:
@@ -128,13 +107,15 @@ class Batch:
 
     @property
     def done(self) -> bool:
-        """Whether at least one was not refused."""
         return self._failed < self._total
 
     @contextmanager
     def item(self, label: object, *, last: bool = True) -> Iterator[None]:
         """The work on one of them; `last`: it is done then, and not only checked."""
-        entry = self._entry(str(label))
+        if (name := str(label)) not in self._entries:
+            self._entries[name] = {self._key: name, "ok": False}
+            add_entry("results", self._entries[name])
+        entry = self._entries[name]
         try:
             with recorded_in(entry):
                 yield
@@ -148,15 +129,25 @@ class Batch:
             entry["ok"] = last
 
     def finish(self) -> None:
-        """Return if all went well."""
         if self._failed:
             raise ConfigurationError(f"{self._failed} of {self._total} were refused", "see above")
 
-    def _entry(self, label: str) -> dict[str, Any]:
-        if label not in self._entries:
-            self._entries[label] = {self._key: label, "ok": False}
-            add_entry("results", self._entries[label])
-        return self._entries[label]
+
+@contextmanager
+def recorded_in(facts: dict[str, Any]) -> Iterator[None]:
+    if FACTS.get() is None:
+        yield
+        return
+    token = FACTS.set(facts)
+    try:
+        yield
+    finally:
+        FACTS.reset(token)
+
+
+def add_entry(key: str, facts: dict[str, Any]) -> None:
+    if (found := FACTS.get()) is not None:
+        found.setdefault(key, []).append(facts)
 
 
 def unique(names: Sequence[str]) -> tuple[str, ...]:
@@ -164,14 +155,13 @@ def unique(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-AFTER: Final = 1.0  # seconds
-_WIDTH: Final = 72  # one line, on every terminal
-_CLEAR: Final = "\r\x1b[K"
-
-
 @contextlib.contextmanager
 def working(what: str, *, quiet: bool = False) -> Iterator[None]:
-    """Say `what` while the body runs, which asks for nothing; `quiet`: do not (`--json`)."""
+    """Say `what` while the body runs, which asks for nothing; `quiet`: do not (`--json`).
+
+    It is drawn anew each second, gives way to every other line, and leaves no trace: a pipe, a file
+    and a program that reads `--json` never see it.
+    """
     if quiet or not (FACTS.get() is None and not sys.stderr.closed and sys.stderr.isatty()):
         yield
         return

@@ -1,11 +1,6 @@
-"""The passphrase of the authority's key: from a file, a systemd credential or the terminal.
+"""Secrets of a command: a passphrase from a file, a systemd credential or the terminal, or a pasted code.
 
 Never from an environment variable or an argument: both are visible to others on the machine.
-
-What is typed or pasted without being shown: a passphrase, the code of an invitation.
-
-`getpass` reads one line and throws away what is pasted behind it. A code from a mail has line
-breaks, so lines are taken until it is whole.
 """
 
 import os
@@ -25,23 +20,20 @@ from rossec.errors import ConfigurationError
 _MORE: Final = "the code goes on, or Enter to end: "
 _MAX_LINES: Final = 32
 _LINE: Final = 4096  # octets; a terminal gives no longer ones
-
-
-def can_hide() -> bool:
-    """Whether there is a terminal whose echo can be turned off: as `getpass` looks for one."""
-    try:
-        os.close(os.open("/dev/tty", os.O_RDWR | os.O_NOCTTY))
-    except OSError:
-        return sys.stdin is not None and sys.stdin.isatty()
-    return True
+CREDENTIAL: Final = "rossec-ca-passphrase"
+MINIMUM: Final = 12
+_MAX_FILE: Final = 4096
+option = click.option(
+    "--passphrase-file",
+    type=options.FILE,
+    help="read the passphrase of the authority's key from this file (first line)",
+)
 
 
 def read_lines(question: str, is_whole: Callable[[str], bool]) -> str:
     """Lines from the terminal, not shown, until `is_whole`, an empty one or the end.
 
-    Raises:
-        OSError: there is no terminal.
-        KeyboardInterrupt: Ctrl-C.
+    A code from a mail has line breaks: `getpass` would throw away what is pasted behind the first.
     """
     with _without_echo() as terminal:
         os.write(terminal, f"{question}: ".encode())
@@ -72,79 +64,11 @@ def _without_echo() -> Iterator[int]:
         os.close(terminal)
 
 
-CREDENTIAL: Final = "rossec-ca-passphrase"
-MINIMUM: Final = 12
-_MAX_FILE: Final = 4096
-
-
-option = click.option(
-    "--passphrase-file",
-    type=options.FILE,
-    help="read the passphrase of the authority's key from this file (first line)",
-)
-
-
 def read(file: Path | None, environ: Mapping[str, str]) -> str:
-    """The passphrase of an existing key.
-
-    Raises:
-        ConfigurationError: the file is empty, not text, or readable by others.
-    """
     given = _given(file, environ)
     if given is not None:
         return given
     return _ask("passphrase of the authority's key")
-
-
-def choose(file: Path | None, environ: Mapping[str, str]) -> str:
-    """A passphrase for a new key.
-
-    Raises:
-        ConfigurationError: shorter than 12 characters.
-    """
-    given = _given(file, environ)
-    if given is None:
-        question = f"new passphrase for the authority's key (at least {MINIMUM} characters)"
-        given = _ask(question, long_enough)
-    return _long_enough(given)
-
-
-def _long_enough(given: str) -> str:
-    if len(given) < MINIMUM:
-        raise ConfigurationError(
-            f"a passphrase of {len(given)} characters protects nothing",
-            f"use at least {MINIMUM}, for example four random words",
-        )
-    return given
-
-
-def long_enough(typed: str) -> str:
-    """A new passphrase that was typed once; if it is too short click says so and asks again.
-
-    Raises:
-        click.UsageError: it is too short.
-    """
-    try:
-        return _long_enough(typed)
-    except ConfigurationError as error:
-        raise click.UsageError(f"{error}: {error.hint}") from None
-
-
-def _ask(question: str, check_new: Callable[[str], str] | None = None) -> str:
-    try:
-        answer: str = click.prompt(
-            question,
-            hide_input=can_hide(),
-            err=True,
-            confirmation_prompt=check_new is not None,
-            value_proc=check_new,
-        )
-    except click.Abort as abort:
-        reraise_interrupt(abort)
-        raise ConfigurationError(
-            "no passphrase was given", "type it, or give --passphrase-file FILE"
-        ) from None
-    return answer
 
 
 def _given(file: Path | None, environ: Mapping[str, str]) -> str | None:
@@ -165,3 +89,54 @@ def _given(file: Path | None, environ: Mapping[str, str]) -> str | None:
         raise ConfigurationError(
             f"{file} is not UTF-8 text", "its first line is the passphrase, as one would type it"
         ) from None
+
+
+def _ask(question: str, check_new: Callable[[str], str] | None = None) -> str:
+    try:
+        answer: str = click.prompt(
+            question,
+            hide_input=can_hide(),
+            err=True,
+            confirmation_prompt=check_new is not None,
+            value_proc=check_new,
+        )
+    except click.Abort as abort:
+        reraise_interrupt(abort)
+        raise ConfigurationError(
+            "no passphrase was given", "type it, or give --passphrase-file FILE"
+        ) from None
+    return answer
+
+
+def can_hide() -> bool:
+    """Whether there is a terminal whose echo can be turned off: as `getpass` looks for one."""
+    try:
+        os.close(os.open("/dev/tty", os.O_RDWR | os.O_NOCTTY))
+    except OSError:
+        return sys.stdin is not None and sys.stdin.isatty()
+    return True
+
+
+def choose(file: Path | None, environ: Mapping[str, str]) -> str:
+    given = _given(file, environ)
+    if given is None:
+        question = f"new passphrase for the authority's key (at least {MINIMUM} characters)"
+        given = _ask(question, long_enough)
+    return _long_enough(given)
+
+
+def long_enough(typed: str) -> str:
+    """A new passphrase that was typed once; if it is too short click says so and asks again."""
+    try:
+        return _long_enough(typed)
+    except ConfigurationError as error:
+        raise click.UsageError(f"{error}: {error.hint}") from None
+
+
+def _long_enough(given: str) -> str:
+    if len(given) < MINIMUM:
+        raise ConfigurationError(
+            f"a passphrase of {len(given)} characters protects nothing",
+            f"use at least {MINIMUM}, for example four random words",
+        )
+    return given

@@ -21,32 +21,17 @@ option = click.option(
 
 
 def read_rules(path: Path | None) -> bytes:
-    """The rules in a file, else those that are shipped; the process for rules parses them.
-
-    Raises:
-        NamesExtraMissing: lxml is not installed.
-        RulesRefused, ConfigurationError: too long, or with a document type.
-    """
+    """The rules in a file, else those that are shipped; the process for rules parses them."""
     require_extra()
     return rule_runner.shipped_rules() if path is None else check_rules(files.read(path, MAX_INPUT))
 
 
 def read_metadata(path: Path) -> bytes:
-    """The metadata in a file; they are not parsed here.
-
-    Raises:
-        MetadataRefused, ConfigurationError: too long, or with a document type.
-    """
+    """The metadata in a file; they are not parsed here."""
     return check_document(files.read(path, MAX_INPUT))
 
 
 def name_of_node(rules: bytes, metadata: bytes) -> str:
-    """The name that the rules give a node.
-
-    Raises:
-        RossecError: there is none, as `RuleRunner.name`.
-    """
-
     async def ask() -> str:
         async with RuleRunner(rules) as runner:
             return await runner.name(metadata)

@@ -1,7 +1,4 @@
-"""The authority of a command: its passphrase and its master are those of the options.
-
-At enrollment: a new identity gets at once what the policy gives its name outright.
-"""
+"""The authority of a command, with the passphrase and the master of its options; what it delivers."""
 
 import asyncio
 import contextlib
@@ -28,23 +25,11 @@ from rossec.ros.xmlrpc import Fault
 from rossec.terminal import note, printable, record, say
 
 _SIGNED_ANEW: Final = "a list for the master was due and is signed anew; deliver it with: rossec ca publish"
-
 _NO_LIST: Final = (
     "the master has no revocation list of this authority, so it trusts no grant yet:"
     " rossec ca publish, then rossec grant deliver"
 )
-
-
-def service_of(
-    environment: Environment, passphrase_file: Path | None = None, master_uri: str | None = None
-) -> AuthorityService:
-    """The authority in ROSSEC_HOME."""
-    return AuthorityService(
-        environment.home,
-        partial(passphrase.read, passphrase_file, environment.variables),
-        partial(call_master, environment, master_uri),
-        now,
-    )
+_NAMED: Final = 5  # rights of the line
 
 
 def pass_service(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -63,13 +48,21 @@ def pass_service(command: Callable[..., Any]) -> Callable[..., Any]:
     return passphrase.option(run)
 
 
+def service_of(
+    environment: Environment, passphrase_file: Path | None = None, master_uri: str | None = None
+) -> AuthorityService:
+    return AuthorityService(
+        environment.home,
+        partial(passphrase.read, passphrase_file, environment.variables),
+        partial(call_master, environment, master_uri),
+        now,
+    )
+
+
 def call_master(environment: Environment, master_uri: str | None, call: MasterCall) -> object:
     """Call the master at `master_uri`, by default ROS_MASTER_URI, as the authority's own node.
 
     Returns the value of its answer.
-
-    Raises:
-        NotDelivered: the master is unreachable or refuses the statement.
     """
     if call.note:
         note(call.note)
@@ -83,23 +76,12 @@ def call_master(environment: Environment, master_uri: str | None, call: MasterCa
     try:
         return asyncio.run(ask())
     except (HintedError, OSError, TimeoutError, Fault) as error:
-        what = f"the master at {uri} did not take {call.what}: {_reason(error)}"
+        reason = str(error) or "no answer in time"
+        if isinstance(error, Fault):
+            reason = f"it answers {printable(error.faultString)}: is it of an older version?"
+        what = f"the master at {uri} did not take {call.what}: {reason}"
         start = f"{error.hint}; " if isinstance(error, PeerUnreachable) else ""
         raise NotDelivered(what, f"{start}{call.hint}") from error
-
-
-def _reason(error: Exception) -> str:
-    if isinstance(error, Fault):
-        return f"it answers {printable(error.faultString)}: is it of an older version?"
-    return str(error) or "no answer in time"
-
-
-def publish_list(service: AuthorityService) -> None:
-    """Deliver the list that was signed just now, and say so."""
-    record(published=False)
-    service.publish()
-    record(published=True)
-    say("the master has the new list")
 
 
 def publish_if_revoked(service: AuthorityService) -> None:
@@ -122,10 +104,29 @@ def publish_if_revoked(service: AuthorityService) -> None:
         note(f"{error}; {error.hint}")
 
 
+def publish_list(service: AuthorityService) -> None:
+    record(published=False)
+    service.publish()
+    record(published=True)
+    say("the master has the new list")
+
+
 def remind_to_publish(service: AuthorityService) -> None:
-    """Print a note if a list was signed anew."""
     if service.has_signed_list or service.has_signed_domains:
         note(_SIGNED_ANEW)
+
+
+def deliver_grant(service: AuthorityService, data: bytes, out: Path | None) -> Sequence[RefusedDeposit]:
+    """Write a grant to the file `out`, which somebody carries; else as `deliver_grants`."""
+    if out is None:
+        return deliver_grants(service, [data])
+    files.create(out, data, 0o644)
+    record(file=str(out))
+    say(f"written to {out}")
+    if (path := service.store_grant(data)) is not None:
+        add_entry("given", {"node": document.peek(data).subject, "path": str(path)})
+        say(f"given to {document.peek(data).subject} in {path}")
+    return ()
 
 
 def deliver_grants(service: AuthorityService, grants: Iterable[bytes]) -> Sequence[RefusedDeposit]:
@@ -169,22 +170,6 @@ def say_deposited(count: int, refused: Sequence[RefusedDeposit]) -> None:
         note(each.say(f"the grant {short}"))
     if any(NO_LIST_YET in each.reason for each in refused):
         note(_NO_LIST)
-
-
-def deliver_grant(service: AuthorityService, data: bytes, out: Path | None) -> Sequence[RefusedDeposit]:
-    """Write a grant to the file `out`, which somebody carries; else as `deliver_grants`."""
-    if out is None:
-        return deliver_grants(service, [data])
-    files.create(out, data, 0o644)
-    record(file=str(out))
-    say(f"written to {out}")
-    if (path := service.store_grant(data)) is not None:
-        add_entry("given", {"node": document.peek(data).subject, "path": str(path)})
-        say(f"given to {document.peek(data).subject} in {path}")
-    return ()
-
-
-_NAMED: Final = 5  # rights of the line
 
 
 def give_outright(service: AuthorityService, name: str) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from rossec.cli import demo
+from rossec.demo import steps
 from rossec.demo.environment import DemoEnvironment
 from tests.support.commands import Shell, refused
 
@@ -17,7 +18,7 @@ def test_it_has_a_home_of_its_own_and_leaves_nothing(empty: Shell, monkeypatch: 
         roots.append(demo.root)
         await demo.command("border", "--help", quiet=True)
 
-    monkeypatch.setattr(demo, "run_border_steps", run_steps)
+    monkeypatch.setattr(steps, "run_border_steps", run_steps)
     said = empty("border", "--demo")
     assert said.code == 0, said
     assert said.out == "    $ rossec border --help\n"

@@ -63,8 +63,3 @@ def test_a_home_that_others_could_have_written_gives_nothing(tmp_path: Path, hom
     home.chmod(0o777)
     command = completed("hz", "grant.sign:sign", lambda: hz, table(tmp_path))
     assert offered(command, home, "") == []
-
-
-def test_the_table_of_this_tree_is_used_by_default(home: Path) -> None:
-    command = completed("hz", "no.such:place", lambda: click.Group("x"))
-    assert isinstance(command, click.Group)

@@ -54,7 +54,7 @@ def test_it_waits_until_a_phone_is_set_up(
         store.passkeys.add(Passkey(b"id", "Anna's phone", b"key", bytes(16), "localhost", ORIGIN, b"", 1))
         store.close()
 
-    monkeypatch.setattr(module, "LIFETIME", 20)
+    monkeypatch.setattr(module, "CODE_LIFETIME", 20)
     thread = threading.Thread(target=add)
     thread.start()
     said = shell("console", "phone")
@@ -65,7 +65,7 @@ def test_it_waits_until_a_phone_is_set_up(
 def test_a_code_that_is_over_is_told(
     shell: Shell, home: AuthorityHome, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "LIFETIME", 0.1)
+    monkeypatch.setattr(module, "CODE_LIFETIME", 0.1)
     assert shell("console", "phone").out.endswith("the code is over, and set up no phone\n")
 
 

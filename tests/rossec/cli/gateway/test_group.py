@@ -2,13 +2,7 @@
 
 import pytest
 
-from rossec.cli.servers import gateway
-from tests.rossec.cli.tables import check_table
 from tests.support.commands import Shell, refused
-
-
-def test_each_verb_exists_and_has_this_help_line() -> None:
-    check_table(gateway)
 
 
 def test_without_a_verb_it_runs(empty: Shell) -> None:

@@ -10,7 +10,15 @@ from ca.errors import PatternRefused
 from grants.errors import FilterRefused
 from grants.filters.compile import PRESETS
 from grants.model import Permission, Restriction, Right, filter_rules
-from rossec.cli.grant.sign import for_node, own_pattern, permissions, read, restrictions, rules, wishes
+from rossec.cli.grant.sign import (
+    for_node,
+    own_pattern,
+    permission_options,
+    permissions,
+    read_permissions,
+    restrictions,
+    rules,
+)
 from rossec.cli.main import run
 from rossec.errors import ConfigurationError
 
@@ -77,9 +85,9 @@ def test_wishes_are_options_and_read_says_what_they_mean() -> None:
     found: list[tuple[Permission, ...]] = []
 
     @click.command()
-    @wishes
+    @permission_options
     def ask(**said: Any) -> None:
-        found.append(read(said))
+        found.append(read_permissions(said))
 
     options = (
         "--subscribe",
@@ -105,9 +113,9 @@ def test_wishes_are_options_and_read_says_what_they_mean() -> None:
 
 def test_read_without_a_right_is_refused() -> None:
     @click.command()
-    @wishes
+    @permission_options
     def ask(**said: Any) -> None:
-        read(said)
+        read_permissions(said)
 
     with pytest.raises(ConfigurationError):
         CliRunner().invoke(ask, (), catch_exceptions=False)
@@ -157,7 +165,7 @@ def test_of_two_filters_for_one_field_none_is_lost(
 )
 def test_a_restriction_is_not_replaced_by_a_second_one(said: tuple[str, ...]) -> None:
     @click.command()
-    @wishes
+    @permission_options
     def command(**_: Any) -> None:
         raise AssertionError("not called")
 

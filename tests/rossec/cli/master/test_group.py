@@ -1,17 +1,9 @@
 from typing import Any
 
-import click
 import pytest
 
 from rossec.cli.master import serve
-from rossec.cli.servers import master
-from tests.rossec.cli.tables import check_table
 from tests.support.commands import Shell
-
-
-@pytest.mark.parametrize("group", [master], ids=lambda group: group.name)
-def test_each_listed_command_exists_and_has_this_help_line(group: click.Command) -> None:
-    check_table(group)
 
 
 @pytest.mark.parametrize(

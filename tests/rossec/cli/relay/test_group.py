@@ -1,12 +1,6 @@
 """The group `rossec relay`."""
 
-from rossec.cli.servers import relay
-from tests.rossec.cli.tables import check_table
 from tests.support.commands import Shell, refused
-
-
-def test_each_verb_exists_and_has_this_help_line() -> None:
-    check_table(relay)
 
 
 def test_without_a_verb_it_runs(empty: Shell) -> None:

@@ -2,14 +2,7 @@ import json
 
 import pytest
 
-from rossec.cli.servers import router, seats
-from tests.rossec.cli.tables import check_table
 from tests.support.commands import Shell, refused
-
-
-def test_each_verb_exists_and_has_this_help_line() -> None:
-    check_table(router)
-    check_table(seats)
 
 
 @pytest.mark.parametrize("word", ["--open", "--json", "--print-config", "--host=a", "--join=tls/a:1"])
