@@ -19,7 +19,7 @@ from rossec.net.aio import SecureContext, connect
 from rossec.terminal import say_json
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # a key cannot be hashed, and a peer names itself in `turns`
 class UnverifiedPeer:
     public_key: ec.EllipticCurvePublicKey
     not_after: int

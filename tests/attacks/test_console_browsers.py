@@ -98,7 +98,7 @@ def test_of_two_browsers_at_one_question_one_wins_and_the_other_is_told(
             route.continue_()
         for window in (owner, other):
             end = window.page.locator(".end-mark, [data-problem]:visible")
-            expect(end).to_have_count(1, timeout=15_000)
+            expect(end).to_have_count(1, timeout=60_000)
         won = [each for each in (owner, other) if each.page.url.startswith(f"{site.origin}/approved/")]
         (lost,) = [each for each in (owner, other) if each not in won]
         assert len(won) == 1

@@ -27,6 +27,7 @@ def shells(short_path: Path) -> Iterator[dict[str, TypedShell]]:
                 opened[name].close()
 
 
+@pytest.mark.timeout(400)
 def test_both_work_as_printed(shells: dict[str, TypedShell]) -> None:
     robot, new = shells["robot"], shells["new"]
     blocks = blocks_of(PAGE)

@@ -130,7 +130,7 @@ def set_up(root: Path) -> tuple[BorderSite, Path, Path]:
 
 @pytest.mark.timeout(280)
 async def test_a_thing_is_served_while_a_fifth_of_all_packets_is_lost(tmp_path: Path) -> None:
-    """Each packet passes a gateway, which drops two of ten, either way."""
+    """Each packet passes a gateway, which drops one of five, either way."""
     border, pem, ccs = set_up(tmp_path)
     environ = {**os.environ, "PYTHONPATH": str(HERE), "ROSSEC_HOME": str(border.site.root)}
     with wan_of({"garden": ("thing",)}, ("house",)) as wan:

@@ -51,14 +51,9 @@ class Wan:
 
     @contextlib.contextmanager
     def lossy(self, one_of: int) -> Iterator[None]:
-        """Meanwhile each gateway drops one packet of so many, either way, two in a row each time.
-
-        Not at random: a request all of whose tries are lost is given up after 93 s (RFC 7252
-        section 4.8.2), so that one run in thirty would say nothing of the program.
-        """
+        """Meanwhile each gateway drops one packet of so many, either way; see `losing`."""
         for gateway in self._gateways.values():
-            rule = f"numgen inc mod {2 * one_of} < 2 counter drop"
-            _nft(gateway, f"add rule ip gateway lossy {rule}")
+            _nft(gateway, f"add rule ip gateway lossy {losing(one_of)}")
         try:
             yield
         finally:
@@ -86,6 +81,18 @@ class Wan:
             running.terminate()
             said, _ = await asyncio.wait_for(running.communicate(), 20)
         found.append(packets_of(file, said))
+
+
+def losing(one_of: int) -> str:
+    """The rule of nftables that drops five packets of each `5 * one_of + 2`, two of them in a row.
+
+    Not at random: a request all of whose tries are lost is given up after 93 s (RFC 7252 section
+    4.8.2), so that one run in thirty would say nothing of the program. The distances differ: what is
+    sent in a fixed order does not lose the same packet each time.
+    """
+    places = (1, 2, one_of + 3, 2 * one_of + 4, 4 * one_of)
+    drops = ", ".join(f"{place} : drop" for place in places)
+    return f"numgen inc mod {5 * one_of + 2} vmap {{ {drops} }}"
 
 
 @contextlib.contextmanager
