@@ -87,8 +87,8 @@ def losing(one_of: int) -> str:
     """The rule of nftables that drops five packets of each `5 * one_of + 2`, two of them in a row.
 
     Not at random: a request all of whose tries are lost is given up after 93 s (RFC 7252 section
-    4.8.2), so that one run in thirty would say nothing of the program. The distances differ: what is
-    sent in a fixed order does not lose the same packet each time.
+    4.8.2), so that one run in thirty would say nothing of the program. The distances differ: what
+    is sent in a fixed order does not lose the same packet each time.
     """
     places = (1, 2, one_of + 3, 2 * one_of + 4, 4 * one_of)
     drops = ", ".join(f"{place} : drop" for place in places)
