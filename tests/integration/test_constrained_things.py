@@ -35,7 +35,7 @@ LOSS: Final = (
     "table inet lossy {\n"
     + "".join(
         f"chain {hook} {{ type filter hook {hook} priority 0;"
-        " meta l4proto udp numgen inc mod 10 < 2 counter drop; }\n"
+        " meta l4proto udp numgen random mod 5 0 counter drop; }\n"
         for hook in ("input", "output")
     )
     + "}\n"
