@@ -9,11 +9,11 @@ from ca.encoding import Value
 from grants.document import grant_id
 from grants.model import Draft, Permission, Right
 from grants.request import GrantRequest, RequestedRight, sign_request
-from rossec.authority.grant_operations import MasterCall
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.requests import put_in_inbox
+from rossec.authority.session import MasterCall
 from rossec.errors import NotDelivered
 from rossec.home import NodeHome
 from tests.support.commands import PASSPHRASE

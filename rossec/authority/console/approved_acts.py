@@ -53,11 +53,11 @@ from rossec.authority.console.access import check_bound
 from rossec.authority.console.approving import Approved, Arguments, Conclude, Immediate, ToApprove, tried
 from rossec.authority.console.grant_requests import checked_reason, keys_of
 from rossec.authority.console.phone_codes import Proposals
-from rossec.authority.grant_operations import MasterCall
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import MAX_USES, check_invitation, make_invitation
 from rossec.authority.policyfile import PolicyFile, PolicyPlan
 from rossec.authority.service import AuthorityService
+from rossec.authority.session import MasterCall
 from rossec.authority.signing import OF_ALL, OWN_NODE, SigningAuthority
 from rossec.errors import ConfigurationError, KeyServiceRefused
 from rossec.peer_limits import printable
@@ -117,8 +117,8 @@ class EnrollAct:
         name = what.name
         # What the policy gives the name; the identity is signed by then, so a mistake is logged.
         try:
-            for _, data in service.grant_outright(name, place=self._policy):
-                service.store_grant(data)
+            for _, data in service.policy.grant_outright(name, place=self._policy):
+                service.grants.store(data)
         except HintedError as error:
             _log.error("%s has no grants yet: %s", name, printable(str(error)))
 
@@ -336,7 +336,7 @@ class PolicyAct:
         if service.home.is_intermediate:
             raise KeyServiceRefused("an intermediate signs no grants", "do it at the root")
         file = self._read(digest)
-        plan = service.plan_policy(file)
+        plan = service.policy.plan(file)
         if plan.is_empty:
             raise ConfigurationError("this policy is in force already", "there is nothing to do")
         with closing(service.home.store()) as store:
@@ -356,15 +356,15 @@ class PolicyAct:
         self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
     ) -> None:
         what, authority = _changed(approved), service.unlock()
-        plan = service.plan_policy(self._read(what.new))
+        plan = service.policy.plan(self._read(what.new))
         if plan.effect(authority.domain) != what.effect:
             raise StoreError("what this policy would change is not what was approved", _AGAIN)
         signed = _put_in_force(authority, plan, approved, conclude, now)
         try:
             if plan.revoke:
-                service.deposit(signed)
+                service.grants.deposit(signed)
             for data in signed:
-                service.try_to_store(data)
+                service.grants.try_to_store(data)
         finally:  # a grant that cannot be delivered holds no revocation back
             if plan.revoke:
                 service.publish()

@@ -284,7 +284,7 @@ class GrantAct:
             conclude(authority.store, given([body for body, _ in answer.grants]))
 
         for data in authority.issue_grants(drafts, now, check):
-            service.store_grant(data)
+            service.grants.store(data)
 
     def made(self, _service: AuthorityService, approved: Approved, /) -> bytes:
         bodies: list[Value] = [body for body, _ in Answer.from_bytes(approved.approval.payload).grants]

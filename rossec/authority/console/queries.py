@@ -58,9 +58,9 @@ from rossec.authority.console.messages import (
     sentence,
     to_value,
 )
-from rossec.authority.grant_operations import MasterCall
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.policyfile import PolicyFile
+from rossec.authority.session import MasterCall
 from rossec.errors import AnswerMalformed, ConfigurationError, NotDelivered
 from rossec.participant.registrations import WATCH_GRAPH, GraphView
 
@@ -353,7 +353,7 @@ class PolicyLook:
             file = PolicyFile.read(path, own=True)
             read = file.text.encode()
             with self._work.service(PURPOSE) as service:
-                plan = service.plan_policy(file)
+                plan = service.policy.plan(file)
         except HintedError as error:
             digest = hashlib.sha256(read).digest() if read else b""
             return to_value(empty._replace(digest=digest, mistakes=_mistakes(error)))

@@ -57,13 +57,13 @@ from rossec.authority.console.approving import Act, Approving, Of
 from rossec.authority.console.grant_requests import GrantAct, Questions, Removals
 from rossec.authority.console.messages import OPERATIONS, Status, checked, to_value
 from rossec.authority.console.queries import MasterView, PolicyLook, PolicyNames, Reading
-from rossec.authority.grant_operations import MasterCall
 from rossec.authority.home import fingerprint
 from rossec.authority.keyservice.messages import Request
 from rossec.authority.keyservice.network import NetworkWork, Rounds
 from rossec.authority.keyservice.operations import HeldKey, KeyOperations
 from rossec.authority.keyservice.process import Caller, KeyServer, SocketRules
 from rossec.authority.keyservice.work import AuthorityWork
+from rossec.authority.session import MasterCall
 from rossec.errors import ConfigurationError, KeyServiceRefused, NotDelivered, PeerUserRefused
 from rossec.host.local_sockets import UnixPeer
 from rossec.peer_limits import printable
@@ -390,7 +390,7 @@ class Deliveries:
             self._asked = now
             try:
                 with self._work.service(PURPOSE) as service:
-                    self._states = service.delivery_states()
+                    self._states = service.grants.delivery_states()
             except HintedError:
                 self._states = {}
         return self._states

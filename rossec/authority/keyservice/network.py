@@ -35,10 +35,10 @@ from ca.enrollment.invitation import JoinClaim, JoinRequest
 from ca.enrollment.join import NameAnswer, Named, Refused, RefuseReason, write
 from ca.errors import EncodingError, HintedError
 from ca.names import is_reserved, pattern_covers
-from rossec.authority.grant_operations import MasterCall
 from rossec.authority.keyservice.operations import KeyOperations
 from rossec.authority.keyservice.process import FaceProcess
 from rossec.authority.keyservice.work import AuthorityWork
+from rossec.authority.session import MasterCall
 from rossec.errors import ConfigurationError, NotDelivered, RossecError
 from rossec.host.runner import TaskSet
 from rossec.naming.rule_runner import RuleRunner

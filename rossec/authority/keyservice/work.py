@@ -19,11 +19,12 @@ from ca.errors import HintedError, RecordUnusable, StoreError
 from grants.errors import PolicyRefused
 from rossec import clock
 from rossec.authority import invitations, policyfile, renewals
-from rossec.authority.grant_operations import MasterCall, RefusedDeposit
+from rossec.authority.grant_operations import RefusedDeposit
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.operations import KeyOperations, OwnSigner
 from rossec.authority.policyfile import PolicyPlan
 from rossec.authority.service import AuthorityService
+from rossec.authority.session import MasterCall
 from rossec.errors import (
     AuthorityLocked,
     ConfigurationError,
@@ -146,7 +147,7 @@ class AuthorityWork:
         try:
             policy = policyfile.read_policy(self._rossec_home, self._policy, signs=True)
             with self.service(APPLY_PURPOSE) as service:
-                plan = service.plan_policy(policy, names, renew_due=True)
+                plan = service.policy.plan(policy, names, renew_due=True)
                 for reason in plan.refused:
                     _log.error("the policy is not applied: %s", printable(reason))
                 if plan.signs or plan.revoke:
@@ -168,9 +169,9 @@ class AuthorityWork:
         """Give nodes that joined what the policy in force gives their names, if there is one."""
         try:
             with self.service(APPLY_PURPOSE) as service:
-                signed = service.grant_outright(*names, place=self._policy)
+                signed = service.policy.grant_outright(*names, place=self._policy)
                 if signed:
-                    _log_refused(service.deposit([data for _, data in signed]))
+                    _log_refused(service.grants.deposit([data for _, data in signed]))
         except HintedError as error:
             alone = _to_try_alone(error, names)
             for name in alone:
@@ -258,7 +259,7 @@ class AuthorityWork:
 
 def _apply(service: AuthorityService, plan: PolicyPlan) -> None:
     try:
-        service.apply_policy(plan, lambda text: _log.info("policy: %s", text))
+        service.policy.apply(plan, lambda text: _log.info("policy: %s", text))
     except OSError as error:
         raise NotDelivered(str(error), "the next round tries again") from error
 
@@ -275,7 +276,7 @@ def _still_has_list(service: AuthorityService) -> bool:
 
 
 def _deposit_missing(service: AuthorityService) -> None:
-    _log_refused(service.deposit_missing()[1])
+    _log_refused(service.grants.deposit_missing()[1])
 
 
 def _log_refused(refused: Iterable[RefusedDeposit]) -> None:

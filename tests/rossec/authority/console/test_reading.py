@@ -96,7 +96,7 @@ def test_requests_for_identities_are_those_that_wait(site: ConsoleWork) -> None:
         for name in ("/lamp", "/robot"):
             node = NodeHome.of(site.root / "other", name)
             asked = node.create_request("home")
-            service.add_request(asked, node.request(), "a code")
+            service.identities.add_request(asked, node.request(), "a code")
     found = many(IdentityRequestView, ask(reading, "identity-requests"))
     assert {(each.name, each.is_other_key) for each in found} == {("/lamp", False), ("/robot", True)}
     lamp = next(each for each in found if each.name == "/lamp")

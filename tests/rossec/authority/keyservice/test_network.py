@@ -10,13 +10,13 @@ import pytest
 from ca.encoding import Value
 from ca.enrollment.join import Issued, Named, Refused, RefuseReason, read
 from ca.errors import EncodingError
-from rossec.authority.grant_operations import MasterCall
 from rossec.authority.keyservice import network
 from rossec.authority.keyservice import network as module
 from rossec.authority.keyservice.inner_channel import Handler
 from rossec.authority.keyservice.network import NetworkWork
 from rossec.authority.keyservice.process import FaceProcess
 from rossec.authority.keyservice.work import AuthorityWork
+from rossec.authority.session import MasterCall
 from rossec.clock import now
 from rossec.errors import KeyServiceRefused, NotDelivered, RulesRefused
 from rossec.home import NodeHome
