@@ -254,9 +254,6 @@ class Approving:
         self._carrying_out = threading.Lock()
         self._ends: dict[bytes, float] = {}  # by the clock that cannot be set
 
-    def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        return {"prepare": self.prepare, "approve": self.approve, "outcome": self.outcome}
-
     def prepare(self, name: str, arguments: list[Value], owner: str = "") -> Value:
         # Make a statement for `owner`, with all that it would give away.
         kind, given, at = KINDS[name], tuple(arguments), self._work.now()

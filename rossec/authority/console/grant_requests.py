@@ -21,7 +21,7 @@ stolen session must not end it.
 
 import contextlib
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import closing
 from hashlib import sha256
 from pathlib import Path
@@ -70,9 +70,6 @@ class Questions:
     def __init__(self, work: AuthorityWork) -> None:
         self._work = work
 
-    def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        return {"questions": self.questions, "consider": self.consider, "question-answers": self.answers}
-
     def questions(self) -> Value:
         if not self._work.policy_path().exists():
             return []
@@ -92,7 +89,7 @@ class Questions:
             found = pending_of(queue, question)
         return to_value(tuple(_right(file, change(approve(each.verdict))) for each in found))
 
-    def answers(self, question: bytes) -> Value:
+    def question_answers(self, question: bytes) -> Value:
         with contextlib.closing(self._work.home().store()) as store:
             found = GrantRequestStore(store.database).answers()
         return to_value(
@@ -359,16 +356,6 @@ class Removals:
     def __init__(self, work: AuthorityWork, wake: Callable[[], None]) -> None:
         self._work = work
         self._wake = wake
-
-    def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        return {
-            "deny-request": self.deny_request,
-            "deny-question": self.deny_question,
-            "revoke-grant": self.revoke_grant,
-            "revoke-node": self.revoke_node,
-            "end-invitation": self.end_invitation,
-            "remove-phone": self.remove_phone,
-        }
 
     def deny_request(self, digest: bytes, reason: str) -> Value:
         # Deny a request for an identity, also one that was approved and is not issued yet.

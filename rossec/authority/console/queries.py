@@ -91,17 +91,6 @@ class Reading:
         self._last_used = last_used
         self._deliveries = deliveries
 
-    def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        return {
-            "nodes": self.nodes,
-            "grants": self.grants,
-            "identity-requests": self.identity_requests,
-            "invitations": self.invitations,
-            "phones": self.phones,
-            "approvals": self.approvals,
-            "events": self.events,
-        }
-
     def nodes(self) -> Value:
         at = self._work.now()
         with self._store() as store, store.database.read_transaction():
@@ -302,10 +291,7 @@ class PolicyNames:
         self._read = _NOTHING
         self._names: tuple[PolicyName, ...] = ()
 
-    def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        return {"policy-names": self.names}
-
-    def names(self) -> Value:
+    def policy_names(self) -> Value:
         found = self._state()
         if found != self._read:
             self._names = self._load() if found != _NOTHING else ()
@@ -338,9 +324,6 @@ _NOT_GIVEN: Final = frozenset({difference_Kind.KEPT, difference_Kind.GONE})
 class PolicyLook:
     def __init__(self, work: AuthorityWork) -> None:
         self._work = work
-
-    def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        return {"policy": self.policy}
 
     def policy(self) -> Value:
         path = self._work.policy_path()
@@ -425,9 +408,6 @@ class MasterView:
         self._denials: tuple[DenialView, ...] = ()
         self._standing: ListStanding | None = None
         self._changes = 0
-
-    def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        return {"standing": self.standing, "graph": self.graph, "denials": self.denials}
 
     def look(self) -> int:
         if self._elapsed() - self._begun >= PERIOD and self._asking.acquire(blocking=False):

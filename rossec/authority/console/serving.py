@@ -36,7 +36,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 from ca.approvals.statement import Kind
 from ca.encoding import Value
@@ -94,9 +94,6 @@ class StatusLook:
         self._seen = seen
         anchor = work.home().anchor()
         self._domain, self._fingerprint = anchor.domain, fingerprint(anchor)
-
-    def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        return {"status": self.status}
 
     def status(self) -> Value:
         home, now = self._work.home(), self._work.now()
@@ -174,25 +171,14 @@ class ConsolePeers:
 _log = logging.getLogger("rossec.authority.service")
 
 Handler = Callable[..., Value]
-CHANGES: Final = frozenset(
-    {
-        "deny-request",
-        "deny-question",
-        "revoke-grant",
-        "revoke-node",
-        "end-invitation",
-        "remove-phone",
-        "end-proposal",
-        "approve",
-    }
-)
 
 
 def _unaudited(_: str) -> None: ...
 
 
-class Part(Protocol):
-    def handlers(self) -> Mapping[str, Handler]: ...
+def handlers_of(part: object) -> dict[str, Handler]:
+    methods = {name: getattr(part, name.replace("-", "_"), None) for name in OPERATIONS}
+    return {name: method for name, method in methods.items() if callable(method)}
 
 
 class ConsoleService:
@@ -203,14 +189,14 @@ class ConsoleService:
         audit: writes a line. Raises `HintedError` if it cannot: then nothing is done.
     """
 
-    def __init__(self, *parts: Part, audit: Callable[[str], None] = _unaudited) -> None:
+    def __init__(self, *parts: object, audit: Callable[[str], None] = _unaudited) -> None:
         self._audit = audit
         self._threads = [ThreadPoolExecutor(1, thread_name_prefix="console") for _ in parts]
         self._handlers: dict[str, tuple[ThreadPoolExecutor, Handler]] = {}
         for part, thread in zip(parts, self._threads, strict=True):
-            for operation, handler in part.handlers().items():
-                if operation in self._handlers or operation not in OPERATIONS:
-                    raise ValueError(f"{operation} is not an operation, or has two handlers")
+            for operation, handler in handlers_of(part).items():
+                if operation in self._handlers:
+                    raise ValueError(f"{operation} has two handlers")
                 self._handlers[operation] = thread, handler
 
     @property
@@ -222,7 +208,7 @@ class ConsoleService:
             raise KeyServiceRefused(
                 f"this service does not do {request.operation}", "restart it: rossec ca serve"
             )
-        if request.operation in CHANGES:
+        if OPERATIONS[request.operation].changes:
             self._audit(f"{_described(request)}, asked by the console of {caller}")
         thread, handler = self._handlers[request.operation]
         call = partial(_answer, handler, request.arguments)
@@ -370,7 +356,7 @@ class Console:
 
     def _seen(self) -> tuple[object, ...]:
         # What the console shows and the record does not say.
-        return self.master.look(), *(each.id for each in self.access.proposals.all())
+        return self.master.look(), *(each.id for each in self.access.proposed.all())
 
 
 class Deliveries:
@@ -407,7 +393,7 @@ def acts_of(
         Kind.POLICY: PolicyAct(policy),
         Kind.DELEGATE: DelegateAct(),
         Kind.INTERMEDIATE: IntermediateAct(),
-        Kind.PASSKEY: PasskeyAct(access.proposals),
+        Kind.PASSKEY: PasskeyAct(access.proposed),
         Kind.INVITATION: InvitationAct(work.home(), join_address, elapsed),
         Kind.REVOKE_MASTER: RevokeMasterAct(),
     }
