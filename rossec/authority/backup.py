@@ -1,18 +1,12 @@
 """Back up an authority into one file, and restore it without losing data by accident.
 
-What is in a backup, each part says that owns files (`contents`). A restore verifies the backup
-first, next to its target: the key opens and matches its certificate, the log verifies; code that it
-names is not run (`token_modules`). An existing authority is replaced only if the operator names its
-trust domain, and in one step; newer log entries are lost only if the operator gives their number,
-and what it has revoked stays revoked. The backup lacks what was signed after it, so a new epoch of
-lists begins, and signed lists from the master or a node restore the missing revocations, and the
-domains that are trusted (`restored_lists`); without one no foreign domain is.
-
-The files of an authority's directory: which there are, and which of them a backup has.
-
-Nothing is listed here. Each part that writes files says of its own what they are, in its `OWNED`:
-a part that is added brings its declaration along, and a test holds every file of a home that has
-used all of them against this.
+What is in a backup, each part of rossec says that writes files, in its `OWNED`: a test holds every
+file of a home that has used all of them against this. A restore verifies the backup first, next to
+its target: the key opens and matches its certificate, the log verifies; code that it names is not
+run. An existing authority is replaced only if the operator names its trust domain, and in one step;
+newer log entries are lost only if the operator gives their number, and what it has revoked stays
+revoked. The backup lacks what was signed after it, so a new epoch of lists begins, and signed lists
+from the master or a node give back what is missing (`restored_lists`).
 """
 
 import contextlib

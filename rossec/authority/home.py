@@ -1,14 +1,9 @@
-"""The directory of an authority: its key, its certificate, its record; `signing` signs.
+"""The directory of an authority: its key, its certificate, its record, its own node; `signing` signs.
 
-The PKCS#11 modules that the operator of a ROSSEC_HOME trusts: code that rossec loads.
-
-The URI of a key names a module too, but it is in `ca/`, which a backup fills: whoever made that
-would name the code that is run to verify it. So a module is loaded only if it is in
-`pkcs11-modules`, one absolute path a line, beside `ca/`, where nothing that is restored is written.
-`rossec ca init --key` and `rossec ca restore --pkcs11-module` write it there. A home of an older
-version has no such file: it was made here, unless its log says that it was restored.
-
-A node of the authority's own host: enrolled in place, without a request to carry.
+The URI of a key in a token names a PKCS#11 module, code that is loaded, but it is in `ca/`, which a
+backup fills: whoever made that would name the code that is run to verify it. So a module is loaded
+only if it is in `pkcs11-modules`, one absolute path a line, beside `ca/`, where nothing that is
+restored is written. `rossec ca init --key` and `rossec ca restore --pkcs11-module` write it there.
 """
 
 import contextlib

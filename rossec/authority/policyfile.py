@@ -1,27 +1,14 @@
-"""The policy file of an authority, read with the message types known on this host.
+"""The policy file of an authority, the plan to put it in force, and the plan carried out.
 
-It adds I/O to `grants.policy.read`. By default the file is `policy.yaml` next to the authority's
-key; without a file there is no policy, and it permits nothing.
+Without a file there is no policy, and it permits nothing. A plan changes nothing; the record is the
+authority's own, so its grants are read without verifying their signatures again. `/ca` and
+`/master` act by their identity and get none; the grants of other keys only lose what the policy no
+longer allows.
 
-The plan to put a policy in force: for each node, what to sign and revoke. Changes nothing.
-
-The record is the authority's own, so its grants are read without verifying their signatures again.
-The wanted state is that of the nodes with a valid identity; `/ca` and `/master` act by their
-identity and get none. The grants of other keys only lose what the policy no longer allows.
-
-A plan carried out: what is only taken away goes first; then what is new is signed, and what that
-replaces goes, so that no node is without what it keeps.
-
-Each step is one transaction. Where it is cut off between the last two, nodes have the new grants
-and the old ones, the next plan finds the new ones exact, and what is left is to revoke the old.
-A plan made from another record, or by another policy, than there is now does nothing. Where the
-grants of one node cannot be signed, those of the others are, and what it may not have goes.
-
-Opting out: deny a topic to all nodes, or all topics to a node, and revoke what shows them.
-
-The policy is changed first. The grants are then revoked with the record locked: a decision by the
-old policy is signed already, or cannot be (`ApprovalQueue.sign`). What else they allowed is granted
-anew, with the same times.
+Carried out, what is only taken away goes first; then what is new is signed, and what that replaces
+goes, so that no node is without what it keeps. Each step is one transaction: cut off between the
+last two, the next plan finds the new ones exact, and what is left is to revoke the old. A plan made
+from another record, or by another policy, than there is now does nothing.
 """
 
 import secrets
@@ -463,6 +450,9 @@ def _reason(plan: PolicyPlan) -> str:
 
 
 class OptOut(NamedTuple):
+    # The policy is changed first. The grants are then revoked with the record locked: a decision by the old
+    # policy is signed already, or cannot be (`ApprovalQueue.sign`). What else they allowed is granted anew.
+
     policy: PolicyFile
     rule: str
     name: str

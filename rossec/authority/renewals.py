@@ -1,13 +1,9 @@
 """Successors, signed and recorded: of identities, of the authority's own node, and intermediates.
 
-A node signs the request with its old key (`ca.certificates`) and gets one answer per request, and no
-further certificate while the newest one is not due; an operator renews by name, for the current key
-of the name. The old identity is looked up in the transaction that records the successor: a key that
-is revoked meanwhile gets none.
-
-Set up an intermediate on its host: a key and a request first, then what the root signed.
-
-Until the root has signed, the directory has no `ca.pem` and is not an authority yet.
+A node signs the request with its old key (`ca.certificates`) and gets one answer per request, and
+no further certificate while the newest one is not due; an operator renews by name, for the current
+key of the name. The old identity is looked up in the transaction that records the successor: a key
+that is revoked meanwhile gets none.
 """
 
 import contextlib

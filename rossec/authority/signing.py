@@ -2,23 +2,8 @@
 
 Everything is recorded before it is delivered. Two commands may run at the same time: decisions by
 the record (a list number, the valid identities, the entries of a list) are made, signed and
-recorded in one transaction, and so is a revocation with its list.
-
-What an authority grants at all: rights on names of its own domain, and tails to who has them.
-
-The entries that the signed revocation list must have, and those that the newest one lacks.
-
-They are computed from the record: everything revoked that could still be valid. A list is outdated
-when it lacks one of these entries; their order does not matter. A tree does not contain its
-entries; they are those of the record if they give the signed root.
-
-The list of domains that the record calls for, and whether the newest one still is that.
-
-It has the trusted foreign domains whose time is not over, and the keys of all valid identities with
-a master's name. An authority without foreign domains and with one master signs none: its nodes then
-work as they did before there were such lists. Once one was signed, there always is one.
-
-What the record says of things, as the authority's decisions need it.
+recorded in one transaction, and so is a revocation with its list. What a list must have is computed
+from the record: everything revoked that could still be valid.
 
 A border router has the keys of the nodes that stand for its things. So where a router, or the node
 of a thing, loses its key, what depended on it ends in the same list.
@@ -158,6 +143,8 @@ def required_masters(store: Store, now: int) -> tuple[bytes, ...]:
     return tuple(sorted({to_coordinates(svid.key_of(svid.parse(row.der))) for row in rows}))
 
 
+# An authority without foreign domains and with one master signs none; once one was signed, there always is
+# one.
 def is_domain_list_due(store: Store, anchor: TrustAnchor, now: int) -> bool:
     """Whether a list has to be signed: there is none, or it is old, or it says something else."""
     with store.database.read_transaction():

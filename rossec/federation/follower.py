@@ -1,16 +1,10 @@
 """Following one other master: dial, check who it is, take over what it says. A shell.
 
-What happens is decided by `states`, what an answer means by `answers`; the facts are in the import
-layer of the own master. The site is asked, and never calls: no address of this master is needed
-there. Lists of revocations and domains are compared with every answer, and settled before more
-facts are asked for.
-
-A site that is reached by a relay of this site: the doors of its master, nodes and services.
-
-A shell: what doors there are is `rossec.master.state.forwarded_ports`'s, how facts become doors is
-`door_facts`'s. The relay is another process, so every door is waited for, and not long.
-
-A connection with the master of a site: dialled, and checked who answers. A shell.
+What happens is decided by `site_state`; the facts are in the import layer of the own master. The
+site is asked, and never calls: no address of this master is needed there. Lists of revocations and
+domains are compared with every answer, and settled before more facts are asked for. A site behind a
+relay is reached by its forwarded ports; the relay is another process, so each is waited for, and
+not long.
 """
 
 import asyncio

@@ -1,15 +1,8 @@
 """All sites that a master follows: from its configuration, from its file, and announced. A shell.
 
-The file is read again when it has changed, so `rossec federation add` takes effect in a running
-master. A label that the configuration has prevails over the file's, and both over an announced one.
-
-Masters of the own domain that announce themselves on the local links, followed unasked.
-
-A shell around `rossec.discovery`. An announcement gives an address and the hint to dial now,
-nothing more: who answers there must be the master of that name. One that is not heard any more is
-followed for as long as its facts may stay.
-
-The mesh of a master that runs from a node's directory.
+A label that the configuration has prevails over the file's, and both over an announced one. An
+announcement gives an address and the hint to dial now, nothing more: who answers there must be the
+master of that name. One that is not heard any more is followed for as long as its facts may stay.
 """
 
 import asyncio

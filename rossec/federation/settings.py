@@ -1,21 +1,14 @@
-"""Which masters to follow: one entry for each, checked. Pure.
+"""Which masters to follow: from the master's configuration, and from `federation.json` in its home.
 
 A label is given once, and never is that of a foreign domain but where the master is one of it: the
 labels of masters of the own domain and of foreign domains name the same thing in `/remote/<label>`.
+The part `federation:` of the configuration is a closed schema, with lines in its errors:
 
-The part `federation:` of the master's configuration file: a closed schema, errors with lines.
-
-federation:
-  follow_announced: true
-  sites:
-    kitchen: {uri: http://kitchen:11311, master: /master/kitchen, parameters: [/robot/**]}
-    hospital: {uri: http://hospital.example:11311, domain: hospital}
-    office: {via: office, master: /master/office}
-
-`federation.json` in a master's home: the sites that `rossec federation add` has given. A shell.
-
-Written under the directory's lock and replaced whole; a running master reads it when it has
-changed. Only the master's own user can write there.
+    follow_announced: true
+    sites:
+      kitchen: {uri: http://kitchen:11311, master: /master/kitchen, parameters: [/robot/**]}
+      hospital: {uri: http://hospital.example:11311, domain: hospital}
+      office: {via: office, master: /master/office}
 """
 
 import json

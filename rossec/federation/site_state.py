@@ -1,23 +1,9 @@
-"""What following another master goes through, as a table. Pure.
+"""What following another master goes through, and what its answers mean. Pure.
 
 Facts of a site that fell silent stay for a minute, marked: a master that restarts, or a link that
 comes back, disturbs nobody. What the site refuses, and what was removed here, goes at once. Nothing
-here cuts a connection between nodes: they judge each other without any master.
-
-What people and programs are told of a site. Pure but for the clock that is passed.
-
-The answers of `rossec.followSite`: what one site has sent so far, and where to go on. Pure.
-
-An answer may come in parts; the parts are gathered, and taken over together. An empty one says that
-nothing has changed. A version that runs backwards within one run of the master is an error: a
-master does not forget.
-
-Facts of a site behind a relay, with the relay's doors for the addresses it says. Pure.
-
-The addresses are of another network. A node or service has none here until its door is open, and
-another one when the relay was started again; a door that is gone counts until there is another, or
-each restart of the relay would take all publishers from their subscribers for a moment. What the
-site says is checked before a door is wanted.
+here cuts a connection between nodes: they judge each other without any master. An answer may come
+in parts, which are taken over together; an empty one says that nothing has changed.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -283,6 +269,10 @@ FindDoor = Callable[[Target], Door | None]
 
 
 class DoorFacts:
+    # A node or service has no address here until its door is open, and another one when the relay was started
+    # again; a door that is gone counts until there is another, or each restart of the relay would take all
+    # publishers from their subscribers for a moment.
+
     """What one site says, as far as it concerns addresses.
 
     Args:

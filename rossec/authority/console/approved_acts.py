@@ -1,18 +1,10 @@
-"""Approving an identity for a node, and an intermediate.
+"""What a phone can approve: identities, intermediates, phones, join codes, the policy, leave to renew.
 
 The request that was shown is the one that is signed: its digest is in the statement. What was
-approved while the key is locked is *approved* in the record, and can still be denied.
-
-Approving what needs no key: another passkey, a join code, the end of the master.
-
-They are done in the transaction of their approval, also while the key is locked. A code exists in
-memory only, as where a command prints it: the record has the public half of its key.
-
-Approving a policy, and leave for the master to renew grants.
-
-A policy is put in force if the file and what it would change are still those that were approved.
-What is new is signed, what goes is revoked and the approval ends in one transaction; then nodes get
-the new grants, and the master the list.
+approved while the key is locked is *approved* in the record, and can still be denied. What needs no
+key is done in the transaction of its approval. A policy is put in force if the file and what it
+would change are still those that were approved: what is new is signed, what goes is revoked and the
+approval ends in one transaction; then nodes get the new grants, and the master the list.
 """
 
 import logging

@@ -2,27 +2,10 @@
 
 The service makes the statement and verifies the touch: whoever asks for it could show a person
 anything, and gains nothing. Recording, admitting and auditing are one transaction, before any
-signature. What waits for the key is carried out when it is unlocked, for a day; then it has come to
-nothing. A clock that was set back carries out nothing that is recorded as of later.
-
-What an act is that a phone approves: it is prepared, admitted, and carried out.
-
-Prepared: shown to the person, with all that it gives away; nothing is given. Admitted: in the
-transaction that records the approval, so of two approvals of one thing one is refused. Carried out:
-now or when the key is unlocked, in one transaction with the end of the approval, so that it is done
-once, whenever the process is killed.
-
-Statements that were shown and wait for a touch: in memory, few, each used once.
-
-A statement that this process did not make is never approved. Its time ends by the clock of the
-host, which is in the statement, and by one that cannot be set: a host's clock that was stopped or
-set back makes no statement last longer.
-
-How many requests for identities those who may only look have put into the record.
-
-Preparing an enrollment records its request, which then waits for a day. The record has room for
-256, and one who only looks could fill it with codes of their own; so a few of them are all there
-are at a time, and the rest stays free for phones, commands and nodes that join.
+signature. What waits for the key is carried out when it is unlocked, for a day, in one transaction
+with the end of the approval; then it has come to nothing. A clock that was set back carries out
+nothing that is recorded as of later, and makes no statement last longer: its time ends by the
+host's clock and by one that cannot be set.
 """
 
 import contextlib
@@ -85,6 +68,10 @@ class Approved(NamedTuple):
 
 
 class Act(Protocol):
+    # Prepared: shown to the person, with all that it gives away; nothing is given. Admitted: in the
+    # transaction that records the approval, so of two approvals of one thing one is refused. Carried out:
+    # now or later.
+
     def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove: ...
 
     def admit(self, store: Store, approved: Approved, /) -> str | None:
@@ -137,6 +124,9 @@ class _Shown(NamedTuple):
 
 
 class Statements:
+    # Shown, and waiting for a touch: in memory, each used once. One that this process did not make is never
+    # approved.
+
     def __init__(self, elapsed: clock.Seconds | None = None) -> None:
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._lock = threading.Lock()
@@ -181,6 +171,9 @@ MAX_REQUESTS: Final = 32
 
 
 class LookersRequests:
+    # Preparing an enrollment records its request for a day. The record has room for 256, and one who only
+    # looks could fill it: so a few of theirs are all there are at a time.
+
     def __init__(self) -> None:
         self._prepared: dict[bytes, None] = {}
 
@@ -203,16 +196,7 @@ class LookersRequests:
 
 WAITS: Final = DAY  # seconds after the end of a statement in which it is carried out
 MAX_RESULT: Final = 500  # characters
-KINDS: Final[Mapping[str, Kind]] = {
-    "enroll": Kind.ENROLL,
-    "grant": Kind.GRANT,
-    "policy": Kind.POLICY,
-    "delegate": Kind.DELEGATE,
-    "intermediate": Kind.INTERMEDIATE,
-    "passkey": Kind.PASSKEY,
-    "invitation": Kind.INVITATION,
-    "revoke-master": Kind.REVOKE_MASTER,
-}
+KINDS: Final = {name: Kind[name.upper().replace("-", "_")] for name in messages.PREPARED}
 # It is carried out later: the reason is not in what was approved.
 _LATER: Final = (AuthorityLocked, NotDelivered, RecordUnusable, TokenRefused, KeyServiceRefused)
 _PREPARING: Final = "preparing an approval"

@@ -1,22 +1,12 @@
-"""What nodes ask for, as the policy would grant it: the questions a person answers.
+"""What nodes ask for, as a person answers it: questions, approved grants, and taking away.
 
 The policy decides first: what it denies is denied, what it allows waits only for the key and is no
-question. Looking denies what nobody answered in time, as `rossec grant pending` does. Each right is
-a question of its own: who may see a camera may not drive for that.
+question. Each right is a question of its own: who may see a camera may not drive for that. Grants
+are made when they are shown, and signed as shown, times and serials included.
 
-Approving what a node asks for: the grants are made when they are shown, and signed as shown.
-
-The payload is the CBOR list `[policy, rights, grants]`: the digest of the policy file by which they
-were made, the requested rights that are answered (`[right, pattern]`), and of each grant its claims
-as they are signed and its rules. Times and serials are in the claims: a grant that waits for the
-key does not last longer by that.
-
-Taking away: what a person at the console does without a passkey. Denying is never harder.
-
-Everything is recorded at once, also while the key is locked: a revocation is then on the list that
-is signed at unlock. What was approved and still waits for the key comes to nothing as soon as what
-it is about is denied or ended. Only `/master` is not revoked here: nothing works without one, so a
-stolen session must not end it.
+Taking away needs no passkey: denying is never harder. Everything is recorded at once, also while
+the key is locked: a revocation is then on the list that is signed at unlock. What was approved and
+still waits for the key comes to nothing as soon as what it is about is denied or ended.
 """
 
 import contextlib
@@ -198,6 +188,8 @@ _MALFORMED: Final = "the payload of an approval is malformed", "restore a backup
 
 
 class Answer(NamedTuple):
+    # The payload: the digest of the policy file, the rights that are answered, each grant's claims and rules.
+
     policy: bytes
     rights: tuple[tuple[int, str], ...]
     grants: tuple[tuple[bytes, str], ...]
@@ -395,7 +387,7 @@ class Removals:
                 f"{name} is the authority's own node, which tells the master what is revoked",
                 "if the authority was stolen, make a new one",
             )
-        if is_master_name(name):
+        if is_master_name(name):  # nothing works without one, so a stolen session must not end it
             raise KeyServiceRefused(
                 f"without {name} its nodes find nothing: a phone has to approve that", "approve it there"
             )

@@ -1,14 +1,15 @@
 # mypy: disable-error-code="empty-body"
 """What the console asks of the authority's service, and the records of the answers. Pure.
 
-`Operations` is all that it can ask; frames and refusals are those of `keyservice.messages`. Nothing in it signs
-what was not approved: `prepare` makes a statement, `approve` verifies a passkey's signature over its digest and
-only then acts. What only takes away (`deny_*`, `revoke_*`, `end_*`, `remove_phone`) needs none.
+`Operations` is all that it can ask; frames and refusals are those of `keyservice.messages`. Nothing
+in it signs what was not approved: `prepare` makes a statement, `approve` verifies a passkey's
+signature over its digest and only then acts. What only takes away (`deny_*`, `revoke_*`, `end_*`,
+`remove_phone`) needs none.
 
-A record is the list of its fields. The annotations say what may come: int, str, bytes, bool, one of them or None,
-a tuple of them, another record. Everything else is refused, also an int where a bool belongs. Times are seconds
-since the epoch, durations seconds; ids, digests and keys (COSE thumbprints) are bytes. Texts of nodes are as the
-nodes wrote them: whoever shows them escapes them.
+A record is the list of its fields. The annotations say what may come; everything else is refused,
+also an int where a bool belongs. Times are seconds since the epoch, durations seconds; ids, digests
+and keys (COSE thumbprints) are bytes. Texts of nodes are as the nodes wrote them: whoever shows
+them escapes them.
 """
 
 import inspect

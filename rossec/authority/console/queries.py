@@ -1,20 +1,8 @@
-"""What the console shows of the record: identities, grants, requests, join codes, phones, the log.
+"""What the console is shown: the record, the policy, and what the master says.
 
-Each answer is one look at the record, newest first where it is long: what does not fit into an
-answer is left out, and the log of the service says so. Nothing here needs the key.
-
-What the policy calls things: titles for people, and the types of topics. It decides nothing.
-
-Asked for every page, so the policy is read only when its file has changed. Without a policy, or
-while it has mistakes, nothing has a title: pages show the names of ROS, as beside every title.
-
-The policy file, and what putting it in force would change, for a person to approve.
-
-What the master says to the console: the graph, what was refused, how far a list has come.
-
-Asked as `/ca`, through the network face, and only while somebody looks: `look`, which a console
-calls every second, begins one question at a time, at most every `PERIOD`. The graph is watched, so
-that the master answers when it changes; pages get what was heard last.
+Each answer is one look, newest first where it is long: what does not fit into an answer is left
+out, and the log of the service says so. Nothing here needs the key. The master is asked as `/ca`,
+through the network process, and only while somebody looks; pages get what was heard last.
 """
 
 import contextlib
@@ -286,6 +274,9 @@ _NOTHING: Final = (0, 0, 0)
 
 
 class PolicyNames:
+    # For every page, so the policy is read only when its file has changed. While it has mistakes there are
+    # no titles.
+
     def __init__(self, work: AuthorityWork) -> None:
         self._work = work
         self._read = _NOTHING

@@ -1,27 +1,9 @@
-"""The console's side of `rossec ca serve` put together: who may look, what it shows and does.
-
-How the service is, and a number that differs whenever what the console can show has changed.
-
-It is asked every second, so it looks at little: the size of the log says whether the record
-changed, the file's time whether the policy did.
-
-Which processes may not use `service.sock`: whoever showed itself to be the console's pages.
-
-The web process is confined as the network face is: it can start no other process. So one that was
-taken over cannot ask for the key's signature, whether it came to the console's socket first (it is
-remembered as long as it lives) or not (a process that may start no other one is no command of a
-person; it cannot take that back). A number of a process that ended is given to another one, so its
-start is remembered too, where the kernel shows it.
-
-Carries out what the console asks: each operation of `messages` by its handler.
-
-Handlers come in parts. Each part is called in a thread of its own, one task after the other: so it
-needs no lock, and none waits for a master that does not answer but those who ask for it.
-
-The console's socket: `ca/console.sock`, or where another user's console finds it. A shell.
+"""The console's side of `rossec ca serve`: its socket, who carries out what it asks, how the service is.
 
 Whoever may connect can read the record's names and take rights away, so it is the authority's own
-user; one other may be named, whose socket is then outside of the directory of the key.
+user; one other may be named, whose socket is then outside of the directory of the key. Handlers
+come in parts. Each part is called in a thread of its own, one task after the other: so it needs no
+lock, and none waits for a master that does not answer but those who ask for it.
 """
 
 import asyncio
@@ -72,7 +54,7 @@ INBOX = "inbox"  # in the authority's directory (`rossec.authority.requests`)
 
 
 class StatusLook:
-    """The operation that is asked every second.
+    """The operation that is asked every second, so it looks at little: sizes and times.
 
     Args:
         work: of the authority.
@@ -127,6 +109,11 @@ _REFUSED: Final = "a process of the console's pages may not use the service's so
 
 
 class ConsolePeers:
+    # Which processes may not use `service.sock`: whoever showed itself to be the console's pages. The web
+    # process can start no other one, so one that was taken over cannot ask for signatures, whether it came
+    # to the console's socket first (it is remembered as long as it lives) or not (its limits show it). A
+    # number is given again to another process, so its start is remembered too.
+
     def __init__(self, proc: Path = Path("/proc")) -> None:
         self._proc = proc
         self._lock = threading.Lock()

@@ -1,12 +1,10 @@
 """The side of a command: asks the service that runs in the authority's directory, if one does.
 
 A command opens the record itself, as it does without a service; only the signatures come from the
-service, which is asked over `ca/service.sock`. Both ends must be of one user. Each signature is
-verified here before it is used: a service of another authority's key could sign nothing for this
-one. A request that the service ended the connection instead of answering is sent once more, over a
-new connection: services are restarted, and drop those that are idle.
-
-One service of an authority at a time, and none while a backup is restored over it.
+service, over `ca/service.sock`. Both ends must be of one user, and each signature is verified
+before it is used. A request that the service ended the connection instead of answering is sent once
+more: services are restarted, and drop those that are idle. One service of an authority runs at a
+time, and none while a backup is restored over it.
 """
 
 import os

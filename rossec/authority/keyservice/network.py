@@ -1,24 +1,10 @@
-"""The service's joins, calls at the master and rounds: face and work put together. A shell.
+"""What the service does at the network: joins, rounds, identities that nodes renew. A shell.
 
-Tasks that need the record run in one thread, one after the other; a round is a task as a join is.
-So a master whose host is off, which fails slowly, is not called for a while: nodes go on joining.
-
-What the service does again and again: every minute, and at once when there is a reason. A shell.
-
-A reason is a key that was unlocked, or something recorded that waits for the key or the master. One
-that comes during a round begins another. A task that crashes keeps no other from being done.
-
-Names by rules for nodes that join. A shell around `rossec.naming`.
-
-The service holds the authority's key, so it reads no metadata: they go, as they came, to the
-process for rules, and only when the secret of an invitation was proved. What comes back is a name
-that was checked; here it is compared with the invitation. The rules decide twice: for the claim,
-and for the request that follows it, since what is between may lie.
-
-Identities of nodes that are due: fetched from the master, renewed, and brought back. A shell.
-
-The service waits at the master for requests, so that a node has its new identity within seconds of
-asking. While the key is locked it says so there, since nodes tell their users, and does not wait.
+Tasks that need the record run in one thread, one after the other; a round, every minute and at once
+when there is a reason, is a task as a join is. So a master whose host is off, which fails slowly,
+is not called for a while. The service holds the authority's key, so it reads no metadata of nodes:
+they go to the process for rules (`rossec.naming`), and only when the secret of an invitation was
+proved.
 """
 
 import asyncio
@@ -116,6 +102,7 @@ class JoinNames:
             self._runner.close()
 
     async def answer(self, metadata: bytes, pattern: str) -> NameAnswer:
+        # For the claim, and again for the request that follows it, since what is between may lie.
         if self._runner is None:
             return Refused(RefuseReason.UNNAMED)
         try:
@@ -143,7 +130,9 @@ class CallsMaster(Protocol):
 
 
 class RenewalWatch:
-    """Renews identities until it is cancelled.
+    """Renews identities until it is cancelled: waits at the master, so that a node has its new one in seconds.
+
+    While the key is locked it says so there, since nodes tell their users, and does not wait.
 
     Args:
         face: calls the master.

@@ -1,15 +1,9 @@
-"""What the service does for those who ask: the operations of `messages`, and its own signatures.
+"""The key while it is unlocked, and the operations on it: sign, lock, unlock.
 
 Everything is audited with who asked, a signature *before* it is made: where the audit cannot be
-written, nothing is signed. `unlock` takes a tenth of a second and may be called in a thread; the
-others return at once.
-
-The key while it is unlocked: for how long, and how often a passphrase may be tried.
-
-Time is that of a clock that counts the seconds in which the machine sleeps (`rossec.clock.counter`)
-and which cannot be set. It is checked at every signature; the key is dropped as soon as somebody
-looks (`drop_if_over`). Each wrong passphrase in a row doubles the time until the next may be tried.
-Threads share it: joins and the policy are signed for in another one than commands are.
+written, nothing is signed. Time is that of a clock that counts the seconds in which the machine
+sleeps and which cannot be set; it is checked at every signature. Threads share the key: joins and
+the policy are signed for in another one than commands are.
 """
 
 import hashlib

@@ -1,22 +1,10 @@
-"""The process that holds the key, while it runs: socket, time and audit put together. A shell.
+"""The process that holds the key, while it runs: its socket, time and audit, and the network process.
 
-Who asks the service: the user, the process and its command line, for the audit.
-
-The kernel says which process connected (SO_PEERCRED). Its command line is read from /proc at that
-moment and is what the process itself says: a process can change it, or end and another one get its
-number. It is evidence for a person who reads the audit, and decides nothing.
-
-A socket of the service: `ca/service.sock`, for the user of the authority alone. A shell.
-
-Every connection is one caller, admitted by the user id that the kernel reports. It may send any
-number of requests, one after the other. Its number of connections, the size of a message and the
-time for one are bounded; what is malformed is answered with a refusal and ends the connection.
-
-The service's side of its network face: starts it, answers it, starts it again. A shell.
-
-The face is executed anew, so that nothing of the service's memory is in it, and started first while
-the service has no key. Its end of a socketpair is the only descriptor it inherits. A face that dies
-is replaced, each time later; one that breaks the protocol is killed before.
+Every connection to the socket is one caller, admitted by the user id that the kernel reports. Its
+number of connections, the size of a message and the time for one are bounded; what is malformed is
+answered with a refusal and ends the connection. The network process is executed anew, so that
+nothing of the service's memory is in it, and started first while the service has no key; its end of
+a socketpair is the only descriptor it inherits. One that dies is replaced, each time later.
 """
 
 import asyncio
@@ -61,6 +49,8 @@ class Caller(NamedTuple):
         return f"user {self.user}, process {self.process}: {self.command}"
 
 
+# What the process says of itself: it can change it, or end and another one get its number. It is evidence
+# for a person who reads the audit, and decides nothing.
 def caller_of(peer: UnixPeer, proc: Path = Path("/proc")) -> Caller:
     try:
         with (proc / str(peer.process) / "cmdline").open("rb") as file:
