@@ -30,7 +30,6 @@ from ca.store.values import LogEntry, RequestState
 from rossec import files, home, saved_statements
 from rossec.authority import grant_operations, policyfile, renewals, requests, restored_lists, signing
 from rossec.authority import home as authority_home
-from rossec.authority import home as authority_token_modules
 from rossec.authority.console import messages as console
 from rossec.authority.home import KEY_URI, RECORD, AuthorityHome
 from rossec.authority.keyservice import client
@@ -213,7 +212,7 @@ def _put_in_place(
         if said.lacks_list:
             restored_lists.require_list(authority, target.parent, now)
         if (uri := staging.key_uri()) is not None:
-            authority_token_modules.trust(target.parent, uri.module)
+            authority_home.trust(target.parent, uri.module)
         phones, ended, revived = _begin_anew(authority, size, newer, now)
         _commit(staging.path, target, now)
     return Restored(AuthorityHome(target), size, revived, phones, ended, policy=policy)
@@ -222,7 +221,7 @@ def _put_in_place(
 def _settle_uri(content: dict[str, bytes], home: Path, module: str | None) -> KeyUri | None:
     if KEY_URI not in content:
         return None
-    uri = authority_token_modules.restored_uri(content[KEY_URI], home, module)
+    uri = authority_home.restored_uri(content[KEY_URI], home, module)
     content[KEY_URI] = f"{uri}\n".encode()
     return uri
 

@@ -129,9 +129,8 @@ _OVER: Final = "apply it in parts (--node NAME), or wait until revoked grants ha
 class PlanOptions:
     """What is asked of a plan.
 
-    Args:
-        names: only these nodes; None for all.
-        prune: revoke grants made by hand against a denial; what else they allow is granted anew.
+    `names`: only these nodes; None for all. `prune`: revoke grants made by hand against a denial;
+    what else they allow is granted anew.
     """
 
     names: Collection[str] | None = None
@@ -142,10 +141,9 @@ class PlanOptions:
 class PolicyPlan:
     """What applying a policy would do.
 
-    Args:
-        pruned: grants made by hand that go, each with what it allows and the policy does not deny.
-        entries: of the log of the record from which it was made.
-        listed: the number of entries of the revocation list afterwards; 0 if nothing is revoked.
+    `pruned`: grants made by hand that go, each with what it allows and the policy does not deny.
+    `entries`: of the log of the record from which it was made. `listed`: the number of entries of
+    the revocation list afterwards; 0 if nothing is revoked.
     """
 
     policy: PolicyFile

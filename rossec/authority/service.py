@@ -123,14 +123,11 @@ class Identities:
 class ThingOrder:
     """What is to be stated.
 
-    Args:
-        name: of the thing, and of the node that stands for it.
-        border: the name of the border router that serves it.
-        credential: how the thing proves who it is.
-        lifetime: of the statement, seconds.
-        replaced: names of things whose statements end by this one.
-        request: for the identity of the node (DER), if it is to be signed as well.
-        identity_lifetime: of that identity, seconds.
+    `name`: of the thing, and of the node that stands for it. `border`: the name of the border
+    router that serves it. `credential`: how the thing proves who it is. `lifetime`: of the
+    statement, seconds. `replaced`: names of things whose statements end by this one. `request`: for
+    the identity of the node (DER), if it is to be signed as well. `identity_lifetime`: of that
+    identity, seconds.
     """
 
     name: str

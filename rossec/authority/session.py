@@ -62,12 +62,9 @@ class _Signed(NamedTuple):
 class Session:
     """The authority below ROSSEC_HOME; for one thread, as its record is.
 
-    Args:
-        home: ROSSEC_HOME.
-        passphrase: returns the passphrase of the key, or raises.
-        deliver: calls the master, returns its answer; raises `NotDelivered` if it cannot.
-        now: seconds since the epoch.
-        find_signer: the key, if a service holds it; `running_signer` asks the one that runs.
+    `passphrase`: returns the passphrase of the key, or raises. `deliver`: calls the master, returns
+    its answer; raises `NotDelivered` if it cannot. `now`: seconds since the epoch. `find_signer`:
+    the key, if a service holds it; `running_signer` asks the one that runs.
     """
 
     def __init__(

@@ -34,7 +34,6 @@ from ca.keys.signing import Signer, to_coordinates
 from ca.names import check_name, is_alias, shown
 from ca.revocation.lists import MAX_ENTRIES, RevocationList, RevocationTree, TreeEntries, sign_list, sign_tree
 from ca.revocation.trust_status import open_statement
-from ca.store.record import CertificateRow as record_CertificateRow
 from ca.store.record import GrantRow, Store
 from ca.store.signed_statements import ThingRow
 from ca.store.values import INTERMEDIATE, CertificateRow, RequestState, sign_head
@@ -345,7 +344,7 @@ class SigningAuthority:
     def bundle(self, der: bytes) -> bytes:
         return to_pem(der, *self.authority.chain, self.authority.anchor.certificate)
 
-    def issued_bundle(self, row: record_CertificateRow, now: int, *, wildcard: bool) -> bytes:
+    def issued_bundle(self, row: CertificateRow, now: int, *, wildcard: bool) -> bytes:
         """The bundle issued for a request before, as the first answer may be lost."""
         is_valid = row in self.store.identities.valid(row.name, now)
         if not is_valid and row.wildcard is wildcard and now > row.not_after:
@@ -517,8 +516,8 @@ def delegations(authority: Path, key: ec.EllipticCurvePublicKey) -> list[OpenDel
     return [open_delegation(files.read_own(path, _SIZE_LIMIT, missing), key) for path in found]
 
 
-def certificate_row(identity: Identity) -> record_CertificateRow:
-    return record_CertificateRow(
+def certificate_row(identity: Identity) -> CertificateRow:
+    return CertificateRow(
         identity.serial,
         identity.name,
         identity.thumbprint,

@@ -63,14 +63,10 @@ class Chains:
 class OwnMaster:
     """The master that follows.
 
-    Args:
-        state: what it knows.
-        effects: delivers events.
-        context: its own identity, to dial with; its `verify` is that of `chains`.
-        chains: the certificates by which peers were verified.
-        mirror: takes over the parameters of a site; raises ImportRefused.
-        drop_mirror: forgets those of the site with this label.
-        grants: reads the grants in its home, which another master wants to see.
+    `context`: its own identity, to dial with; its `verify` is that of `chains`. `chains`: the
+    certificates by which peers were verified. `mirror`: takes over the parameters of a site; raises
+    ImportRefused. `drop_mirror`: forgets those of the site with this label. `grants`: reads the
+    grants in its home, which another master wants to see.
     """
 
     state: MasterState
@@ -96,9 +92,7 @@ _PROOFS_AT_ONCE: Final = 64
 class ForeignLists:
     """Keeps the revocations of one foreign domain fresh, on the connection that is followed.
 
-    Args:
-        own: the master that follows.
-        label: of the domain.
+    `own`: the master that follows.
     """
 
     def __init__(self, own: OwnMaster, label: str) -> None:

@@ -62,8 +62,7 @@ _log = logging.getLogger("rossec.federation")
 class SiteDoors:
     """The doors of one site.
 
-    Args:
-        on_door: called when the master's door was opened.
+    `on_door`: called when the master's door was opened.
     """
 
     def __init__(self, doors: Doors, settings: SiteSettings, on_door: Callable[[], None]) -> None:
@@ -153,8 +152,7 @@ _DIAL_VIA: Final = 15.0  # the relay may have to dial its peer first
 class SiteConnections:
     """Connects with one site.
 
-    Args:
-        doors: of the site, if it is reached by a relay.
+    `doors`: of the site, if it is reached by a relay.
     """
 
     def __init__(self, settings: SiteSettings, own: OwnMaster, doors: SiteDoors | None) -> None:
@@ -208,10 +206,7 @@ Failures: Final = (HintedError, OSError, TimeoutError, Fault)
 class FollowedSite:
     """Follows one site until `close`.
 
-    Args:
-        settings: the site.
-        own: the master that follows.
-        rand: returns a random number from 0 up to 1.
+    `own`: the master that follows. `rand`: returns a random number from 0 up to 1.
 
     Attributes:
         state: where it is.

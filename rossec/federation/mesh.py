@@ -43,9 +43,7 @@ class _Heard(NamedTuple):
 class AnnouncedMasters:
     """The masters heard while `listening` is entered.
 
-    Args:
-        home: of the own master.
-        candidates: what is heard; by default of the domain of `home`.
+    `home`: of the own master. `candidates`: what is heard; by default of the domain of `home`.
     """
 
     def __init__(self, home: NodeHome, candidates: Candidates | None = None) -> None:
@@ -106,10 +104,8 @@ ReadSites = Callable[[], Iterable[SiteSettings]]
 class Mesh:
     """Follows every site of its sources.
 
-    Args:
-        own: the master that follows.
-        sources: by what they are called, the one that prevails first.
-        announced: the masters heard on the local links; None: they are not followed.
+    `own`: the master that follows. `sources`: by what they are called, the one that prevails first.
+    `announced`: the masters heard on the local links; None: they are not followed.
     """
 
     def __init__(

@@ -34,13 +34,10 @@ _FORM: Final = 1
 class SiteSettings:
     """A master to follow.
 
-    Args:
-        label: what it is called here.
-        uri: where it listens; empty: it is reached by a relay.
-        master: the name it is certified for.
-        domain: the label of its foreign domain; empty: it is of the own domain.
-        parameters: patterns of the parameters to mirror, with the names they have there.
-        via: the label that the relay of this site has for the peer behind which the master is.
+    `label`: what it is called here. `uri`: where it listens; empty: it is reached by a relay.
+    `master`: the name it is certified for. `domain`: the label of its foreign domain; empty: it is
+    of the own domain. `parameters`: patterns of the parameters to mirror, with the names they have
+    there. `via`: the label that the relay of this site has for the peer behind which the master is.
     """
 
     label: str
@@ -157,9 +154,7 @@ _EXAMPLE: Final = "for example  kitchen: {uri: http://kitchen:11311, master: /ma
 class FederationConfig:
     """Which masters to follow.
 
-    Args:
-        follow_announced: every master of the own domain that is heard on the local links.
-        sites: these.
+    `follow_announced`: every master of the own domain that is heard on the local links.
     """
 
     follow_announced: bool = False

@@ -16,7 +16,6 @@ from rossec.federation.settings import SiteSettings
 from rossec.master.state.forwarded_ports import NODE, SERVICE, Door, Target
 from rossec.master.state.imported_facts import FACTS_LIMIT, PROVIDER, checked, parts
 from rossec.master.state.imported_facts import NODE as NODE_FACT
-from rossec.master.state.imported_facts import Fact as imported_facts_Fact
 from rossec.master.state.imports import Imports
 from rossec.participant.registrations import Fact, facts_of
 from rossec.ros.names import build_door, build_uri
@@ -156,10 +155,8 @@ _HALF: Final = 1 << 30  # versions count modulo 2**31, the integers of XML-RPC
 class SiteChange(NamedTuple):
     """A complete answer.
 
-    Args:
-        added, removed: facts with the site's own names.
-        whole: `added` is all there is.
-        revocations, domains: digests of the lists that the site holds; empty: none.
+    `added`, `removed`: facts with the site's own names. `whole`: `added` is all there is.
+    `revocations`, `domains`: digests of the lists that the site holds; empty: none.
     """
 
     added: frozenset[Fact]
@@ -275,24 +272,22 @@ class DoorFacts:
 
     """What one site says, as far as it concerns addresses.
 
-    Args:
-        peer: the relay's label of the site.
-        find: the door of a target now.
+    `peer`: the relay's label of the site. `find`: the door of a target now.
     """
 
     def __init__(self, peer: str, find: FindDoor) -> None:
         self._peer = peer
         self._find = find
-        self._said: set[imported_facts_Fact] = set()
+        self._said: set[Fact] = set()
         self._doors: dict[Target, Door] = {}
-        self._shown: set[imported_facts_Fact] = set()
+        self._shown: set[Fact] = set()
 
     @property
     def targets(self) -> set[Target]:
         return {self._target(fact) for fact in self._said}
 
     def take(self, change: SiteChange) -> Iterator[None]:
-        said = set[imported_facts_Fact]() if change.whole else self._said - change.removed
+        said = set[Fact]() if change.whole else self._said - change.removed
         for part in parts(change.added):
             said.update(fact for fact in checked(part) if fact[0] in _KINDS)
             yield
@@ -320,10 +315,10 @@ class DoorFacts:
         old = {target: door for target, door in kept if target in targets and door not in taken}
         self._doors = {**old, **found}
 
-    def _target(self, fact: imported_facts_Fact) -> Target:
+    def _target(self, fact: Fact) -> Target:
         return Target(self._peer, _KINDS[fact[0]], fact[1])
 
-    def _door_fact(self, fact: imported_facts_Fact) -> imported_facts_Fact:
+    def _door_fact(self, fact: Fact) -> Fact:
         kind, name, _ = fact
         door = self._doors[self._target(fact)]
         if kind == NODE_FACT:
@@ -331,5 +326,5 @@ class DoorFacts:
         return kind, name, build_uri(*door, scheme="rosrpc").removesuffix("/")
 
 
-def _without_addresses(facts: Iterable[imported_facts_Fact]) -> set[imported_facts_Fact]:
+def _without_addresses(facts: Iterable[Fact]) -> set[Fact]:
     return {fact for fact in facts if fact[0] not in _KINDS}

@@ -22,10 +22,8 @@ from rossec.authority.keyservice.work import AuthorityWork
 class Access:
     """The operations of who looks.
 
-    Args:
-        work: of the authority.
-        audit: writes a line. Raises `HintedError` if it cannot.
-        elapsed: seconds of a clock that cannot be set.
+    `audit`: writes a line. Raises `HintedError` if it cannot. `elapsed`: seconds of a clock that
+    cannot be set.
     """
 
     def __init__(

@@ -206,11 +206,8 @@ _log = logging.getLogger("rossec.authority.service")
 class Of(NamedTuple):
     """What approving needs of the rest of the service.
 
-    Args:
-        work: of the authority.
-        audit: writes a line. Raises `HintedError` if it cannot.
-        wake: begins a round of the service, which tells the master.
-        counter: of a passkey at its last login.
+    `audit`: writes a line. Raises `HintedError` if it cannot. `wake`: begins a round of the
+    service, which tells the master. `counter`: of a passkey at its last login.
     """
 
     work: AuthorityWork
@@ -222,10 +219,8 @@ class Of(NamedTuple):
 class Approving:
     """The operations of approving.
 
-    Args:
-        of: the rest of the service.
-        acts: each kind that can be approved.
-        elapsed: seconds of a clock that cannot be set.
+    `of`: the rest of the service. `acts`: each kind that can be approved. `elapsed`: seconds of a
+    clock that cannot be set.
     """
 
     def __init__(self, of: Of, acts: Mapping[Kind, Act], elapsed: clock.Seconds | None = None) -> None:
@@ -252,7 +247,9 @@ class Approving:
                         "there is no phone that could approve this",
                         "set one up with a code from the terminal: rossec console phone",
                     )
-                statement = _state(store, kind, service.home.domain, at, wanted.what)
+                head, domain, number = store.log.head(at), service.home.domain, secrets.token_bytes(ID_SIZE)
+                until = at + LIFETIME
+                statement = Statement(kind, number, domain, at, until, head.size, head.root, wanted.what)
         statement.check_payload(wanted.payload)
         self._statements.add(PreparedStatement(statement, wanted.payload, given), owner)
         return to_value(
@@ -302,19 +299,14 @@ class Approving:
             waiting = store.approvals.waiting()
         for approval in waiting:
             approved = Approved(approval, approval.read())
-            is_late = self._work.now() > approved.statement.until + WAITS
-            if self._is_over(approved, is_late=is_late):
+            left = approved.statement.until + WAITS - self._work.now()
+            is_late = left < 0
+            # What another process of the service recorded is counted from when this one first saw it.
+            left = LIFETIME + WAITS if is_late else min(LIFETIME + WAITS, left)
+            if self._elapsed() > self._ends.setdefault(approved.id, self._elapsed() + left):
                 self._end(approved, ApprovalState.EXPIRED, "it waited for the key too long")
             elif not is_late and not self._work.is_locked:
                 self._carry_out(approved)
-
-    def _is_over(self, approved: Approved, *, is_late: bool) -> bool:
-        # What another process of the service recorded is counted from when this one first saw it.
-        left = LIFETIME + WAITS
-        if not is_late:
-            left = min(left, approved.statement.until + WAITS - self._work.now())
-        end = self._ends.setdefault(approved.id, self._elapsed() + left)
-        return self._elapsed() > end
 
     def _carry_out(self, approved: Approved) -> None:
         # Carry out, unless that is not possible now.
@@ -335,14 +327,11 @@ class Approving:
             except _LATER as error:
                 _log.info("%s waits: %s", purpose, printable(str(error)))
             except HintedError as error:
-                self._fail(store, approved, error)
-
-    def _fail(self, store: Store, approved: Approved, error: HintedError) -> None:
-        # It cannot be done, unless it was and only what follows failed.
-        if store.approvals.state(approved.id) is ApprovalState.WAITING:
-            self._end(approved, ApprovalState.FAILED, printable(str(error)))
-        else:
-            _log.warning("%s: %s", self._named(store, approved), printable(str(error)))
+                # It cannot be done, unless it was and only what follows failed.
+                if store.approvals.state(approved.id) is ApprovalState.WAITING:
+                    self._end(approved, ApprovalState.FAILED, printable(str(error)))
+                else:
+                    _log.warning("%s: %s", purpose, printable(str(error)))
 
     def _end(self, approved: Approved, state: ApprovalState, result: str) -> None:
         try:
@@ -360,10 +349,3 @@ class Approving:
         digest = approved.statement.challenge.hex()
         which = f"approval {approved.id.hex()} ({kind})"
         return f"{which} by the phone {name!a}, statement SHA-256 {digest}"
-
-
-def _state(store: Store, kind: Kind, domain: str, at: int, what: What) -> Statement:
-    head = store.log.head(at)
-    return Statement(
-        kind, secrets.token_bytes(ID_SIZE), domain, at, at + LIFETIME, head.size, head.root, what
-    )

@@ -340,9 +340,7 @@ Find = Callable[[Store, int], frozenset[bytes]]
 class Removals:
     """The operations that take away.
 
-    Args:
-        work: of the authority.
-        wake: begins a round of the service, which tells the master.
+    `wake`: begins a round of the service, which tells the master.
     """
 
     def __init__(self, work: AuthorityWork, wake: Callable[[], None]) -> None:

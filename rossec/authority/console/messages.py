@@ -664,17 +664,9 @@ def _bodies(payload: bytes) -> list[bytes]:
     try:
         match decode(payload, limit=kinds.MAX_PAYLOAD):
             case [_, _, [*grants]]:
-                return [body for grant in grants for body in _body(grant)]
+                pairs = (grant for grant in grants if isinstance(grant, list) and len(grant) == 2)
+                return [body for body, _ in pairs if isinstance(body, bytes)]
             case _:
-                pass
+                return []
     except EncodingError:
-        pass
-    return []
-
-
-def _body(grant: Value) -> list[bytes]:
-    match grant:
-        case [bytes(body), _]:
-            return [body]
-        case _:
-            return []
+        return []

@@ -24,7 +24,7 @@ from ca.store.record import CertificateRow, Store
 from grants import document
 from grants.errors import PolicyRefused
 from grants.policy.difference import Change
-from grants.policy.difference import Kind as difference_Kind
+from grants.policy.difference import Kind as ChangeKind
 from grants.policy.source import MAX_SIZE
 from rossec import clock, files
 from rossec.authority import invitations
@@ -66,10 +66,8 @@ Deliveries = Callable[[], Mapping[bytes, str]]
 class Reading:
     """The operations that read the record.
 
-    Args:
-        work: of the authority.
-        last_used: when passkeys were last used to log in.
-        deliveries: what the master says of each grant; without one, nothing.
+    `last_used`: when passkeys were last used to log in. `deliveries`: what the master says of each
+    grant; without one, nothing.
     """
 
     def __init__(
@@ -309,7 +307,7 @@ class PolicyNames:
 
 PURPOSE: Final = "a look at the policy"
 MAX_REFUSED: Final = 64
-_NOT_GIVEN: Final = frozenset({difference_Kind.KEPT, difference_Kind.GONE})
+_NOT_GIVEN: Final = frozenset({ChangeKind.KEPT, ChangeKind.GONE})
 
 
 class PolicyLook:
@@ -332,12 +330,12 @@ class PolicyLook:
             digest = hashlib.sha256(read).digest() if read else b""
             return to_value(empty._replace(digest=digest, mistakes=_mistakes(error)))
         changes = [change for node in plan.nodes for change in node.changes]
-        kept = [change for change in changes if change.kind is difference_Kind.KEPT]
+        kept = [change for change in changes if change.kind is ChangeKind.KEPT]
         return to_value(
             empty._replace(
                 digest=hashlib.sha256(read).digest(),
                 gives=tuple(_right(each) for each in changes if each.kind not in _NOT_GIVEN),
-                takes=tuple(_right(each) for each in changes if each.kind is difference_Kind.GONE),
+                takes=tuple(_right(each) for each in changes if each.kind is ChangeKind.GONE),
                 keeps=len(kept),
                 refused=plan.refused[:MAX_REFUSED],
             )
@@ -347,7 +345,7 @@ class PolicyLook:
 def _right(change: Change) -> PolicyRight:
     lines: Sequence[str] = change.restrictions
     until = ""
-    if change.kind is not difference_Kind.GONE:
+    if change.kind is not ChangeKind.GONE:
         *lines, until = change.restrictions
     words, span = "; ".join(lines), until.removeprefix("valid ")
     return PolicyRight(change.subject.name, int(change.right), change.pattern, words, span)
@@ -371,12 +369,9 @@ _HINT: Final = "it is asked again"
 class MasterView:
     """The operations that need the master.
 
-    Args:
-        work: of the authority.
-        deliver: calls the master. Raises `NotDelivered`.
-        elapsed: seconds of a clock that cannot be set.
-        begin: calls a function in another thread.
-        came_back: called when the master answers again: something may wait for it.
+    `deliver`: calls the master. Raises `NotDelivered`. `elapsed`: seconds of a clock that cannot be
+    set. `begin`: calls a function in another thread. `came_back`: called when the master answers
+    again: something may wait for it.
     """
 
     def __init__(

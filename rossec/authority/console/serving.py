@@ -56,11 +56,8 @@ INBOX = "inbox"  # in the authority's directory (`rossec.authority.requests`)
 class StatusLook:
     """The operation that is asked every second, so it looks at little: sizes and times.
 
-    Args:
-        work: of the authority.
-        held: its key.
-        has_master: whether the last call to the master succeeded.
-        seen: whatever else differs when something to be shown has changed.
+    `has_master`: whether the last call to the master succeeded. `seen`: whatever else differs when
+    something to be shown has changed.
     """
 
     def __init__(
@@ -171,9 +168,8 @@ def handlers_of(part: object) -> dict[str, Handler]:
 class ConsoleService:
     """All operations.
 
-    Args:
-        parts: which have one handler for each operation of the table between them.
-        audit: writes a line. Raises `HintedError` if it cannot: then nothing is done.
+    `parts`: which have one handler for each operation of the table between them. `audit`: writes a
+    line. Raises `HintedError` if it cannot: then nothing is done.
     """
 
     def __init__(self, *parts: object, audit: Callable[[str], None] = _unaudited) -> None:
@@ -263,10 +259,7 @@ def _check_directory(directory: Path) -> None:
 class ConsoleSocket:
     """Answers the console.
 
-    Args:
-        where: the socket.
-        service: carries out what is asked.
-        peers: is told who connects.
+    `service`: carries out what is asked. `peers`: is told who connects.
     """
 
     def __init__(self, where: ConsolePlace, service: ConsoleService, peers: ConsolePeers) -> None:
@@ -295,13 +288,8 @@ PURPOSE: Final = "a look at the console"
 class Console:
     """What the service has for the console.
 
-    Args:
-        where: the socket.
-        rossec_home: ROSSEC_HOME.
-        operations: of the key.
-        network: None: no master is called, and no node joins.
-        policy: its file; None: the usual place.
-        join_address: where nodes reach the join port, `host:port`, for join codes.
+    `network`: None: no master is called, and no node joins. `policy`: its file; None: the usual
+    place. `join_address`: where nodes reach the join port, `host:port`, for join codes.
     """
 
     def __init__(

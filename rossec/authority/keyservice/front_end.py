@@ -54,11 +54,7 @@ _log = logging.getLogger("rossec.authority.face")
 class Face:
     """The join port, and calls at the master, as `/ca`.
 
-    Args:
-        node: the directory of `/ca`.
-        join_address: `host:port`; the host may be `ANY`.
-        master_uri: of the master.
-        suites: the post-quantum policy.
+    `node`: the directory of `/ca`. `join_address`: `host:port`; the host may be `ANY`.
     """
 
     def __init__(self, node: NodeHome, join_address: str, master_uri: str, suites: tuple[int, ...]) -> None:

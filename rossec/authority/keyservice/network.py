@@ -40,8 +40,7 @@ Task = Callable[[], None]
 class Rounds:
     """Calls its tasks, one after the other.
 
-    Args:
-        in_thread: calls a task in a thread.
+    `in_thread`: calls a task in a thread.
     """
 
     def __init__(self, in_thread: Callable[[Task], Awaitable[None]]) -> None:
@@ -81,8 +80,7 @@ SECONDS: Final = 1.0  # for one answer of the rules
 class JoinNames:
     """The rules of one authority; without rules no node is named.
 
-    Args:
-        rules: a stylesheet, or None.
+    `rules`: a stylesheet, or None.
     """
 
     def __init__(self, rules: bytes | None) -> None:
@@ -130,14 +128,11 @@ class CallsMaster(Protocol):
 
 
 class RenewalWatch:
-    """Renews identities until it is cancelled: waits at the master, so that a node has its new one in seconds.
+    """Renews identities: waits at the master for requests, so that a node has its new one in seconds.
 
     While the key is locked it says so there, since nodes tell their users, and does not wait.
 
-    Args:
-        face: calls the master.
-        work: says whether the key is held.
-        renew: answers requests, in the thread of the work.
+    `work`: says whether the key is held. `renew`: answers requests, in the thread of the work.
     """
 
     def __init__(self, face: CallsMaster, work: AuthorityWork, renew: Renew) -> None:
@@ -217,14 +212,9 @@ _T = TypeVar("_T")
 class NetworkWork:
     """What the network asks of the service, and it of the network.
 
-    Args:
-        rossec_home: ROSSEC_HOME.
-        operations: of the key.
-        face: the network face.
-        applies: put the policy in force in every round; a node that joins gets its grants anyhow.
-        policy: its file; None: the usual place.
-        rules: by which nodes that join are named; None: none is.
-        renews: renew identities of nodes that ask for it at the master.
+    `applies`: put the policy in force in every round; a node that joins gets its grants anyhow.
+    `policy`: its file; None: the usual place. `rules`: by which nodes that join are named; None:
+    none is. `renews`: renew identities of nodes that ask for it at the master.
     """
 
     def __init__(

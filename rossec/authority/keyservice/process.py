@@ -75,11 +75,9 @@ def admit_all(_: UnixPeer) -> None: ...
 class SocketRules(NamedTuple):
     """What a socket takes, and from whom.
 
-    Args:
-        read_request: reads the body of a frame. Raises `KeyMessageRefused`.
-        max_request: bytes of the body.
-        max_callers: connections at a time.
-        users: who may connect; empty: the user of this process.
+    `read_request`: reads the body of a frame. Raises `KeyMessageRefused`. `max_request`: bytes of
+    the body. `max_callers`: connections at a time. `users`: who may connect; empty: the user of
+    this process.
     """
 
     read_request: Callable[[bytes], Request] = messages.read_request
@@ -94,11 +92,9 @@ KEY_RULES: Final = SocketRules()
 class KeyServer:
     """Listens at `path`.
 
-    Args:
-        path: of the socket; a stale one is replaced, so the caller holds the lock of the service.
-        carry_out: carries out one request. Raises `HintedError` for a refusal.
-        admit: raises `PeerUserRefused` for a process that may not ask.
-        rules: of the socket.
+    `path`: of the socket; a stale one is replaced, so the caller holds the lock of the service.
+    `carry_out`: carries out one request. Raises `HintedError` for a refusal. `admit`: raises
+    `PeerUserRefused` for a process that may not ask.
     """
 
     def __init__(
@@ -237,11 +233,8 @@ def audit_to(file: AuditFile) -> Callable[[str], None]:
 class KeyServiceProcess:
     """Answers commands at the socket, and drops the key when its time is over.
 
-    Args:
-        home: of the authority.
-        operations: of its key.
-        admit: raises `PeerUserRefused` for a process that may not ask.
-        phone_code: makes a code for the console, for a caller; audited.
+    `admit`: raises `PeerUserRefused` for a process that may not ask. `phone_code`: makes a code for
+    the console, for a caller; audited.
     """
 
     def __init__(
@@ -300,13 +293,7 @@ class FaceOptions(NamedTuple):
 
 
 class FaceProcess:
-    """The face, from the first start to the end of the service.
-
-    Args:
-        home: of the authority.
-        options: of the face.
-        environ: its environment.
-    """
+    """The face, from the first start to the end of the service."""
 
     def __init__(
         self, home: AuthorityHome, options: FaceOptions, environ: Mapping[str, str], module: str = MODULE

@@ -46,12 +46,8 @@ _log = logging.getLogger("rossec.authority.service")
 class AuthorityWork:
     """The tasks of the service.
 
-    Args:
-        rossec_home: ROSSEC_HOME.
-        operations: of the key.
-        deliver: calls the master. Raises `NotDelivered`.
-        policy: the file; None: its usual place.
-        now: seconds since the epoch.
+    `deliver`: calls the master. Raises `NotDelivered`. `policy`: the file; None: its usual place.
+    `now`: seconds since the epoch.
     """
 
     def __init__(
