@@ -36,8 +36,6 @@ class Removed(NamedTuple):
 
 
 class Domains:
-    """The foreign domains that are trusted."""
-
     def __init__(self, session: Session) -> None:
         self._session = session
 
@@ -175,7 +173,6 @@ def subjects(store: Store, now: int) -> Iterator[Subject]:
 
 
 def living_grants(store: Store, label: str, now: int) -> list[GrantRow]:
-    """The grants for nodes of the domain `label` that are not revoked and can be valid yet."""
     return [
         row
         for row in store.unrevoked_grants()

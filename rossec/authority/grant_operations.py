@@ -458,7 +458,6 @@ class PolicyWork:
 
 
 def require_complete(plan: "PolicyPlan") -> None:
-    """Return if all that the policy allows can be in grants."""
     if plan.refused:
         more = len(plan.refused) - 1
         rest = f" (and {more} more)" if more else ""

@@ -228,7 +228,6 @@ def check_invitation(pattern: str, *, wildcard: bool) -> None:
 def make_invitation(
     home: AuthorityHome, pattern: str, uses: int, expires: int, address: str, now: int, *, wildcard: bool
 ) -> tuple[InvitationCode, InvitationRow]:
-    """A new code, and the row that has to be recorded before it is shown."""
     root = sha256(home.anchor().certificate).digest()
     secret = secrets.token_bytes(SECRET_SIZE)
     code = InvitationCode(root, secret, expires, address, pattern, wildcard=wildcard)
@@ -236,13 +235,11 @@ def make_invitation(
 
 
 def invitations(store: Store) -> list[InvitationStatus]:
-    """Every invitation, oldest first."""
     table = store.invitations
     return [InvitationStatus(row, table.uses(row.id), table.ended(row.id)) for row in table.all()]
 
 
 def find(store: Store, beginning: str) -> InvitationStatus:
-    """The one invitation whose id begins so."""
     given = beginning.lower()
     found = [each for each in invitations(store) if given and each.row.id.hex().startswith(given)]
     if len(found) != 1:

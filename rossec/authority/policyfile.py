@@ -51,8 +51,6 @@ OWNED: Final = (files.Owned(r"policy\.yaml", stays=True),)
 
 @dataclass(frozen=True)
 class PolicyFile:
-    """A policy with its text and its path."""
-
     path: Path
     text: str
     policy: Policy
@@ -82,7 +80,6 @@ class PolicyFile:
         return PolicyFile(self.path, text, policy)
 
     def check_unchanged(self) -> None:
-        """Return if the file still has the text that was read."""
         gone = ConfigurationError(f"{self.path} is gone, nothing was done", "write a policy first")
         if files.read(self.path, MAX_SIZE, gone) != self.text.encode():
             raise ConfigurationError(
@@ -91,7 +88,6 @@ class PolicyFile:
             )
 
     def require_tests(self) -> None:
-        """Return if every test in the policy holds."""
         from grants.policy.assertion_check import require_tests  # noqa: PLC0415 - few need it
 
         if self.policy.tests:
@@ -115,7 +111,6 @@ def read_policy(home: Path, given: Path | None, *, signs: bool = False) -> Polic
 
 
 def parse_policy(text: str, file: str) -> Policy:
-    """Read a policy with the message types known here."""
     return load(text, definition_of, file=file, known_types=type_names())
 
 
@@ -160,7 +155,6 @@ class PolicyPlan:
 
     @property
     def signs(self) -> int:
-        """The number of grants to sign."""
         return sum(len(node.sign) for node in self.nodes) + sum(1 for _, left in self.pruned if left)
 
     @property
@@ -177,7 +171,6 @@ class PolicyPlan:
         return tuple(grant for node in self.nodes for grant in node.taken)
 
     def without(self, taken: Iterable[Grant], entries: int) -> "PolicyPlan":
-        """What is left to do when `taken` are revoked, and the log of the record has `entries`."""
         gone = {grant.id for grant in taken}
         nodes = tuple(
             replace(node, revoke=tuple(each for each in node.revoke if each.id not in gone))
@@ -328,7 +321,6 @@ def _draft(
 
 
 def sign_planned(authority: SigningAuthority, plan: PolicyPlan, now: int) -> list[tuple[Draft, bytes]]:
-    """Sign and record the grants of a plan, all or none."""
     drafts = list(plan.drafts(authority.domain, now, lambda: secrets.token_bytes(ID_SIZE)))
     if not drafts:
         plan.policy.check_unchanged()  # what it revokes is to be what this policy denies
@@ -424,7 +416,6 @@ def grant_outright(
 
 
 def check_record(authority: SigningAuthority, plan: PolicyPlan) -> None:
-    """Return if a plan made now would do the same."""
     if authority.store.log.head(0).size == plan.entries:
         return
     again = make_plan(authority.store, plan.policy, plan.options, plan.moment)
@@ -436,7 +427,6 @@ def check_record(authority: SigningAuthority, plan: PolicyPlan) -> None:
 
 
 def revoke_planned(authority: SigningAuthority, plan: PolicyPlan, now: int) -> RevocationList | None:
-    """Revoke what goes, and sign the list; None if nothing goes."""
     gone = frozenset(grant.id for grant in plan.revoke)
     if not gone:
         return None

@@ -36,8 +36,6 @@ SERIAL: Final = 16
 
 
 class AuthorityService(Session):
-    """The session of one user, and by `grants`, `policy` and so on what can be done in it."""
-
     def __init__(
         self,
         home: Path,
@@ -55,8 +53,6 @@ class AuthorityService(Session):
 
 
 class Identities:
-    """Requests for identities, what is signed for them, and intermediates."""
-
     def __init__(self, session: Session) -> None:
         self._session = session
 
@@ -101,7 +97,6 @@ class Identities:
         return renewals.renew_by_name(authority, name, at, lifetime, expired=expired)
 
     def import_bundle(self, bundle: bytes, replaced: Collection[str] = ()) -> tuple[Identity, bool]:
-        """See `renewals.import_identity`."""
         return renewals.import_identity(self._session.unlock(), bundle, self._session.now(), replaced)
 
     def sign_intermediate(self, csr: bytes, *, may_enroll: bool, lifetime: int) -> tuple[str, bytes]:

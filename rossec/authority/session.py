@@ -101,7 +101,6 @@ class Session:
         return self._unlocked
 
     def close(self) -> None:
-        """Close the record, and forget the key."""
         if self._unlocked is not None:
             if isinstance(self._unlocked.signer, RemoteSigner):
                 self._unlocked.signer.close()
@@ -121,7 +120,6 @@ class Session:
         return authority.sign_list(at), renewed
 
     def take_over_revocations(self, data: bytes, entries: bytes | None) -> int:
-        """Revoke what a signed list revokes that this record lacks; returns how many."""
         return restored_lists.take_over(self.unlock(), data, entries, self.now())[1]
 
     def complete_list(self) -> None:

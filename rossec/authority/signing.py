@@ -278,8 +278,6 @@ _LIST_REFRESH: Final = 7 * 86400
 
 @dataclass
 class SigningAuthority:
-    """The authority with its key unlocked: it can sign."""
-
     authority: Authority
     store: Store
     path: Path

@@ -123,7 +123,6 @@ class Mesh:
         own.state.doors.masters = self._direct_masters
 
     async def run(self) -> None:
-        """Follow until cancelled."""
         self._own.effects.on_new_lists.append(self._send_lists)
         listening = contextlib.nullcontext() if self._announced is None else self._announced.listening()
         try:
@@ -139,7 +138,6 @@ class Mesh:
             await self._tasks.close()
 
     def status(self) -> dict[str, Any]:
-        """Every site, and what is wrong with the settings."""
         rows = [
             {**follower.status(), "source": self._source_of(label)}
             for label, (follower, _) in sorted(self._followers.items())

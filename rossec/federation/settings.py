@@ -81,7 +81,6 @@ class SiteSettings:
 
 
 def checked_sites(sites: Iterable[SiteSettings]) -> dict[str, SiteSettings]:
-    """The sites by label."""
     found: dict[str, SiteSettings] = {}
     for each in sites:
         if each.label in found:
@@ -239,7 +238,6 @@ class SiteFile:
         return tuple(self._read[1].values())
 
     def change(self, edit: Callable[[dict[str, SiteSettings]], None]) -> None:
-        """Let `edit` change the sites, and write them."""
         if not self._directory.is_dir():
             raise ConfigurationError(
                 f"there is no master in {self._directory}",

@@ -54,7 +54,6 @@ class ConsoleClient(Operations):
         await asyncio.sleep(0)
 
     async def ask(self, operation: str, *arguments: Value) -> Value:
-        """Send a request, and return what its answer says."""
         data = frames.write_request(Request(operation, arguments))
         lane = self._strangers if OPERATIONS[operation].of_strangers else nullcontext()
         async with lane, self._places:

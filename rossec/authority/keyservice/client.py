@@ -46,8 +46,6 @@ _HINT: Final = "see: rossec ca status; if it hangs, restart `rossec ca serve`"
 
 
 class KeyServiceClient:
-    """A connection to the service, made when it is needed."""
-
     def __init__(self, path: Path, sock: socket.socket) -> None:
         self._path = path
         self._socket: socket.socket | None = sock
@@ -66,7 +64,6 @@ class KeyServiceClient:
             raise KeyServiceFailed(f"{path}: {error.strerror or error}", _HINT) from error
 
     def ask(self, request: Request) -> Value:
-        """Send a request, and return what its answer says."""
         data = messages.write_request(request)
         try:
             try:
@@ -81,7 +78,6 @@ class KeyServiceClient:
             ) from error
 
     def status(self) -> dict[str, Value]:
-        """What the service says of itself (`KeyOperations.status`)."""
         return _as_status(self.ask(Request(messages.STATUS)))
 
     def unlock(self, passphrase: str, seconds: int) -> dict[str, Value]:
@@ -99,7 +95,6 @@ class KeyServiceClient:
         return code
 
     def close(self) -> None:
-        """End the connection."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
@@ -113,8 +108,6 @@ class KeyServiceClient:
 
 
 class RemoteSigner:
-    """A `Signer` whose key the service holds."""
-
     def __init__(self, client: KeyServiceClient, public_key: ec.EllipticCurvePublicKey) -> None:
         self._client = client
         self._public_key = public_key
@@ -124,7 +117,6 @@ class RemoteSigner:
         return self._public_key
 
     def sign(self, message: bytes) -> bytes:
-        """As `Signer.sign`."""
         answer = self._client.ask(Request(messages.SIGN, (message,)))
         if not isinstance(answer, bytes) or not self._verifies(answer, message):
             raise KeyServiceFailed("the service signed with another key", _HINT)

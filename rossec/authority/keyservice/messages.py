@@ -109,20 +109,16 @@ _MESSAGES_HINT: Final = "are the service and the command of one version of rosse
 
 
 class Request(NamedTuple):
-    """An operation and its arguments, whose types are those of `OPERATIONS`."""
-
     operation: str
     arguments: tuple[Value, ...] = ()
 
 
 def frame(value: Value) -> bytes:
-    """The frame of a message."""
     body = encode(value)
     return len(body).to_bytes(HEAD) + body
 
 
 def frame_size(head: bytes, limit: int = MAX_FRAME) -> int:
-    """The number of bytes that follow the head of a frame."""
     size = int.from_bytes(head)
     if not 0 < size <= limit:
         raise KeyMessageRefused(f"a message of {size} bytes where 1 to {limit} are allowed", _MESSAGES_HINT)

@@ -57,7 +57,6 @@ class Rounds:
             self._loop.call_soon_threadsafe(self._due.set)
 
     async def run(self) -> None:
-        """Do rounds until this is cancelled."""
         self._loop = asyncio.get_running_loop()
         while True:
             self._due.clear()
@@ -268,7 +267,6 @@ class NetworkWork:
         return answer
 
     async def run(self) -> None:
-        """Serve until this is cancelled."""
         self._loop = asyncio.get_running_loop()
         async with self._names:  # first of all: rules that are refused end it
             self._tasks.spawn(self._rounds(), name="rounds of the authority")

@@ -79,7 +79,6 @@ class HeldKey:
         return signer
 
     def lock(self) -> bool:
-        """Drop the key; whether it was held."""
         with self._held:
             signer, self._signer, self._until = self._signer, None, None
             if isinstance(signer, TokenSigner):
@@ -103,12 +102,10 @@ class HeldKey:
             return None if left <= 0 else math.ceil(left)
 
     def check(self) -> None:
-        """Raise unless it is held."""
         if self.remaining() is None:
             raise _locked()
 
     def sign(self, message: bytes) -> bytes:
-        """As `Signer.sign`."""
         with self._held:
             if self.remaining() is None or self._signer is None:
                 raise _locked()
@@ -143,7 +140,6 @@ class KeyOperations:
         self.on_unlock: Callable[[], None] = _nothing  # there may be work that waited for the key
 
     def carry_out(self, request: Request, caller: object) -> Value:
-        """Carry out a request of `caller`, whose text names it in the audit."""
         match request:
             case Request(messages.STATUS):
                 return self.status()
@@ -159,7 +155,6 @@ class KeyOperations:
         return {**self._describe(), "locked": remaining is None, "remaining": remaining}
 
     def sign(self, message: bytes, caller: object = ITSELF) -> bytes:
-        """Sign a statement or a certificate."""
         try:
             kind = kind_of(message, self._authority)
         except SigningRefused:
@@ -170,7 +165,6 @@ class KeyOperations:
         return self.held.sign(message)
 
     def unlock(self, passphrase: str, seconds: int, caller: object) -> Value:
-        """Hold the key for `seconds` from now on; returns as `status`."""
         if not 0 <= seconds <= MAX_UNLOCKED or len(passphrase) > MAX_PASSPHRASE:
             raise KeyServiceRefused(
                 f"unlocking for {seconds} s where 0 to {MAX_UNLOCKED} are allowed",
@@ -195,7 +189,6 @@ class KeyOperations:
         self._audit(text)
 
     def lock(self, caller: object) -> Value:
-        """Drop the key at once; returns as `status`."""
         if self.held.lock():
             self._audit(f"locked by {caller}")
         return self.status()

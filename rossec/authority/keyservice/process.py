@@ -112,7 +112,6 @@ class KeyServer:
         self._callers: set[asyncio.StreamWriter] = set()
 
     async def start(self) -> None:
-        """Listen."""
         self._path.unlink(missing_ok=True)
         self._server = await asyncio.start_unix_server(
             self._serve, sock=self._listen(), limit=self._rules.max_request
@@ -125,7 +124,6 @@ class KeyServer:
         return sock
 
     async def close(self) -> None:
-        """Stop listening, and end every connection."""
         if self._server is not None:
             self._server.close()
             self._path.unlink(missing_ok=True)
@@ -217,7 +215,6 @@ def operations_of(
 
 
 def audit_to(file: AuditFile) -> Callable[[str], None]:
-    """Writes lines to the audit, and raises `KeyServiceRefused` where one is not written."""
     audit = logging.getLogger(AUDIT)
 
     def write(text: str) -> None:
@@ -293,8 +290,6 @@ class FaceOptions(NamedTuple):
 
 
 class FaceProcess:
-    """The face, from the first start to the end of the service."""
-
     def __init__(
         self, home: AuthorityHome, options: FaceOptions, environ: Mapping[str, str], module: str = MODULE
     ) -> None:
@@ -308,7 +303,6 @@ class FaceProcess:
         self._started: asyncio.Future[int] | None = None
 
     def spawn(self) -> None:
-        """Start the process; `run` connects to it."""
         ours, theirs = socket.socketpair()
         with theirs:
             self._process = subprocess.Popen(  # noqa: S603 - this program's own module
@@ -354,7 +348,6 @@ class FaceProcess:
             ) from error
 
     async def call(self, method: str, arguments: list[Value], within: int) -> Value:
-        """Have it call the master; returns the value of the answer."""
         if self._channel is None:
             raise KeyServiceRefused("the network process does not run", "it is started again")
         operation = messages.CALL

@@ -70,11 +70,9 @@ class AuthorityWork:
 
     @property
     def is_locked(self) -> bool:
-        """Whether the key is not held now."""
         return self._operations.held.remaining() is None
 
     def now(self) -> int:
-        """Seconds since the epoch."""
         return self._now()
 
     def policy_path(self) -> Path:
@@ -129,7 +127,6 @@ class AuthorityWork:
             return invitations.allowed_pattern(store, asked, self._now())
 
     def was_issued(self, request: JoinRequest) -> bool:
-        """Whether there is an identity for exactly this request."""
         with contextlib.closing(self.home().store()) as store:
             return store.identities.issued_for(request.digest) is not None
 
