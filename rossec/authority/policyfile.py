@@ -378,15 +378,15 @@ def sign_each(
         except OF_ALL:
             raise
         except HintedError as error:
-            at = next(at for at, node in enumerate(nodes) if grant in _contradicting(node))
+            at = next(
+                at
+                for at, node in enumerate(nodes)
+                if any(grant == each.grant for each in node.contradictions)
+            )
             nodes[at] = replace(nodes[at], refused=(*nodes[at].refused, f"{grant.subject}: {error}"))
             left = ()  # noqa: PLW2901 - it goes all the same
         pruned.append((grant, left))
     return signed, replace(plan, nodes=tuple(nodes), pruned=tuple(pruned))
-
-
-def _contradicting(node: NodeDifference) -> list[Grant]:
-    return [each.grant for each in node.contradictions]
 
 
 def _sign_alone(authority: SigningAuthority, plan: PolicyPlan, now: int) -> list[tuple[Draft, bytes]]:

@@ -318,7 +318,10 @@ class FollowedSite:
                 asking.cancel()
             await self._take_over(change)
             self._own.state.imports.settle(self.settings.label, demand)
-            await self._exchange(client, peer, change)
+            if self._foreign is not None:
+                await self._foreign.keep_fresh(client, peer, change.revocations)
+            else:
+                await exchange.settle(client, self._own, peer, change)
             try:
                 await self._mirroring.keep(client)
             except (AnswerRefused, ImportRefused) as error:
@@ -330,6 +333,7 @@ class FollowedSite:
 
     async def _is_answered(self, asking: asyncio.Future[SiteChange], peer: Identity, demand: int) -> bool:
         imports, changes = self._own.state.imports, self._own.state.demand_changes
+        events = [self._lists_changed, *([] if self._doors is None else [self._doors.changed])]
         while not asking.done():
             if self.state.phase is Phase.FOLLOWING and imports.demand.version != demand:
                 return False
@@ -340,7 +344,7 @@ class FollowedSite:
                 await self._apply(self._doors.refreshed())
             others: list[asyncio.Future[Any]] = [
                 asyncio.ensure_future(changes.wait(SILENCE)),
-                *(asyncio.ensure_future(event.wait()) for event in self._events),
+                *(asyncio.ensure_future(event.wait()) for event in events),
             ]
             try:
                 await asyncio.wait([asking, *others], return_when=asyncio.FIRST_COMPLETED)
@@ -348,12 +352,6 @@ class FollowedSite:
                 for each in others:
                     each.cancel()
         return True
-
-    async def _exchange(self, client: RpcClient, peer: Identity, change: SiteChange) -> None:
-        if self._foreign is not None:
-            await self._foreign.keep_fresh(client, peer, change.revocations)
-            return
-        await exchange.settle(client, self._own, peer, change)
 
     async def _next_change(self, client: RpcClient) -> SiteChange:
         imports = self._own.state.imports
@@ -367,10 +365,6 @@ class FollowedSite:
             if change is not None:
                 return change
             await self._pace()
-
-    @property
-    def _events(self) -> list[asyncio.Event]:
-        return [self._lists_changed, *([] if self._doors is None else [self._doors.changed])]
 
     async def _take_over(self, change: SiteChange) -> None:
         try:

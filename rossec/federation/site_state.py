@@ -213,7 +213,8 @@ class SiteCursor:
             case _:
                 raise AnswerMalformed("a site's answer that is malformed")
         part = SiteChange(facts_of(added), facts_of(removed), whole, revocations, domains)
-        self._check(instance, version)
+        if instance == self.instance and (version - self.version) % (2 * _HALF) >= _HALF:
+            raise AnswerMalformed("a site's version runs backwards")
         self.instance, self.version, self._cursor = instance, version, cursor
         self._lists = revocations, domains
         if whole:
@@ -235,22 +236,14 @@ class SiteCursor:
 
     def _complete(self, parts: list[SiteChange]) -> SiteChange:
         self._parts, self._taken, self._gathered = [], 0, 0
-        return _joined(parts)
-
-    def _check(self, instance: str, version: int) -> None:
-        if instance == self.instance and (version - self.version) % (2 * _HALF) >= _HALF:
-            raise AnswerMalformed("a site's version runs backwards")
-
-
-def _joined(parts: list[SiteChange]) -> SiteChange:
-    added, removed = set[Fact](), set[Fact]()
-    for part in parts:  # in place: each part alone costs, not all before it again
-        added |= part.added
-        added -= part.removed
-        removed |= part.removed
-        removed -= part.added
-    last, whole = parts[-1], parts[0].whole
-    return SiteChange(frozenset(added), frozenset(removed), whole, last.revocations, last.domains)
+        added, removed = set[Fact](), set[Fact]()
+        for part in parts:  # in place: each part alone costs, not all before it again
+            added |= part.added
+            added -= part.removed
+            removed |= part.removed
+            removed -= part.added
+        last, whole = parts[-1], parts[0].whole
+        return SiteChange(frozenset(added), frozenset(removed), whole, last.revocations, last.domains)
 
 
 def _digest(value: object) -> bytes:

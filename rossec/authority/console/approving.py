@@ -12,10 +12,11 @@ import contextlib
 import logging
 import secrets
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from hashlib import sha256
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple, TypeVar
 
 from ca.approvals.passkeys import Approval, Assertion
 from ca.approvals.statement import ID_SIZE, LIFETIME, Kind, Statement, What
@@ -54,6 +55,9 @@ class ToApprove(NamedTuple):
     payload: bytes = b""
 
 
+_T = TypeVar("_T", bound=What)
+
+
 class Approved(NamedTuple):
     approval: Approval
     statement: Statement
@@ -62,34 +66,30 @@ class Approved(NamedTuple):
     def id(self) -> bytes:
         return self.approval.id
 
+    def what(self, kind: type[_T]) -> _T:
+        assert isinstance(self.statement.what, kind)  # noqa: S101 - of the kind of its act
+        return self.statement.what
+
     @property
     def reason(self) -> str:
         return f"approval {self.id.hex()[:8]}"
 
 
-class Act(Protocol):
+class Act(ABC):
     # Prepared: shown to the person, with all that it gives away; nothing is given. Admitted: in the
     # transaction that records the approval, so of two approvals of one thing one is refused. Carried out:
     # now or later.
 
+    @abstractmethod
     def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove: ...
 
-    def admit(self, store: Store, approved: Approved, /) -> str | None:
+    def admit(self, _store: Store, _approved: Approved, /) -> str | None:
         # Returns the result if it is done thereby; None: `carry_out` follows.
-        ...
+        return None
 
-    def carry_out(
-        self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
-    ) -> None: ...
-
-    def made(self, service: AuthorityService, approved: Approved, /) -> bytes: ...
-
-
-class Immediate:
     def carry_out(
         self, _service: AuthorityService, _approved: Approved, _conclude: Conclude, _now: int, /
     ) -> None:
-        # Not called.
         raise AssertionError("done when it was approved")
 
     def made(self, _service: AuthorityService, _approved: Approved, /) -> bytes:

@@ -40,7 +40,7 @@ from rossec.authority.approvals import (
     VerdictChange,
     verdict_change,
 )
-from rossec.authority.console.approving import Approved, Arguments, Conclude, ToApprove
+from rossec.authority.console.approving import Act, Approved, Arguments, Conclude, ToApprove
 from rossec.authority.console.messages import AskedRight, GrantQuestion, QuestionAnswer, given, to_value
 from rossec.authority.console.queries import bounded
 from rossec.authority.invitations import InvitationStatus
@@ -211,7 +211,7 @@ class Answer(NamedTuple):
         return [(_draft(body), rules) for body, rules in self.grants]
 
 
-class GrantAct:
+class GrantAct(Act):
     """Grants for a question: its id, a coarser filter, at most so many seconds (0: as asked)."""
 
     def __init__(self, policy: Path) -> None:

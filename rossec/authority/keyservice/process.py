@@ -113,15 +113,10 @@ class KeyServer:
 
     async def start(self) -> None:
         self._path.unlink(missing_ok=True)
-        self._server = await asyncio.start_unix_server(
-            self._serve, sock=self._listen(), limit=self._rules.max_request
-        )
-
-    def _listen(self) -> socket.socket:
         sock = listen_at(self._path)
         if self._rules.users:
             self._path.chmod(0o666)  # the directory, and who connects, decide
-        return sock
+        self._server = await asyncio.start_unix_server(self._serve, sock=sock, limit=self._rules.max_request)
 
     async def close(self) -> None:
         if self._server is not None:
@@ -162,7 +157,11 @@ class KeyServer:
             except KeyMessageRefused as error:
                 await _send(writer, messages.write_refusal(error))
                 return
-            await _send(writer, await self._answer(request, caller))
+            try:
+                answer = messages.write_answer(await self._carry_out(request, caller))
+            except HintedError as error:
+                answer = messages.write_refusal(error)
+            await _send(writer, answer)
 
     def _admitted(self, writer: asyncio.StreamWriter) -> Caller:
         try:
@@ -174,12 +173,6 @@ class KeyServer:
             _log.warning("refused at the authority's service: %s", error)
             raise OSError("refused") from error
         return caller_of(peer)
-
-    async def _answer(self, request: Request, caller: Caller) -> bytes:
-        try:
-            return messages.write_answer(await self._carry_out(request, caller))
-        except HintedError as error:
-            return messages.write_refusal(error)
 
 
 async def _send(writer: asyncio.StreamWriter, data: bytes) -> None:
@@ -330,7 +323,11 @@ class FaceProcess:
             except KeyMessageRefused as error:
                 _log.error("the network process breaks the protocol: %s", error)
             finally:
-                await self._end()
+                if (process := self._process) is not None:
+                    try:
+                        await reap(process, _END)
+                    finally:
+                        self._process = None
             lasted = asyncio.get_running_loop().time() - begin
             delay = 1.0 if lasted > MAX_DELAY else min(MAX_DELAY, 2 * delay)
             _log.error("the network process ended; it is started again in %.0f s", delay)
@@ -369,15 +366,6 @@ class FaceProcess:
             await self._channel.run()
         finally:
             self._channel = None
-
-    async def _end(self) -> None:
-        process = self._process
-        if process is None:
-            return
-        try:
-            await reap(process, _END)
-        finally:
-            self._process = None
 
     def close(self) -> None:
         """End a face that was started and never connected."""

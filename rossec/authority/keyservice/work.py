@@ -194,7 +194,16 @@ class AuthorityWork:
         """
         if self.is_locked:
             return
-        steps = (self._renew_own_node, _complete_list, self._publish, _deposit_missing)
+
+        def renew_own_node(service: AuthorityService) -> None:
+            authority = service.unlock()
+            if renewals.own_node_is_due(authority, self._now()):
+                renewals.renew_own_node(authority, self._now())
+
+        def deposit_missing(service: AuthorityService) -> None:
+            _log_refused(service.grants.deposit_missing()[1])
+
+        steps = (renew_own_node, AuthorityService.complete_list, self._publish, deposit_missing)
         said = ""
         with self.service(MAINTENANCE_PURPOSE) as service:
             for step in steps:
@@ -218,18 +227,17 @@ class AuthorityWork:
         is_new = not self.published and 0 <= self._now() - self._undelivered_since < GRACE
         return logging.INFO if is_new else logging.WARNING
 
-    def _renew_own_node(self, service: AuthorityService) -> None:
-        authority = service.unlock()
-        if renewals.own_node_is_due(authority, self._now()):
-            renewals.renew_own_node(authority, self._now())
-
     def _publish(self, service: AuthorityService) -> None:
         # It is asked in each round whether it has the list still: it may be another master since, or one that
         # was set back to an older state, and would let the revoked in.
         found = service.home.domain_list()
         newest, domains = service.home.revocation_list(), b"" if found is None else found[0]
         known = (newest, domains) == (self.published, self._published_domains)
-        if not known or not _still_has_list(service):
+        with contextlib.suppress(
+            NotDelivered
+        ):  # it is away, and asked again, or of a version that does not tell
+            known = known and service.master_has_list()
+        if not known:
             service.publish()
             self.published, self._published_domains = newest, domains
 
@@ -255,21 +263,6 @@ def _apply(service: AuthorityService, plan: PolicyPlan) -> None:
         service.policy.apply(plan, lambda text: _log.info("policy: %s", text))
     except OSError as error:
         raise NotDelivered(str(error), "the next round tries again") from error
-
-
-def _complete_list(service: AuthorityService) -> None:
-    service.complete_list()
-
-
-def _still_has_list(service: AuthorityService) -> bool:
-    try:
-        return service.master_has_list()
-    except NotDelivered:  # it is away, and asked again, or of a version that does not tell
-        return True
-
-
-def _deposit_missing(service: AuthorityService) -> None:
-    _log_refused(service.grants.deposit_missing()[1])
 
 
 def _log_refused(refused: Iterable[RefusedDeposit]) -> None:

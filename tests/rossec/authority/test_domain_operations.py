@@ -14,7 +14,7 @@ from ca.revocation.lists import open_list
 from ca.revocation.trust_status import Revocations, Standing
 from grants import document
 from grants.model import Draft, Permission, Right
-from rossec.authority.domain_operations import check_label_free, find_row, living_grants
+from rossec.authority.domain_operations import find_row, living_grants
 from rossec.authority.home import AuthorityHome
 from rossec.authority.service import AuthorityService
 from rossec.authority.session import MasterCall
@@ -212,7 +212,6 @@ def test_grants_are_revoked_with_their_domain(office: Office) -> None:
     office.service.domains.accept(foreign(Site.create("cafe")))
     store = office.service.unlock().store
     assert living_grants(store, "hospital", office.now) == []
-    check_label_free(store, office.hospital, office.now)
 
 
 def test_a_row_is_found_also_after_its_end(office: Office) -> None:
