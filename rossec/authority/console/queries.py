@@ -63,7 +63,7 @@ _log = logging.getLogger("rossec.authority.service")
 Deliveries = Callable[[], Mapping[bytes, str]]
 
 
-class Reading:
+class RecordQueries:
     """The operations that read the record.
 
     `last_used`: when passkeys were last used to log in. `deliveries`: what the master says of each
@@ -310,7 +310,7 @@ MAX_REFUSED: Final = 64
 _NOT_GIVEN: Final = frozenset({ChangeKind.KEPT, ChangeKind.GONE})
 
 
-class PolicyLook:
+class PolicyQuery:
     def __init__(self, work: AuthorityWork) -> None:
         self._work = work
 

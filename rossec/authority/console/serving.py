@@ -38,10 +38,10 @@ from rossec.authority.console.approved_acts import (
 from rossec.authority.console.approving import Act, Approving, Of
 from rossec.authority.console.grant_requests import GrantAct, Questions, Removals
 from rossec.authority.console.messages import OPERATIONS, Status, checked, to_value
-from rossec.authority.console.queries import MasterView, PolicyLook, PolicyNames, Reading
+from rossec.authority.console.queries import MasterView, PolicyNames, PolicyQuery, RecordQueries
 from rossec.authority.home import fingerprint
 from rossec.authority.keyservice.messages import Request
-from rossec.authority.keyservice.network import NetworkWork, Rounds
+from rossec.authority.keyservice.network import NetworkWork, Scheduler
 from rossec.authority.keyservice.operations import HeldKey, KeyOperations
 from rossec.authority.keyservice.process import Caller, KeyServer, SocketRules
 from rossec.authority.keyservice.work import AuthorityWork
@@ -53,7 +53,7 @@ from rossec.peer_limits import printable
 INBOX = "inbox"  # in the authority's directory (`rossec.authority.requests`)
 
 
-class StatusLook:
+class StatusQuery:
     """The operation that is asked every second, so it looks at little: sizes and times.
 
     `has_master`: whether the last call to the master succeeded. `seen`: whatever else differs when
@@ -304,7 +304,7 @@ class Console:
         self.where = where
         self.peers = ConsolePeers()
         work = network.work if network else AuthorityWork(rossec_home, operations, _fail, policy)
-        self.rounds = network.rounds if network else Rounds(asyncio.to_thread)
+        self.rounds = network.rounds if network else Scheduler(asyncio.to_thread)
         operations.on_unlock = self.rounds.wake
         self.access = Access(work, operations.audit)
         self._network = network
@@ -314,10 +314,10 @@ class Console:
         self.master = MasterView(work, network.deliver if network else _fail, came_back=self.rounds.wake)
         self.service = ConsoleService(
             self.access,
-            StatusLook(work, operations.held, self._has_master, self._seen),
-            Reading(work, self.access.last_used, Deliveries(work, self._has_master).states),
+            StatusQuery(work, operations.held, self._has_master, self._seen),
+            RecordQueries(work, self.access.last_used, Deliveries(work, self._has_master).states),
             Questions(work),
-            PolicyLook(work),
+            PolicyQuery(work),
             PolicyNames(work),
             self.approving,
             self.master,

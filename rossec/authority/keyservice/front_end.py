@@ -1,4 +1,4 @@
-"""The network face: a process of the service that talks to strangers and has no key of it.
+"""The network process: a process of the service that talks to strangers and has no key of it.
 
 `python -I -m rossec.authority.keyservice.front_end`, started by `face_process`. It is the node `/ca`: it
 serves the join port, and calls the master when the service asks for it. What it may ask of the
@@ -51,7 +51,7 @@ _FRESH: Final = 10.0  # seconds for which the own identity is not read again
 _log = logging.getLogger("rossec.authority.face")
 
 
-class Face:
+class FrontEnd:
     """The join port, and calls at the master, as `/ca`.
 
     `node`: the directory of `/ca`. `join_address`: `host:port`; the host may be `ANY`.
@@ -150,7 +150,7 @@ def main(arguments: list[str]) -> None:
     confine_files([Path(directory)])
     executor = confine_processes()
     suites = opening.post_quantum(os.environ)
-    face = Face(NodeHome(Path(directory), OWN_NODE), join_address, master_uri, suites)
+    face = FrontEnd(NodeHome(Path(directory), OWN_NODE), join_address, master_uri, suites)
 
     async def run() -> None:
         asyncio.get_running_loop().set_default_executor(executor)

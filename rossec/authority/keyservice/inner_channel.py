@@ -1,4 +1,4 @@
-"""The socketpair between the service and its network face, as calls in both directions. A shell.
+"""The socketpair between the service and its network process, as calls in both directions. A shell.
 
 A side that breaks the protocol ends the connection, and with it the face: the service starts a new
 one. The number of requests that are carried out at a time is bounded.

@@ -22,7 +22,7 @@ from ca.enrollment.join import NameAnswer, Named, Refused, RefuseReason, write
 from ca.errors import EncodingError, HintedError
 from ca.names import is_reserved, pattern_covers
 from rossec.authority.keyservice.operations import KeyOperations
-from rossec.authority.keyservice.process import FaceProcess
+from rossec.authority.keyservice.process import FrontEndProcess
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.session import MasterCall
 from rossec.errors import ConfigurationError, NotDelivered, RossecError
@@ -37,7 +37,7 @@ _log = logging.getLogger("rossec.authority.service")
 Task = Callable[[], None]
 
 
-class Rounds:
+class Scheduler:
     """Calls its tasks, one after the other.
 
     `in_thread`: calls a task in a thread.
@@ -220,7 +220,7 @@ class NetworkWork:
         self,
         rossec_home: Path,
         operations: KeyOperations,
-        face: FaceProcess,
+        face: FrontEndProcess,
         *,
         applies: bool = False,
         policy: Path | None = None,
@@ -231,7 +231,7 @@ class NetworkWork:
         self._face = face
         self._applies = applies
         self.work = AuthorityWork(rossec_home, operations, self.deliver, policy)
-        self.rounds = Rounds(self._in_thread)
+        self.rounds = Scheduler(self._in_thread)
         self.rounds.add(self.work.maintain)
         if applies:
             self.rounds.add(self.work.apply_if_changed)

@@ -274,7 +274,7 @@ MAX_DELAY: Final = 60.0
 _END: Final = 5.0  # seconds between the end of the connection and SIGKILL
 
 
-class FaceOptions(NamedTuple):
+class FrontEndOptions(NamedTuple):
     """Where nodes join (`host:port`), the master's URI, and the log's form."""
 
     join_address: str
@@ -282,9 +282,9 @@ class FaceOptions(NamedTuple):
     log: str = "text"
 
 
-class FaceProcess:
+class FrontEndProcess:
     def __init__(
-        self, home: AuthorityHome, options: FaceOptions, environ: Mapping[str, str], module: str = MODULE
+        self, home: AuthorityHome, options: FrontEndOptions, environ: Mapping[str, str], module: str = MODULE
     ) -> None:
         self.port = 0
         self._command = [sys.executable, "-I", "-m", module]

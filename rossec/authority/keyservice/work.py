@@ -2,7 +2,7 @@
 
 Called in one thread of its own, in which the record is opened for each task: commands are answered
 meanwhile. Signatures are audited like those of commands, with the purpose. Deposits and lists are
-passed to the master by the network face; what it does not take is recorded and signed all the same,
+passed to the master by the network process; what it does not take is recorded and signed all the same,
 and the next round tries again.
 """
 

@@ -22,8 +22,8 @@ from rossec.authority.keyservice.front_end import ANY
 from rossec.authority.keyservice.messages import MAX_UNLOCKED, SOCKET
 from rossec.authority.keyservice.network import NetworkWork
 from rossec.authority.keyservice.process import (
-    FaceOptions,
-    FaceProcess,
+    FrontEndOptions,
+    FrontEndProcess,
     KeyServiceProcess,
     audit_to,
     operations_of,
@@ -126,12 +126,12 @@ def serve(
     uri = master_at(environment, home.node(), master_uri)
     names.parse_uri(uri, "the master's URI")
     where = serving.place(home.path, console_socket_path, console_user)
-    options_of_face = FaceOptions(join_address, uri, log)
+    options_of_face = FrontEndOptions(join_address, uri, log)
     with ExitStack() as stack:
         protect_memory()
         stack.enter_context(service_lock(home.path))
         audit = stack.enter_context(audit_written(home.path / AUDIT_FILE, home.node().signer()))
-        face = None if no_network else FaceProcess(home, options_of_face, environment.variables)
+        face = None if no_network else FrontEndProcess(home, options_of_face, environment.variables)
         operations = operations_of(home, audit_to(audit), lambda: face.port if face else 0)
         network = None
         if face is not None:
@@ -161,7 +161,7 @@ def serve(
 @dataclass
 class _Admission:
     console: Console
-    face: FaceProcess | None
+    face: FrontEndProcess | None
 
     def admit(self, peer: UnixPeer) -> None:
         if self.face is not None:
@@ -175,7 +175,7 @@ class _Serving:
     home: AuthorityHome
     process: KeyServiceProcess
     console: Console
-    face: FaceProcess | None
+    face: FrontEndProcess | None
     network: NetworkWork | None
 
     async def run(self, *, as_json: bool) -> None:
@@ -211,7 +211,7 @@ class _Serving:
             say(f"nodes join at port {port}: rossec ca invite PATTERN")
 
 
-def _join_address(environment: Environment, given: str, face: FaceProcess | None) -> str:
+def _join_address(environment: Environment, given: str, face: FrontEndProcess | None) -> str:
     if face is None or not face.port:
         raise ConfigurationError(
             "this service has no join port", "start it without --no-network: rossec ca serve"
