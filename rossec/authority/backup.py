@@ -160,8 +160,14 @@ def restore(
     target = home / "ca"
     with _staging_beside(target) as staging:
         content, left = restorable(passphrases.unseal(data, passphrase))
-        uri = _settle_uri(content, home, module)
-        _write(staging, content)
+        uri = None
+        if KEY_URI in content:
+            uri = authority_home.restored_uri(content[KEY_URI], home, module)
+            content[KEY_URI] = f"{uri}\n".encode()
+        for name, part in content.items():
+            path = staging / name
+            files.make_private_directory(path.parent)
+            files.create(path, part, mode(name))
         authority = _open_verified(AuthorityHome(staging), secret or passphrase, uri)
         newer = restored_lists.read_newer(authority, newest_list, entries, newest_domains)
         done = _put_in_place(authority, target, newer, said, now)
@@ -214,25 +220,12 @@ def _put_in_place(
         if (uri := staging.key_uri()) is not None:
             authority_home.trust(target.parent, uri.module)
         phones, ended, revived = _begin_anew(authority, size, newer, now)
-        _commit(staging.path, target, now)
+        if target.exists():
+            paths = (target.with_name(f"ca.replaced.{number}") for number in count(now))
+            files.replace_directory(staging.path, target, next(path for path in paths if not path.exists()))
+        else:
+            files.commit_directory(staging.path, target)
     return Restored(AuthorityHome(target), size, revived, phones, ended, policy=policy)
-
-
-def _settle_uri(content: dict[str, bytes], home: Path, module: str | None) -> KeyUri | None:
-    if KEY_URI not in content:
-        return None
-    uri = authority_home.restored_uri(content[KEY_URI], home, module)
-    content[KEY_URI] = f"{uri}\n".encode()
-    return uri
-
-
-def _commit(staging: Path, target: Path, now: int) -> None:
-    if not target.exists():
-        files.commit_directory(staging, target)
-        return
-    paths = (target.with_name(f"ca.replaced.{number}") for number in count(now))
-    aside = next(path for path in paths if not path.exists())
-    files.replace_directory(staging, target, aside)
 
 
 def _open_verified(staging: AuthorityHome, secret: str, uri: KeyUri | None) -> SigningAuthority:
@@ -262,13 +255,6 @@ def _locked(target: Path) -> Iterator[None]:
             store = stack.enter_context(contextlib.closing(AuthorityHome(target).store()))
             stack.enter_context(store.transaction())
         yield
-
-
-def _write(directory: Path, content: dict[str, bytes]) -> None:
-    for name, data in content.items():
-        path = directory / name
-        files.make_private_directory(path.parent)
-        files.create(path, data, mode(name))
 
 
 def _keep_what_stays(target: Path, staging: Path, policy: str, said: _Said) -> str:

@@ -321,17 +321,15 @@ def _draft(
 
 
 def sign_planned(authority: SigningAuthority, plan: PolicyPlan, now: int) -> list[tuple[Draft, bytes]]:
-    drafts = list(plan.drafts(authority.domain, now, lambda: secrets.token_bytes(ID_SIZE)))
-    if not drafts:
-        plan.policy.check_unchanged()  # what it revokes is to be what this policy denies
-        return []
 
     def check() -> None:
         plan.policy.check_unchanged()
         check_record(authority, plan)
 
-    signed = authority.issue_grants(drafts, now, check)
-    return [(draft, data) for (draft, _), data in zip(drafts, signed, strict=True)]
+    signed = _sign(authority, plan, now, check)
+    if not signed:
+        plan.policy.check_unchanged()  # what it revokes is to be what this policy denies
+    return signed
 
 
 def take_away(
@@ -365,7 +363,8 @@ def sign_each(
     nodes, pruned = [], []
     for node in plan.nodes:
         try:
-            signed += _sign_alone(authority, replace(plan, nodes=(node,), pruned=()), now)
+            alone = replace(plan, nodes=(node,), pruned=())
+            signed += _sign(authority, alone, now, plan.policy.check_unchanged)
         except OF_ALL:
             raise
         except HintedError as error:
@@ -374,7 +373,7 @@ def sign_each(
     for grant, left in plan.pruned:
         try:
             alone = replace(plan, nodes=(), pruned=((grant, left),))
-            signed += _sign_alone(authority, alone, now)
+            signed += _sign(authority, alone, now, plan.policy.check_unchanged)
         except OF_ALL:
             raise
         except HintedError as error:
@@ -389,9 +388,11 @@ def sign_each(
     return signed, replace(plan, nodes=tuple(nodes), pruned=tuple(pruned))
 
 
-def _sign_alone(authority: SigningAuthority, plan: PolicyPlan, now: int) -> list[tuple[Draft, bytes]]:
+def _sign(
+    authority: SigningAuthority, plan: PolicyPlan, now: int, check: Callable[[], None]
+) -> list[tuple[Draft, bytes]]:
     drafts = list(plan.drafts(authority.domain, now, lambda: secrets.token_bytes(ID_SIZE)))
-    signed = authority.issue_grants(drafts, now, plan.policy.check_unchanged) if drafts else []
+    signed = authority.issue_grants(drafts, now, check) if drafts else []
     return [(draft, data) for (draft, _), data in zip(drafts, signed, strict=True)]
 
 

@@ -9,6 +9,7 @@ A border router has the keys of the nodes that stand for its things. So where a 
 of a thing, loses its key, what depended on it ends in the same list.
 """
 
+import contextlib
 import secrets
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -105,27 +106,22 @@ def missing_entries(store: Store, key: ec.EllipticCurvePublicKey, now: int) -> f
     """
     with store.database.read_transaction():
         data = store.newest_list()
-        statement = None if data is None else open_statement(data, key)
-        return required_entries(store, now) - _listed_entries(store, statement)
+        listed = frozenset[bytes]()
+        match None if data is None else open_statement(data, key):
+            case RevocationList(entries=entries):
+                listed = entries
+            case RevocationTree() as tree:  # it does not contain them: they are those of the record, or not
+                with contextlib.suppress(RevocationRefused):
+                    listed = tree_entries(store, tree).entries
+            case None:
+                pass
+        return required_entries(store, now) - listed
 
 
 def tree_entries(store: Store, tree: RevocationTree) -> TreeEntries:
     listing = TreeEntries(required_entries(store, tree.issued))
     listing.check(tree)
     return listing
-
-
-def _listed_entries(store: Store, statement: RevocationList | RevocationTree | None) -> frozenset[bytes]:
-    match statement:
-        case RevocationList(entries=entries):
-            return entries
-        case RevocationTree():
-            try:
-                return tree_entries(store, statement).entries
-            except RevocationRefused:
-                return frozenset()
-        case _:
-            return frozenset()
 
 
 DOMAIN_LIST_LIFETIME: Final = 90 * 86400
@@ -194,14 +190,9 @@ def states(store: Store, now: int) -> list[ThingState]:
     with store.database.read_transaction():
         rows, revoked = store.things.all(), store.revoked_entries()
         newest = {row.name: row.id for row in store.things.in_force(now)}
-        borders = {row.border for row in rows}
-        keys = {name: _newest_key(store, name, now) for name in borders}
+        valid = {name: store.identities.valid(name, now) for name in {row.border for row in rows}}
+        keys = {name: found[-1].thumbprint if found else b"" for name, found in valid.items()}
     return [ThingState(row, _state(row, now, newest, revoked, keys)) for row in rows]
-
-
-def _newest_key(store: Store, name: str, now: int) -> bytes:
-    valid = store.identities.valid(name, now)
-    return valid[-1].thumbprint if valid else b""
 
 
 def _state(
@@ -447,13 +438,6 @@ class SigningAuthority:
                 self.store.revoke(entry, reason, now)
             return self.sign_list(now)
 
-    def _sign_list_or_tree(self, listed: RevocationList) -> bytes:
-        if len(listed.entries) <= MAX_ENTRIES:
-            return sign_list(self.signer, listed)
-        size, root = TreeEntries(listed.entries).size_and_root
-        tree = RevocationTree(listed.epoch, listed.seq, listed.issued, listed.expires, size, root)
-        return sign_tree(self.signer, tree)
-
     def refresh_list(self, now: int) -> None:
         """Sign a new list if it lacks a revocation, and long before it expires; domains likewise.
 
@@ -492,7 +476,12 @@ class SigningAuthority:
                 epoch, seq = max(epoch + 1, above + 1, now), 1
             entries = required_entries(self.store, now)
             listed = RevocationList(epoch, seq, now, now + _LIST_LIFETIME, entries)
-            self.store.save_list(listed.number, self._sign_list_or_tree(listed), now)
+            if len(entries) <= MAX_ENTRIES:
+                data = sign_list(self.signer, listed)
+            else:
+                size, root = TreeEntries(entries).size_and_root
+                data = sign_tree(self.signer, RevocationTree(epoch, seq, now, listed.expires, size, root))
+            self.store.save_list(listed.number, data, now)
             self.sign_head(now)
         return listed
 

@@ -281,28 +281,21 @@ class PolicyNames:
         self._names: tuple[PolicyName, ...] = ()
 
     def policy_names(self) -> Value:
-        found = self._state()
+        path, found = self._work.policy_path(), _NOTHING
+        with contextlib.suppress(OSError):
+            status = path.stat()
+            found = status.st_mtime_ns, status.st_size, status.st_ino
         if found != self._read:
-            self._names = self._load() if found != _NOTHING else ()
-            self._read = found
+            names: tuple[PolicyName, ...] = ()
+            if found != _NOTHING:
+                with contextlib.suppress(HintedError):  # told on the page of the policy
+                    policy = PolicyFile.read(path, own=True).policy
+                    names = tuple(
+                        PolicyName(name, policy.titles.get(name, ""), policy.types.get(name, ""))
+                        for name in sorted(policy.titles.keys() | policy.types.keys())
+                    )
+            self._read, self._names = found, names
         return bounded("names of the policy", self._names)
-
-    def _state(self) -> tuple[int, int, int]:
-        try:
-            status = self._work.policy_path().stat()
-        except OSError:
-            return _NOTHING
-        return status.st_mtime_ns, status.st_size, status.st_ino
-
-    def _load(self) -> tuple[PolicyName, ...]:
-        try:
-            policy = PolicyFile.read(self._work.policy_path(), own=True).policy
-        except HintedError:  # told on the page of the policy
-            return ()
-        return tuple(
-            PolicyName(name, policy.titles.get(name, ""), policy.types.get(name, ""))
-            for name in sorted(policy.titles.keys() | policy.types.keys())
-        )
 
 
 PURPOSE: Final = "a look at the policy"
