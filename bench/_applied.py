@@ -15,10 +15,10 @@ from ca.keys.signing import KeySigner
 from ca.svid import build_request
 from grants.document import grant_id
 from grants.model import ID_SIZE
-from rossec.authority.grant_operations import MasterCall
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import NAME, read_policy
 from rossec.authority.service import AuthorityService
+from rossec.authority.session import MasterCall
 from rossec.authority.signing import SigningAuthority, certificate_row
 
 SIZES = (30, 300, 3000)
@@ -88,9 +88,9 @@ def _write(root: Path, changed: str) -> None:
 
 
 def _apply(root: Path, service: AuthorityService) -> None:
-    plan = service.plan_policy(read_policy(root, None, signs=True))
+    plan = service.policy.plan(read_policy(root, None, signs=True))
     if not plan.is_empty:
-        service.apply_policy(plan)
+        service.policy.apply(plan)
 
 
 def _timed(root: Path, service: AuthorityService) -> float:

@@ -128,7 +128,7 @@ def _fill(process: ServiceProcess) -> None:
             for number in range(IDENTITIES):
                 name = f"/fleet/site{number % _SITES}/robot{number}"
                 enroll(authority, name, clock.now())
-        service.apply_policy(service.plan_policy(read_policy(process.root, None, signs=True)))
+        service.policy.apply(service.policy.plan(read_policy(process.root, None, signs=True)))
 
 
 def _policy() -> str:

@@ -35,6 +35,8 @@ MAX_PENDING: Final = 16  # prompts that one node may have pending
 MAX_LATE: Final = 64  # of one node that are kept although nobody answered in time
 GRANTED, DENIED, LATE, TOO_MANY = "granted", "denied", "no answer", "too many"
 
+_NO_RULE: Final = "no rule gives it, and where none does the policy denies (defaults: decision)"
+
 VerdictChange = Callable[[Verdict], Verdict]
 
 
@@ -102,9 +104,9 @@ class ApprovalQueue:
 
     def pending(self) -> list[PendingApproval]:
         with self._store.transaction():
-            return self._pending()
+            return self._decided()
 
-    def _pending(self) -> list[PendingApproval]:
+    def _decided(self) -> list[PendingApproval]:
         approvals: list[PendingApproval] = []
         self.denied = []
         waiting: dict[str, int] = {}
@@ -120,8 +122,9 @@ class ApprovalQueue:
                 self.denied.append(Denial(stored, str(error)))
                 continue
             if verdict.effect is Effect.DENY:
-                self._requests.answer(stored, DENIED, _denial_reason(verdict), self._now)
-                self.denied.append(Denial(stored, _why(verdict)))
+                rule = verdict.rules[0] if verdict.rules else None
+                self._requests.answer(stored, DENIED, f"rule {rule.id}" if rule else "by default", self._now)
+                self.denied.append(Denial(stored, f"by {rule.reason}" if rule else _NO_RULE))
                 continue
             if verdict.effect is Effect.PROMPT and (why := self._automatic_denial(stored, waiting)):
                 if why != LATE or self._is_for_good(stored, counts):
@@ -180,20 +183,16 @@ class ApprovalQueue:
         except HintedError as error:
             self._policy.check_unchanged()
             if len(chosen) == 1:
-                return [], [self._refuse(chosen[0], error)]
+                denial = Denial(chosen[0].stored, f"it cannot be granted: {error}")
+                with contextlib.suppress(StoreError):  # it may have been answered meanwhile
+                    self.deny(chosen[0], denial.reason)
+                return [], [denial]
         signed, refused = list[tuple[Draft, bytes]](), list[Denial]()
         for part in _parts(chosen):
             found, left = self.sign_each(authority, part, reason)
             signed += found
             refused += left
         return signed, refused
-
-    def _refuse(self, approval: PendingApproval, why: HintedError) -> Denial:
-        # Deny what cannot be granted; it may have been answered meanwhile.
-        denial = Denial(approval.stored, f"it cannot be granted: {why}")
-        with contextlib.suppress(StoreError):
-            self.deny(approval, denial.reason)
-        return denial
 
     def drafts(
         self, domain: str, approvals: Iterable[PendingApproval], change: VerdictChange
@@ -269,13 +268,3 @@ def _restriction(policy: Policy, topic: str, name: str) -> Restriction:
         return preset(name).restriction(layout)
     compile_filter(layout, policy.filters[name])
     return Restriction(kind, (), tuple(sorted(policy.filters[name])))
-
-
-def _denial_reason(verdict: Verdict) -> str:
-    return f"rule {verdict.rules[0].id}" if verdict.rules else "by default"
-
-
-def _why(verdict: Verdict) -> str:
-    if verdict.rules:
-        return f"by {verdict.rules[0].reason}"
-    return "no rule gives it, and where none does the policy denies (defaults: decision)"

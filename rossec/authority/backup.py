@@ -1,18 +1,12 @@
 """Back up an authority into one file, and restore it without losing data by accident.
 
-What is in a backup, each part says that owns files (`contents`). A restore verifies the backup
-first, next to its target: the key opens and matches its certificate, the log verifies; code that it
-names is not run (`token_modules`). An existing authority is replaced only if the operator names its
-trust domain, and in one step; newer log entries are lost only if the operator gives their number,
-and what it has revoked stays revoked. The backup lacks what was signed after it, so a new epoch of
-lists begins, and signed lists from the master or a node restore the missing revocations, and the
-domains that are trusted (`restored_lists`); without one no foreign domain is.
-
-The files of an authority's directory: which there are, and which of them a backup has.
-
-Nothing is listed here. Each part that writes files says of its own what they are, in its `OWNED`:
-a part that is added brings its declaration along, and a test holds every file of a home that has
-used all of them against this.
+What is in a backup, each part of rossec says that writes files, in its `OWNED`: a test holds every
+file of a home that has used all of them against this. A restore verifies the backup first, next to
+its target: the key opens and matches its certificate, the log verifies; code that it names is not
+run. An existing authority is replaced only if the operator names its trust domain, and in one step;
+newer log entries are lost only if the operator gives their number, and what it has revoked stays
+revoked. The backup lacks what was signed after it, so a new epoch of lists begins, and signed lists
+from the master or a node give back what is missing (`restored_lists`).
 """
 
 import contextlib
@@ -36,7 +30,6 @@ from ca.store.values import LogEntry, RequestState
 from rossec import files, home, saved_statements
 from rossec.authority import grant_operations, policyfile, renewals, requests, restored_lists, signing
 from rossec.authority import home as authority_home
-from rossec.authority import home as authority_token_modules
 from rossec.authority.console import messages as console
 from rossec.authority.home import KEY_URI, RECORD, AuthorityHome
 from rossec.authority.keyservice import client
@@ -167,8 +160,14 @@ def restore(
     target = home / "ca"
     with _staging_beside(target) as staging:
         content, left = restorable(passphrases.unseal(data, passphrase))
-        uri = _settle_uri(content, home, module)
-        _write(staging, content)
+        uri = None
+        if KEY_URI in content:
+            uri = authority_home.restored_uri(content[KEY_URI], home, module)
+            content[KEY_URI] = f"{uri}\n".encode()
+        for name, part in content.items():
+            path = staging / name
+            files.make_private_directory(path.parent)
+            files.create(path, part, mode(name))
         authority = _open_verified(AuthorityHome(staging), secret or passphrase, uri)
         newer = restored_lists.read_newer(authority, newest_list, entries, newest_domains)
         done = _put_in_place(authority, target, newer, said, now)
@@ -219,27 +218,14 @@ def _put_in_place(
         if said.lacks_list:
             restored_lists.require_list(authority, target.parent, now)
         if (uri := staging.key_uri()) is not None:
-            authority_token_modules.trust(target.parent, uri.module)
+            authority_home.trust(target.parent, uri.module)
         phones, ended, revived = _begin_anew(authority, size, newer, now)
-        _commit(staging.path, target, now)
+        if target.exists():
+            paths = (target.with_name(f"ca.replaced.{number}") for number in count(now))
+            files.replace_directory(staging.path, target, next(path for path in paths if not path.exists()))
+        else:
+            files.commit_directory(staging.path, target)
     return Restored(AuthorityHome(target), size, revived, phones, ended, policy=policy)
-
-
-def _settle_uri(content: dict[str, bytes], home: Path, module: str | None) -> KeyUri | None:
-    if KEY_URI not in content:
-        return None
-    uri = authority_token_modules.restored_uri(content[KEY_URI], home, module)
-    content[KEY_URI] = f"{uri}\n".encode()
-    return uri
-
-
-def _commit(staging: Path, target: Path, now: int) -> None:
-    if not target.exists():
-        files.commit_directory(staging, target)
-        return
-    paths = (target.with_name(f"ca.replaced.{number}") for number in count(now))
-    aside = next(path for path in paths if not path.exists())
-    files.replace_directory(staging, target, aside)
 
 
 def _open_verified(staging: AuthorityHome, secret: str, uri: KeyUri | None) -> SigningAuthority:
@@ -269,13 +255,6 @@ def _locked(target: Path) -> Iterator[None]:
             store = stack.enter_context(contextlib.closing(AuthorityHome(target).store()))
             stack.enter_context(store.transaction())
         yield
-
-
-def _write(directory: Path, content: dict[str, bytes]) -> None:
-    for name, data in content.items():
-        path = directory / name
-        files.make_private_directory(path.parent)
-        files.create(path, data, mode(name))
 
 
 def _keep_what_stays(target: Path, staging: Path, policy: str, said: _Said) -> str:

@@ -1,21 +1,16 @@
-"""What an authority does about foreign domains, as methods of `AuthorityService`.
+"""What an authority does about foreign domains and their nodes, as holders of grants.
 
 Terms are recorded and the list signed in one transaction. A label that grants name is not given to
 another domain while one of these can live: they would then speak of its nodes. Whoever has another
-root key is another domain, whatever it is called.
-
-Nodes of foreign domains, as holders of grants: their certificates, verified and recorded.
-
-The foreign authority says who they are, its listed root and the admitted names say how far that
-counts; the grant binds the key. Without a recorded certificate a name of a foreign domain means
-nothing here.
+root key is another domain, whatever it is called. The foreign authority says who its nodes are, its
+listed root and the admitted names say how far that counts; the grant binds the key. Without a
+recorded certificate a foreign name means nothing here.
 """
 
 import contextlib
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 from ca import svid
 from ca.certificates import Identity, from_pem
@@ -27,12 +22,87 @@ from ca.store.record import GrantRow, Store
 from ca.store.signed_statements import DomainRow
 from grants import document
 from grants.policy.model import Subject
-from rossec.authority.grant_operations import MasterCall
-from rossec.authority.home import AuthorityHome
-from rossec.authority.signing import SKEW, SigningAuthority
+from rossec.authority.session import Session
+from rossec.authority.signing import SKEW
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
-from rossec.ros.names import UPDATE_DOMAINS
+
+
+class Removed(NamedTuple):
+    """A domain that is not trusted any more, and the ids of its grants that were revoked."""
+
+    row: DomainRow
+    revoked: frozenset[bytes]
+
+
+class Domains:
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    def card(
+        self, names: tuple[str, ...], masters: tuple[str, ...] = (), lifetime: int = CARD_LIFETIME
+    ) -> bytes:
+        authority, at = self._session.unlock(), self._session.now()
+        root = authority.authority.anchor.certificate
+        return sign_card(authority.signer, Card(root, names, masters, at, at + lifetime))
+
+    def accept(self, domain: ForeignDomain) -> DomainList:
+        authority, at = self._session.unlock(), self._session.now()
+        with authority.store.transaction():
+            authority.store.domains.accept(domain, at)
+            root = domain.anchor.thumbprint
+            former = [row for row in authority.store.domains.labelled(domain.label) if row.root != root]
+            given = living_grants(authority.store, domain.label, at) if former else []
+            if given:
+                last = max(document.peek(row.data).cap for row in given)
+                count = f"{len(given)} grants name" if len(given) > 1 else "a grant names"
+                raise ConfigurationError(
+                    f"{count} {domain.label} and mean{'s' * (len(given) == 1)} {former[-1].domain},"
+                    f" until {format_time(last)}",
+                    f"choose another label, or revoke: rossec grant revoke {given[0].id.hex()[:8]}",
+                )
+            return authority.sign_domains(at)
+
+    def changed(self, label: str, **changes: Any) -> ForeignDomain:
+        # What the terms of a trusted domain would be; see `limit`.
+        with contextlib.closing(self._session.home.store()) as store:
+            return replace(store.domains.get(label).read(), **changes)
+
+    def limit(self, label: str, **changes: Any) -> DomainList:
+        authority, at = self._session.unlock(), self._session.now()
+        with authority.store.transaction():
+            held = authority.store.domains.get(label).read()
+            authority.store.domains.accept(replace(held, **changes), at)
+            return authority.sign_domains(at)
+
+    def remove(self, label: str, reason: str, *, revoke_grants: bool) -> Removed:
+        authority, at = self._session.unlock(), self._session.now()
+        with authority.store.transaction():
+            row = authority.store.domains.end(label, reason, at)
+            given = living_grants(authority.store, label, at) if revoke_grants else []
+            revoked = frozenset(grant.id for grant in given)
+            if revoked:
+                authority.revoke_all(revoked, f"domain {label} was removed", at)
+            authority.sign_domains(at)
+        return Removed(row, revoked)
+
+    def revoke_foreigner(
+        self, alias: str, reason: str, certificate: bytes = b""
+    ) -> tuple[RevocationList, int]:
+        # All that are recorded, or the one in `certificate` (PEM), which is recorded with it. It needs
+        # nothing from the other domain, whose trust may have ended.
+        authority, at = self._session.unlock(), self._session.now()
+        store = authority.store
+        with store.transaction():
+            if certificate:
+                identity, root = verify(store, alias, certificate, at)
+                store.domains.add_certificate(root, identity, at)
+                keys = frozenset({identity.thumbprint})
+            else:
+                label, _ = split(alias)
+                root = find_row(store, label).root
+                keys = unrevoked_keys(store, root, alias)
+            return authority.revoke_all(keys, reason, at), len(keys)
 
 
 def split(alias: str) -> tuple[str, str]:
@@ -102,106 +172,7 @@ def subjects(store: Store, now: int) -> Iterator[Subject]:
                 yield Subject(alias_of(entry.label, name), each.thumbprint)
 
 
-_PUBLISH: Final = (
-    "the list of domains is signed and stored, but takes effect only when the master has it;"
-    " deliver it with: rossec ca publish"
-)
-
-
-class Removed(NamedTuple):
-    """A domain that is not trusted any more, and the ids of its grants that were revoked."""
-
-    row: DomainRow
-    revoked: frozenset[bytes]
-
-
-class DomainOperations(ABC):
-    """The methods of `AuthorityService` about domains; `_now` returns seconds since the epoch."""
-
-    _now: Callable[[], int]
-
-    @property
-    @abstractmethod
-    def home(self) -> AuthorityHome: ...
-
-    @abstractmethod
-    def unlock(self) -> SigningAuthority: ...
-
-    @abstractmethod
-    def deliver(self, call: MasterCall) -> object: ...
-
-    def domain_card(
-        self, names: tuple[str, ...], masters: tuple[str, ...] = (), lifetime: int = CARD_LIFETIME
-    ) -> bytes:
-        authority, at = self.unlock(), self._now()
-        root = authority.authority.anchor.certificate
-        return sign_card(authority.signer, Card(root, names, masters, at, at + lifetime))
-
-    def accept_domain(self, domain: ForeignDomain) -> DomainList:
-        authority, at = self.unlock(), self._now()
-        with authority.store.transaction():
-            authority.store.domains.accept(domain, at)
-            check_label_free(authority.store, domain, at)
-            return authority.sign_domains(at)
-
-    def changed_domain(self, label: str, **changes: Any) -> ForeignDomain:
-        # What the terms of a trusted domain would be; see `limit_domain`.
-        with contextlib.closing(self.home.store()) as store:
-            return replace(store.domains.get(label).read(), **changes)
-
-    def limit_domain(self, label: str, **changes: Any) -> DomainList:
-        authority, at = self.unlock(), self._now()
-        with authority.store.transaction():
-            held = authority.store.domains.get(label).read()
-            authority.store.domains.accept(replace(held, **changes), at)
-            return authority.sign_domains(at)
-
-    def remove_domain(self, label: str, reason: str, *, revoke_grants: bool) -> Removed:
-        authority, at = self.unlock(), self._now()
-        with authority.store.transaction():
-            row = authority.store.domains.end(label, reason, at)
-            given = living_grants(authority.store, label, at) if revoke_grants else []
-            revoked = frozenset(grant.id for grant in given)
-            if revoked:
-                authority.revoke_all(revoked, f"domain {label} was removed", at)
-            authority.sign_domains(at)
-        return Removed(row, revoked)
-
-    def revoke_foreigner(
-        self, alias: str, reason: str, certificate: bytes = b""
-    ) -> tuple[RevocationList, int]:
-        # All that are recorded, or the one in `certificate` (PEM), which is recorded with it. It needs
-        # nothing from the other domain, whose trust may have ended.
-        authority, at = self.unlock(), self._now()
-        store = authority.store
-        with store.transaction():
-            if certificate:
-                identity, root = verify(store, alias, certificate, at)
-                store.domains.add_certificate(root, identity, at)
-                keys = frozenset({identity.thumbprint})
-            else:
-                label, _ = split(alias)
-                root = find_row(store, label).root
-                keys = unrevoked_keys(store, root, alias)
-            return authority.revoke_all(keys, reason, at), len(keys)
-
-    def publish_domains(self) -> bool:
-        home, at = self.home, self._now()
-        found = home.domain_list()
-        if found is None:
-            return False
-        data, listed = found
-        if at >= listed.expires:
-            raise ConfigurationError(
-                f"the list of domains expired {format_time(listed.expires)}",
-                "sign it anew with: rossec ca refresh",
-            )
-        self.deliver(MasterCall(home.node(), UPDATE_DOMAINS, (data,), "the list of domains", _PUBLISH))
-        return True
-
-
 def living_grants(store: Store, label: str, now: int) -> list[GrantRow]:
-    """The grants for nodes of the domain `label` that are not revoked and can be valid yet."""
     return [
         row
         for row in store.unrevoked_grants()
@@ -209,22 +180,6 @@ def living_grants(store: Store, label: str, now: int) -> list[GrantRow]:
         and found[0] == label
         and document.peek(row.data).cap + SKEW >= now
     ]
-
-
-def check_label_free(store: Store, domain: ForeignDomain, now: int) -> None:
-    root = domain.anchor.thumbprint
-    former = [row for row in store.domains.labelled(domain.label) if row.root != root]
-    if not former:
-        return
-    given = living_grants(store, domain.label, now)
-    if given:
-        last = max(document.peek(row.data).cap for row in given)
-        count = f"{len(given)} grants name" if len(given) > 1 else "a grant names"
-        raise ConfigurationError(
-            f"{count} {domain.label} and mean{'s' * (len(given) == 1)} {former[-1].domain},"
-            f" until {format_time(last)}",
-            f"choose another label, or revoke: rossec grant revoke {given[0].id.hex()[:8]}",
-        )
 
 
 def find_row(store: Store, label: str) -> DomainRow:

@@ -1,63 +1,35 @@
-"""A call that the authority has somebody make at the master: what is needed for it, and no more.
-
-How signed grants reach their nodes, as methods of `AuthorityService`.
-
-A node whose directory is in this ROSSEC_HOME gets a file; every other fetches its grants from the
-master, where they are deposited (docs/spec/master.md). No passphrase is needed: the master accepts
-deposits from the authority's own node, and the grants are signed.
-
-What an authority does by its policy, as methods of `AuthorityService`.
-
-Requests are decided and answered, the policy is applied, nodes opt out. What each of these needs is
-imported when it is called: most operations of an authority need no policy.
-"""
+"""What an authority does about grants: signed by hand or by the policy, and brought to their nodes."""
 
 import contextlib
-from abc import ABC, abstractmethod
+import secrets
 from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from ca.errors import HintedError
 from ca.names import is_alias
-from ca.revocation.trust_status import open_statement
+from ca.revocation.lists import RevocationList
 from grants import document
-from grants.model import Draft, Grant
+from grants.model import Draft, Grant, Permission
+from grants.renewal import OpenDelegation, open_delegation
 from grants.request import lasting_name
 from rossec import files
-from rossec.authority.home import AuthorityHome
-from rossec.authority.signing import SKEW, SigningAuthority
+from rossec.authority import domain_operations
+from rossec.authority.session import DEPOSIT_SECONDS, MasterCall, Session
+from rossec.authority.signing import DELEGATIONS, SKEW
 from rossec.errors import ConfigurationError, NotDelivered, PolicyIncomplete
 from rossec.home import NodeHome
 from rossec.peer_limits import printable
+from rossec.ros.names import MASTER
 
 if TYPE_CHECKING:
     from rossec.authority.approvals import ApprovalQueue, Denial, PendingApproval, VerdictChange
     from rossec.authority.policyfile import OptOut, PolicyFile, PolicyPlan
 
 
-class MasterCall(NamedTuple):
-    """A signed statement for the master, or a query: called as `node`, the authority's own.
-
-    `what` names it in errors, `hint` says how to deliver it later, `note` is to be shown if set.
-    `within`: seconds until it fails; None: the usual deadlines. `waits`: the master answers when
-    there is something new, so that a slow answer is no sign of one that is out of reach.
-    """
-
-    node: NodeHome
-    method: str
-    statement: tuple[object, ...]
-    what: str
-    hint: str
-    note: str = ""
-    within: float | None = None
-    waits: bool = False
-
-
 DEPOSIT_LIMIT: Final = 64  # grants in one call: the limit of the master
 DEPOSIT_BYTES: Final = 512 * 1024  # in one call, of which the master takes 1 MiB with its envelope
 STATES_LIMIT: Final = 256
-DEPOSIT_SECONDS: Final = 15.0
 STATES_SECONDS: Final = 3.0  # a list of grants must not wait for a master that is off
 
 DIRECTORY: Final = "outgoing"  # in the authority's directory
@@ -83,32 +55,98 @@ class RefusedDeposit(NamedTuple):
         return f"the master refuses {grant} of {self.node}: {self.reason}"
 
 
-class GrantDelivery(ABC):
-    """The methods of `AuthorityService` that deliver grants; `_now` returns seconds.
+SignedGrant = tuple[Draft, bytes]
 
-    `rossec_home` is ROSSEC_HOME.
+
+class Grants:
+    """Grants signed by hand and delegations; and how signed grants reach their nodes.
+
+    A node whose directory is in this ROSSEC_HOME gets a file; every other fetches its grants from the
+    master, where they are deposited (docs/spec/master.md). No passphrase is needed for that: the master
+    accepts deposits from the authority's own node, and the grants are signed.
     """
 
-    rossec_home: Path
-    _now: Callable[[], int]
+    def __init__(self, session: Session) -> None:
+        self._session = session
 
-    @property
-    @abstractmethod
-    def home(self) -> AuthorityHome: ...
+    def sign(
+        self,
+        node: str,
+        permissions: tuple[Permission, ...],
+        lifetime: int,
+        renewal: int = 0,
+        may_narrow: int = 0,
+        certificate: bytes = b"",
+    ) -> SignedGrant:
+        """Sign a grant for the current key of `node`; the master may renew it for `renewal` s.
 
-    @abstractmethod
-    def deliver(self, call: MasterCall) -> object: ...
+        `node` may be an alias: `certificate` (PEM) names its key, else one recorded before. It is
+        never renewed: no master of this domain is asked by nodes of others.
+        """
+        at = self._session.now()
+        with contextlib.closing(self._session.home.store()) as store:
+            foreign, root = None, b""
+            if is_alias(node) and certificate:
+                foreign, root = domain_operations.verify(store, node, certificate, at)
+                holder = foreign.thumbprint
+            elif is_alias(node):
+                holder = domain_operations.holder(store, node, at)
+            else:
+                holder = store.valid_certificate(node, at).thumbprint
+        authority, at = self._session.unlock(), self._session.now()
+        draft = Draft(
+            domain=authority.domain,
+            subject=node,
+            holder=holder,
+            not_before=at - SKEW,
+            expires=at + lifetime,
+            cap=at + max(lifetime, renewal),
+            serial=secrets.token_bytes(16),
+            permissions=permissions,
+            may_narrow=may_narrow,
+        )
+        if foreign is not None:
+            authority.store.domains.add_certificate(root, foreign, at)
+        return draft, authority.issue_grant(draft, at)
 
-    @abstractmethod
-    def publish(self) -> None: ...
+    def revoke(self, beginning: str, reason: str) -> tuple[RevocationList, bytes]:
+        """Revoke the one grant whose id begins so; returns the list to publish, and the id."""
+        with contextlib.closing(self._session.home.store()) as store:
+            known = [row.id for row in store.grants()]
+        found = [each for each in known if beginning and each.hex().startswith(beginning.lower())]
+        if len(found) != 1:
+            count = "several grants begin" if found else "no grant begins"
+            raise ConfigurationError(f"{count} with {beginning!r}", "see: rossec grant list")
+        return self._session.unlock().revoke(found[0], reason, self._session.now()), found[0]
+
+    def delegate(
+        self, lifetime: int, max_ttl: int, master: str = MASTER
+    ) -> tuple[OpenDelegation, MasterCall]:
+        """Let `master` renew grants: sign the delegation, which is to be delivered to it."""
+        authority, at = self._session.unlock(), self._session.now()
+        holder = authority.store.valid_certificate(master, at).thumbprint
+        data = authority.issue_delegation(holder, lifetime, max_ttl, at)
+        hint = (
+            f"it is signed and stored in {authority.path / DELEGATIONS}; start the master and run this again"
+        )
+        call = MasterCall(self._session.home.node(), "rossec.updateDelegation", (data,), "it", hint)
+        return open_delegation(data, authority.signer.public_key), call
+
+    def deliver_delegation(self, delegation: OpenDelegation, call: MasterCall) -> None:
+        """Deliver what `delegate` returned; from then on grants count as renewed."""
+        self._session.deliver(call)
+        self._session.home.confirm_delegation(delegation.id, self._session.now())
+
+    def revoke_delegations(self, reason: str) -> tuple[RevocationList, int]:
+        return self._session.unlock().revoke_delegations(reason, self._session.now())
 
     @property
     def outgoing(self) -> Path:
-        return self.home.path / DIRECTORY
+        return self._session.home.path / DIRECTORY
 
-    def store_grant(self, data: bytes) -> Path | None:
+    def store(self, data: bytes) -> Path | None:
         grant = document.peek(data)
-        home = NodeHome.of(self.rossec_home, grant.subject)
+        home = NodeHome.of(self._session.rossec_home, grant.subject)
         if not home.path.is_dir():
             return None
         home.add_grant(grant.id, data)
@@ -136,7 +174,7 @@ class GrantDelivery(ABC):
                 files.make_private_directory(self.outgoing)
                 files.replace(self.outgoing / f"{grant.id.hex()}.grant", data, 0o644)
             else:
-                self.store_grant(data)
+                self.store(data)
         except (HintedError, OSError) as error:  # of this node's directory
             reason = printable(getattr(error, "strerror", None) or str(error))
             return RefusedDeposit(grant.id, grant.subject, reason, is_here=True)
@@ -165,26 +203,10 @@ class GrantDelivery(ABC):
             states |= zip((grant_id for grant_id, _ in chunk), answer, strict=True)
         return states
 
-    def master_has_list(self) -> bool:
-        call = MasterCall(
-            self.home.node(),
-            "rossec.revocationStanding",
-            (),
-            "the question for its list",
-            "rossec ca publish",
-            within=DEPOSIT_SECONDS,
-        )
-        answer = self.deliver(call)
-        newest = open_statement(self.home.revocation_list(), self.home.anchor().public_key)
-        if self._now() >= newest.expires:
-            raise ConfigurationError("the revocation list has expired", "rossec ca refresh")
-        epoch, seq = newest.number
-        return isinstance(answer, dict) and answer.get("list") == f"{epoch}.{seq}"
-
     def _ask(self, method: str, items: list[bytes], within: float) -> list[str]:
         what = "the grants" if len(items) != 1 else "the grant"
-        call = MasterCall(self.home.node(), method, (items,), what, LATER, within=within)
-        answer = self.deliver(call)
+        call = MasterCall(self._session.home.node(), method, (items,), what, LATER, within=within)
+        answer = self._session.deliver(call)
         values = answer if isinstance(answer, list) else []
         texts = [item for item in values if isinstance(item, str)]
         if len(texts) != len(items):
@@ -192,8 +214,8 @@ class GrantDelivery(ABC):
         return texts
 
     def _in_force(self) -> Iterator[tuple[Grant, bytes]]:
-        now = self._now()
-        with contextlib.closing(self.home.store()) as store:
+        now = self._session.now()
+        with contextlib.closing(self._session.home.store()) as store:
             rows, revoked = store.grants(), store.revoked_entries()
         for row in rows:
             grant = document.peek(row.data)
@@ -205,9 +227,9 @@ class GrantDelivery(ABC):
         if not refused:
             return []
         try:
-            lacking = not self.master_has_list()
+            lacking = not self._session.master_has_list()
             if lacking:
-                self.publish()
+                self._session.publish()
         except (ConfigurationError, NotDelivered) as error:
             hint = f"{error.hint}; {_AFTERWARDS}" if error.hint else _AFTERWARDS
             return [each._replace(hint=hint) for each in refused]
@@ -247,9 +269,6 @@ def _batches(grants: Iterable[bytes]) -> Iterator[list[bytes]]:
         yield batch
 
 
-SignedGrant = tuple[Draft, bytes]
-
-
 class Decided(NamedTuple):
     grants: list[SignedGrant]
     allowed: int
@@ -257,67 +276,45 @@ class Decided(NamedTuple):
     denied: "list[Denial]"
 
 
-class PolicyOperations(ABC):
-    """The methods of `AuthorityService` that need a policy; `_now` returns seconds since the epoch.
+class PolicyWork:
+    """Requests decided and answered, the policy applied, nodes that opt out.
 
-    `rossec_home` is ROSSEC_HOME.
+    What each of these needs is imported when it is called: most operations of an authority need no policy.
     """
 
-    rossec_home: Path
-    _now: Callable[[], int]
+    def __init__(self, session: Session, grants: Grants) -> None:
+        self._session = session
+        self._grants = grants
 
-    @property
-    @abstractmethod
-    def home(self) -> AuthorityHome: ...
-
-    @abstractmethod
-    def unlock(self) -> SigningAuthority: ...
-
-    @abstractmethod
-    def publish(self) -> None: ...
-
-    @abstractmethod
-    def deposit(self, grants: Iterable[bytes]) -> list[RefusedDeposit]: ...
-
-    @abstractmethod
-    def try_to_store(self, data: bytes) -> "RefusedDeposit | None": ...
-
-    @abstractmethod
-    def deposit_missing(self) -> "tuple[int, list[RefusedDeposit]]":
-        # Deliver the grants in force that the master does not have.
-        ...
-
-    def collect_grant_requests(self, policy: "PolicyFile", given: Iterable[bytes] = ()) -> list[str]:
+    def collect_requests(self, policy: "PolicyFile", given: Iterable[bytes] = ()) -> list[str]:
         with self._queue(policy) as queue:
             for data in given:
                 queue.add_request(data)
             return queue.read_inbox()
 
-    def pending_grants(self, policy: "PolicyFile") -> "list[PendingApproval]":
+    def pending(self, policy: "PolicyFile") -> "list[PendingApproval]":
         with self._queue(policy) as queue:
             return [item for item in queue.pending() if not item.is_allowed]
 
-    def decide_grants(self, policy: "PolicyFile") -> Decided:
+    def decide(self, policy: "PolicyFile") -> Decided:
         # One that no grant can have is denied, and keeps no other from its answer.
         with self._queue(policy) as queue:
             pending, grants, refused = queue.pending(), list[SignedGrant](), list["Denial"]()
             allowed = [item for item in pending if item.is_allowed]
             if allowed:
                 policy.require_tests()
-                grants, refused = queue.sign_each(self.unlock(), allowed, "policy")
+                grants, refused = queue.sign_each(self._session.unlock(), allowed, "policy")
             waiting = len(pending) - len(allowed)
             denied = [*queue.denied, *refused]
             return Decided(grants, len(allowed) - len(refused), waiting, denied)
 
-    def approve_grants(
-        self, policy: "PolicyFile", beginning: str, change: "VerdictChange"
-    ) -> list[SignedGrant]:
+    def approve(self, policy: "PolicyFile", beginning: str, change: "VerdictChange") -> list[SignedGrant]:
         # Approve the one pending request whose id begins so, and sign its grants.
         with self._queue(policy) as queue:
             chosen = queue.chosen(beginning)
-            return queue.sign(self.unlock(), chosen, change, "a person")
+            return queue.sign(self._session.unlock(), chosen, change, "a person")
 
-    def deny_grants(self, policy: "PolicyFile", beginning: str) -> "list[PendingApproval]":
+    def deny(self, policy: "PolicyFile", beginning: str) -> "list[PendingApproval]":
         # Deny the pending request whose id begins so; returns the rights that were denied.
         with self._queue(policy) as queue:
             chosen = queue.chosen(beginning)
@@ -329,25 +326,25 @@ class PolicyOperations(ABC):
         # An anonymous node is denied with all others of its identity: a rule tells them not apart.
         from rossec.authority.policyfile import add_denial  # noqa: PLC0415 - see above
 
-        with contextlib.closing(self.home.store()) as store:
+        with contextlib.closing(self._session.home.store()) as store:
             known = name in {row.name for row in store.identities.all()}
-            certified = store.identities.certified_name(name, self._now())
+            certified = store.identities.certified_name(name, self._session.now())
         if certified != name and (is_node or lasting_name(name) != name):
             name, is_node = certified, True
-        self.unlock()
-        return add_denial(policy, name, self._now(), is_node=is_node or known)
+        self._session.unlock()
+        return add_denial(policy, name, self._session.now(), is_node=is_node or known)
 
     def revoke_opted_out(self, opted_out: "OptOut") -> list[tuple[Grant, bytes | None]]:
         from rossec.authority.policyfile import revoke_shown  # noqa: PLC0415 - see above
 
-        return revoke_shown(self.unlock(), opted_out, self._now())
+        return revoke_shown(self._session.unlock(), opted_out, self._session.now())
 
     def _queue(self, policy: "PolicyFile") -> "contextlib.closing[ApprovalQueue]":
         from rossec.authority.approvals import ApprovalQueue  # noqa: PLC0415 - see above
 
-        return contextlib.closing(ApprovalQueue(self.home, policy, self._now()))
+        return contextlib.closing(ApprovalQueue(self._session.home, policy, self._session.now()))
 
-    def plan_policy(
+    def plan(
         self,
         policy: "PolicyFile",
         names: Collection[str] | None = None,
@@ -360,46 +357,49 @@ class PolicyOperations(ABC):
         from rossec.authority.policyfile import PlanOptions, make_plan  # noqa: PLC0415 - see above
 
         policy.require_tests()
-        with contextlib.closing(self.home.store()) as store:
-            at = self._now()
-            until = self.home.renewed_until(at)
+        with contextlib.closing(self._session.home.store()) as store:
+            at = self._session.now()
+            until = self._session.home.renewed_until(at)
             moment = Moment(at, SKEW, renews=at < until, renew_due=renew_due, renewed_until=until or None)
             return make_plan(store, policy, PlanOptions(names, prune), moment)
 
     def grant_outright(self, *names: str, place: Path | None = None) -> list[SignedGrant]:
-        # `place`: of its file; None: the usual one. What it no longer allows waits for `apply_policy`.
+        # `place`: of its file; None: the usual one. What it no longer allows waits for `apply`.
         from rossec.authority import policyfile  # noqa: PLC0415 - see above
 
-        if self.home.is_intermediate or not policyfile.place(self.rossec_home, place).exists():
+        if (
+            self._session.home.is_intermediate
+            or not policyfile.place(self._session.rossec_home, place).exists()
+        ):
             return []
-        policy = policyfile.read_policy(self.rossec_home, place, signs=True)
+        policy = policyfile.read_policy(self._session.rossec_home, place, signs=True)
         policy.require_tests()
-        at = self._now()
-        until = self.home.renewed_until(at)
-        return policyfile.grant_outright(self.unlock(), policy, names, at, renewed_until=until or None)
+        at = self._session.now()
+        until = self._session.home.renewed_until(at)
+        return policyfile.grant_outright(
+            self._session.unlock(), policy, names, at, renewed_until=until or None
+        )
 
-    def apply_policy(
-        self, plan: "PolicyPlan", report: Callable[[str], None] = lambda _: None
-    ) -> list[SignedGrant]:
+    def apply(self, plan: "PolicyPlan", report: Callable[[str], None] = lambda _: None) -> list[SignedGrant]:
         # `report` is called with each step that was done. Returns the new grants.
 
         from rossec.authority import policyfile  # noqa: PLC0415 - see above
 
-        authority, failed = self.unlock(), list[HintedError | OSError]()
-        listed, left = policyfile.take_away(authority, plan, self._now())
+        authority, failed = self._session.unlock(), list[HintedError | OSError]()
+        listed, left = policyfile.take_away(authority, plan, self._session.now())
         if listed is not None:
             report(f"revoked: {len(plan.taken)} (list {listed.seq})")
             self._publish_new(report, failed)
-        signed, left = policyfile.sign_each(authority, left, self._now())
+        signed, left = policyfile.sign_each(authority, left, self._session.now())
         if signed:
             report(f"signed: {len(signed)}")
         refused = self._deliver_new(signed, left, failed)
-        listed = policyfile.revoke_planned(authority, left, self._now())
+        listed = policyfile.revoke_planned(authority, left, self._session.now())
         if listed is not None:
             report(f"revoked: {len(left.revoke)} (list {listed.seq})")
             self._publish_new(report, failed)
         if refused and plan.revoke and not failed:  # there may be room for them now
-            refused = self.deposit_missing()[1]
+            refused = self._grants.deposit_missing()[1]
         for each in refused:
             report(each.say("a grant"))
         for reason in left.refused:
@@ -413,18 +413,18 @@ class PolicyOperations(ABC):
     def _publish_new(self, report: Callable[[str], None], failed: list[HintedError | OSError]) -> None:
         # Deliver the list; a failure is kept, since what comes after it does not need it.
         try:
-            self.publish()
+            self._session.publish()
         except (HintedError, OSError) as error:
             failed.append(error)
         else:
             report("the master has the new list")
 
-    def complete_policy(self) -> None:
-        with contextlib.closing(self.home.store()) as store:
+    def complete(self) -> None:
+        with contextlib.closing(self._session.home.store()) as store:
             ours, revoked = store.policy_grants().keys(), store.revoked_entries()
         refused = self._deposit_all() if ours else []
         if not revoked.isdisjoint(ours):
-            self.publish()
+            self._session.publish()
         require_delivered(refused)
 
     def _deliver_new(
@@ -436,9 +436,9 @@ class PolicyOperations(ABC):
         try:
             if plan.revoke:
                 return self._deposit_all()
-            return self.deposit(data for _, data in signed)
+            return self._grants.deposit(data for _, data in signed)
         except NotDelivered as error:
-            homes = (NodeHome.of(self.rossec_home, draft.subject) for draft, _ in signed)
+            homes = (NodeHome.of(self._session.rossec_home, draft.subject) for draft, _ in signed)
             if not all(home.path.is_dir() for home in homes):
                 failed.append(error)
         except (HintedError, OSError) as error:  # a full disk, or an expired identity of /ca
@@ -446,19 +446,18 @@ class PolicyOperations(ABC):
         return []
 
     def _deposit_all(self) -> list[RefusedDeposit]:
-        with contextlib.closing(self.home.store()) as store:
+        with contextlib.closing(self._session.home.store()) as store:
             rules, rows = store.policy_grants(), store.unrevoked_grants()
         refused = []
         for row in rows:
-            home = NodeHome.of(self.rossec_home, row.name)
+            home = NodeHome.of(self._session.rossec_home, row.name)
             lacks = home.path.is_dir() and not home.grant_file(row.id).exists()
-            if lacks and row.id in rules and self._now() < row.expires:
-                refused.append(self.try_to_store(row.data))
-        return [each for each in refused if each is not None] + self.deposit_missing()[1]
+            if lacks and row.id in rules and self._session.now() < row.expires:
+                refused.append(self._grants.try_to_store(row.data))
+        return [each for each in refused if each is not None] + self._grants.deposit_missing()[1]
 
 
 def require_complete(plan: "PolicyPlan") -> None:
-    """Return if all that the policy allows can be in grants."""
     if plan.refused:
         more = len(plan.refused) - 1
         rest = f" (and {more} more)" if more else ""

@@ -1,14 +1,9 @@
-"""The directory of an authority: its key, its certificate, its record; `signing` signs.
+"""The directory of an authority: its key, its certificate, its record, its own node; `signing` signs.
 
-The PKCS#11 modules that the operator of a ROSSEC_HOME trusts: code that rossec loads.
-
-The URI of a key names a module too, but it is in `ca/`, which a backup fills: whoever made that
-would name the code that is run to verify it. So a module is loaded only if it is in
-`pkcs11-modules`, one absolute path a line, beside `ca/`, where nothing that is restored is written.
-`rossec ca init --key` and `rossec ca restore --pkcs11-module` write it there. A home of an older
-version has no such file: it was made here, unless its log says that it was restored.
-
-A node of the authority's own host: enrolled in place, without a request to carry.
+The URI of a key in a token names a PKCS#11 module, code that is loaded, but it is in `ca/`, which a
+backup fills: whoever made that would name the code that is run to verify it. So a module is loaded
+only if it is in `pkcs11-modules`, one absolute path a line, beside `ca/`, where nothing that is
+restored is written. `rossec ca init --key` and `rossec ca restore --pkcs11-module` write it there.
 """
 
 import contextlib
@@ -118,14 +113,11 @@ OWN_LIFETIME: Final = 366 * 86400
 
 
 class AuthorityHome:
-    """The directory of the authority: its key, its certificate, its record."""
-
     def __init__(self, path: Path) -> None:
         self.path = path
 
     @classmethod
     def at(cls, home: Path) -> Self:
-        """The authority below ROSSEC_HOME."""
         path = home / "ca"
         if not (path / "ca.pem").exists():
             raise ConfigurationError(f"there is no authority in {home}", environment.missing_authority(home))
@@ -133,7 +125,6 @@ class AuthorityHome:
 
     @staticmethod
     def check_new(home: Path) -> Path:
-        """The directory of a new authority below ROSSEC_HOME."""
         path = home / "ca"
         if path.exists():
             raise ConfigurationError(
@@ -175,7 +166,6 @@ class AuthorityHome:
         return self.anchor().domain
 
     def anchor(self) -> TrustAnchor:
-        """Its certificate, as nodes trust it."""
         data = files.read_own(self.path / "ca.pem", _SIZE_LIMIT, ConfigurationError("no ca.pem"))
         (der,) = from_pem(data)
         return TrustAnchor.load(der)
@@ -187,11 +177,9 @@ class AuthorityHome:
         return NodeHome(self.path / NODE, OWN_NODE)
 
     def unlock(self, passphrase: str) -> SigningAuthority:
-        """Load the key."""
         return self.open(self.load_key(passphrase))
 
     def open(self, signer: Signer) -> SigningAuthority:
-        """The authority with `signer`, its key."""
         authority = Authority(signer, self.anchor().certificate, self.intermediate())
         return SigningAuthority(authority, self.store(), self.path)
 
@@ -208,7 +196,6 @@ class AuthorityHome:
         return TokenSigner.open(require(uri, known, home), secret)
 
     def key_uri(self) -> KeyUri | None:
-        """Where the key is, if it is in a token."""
         path = self.path / KEY_URI
         if not path.exists():
             return None
@@ -241,7 +228,6 @@ class AuthorityHome:
         return der
 
     def revocation_list(self) -> bytes:
-        """The newest signed list."""
         data = self.store().newest_list()
         if data is None:
             raise ConfigurationError("no revocation list was signed yet", "next: rossec ca refresh")
@@ -310,7 +296,6 @@ def _build(path: Path, signer: Signer, root: bytes, now: int) -> None:
 
 
 def fingerprint(anchor: TrustAnchor) -> str:
-    """The fingerprint of an authority, to compare out of band."""
     return format_fingerprint(anchor.thumbprint)
 
 

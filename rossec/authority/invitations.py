@@ -1,16 +1,10 @@
-"""Invitations of an authority: made, listed and ended. Making one needs no key: it is a record.
+"""Invitations, and the nodes that join by one: what the process that has the authority's key decides.
 
 The code exists only where it is printed. What is recorded is the public half of the key in it, so
-neither the record nor a backup lets anybody join. `joining` decides what is asked by it.
-
-Nodes that join by an invitation: what the process that has the authority's key decides.
+neither the record nor a backup lets anybody join, and making one needs no key of the authority.
 
 The proof is verified first, over hashes: a stranger's request is not parsed. Then one transaction
-decides by the record and changes it: a use is taken, the request approved and its identity recorded
-together, or nothing is. The same request gets the same answer. A name that was certified for
-another key before is not new: it waits for a person, like every request of `rossec ca requests`; so
-does one that shares names with such a one through a wildcard tail, and at an intermediate every
-name that it has not certified itself, as the root's record is elsewhere.
+decides by the record and changes it, or nothing is done. The same request gets the same answer.
 """
 
 import secrets
@@ -149,6 +143,8 @@ def _repeated(row: RequestRow) -> JoinAnswer:
     return Refused(RefuseReason.DENIED)
 
 
+# A name that was certified for another key before is not new, nor is one that shares names with such a one
+# through a wildcard.
 def _needs_person(authority: SigningAuthority, asked: IdentityRequest, now: int) -> bool:
     store, name, key = authority.store, asked.name, asked.thumbprint
 
@@ -232,7 +228,6 @@ def check_invitation(pattern: str, *, wildcard: bool) -> None:
 def make_invitation(
     home: AuthorityHome, pattern: str, uses: int, expires: int, address: str, now: int, *, wildcard: bool
 ) -> tuple[InvitationCode, InvitationRow]:
-    """A new code, and the row that has to be recorded before it is shown."""
     root = sha256(home.anchor().certificate).digest()
     secret = secrets.token_bytes(SECRET_SIZE)
     code = InvitationCode(root, secret, expires, address, pattern, wildcard=wildcard)
@@ -240,13 +235,11 @@ def make_invitation(
 
 
 def invitations(store: Store) -> list[InvitationStatus]:
-    """Every invitation, oldest first."""
     table = store.invitations
     return [InvitationStatus(row, table.uses(row.id), table.ended(row.id)) for row in table.all()]
 
 
 def find(store: Store, beginning: str) -> InvitationStatus:
-    """The one invitation whose id begins so."""
     given = beginning.lower()
     found = [each for each in invitations(store) if given and each.row.id.hex().startswith(given)]
     if len(found) != 1:

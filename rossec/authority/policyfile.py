@@ -1,27 +1,14 @@
-"""The policy file of an authority, read with the message types known on this host.
+"""The policy file of an authority, the plan to put it in force, and the plan carried out.
 
-It adds I/O to `grants.policy.read`. By default the file is `policy.yaml` next to the authority's
-key; without a file there is no policy, and it permits nothing.
+Without a file there is no policy, and it permits nothing. A plan changes nothing; the record is the
+authority's own, so its grants are read without verifying their signatures again. `/ca` and
+`/master` act by their identity and get none; the grants of other keys only lose what the policy no
+longer allows.
 
-The plan to put a policy in force: for each node, what to sign and revoke. Changes nothing.
-
-The record is the authority's own, so its grants are read without verifying their signatures again.
-The wanted state is that of the nodes with a valid identity; `/ca` and `/master` act by their
-identity and get none. The grants of other keys only lose what the policy no longer allows.
-
-A plan carried out: what is only taken away goes first; then what is new is signed, and what that
-replaces goes, so that no node is without what it keeps.
-
-Each step is one transaction. Where it is cut off between the last two, nodes have the new grants
-and the old ones, the next plan finds the new ones exact, and what is left is to revoke the old.
-A plan made from another record, or by another policy, than there is now does nothing. Where the
-grants of one node cannot be signed, those of the others are, and what it may not have goes.
-
-Opting out: deny a topic to all nodes, or all topics to a node, and revoke what shows them.
-
-The policy is changed first. The grants are then revoked with the record locked: a decision by the
-old policy is signed already, or cannot be (`ApprovalQueue.sign`). What else they allowed is granted
-anew, with the same times.
+Carried out, what is only taken away goes first; then what is new is signed, and what that replaces
+goes, so that no node is without what it keeps. Each step is one transaction: cut off between the
+last two, the next plan finds the new ones exact, and what is left is to revoke the old. A plan made
+from another record, or by another policy, than there is now does nothing.
 """
 
 import secrets
@@ -64,8 +51,6 @@ OWNED: Final = (files.Owned(r"policy\.yaml", stays=True),)
 
 @dataclass(frozen=True)
 class PolicyFile:
-    """A policy with its text and its path."""
-
     path: Path
     text: str
     policy: Policy
@@ -95,7 +80,6 @@ class PolicyFile:
         return PolicyFile(self.path, text, policy)
 
     def check_unchanged(self) -> None:
-        """Return if the file still has the text that was read."""
         gone = ConfigurationError(f"{self.path} is gone, nothing was done", "write a policy first")
         if files.read(self.path, MAX_SIZE, gone) != self.text.encode():
             raise ConfigurationError(
@@ -104,7 +88,6 @@ class PolicyFile:
             )
 
     def require_tests(self) -> None:
-        """Return if every test in the policy holds."""
         from grants.policy.assertion_check import require_tests  # noqa: PLC0415 - few need it
 
         if self.policy.tests:
@@ -128,7 +111,6 @@ def read_policy(home: Path, given: Path | None, *, signs: bool = False) -> Polic
 
 
 def parse_policy(text: str, file: str) -> Policy:
-    """Read a policy with the message types known here."""
     return load(text, definition_of, file=file, known_types=type_names())
 
 
@@ -142,9 +124,8 @@ _OVER: Final = "apply it in parts (--node NAME), or wait until revoked grants ha
 class PlanOptions:
     """What is asked of a plan.
 
-    Args:
-        names: only these nodes; None for all.
-        prune: revoke grants made by hand against a denial; what else they allow is granted anew.
+    `names`: only these nodes; None for all. `prune`: revoke grants made by hand against a denial;
+    what else they allow is granted anew.
     """
 
     names: Collection[str] | None = None
@@ -155,10 +136,9 @@ class PlanOptions:
 class PolicyPlan:
     """What applying a policy would do.
 
-    Args:
-        pruned: grants made by hand that go, each with what it allows and the policy does not deny.
-        entries: of the log of the record from which it was made.
-        listed: the number of entries of the revocation list afterwards; 0 if nothing is revoked.
+    `pruned`: grants made by hand that go, each with what it allows and the policy does not deny.
+    `entries`: of the log of the record from which it was made. `listed`: the number of entries of
+    the revocation list afterwards; 0 if nothing is revoked.
     """
 
     policy: PolicyFile
@@ -175,7 +155,6 @@ class PolicyPlan:
 
     @property
     def signs(self) -> int:
-        """The number of grants to sign."""
         return sum(len(node.sign) for node in self.nodes) + sum(1 for _, left in self.pruned if left)
 
     @property
@@ -192,7 +171,6 @@ class PolicyPlan:
         return tuple(grant for node in self.nodes for grant in node.taken)
 
     def without(self, taken: Iterable[Grant], entries: int) -> "PolicyPlan":
-        """What is left to do when `taken` are revoked, and the log of the record has `entries`."""
         gone = {grant.id for grant in taken}
         nodes = tuple(
             replace(node, revoke=tuple(each for each in node.revoke if each.id not in gone))
@@ -343,18 +321,15 @@ def _draft(
 
 
 def sign_planned(authority: SigningAuthority, plan: PolicyPlan, now: int) -> list[tuple[Draft, bytes]]:
-    """Sign and record the grants of a plan, all or none."""
-    drafts = list(plan.drafts(authority.domain, now, lambda: secrets.token_bytes(ID_SIZE)))
-    if not drafts:
-        plan.policy.check_unchanged()  # what it revokes is to be what this policy denies
-        return []
 
     def check() -> None:
         plan.policy.check_unchanged()
         check_record(authority, plan)
 
-    signed = authority.issue_grants(drafts, now, check)
-    return [(draft, data) for (draft, _), data in zip(drafts, signed, strict=True)]
+    signed = _sign(authority, plan, now, check)
+    if not signed:
+        plan.policy.check_unchanged()  # what it revokes is to be what this policy denies
+    return signed
 
 
 def take_away(
@@ -388,7 +363,8 @@ def sign_each(
     nodes, pruned = [], []
     for node in plan.nodes:
         try:
-            signed += _sign_alone(authority, replace(plan, nodes=(node,), pruned=()), now)
+            alone = replace(plan, nodes=(node,), pruned=())
+            signed += _sign(authority, alone, now, plan.policy.check_unchanged)
         except OF_ALL:
             raise
         except HintedError as error:
@@ -397,24 +373,26 @@ def sign_each(
     for grant, left in plan.pruned:
         try:
             alone = replace(plan, nodes=(), pruned=((grant, left),))
-            signed += _sign_alone(authority, alone, now)
+            signed += _sign(authority, alone, now, plan.policy.check_unchanged)
         except OF_ALL:
             raise
         except HintedError as error:
-            at = next(at for at, node in enumerate(nodes) if grant in _contradicting(node))
+            at = next(
+                at
+                for at, node in enumerate(nodes)
+                if any(grant == each.grant for each in node.contradictions)
+            )
             nodes[at] = replace(nodes[at], refused=(*nodes[at].refused, f"{grant.subject}: {error}"))
             left = ()  # noqa: PLW2901 - it goes all the same
         pruned.append((grant, left))
     return signed, replace(plan, nodes=tuple(nodes), pruned=tuple(pruned))
 
 
-def _contradicting(node: NodeDifference) -> list[Grant]:
-    return [each.grant for each in node.contradictions]
-
-
-def _sign_alone(authority: SigningAuthority, plan: PolicyPlan, now: int) -> list[tuple[Draft, bytes]]:
+def _sign(
+    authority: SigningAuthority, plan: PolicyPlan, now: int, check: Callable[[], None]
+) -> list[tuple[Draft, bytes]]:
     drafts = list(plan.drafts(authority.domain, now, lambda: secrets.token_bytes(ID_SIZE)))
-    signed = authority.issue_grants(drafts, now, plan.policy.check_unchanged) if drafts else []
+    signed = authority.issue_grants(drafts, now, check) if drafts else []
     return [(draft, data) for (draft, _), data in zip(drafts, signed, strict=True)]
 
 
@@ -439,7 +417,6 @@ def grant_outright(
 
 
 def check_record(authority: SigningAuthority, plan: PolicyPlan) -> None:
-    """Return if a plan made now would do the same."""
     if authority.store.log.head(0).size == plan.entries:
         return
     again = make_plan(authority.store, plan.policy, plan.options, plan.moment)
@@ -451,7 +428,6 @@ def check_record(authority: SigningAuthority, plan: PolicyPlan) -> None:
 
 
 def revoke_planned(authority: SigningAuthority, plan: PolicyPlan, now: int) -> RevocationList | None:
-    """Revoke what goes, and sign the list; None if nothing goes."""
     gone = frozenset(grant.id for grant in plan.revoke)
     if not gone:
         return None
@@ -463,6 +439,9 @@ def _reason(plan: PolicyPlan) -> str:
 
 
 class OptOut(NamedTuple):
+    # The policy is changed first. The grants are then revoked with the record locked: a decision by the old
+    # policy is signed already, or cannot be (`ApprovalQueue.sign`). What else they allowed is granted anew.
+
     policy: PolicyFile
     rule: str
     name: str

@@ -1,13 +1,9 @@
 """Successors, signed and recorded: of identities, of the authority's own node, and intermediates.
 
-A node signs the request with its old key (`ca.certificates`) and gets one answer per request, and no
-further certificate while the newest one is not due; an operator renews by name, for the current key
-of the name. The old identity is looked up in the transaction that records the successor: a key that
-is revoked meanwhile gets none.
-
-Set up an intermediate on its host: a key and a request first, then what the root signed.
-
-Until the root has signed, the directory has no `ca.pem` and is not an authority yet.
+A node signs the request with its old key (`ca.certificates`) and gets one answer per request, and
+no further certificate while the newest one is not due; an operator renews by name, for the current
+key of the name. The old identity is looked up in the transaction that records the successor: a key
+that is revoked meanwhile gets none.
 """
 
 import contextlib
@@ -125,20 +121,18 @@ def renew_by_name(
     authority.refresh_list(now)
     with authority.store.transaction():
         held = authority.store.renewable_certificate(name, now, expired=expired)
-        identity = _identity(authority, held, min(now, held.not_after))
+        at, signer = min(now, held.not_after), authority.store.identities.issuer(held)
+        identity = (
+            authority.verify(held.der, at)
+            if signer is None
+            else authority.authority.anchor.verify([held.der, signer.der], at)
+        )
         der = authority.authority.reissue(
             identity, identity.public_key, now=now, serial=_serial(), lifetime=lifetime
         )
         row = certificate_row(authority.verify(der, now))
         authority.store.add_certificate(row, now, renews=held.thumbprint)
     return authority.bundle(der)
-
-
-def _identity(authority: SigningAuthority, row: CertificateRow, now: int) -> Identity:
-    signer = authority.store.identities.issuer(row)
-    if signer is None:
-        return authority.verify(row.der, now)
-    return authority.authority.anchor.verify([row.der, signer.der], now)
 
 
 def renew_own_node(authority: SigningAuthority, now: int) -> int:
@@ -186,7 +180,15 @@ def import_identity(
         )
     store, row = authority.store, certificate_row(identity)
     with store.transaction():
-        _check_issuers(store, identity)
+        # Its intermediate was signed by this root, and is not revoked.
+        made = {row.thumbprint for row in store.identities.all() if row.name.startswith(INTERMEDIATE)}
+        for issuer in identity.issuers:
+            store.identities.check_not_revoked(f"the intermediate of {identity.name}", issuer)
+            if issuer not in made:
+                raise StoreError(
+                    f"the intermediate of {identity.name} is not in this record",
+                    "was the record restored from an older backup? make a new intermediate",
+                )
         if any(
             known.thumbprint == row.thumbprint and known.not_after >= row.not_after
             for known in store.identities.valid(row.name, now)
@@ -199,18 +201,6 @@ def import_identity(
         store.log_event("imported", row.name, f"{row.serial:x}", now)
         authority.refresh_list(now)
     return identity, True
-
-
-def _check_issuers(store: Store, identity: Identity) -> None:
-    # Check that its intermediate was signed by this root and is not revoked.
-    made = {row.thumbprint for row in store.identities.all() if row.name.startswith(INTERMEDIATE)}
-    for issuer in identity.issuers:
-        store.identities.check_not_revoked(f"the intermediate of {identity.name}", issuer)
-        if issuer not in made:
-            raise StoreError(
-                f"the intermediate of {identity.name} is not in this record",
-                "was the record restored from an older backup? make a new intermediate",
-            )
 
 
 def _check_in_record(authority: SigningAuthority) -> Callable[[bytes, int], None]:
@@ -249,9 +239,16 @@ def begin(home: Path, domain: str, passphrase: str) -> Path:
 
 def install(home: Path, bundle: bytes, passphrase: str, now: int) -> Intermediate:
     path = home / "ca"
-    der, root = _split(bundle)
+    match from_pem(bundle):
+        case (der, root):
+            pass
+        case found:
+            raise ConfigurationError(
+                f"a bundle of {len(found)} certificates where two are expected",
+                "take the file `rossec ca intermediate sign` wrote",
+            )
     anchor = TrustAnchor.load(root)
-    found = anchor.check_intermediate(der, now)
+    made = anchor.check_intermediate(der, now)
     signer = KeySigner(private_keys.load_private(path / "ca.key", passphrase))
     Authority(signer, root, der)
     if (path / "ca.pem").exists() and AuthorityHome(path).anchor().thumbprint != anchor.thumbprint:
@@ -263,16 +260,5 @@ def install(home: Path, bundle: bytes, passphrase: str, now: int) -> Intermediat
     files.replace(path / "intermediate.pem", to_pem(der), 0o644)
     files.replace(path / "ca.pem", to_pem(root), 0o644)
     with contextlib.closing(Store.open(path / "ca.db")) as store:
-        store.log_event("installed", "intermediate", found.thumbprint.hex(), now)
-    return found
-
-
-def _split(bundle: bytes) -> tuple[bytes, bytes]:
-    match from_pem(bundle):
-        case (der, root):
-            return der, root
-        case found:
-            raise ConfigurationError(
-                f"a bundle of {len(found)} certificates where two are expected",
-                "take the file `rossec ca intermediate sign` wrote",
-            )
+        store.log_event("installed", "intermediate", made.thumbprint.hex(), now)
+    return made

@@ -23,8 +23,6 @@ MAX_INBOX: Final = 256  # files read at once
 
 
 class StoredRequest(NamedTuple):
-    """One requested right in the record, not answered yet."""
-
     request: GrantRequest
     at: int
     requested: RequestedRight
@@ -42,21 +40,16 @@ class StoredAnswer(NamedTuple):
 
 
 class GrantRequestStore:
-    """The grant requests in one record."""
-
     def __init__(self, database: Database) -> None:
-        """Use the record in `database`, so that an answer shares a transaction with its grants."""
         self._database = database
 
     def add(self, request: GrantRequest, data: bytes, now: int) -> None:
-        """Record a verified request."""
         with self._transaction() as db:
             row = (request.id, request.node, data, now)
             db.execute("INSERT INTO grant_request VALUES (?, ?, ?, ?)", row)
             append_entry(db, now, "grant request", request.node, request.id.hex(), digest_of(row))
 
     def answer(self, stored: StoredRequest, answer: str, reason: str, now: int) -> None:
-        """Record the answer to one requested right."""
         with self._transaction() as db:
             requested = stored.requested
             row = (stored.request.id, int(requested.right), requested.pattern, answer, reason, now)
@@ -65,7 +58,6 @@ class GrantRequestStore:
             append_entry(db, now, "decision", stored.request.node, detail, digest_of(row))
 
     def unanswered(self) -> list[StoredRequest]:
-        """Every requested right without an answer, oldest first."""
         answered = set(self._database.rows("SELECT request, right, pattern FROM decision"))
         rows = self._database.rows("SELECT data, at FROM grant_request ORDER BY rowid")
         requests = [(peek_request(data), at) for data, at in rows]
@@ -77,7 +69,6 @@ class GrantRequestStore:
         ]
 
     def answers(self) -> list[StoredAnswer]:
-        """Every answer, oldest first."""
         rows = self._database.rows("SELECT data, at FROM grant_request")
         requests = {found.id: (found, at) for found, at in ((peek_request(data), at) for data, at in rows)}
         return [

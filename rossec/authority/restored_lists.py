@@ -39,10 +39,8 @@ NEWER: Final = "from a list newer than the backup"
 class NewerLists:
     """What is known to be newer than a record.
 
-    Args:
-        revoked: entries that are revoked.
-        domains: the foreign domains that are trusted.
-        epoch, domains_epoch: the last that lists are known to have.
+    `revoked`: entries that are revoked. `domains`: the foreign domains that are trusted. `epoch`,
+    `domains_epoch`: the last that lists are known to have.
     """
 
     revoked: frozenset[bytes] = frozenset()

@@ -2,28 +2,14 @@
 
 Everything is recorded before it is delivered. Two commands may run at the same time: decisions by
 the record (a list number, the valid identities, the entries of a list) are made, signed and
-recorded in one transaction, and so is a revocation with its list.
-
-What an authority grants at all: rights on names of its own domain, and tails to who has them.
-
-The entries that the signed revocation list must have, and those that the newest one lacks.
-
-They are computed from the record: everything revoked that could still be valid. A list is outdated
-when it lacks one of these entries; their order does not matter. A tree does not contain its
-entries; they are those of the record if they give the signed root.
-
-The list of domains that the record calls for, and whether the newest one still is that.
-
-It has the trusted foreign domains whose time is not over, and the keys of all valid identities with
-a master's name. An authority without foreign domains and with one master signs none: its nodes then
-work as they did before there were such lists. Once one was signed, there always is one.
-
-What the record says of things, as the authority's decisions need it.
+recorded in one transaction, and so is a revocation with its list. What a list must have is computed
+from the record: everything revoked that could still be valid.
 
 A border router has the keys of the nodes that stand for its things. So where a router, or the node
 of a thing, loses its key, what depended on it ends in the same list.
 """
 
+import contextlib
 import secrets
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -49,7 +35,6 @@ from ca.keys.signing import Signer, to_coordinates
 from ca.names import check_name, is_alias, shown
 from ca.revocation.lists import MAX_ENTRIES, RevocationList, RevocationTree, TreeEntries, sign_list, sign_tree
 from ca.revocation.trust_status import open_statement
-from ca.store.record import CertificateRow as record_CertificateRow
 from ca.store.record import GrantRow, Store
 from ca.store.signed_statements import ThingRow
 from ca.store.values import INTERMEDIATE, CertificateRow, RequestState, sign_head
@@ -121,27 +106,22 @@ def missing_entries(store: Store, key: ec.EllipticCurvePublicKey, now: int) -> f
     """
     with store.database.read_transaction():
         data = store.newest_list()
-        statement = None if data is None else open_statement(data, key)
-        return required_entries(store, now) - _listed_entries(store, statement)
+        listed = frozenset[bytes]()
+        match None if data is None else open_statement(data, key):
+            case RevocationList(entries=entries):
+                listed = entries
+            case RevocationTree() as tree:  # it does not contain them: they are those of the record, or not
+                with contextlib.suppress(RevocationRefused):
+                    listed = tree_entries(store, tree).entries
+            case None:
+                pass
+        return required_entries(store, now) - listed
 
 
 def tree_entries(store: Store, tree: RevocationTree) -> TreeEntries:
     listing = TreeEntries(required_entries(store, tree.issued))
     listing.check(tree)
     return listing
-
-
-def _listed_entries(store: Store, statement: RevocationList | RevocationTree | None) -> frozenset[bytes]:
-    match statement:
-        case RevocationList(entries=entries):
-            return entries
-        case RevocationTree():
-            try:
-                return tree_entries(store, statement).entries
-            except RevocationRefused:
-                return frozenset()
-        case _:
-            return frozenset()
 
 
 DOMAIN_LIST_LIFETIME: Final = 90 * 86400
@@ -158,6 +138,8 @@ def required_masters(store: Store, now: int) -> tuple[bytes, ...]:
     return tuple(sorted({to_coordinates(svid.key_of(svid.parse(row.der))) for row in rows}))
 
 
+# An authority without foreign domains and with one master signs none; once one was signed, there always is
+# one.
 def is_domain_list_due(store: Store, anchor: TrustAnchor, now: int) -> bool:
     """Whether a list has to be signed: there is none, or it is old, or it says something else."""
     with store.database.read_transaction():
@@ -208,14 +190,9 @@ def states(store: Store, now: int) -> list[ThingState]:
     with store.database.read_transaction():
         rows, revoked = store.things.all(), store.revoked_entries()
         newest = {row.name: row.id for row in store.things.in_force(now)}
-        borders = {row.border for row in rows}
-        keys = {name: _newest_key(store, name, now) for name in borders}
+        valid = {name: store.identities.valid(name, now) for name in {row.border for row in rows}}
+        keys = {name: found[-1].thumbprint if found else b"" for name, found in valid.items()}
     return [ThingState(row, _state(row, now, newest, revoked, keys)) for row in rows]
-
-
-def _newest_key(store: Store, name: str, now: int) -> bytes:
-    valid = store.identities.valid(name, now)
-    return valid[-1].thumbprint if valid else b""
 
 
 def _state(
@@ -292,8 +269,6 @@ _LIST_REFRESH: Final = 7 * 86400
 
 @dataclass
 class SigningAuthority:
-    """The authority with its key unlocked: it can sign."""
-
     authority: Authority
     store: Store
     path: Path
@@ -358,7 +333,7 @@ class SigningAuthority:
     def bundle(self, der: bytes) -> bytes:
         return to_pem(der, *self.authority.chain, self.authority.anchor.certificate)
 
-    def issued_bundle(self, row: record_CertificateRow, now: int, *, wildcard: bool) -> bytes:
+    def issued_bundle(self, row: CertificateRow, now: int, *, wildcard: bool) -> bytes:
         """The bundle issued for a request before, as the first answer may be lost."""
         is_valid = row in self.store.identities.valid(row.name, now)
         if not is_valid and row.wildcard is wildcard and now > row.not_after:
@@ -463,13 +438,6 @@ class SigningAuthority:
                 self.store.revoke(entry, reason, now)
             return self.sign_list(now)
 
-    def _sign_list_or_tree(self, listed: RevocationList) -> bytes:
-        if len(listed.entries) <= MAX_ENTRIES:
-            return sign_list(self.signer, listed)
-        size, root = TreeEntries(listed.entries).size_and_root
-        tree = RevocationTree(listed.epoch, listed.seq, listed.issued, listed.expires, size, root)
-        return sign_tree(self.signer, tree)
-
     def refresh_list(self, now: int) -> None:
         """Sign a new list if it lacks a revocation, and long before it expires; domains likewise.
 
@@ -508,7 +476,12 @@ class SigningAuthority:
                 epoch, seq = max(epoch + 1, above + 1, now), 1
             entries = required_entries(self.store, now)
             listed = RevocationList(epoch, seq, now, now + _LIST_LIFETIME, entries)
-            self.store.save_list(listed.number, self._sign_list_or_tree(listed), now)
+            if len(entries) <= MAX_ENTRIES:
+                data = sign_list(self.signer, listed)
+            else:
+                size, root = TreeEntries(entries).size_and_root
+                data = sign_tree(self.signer, RevocationTree(epoch, seq, now, listed.expires, size, root))
+            self.store.save_list(listed.number, data, now)
             self.sign_head(now)
         return listed
 
@@ -530,8 +503,8 @@ def delegations(authority: Path, key: ec.EllipticCurvePublicKey) -> list[OpenDel
     return [open_delegation(files.read_own(path, _SIZE_LIMIT, missing), key) for path in found]
 
 
-def certificate_row(identity: Identity) -> record_CertificateRow:
-    return record_CertificateRow(
+def certificate_row(identity: Identity) -> CertificateRow:
+    return CertificateRow(
         identity.serial,
         identity.name,
         identity.thumbprint,

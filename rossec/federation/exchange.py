@@ -1,26 +1,9 @@
-"""Signed lists between masters: a newer one of the other side is taken, an older one is replaced.
+"""What masters that follow each other exchange beside facts: signed lists, parameters. A shell.
 
-A shell. Nothing is trusted here: each list carries its authority's signature, and who holds the
-newer one is found by trying to take the other's. A master that was restored from a backup gets the
-newest list from whichever master it meets first.
-
-The certificates by which other masters were verified: a foreign one's timestamp needs its own.
-
-The handshake gives the identity alone; nodes verify a foreign master's word themselves, so its
-chain is passed on to them.
-
-What following needs of the master it runs in.
-
-What a foreign master is asked for beside its graph: its domain's revocations. A shell.
-
-Its list is fetched when the digest differs, its word that the list is still the newest every ten
-seconds; both are judged by `DomainTrust`, and passed on to the own nodes, which judge them again.
-
-Parameters of another master, read where a site names patterns of them. A shell.
-
-They are read every few seconds on the connection that is followed: so no address of this master is
-needed there, and it is not registered there as a subscriber. What is read is a copy: it is set at
-its origin only. The other master decides by grants what may be read (`param-get`).
+Nothing is trusted here: each list carries its authority's signature, and who holds the newer one is
+found by trying to take the other's; an older one is replaced. So a master that was restored from a
+backup gets the newest list from whichever master it meets first. The revocations of a foreign
+domain are judged by `DomainTrust`, and passed on to the own nodes, which judge them again.
 """
 
 import asyncio
@@ -55,6 +38,9 @@ MAX_CHAINS: Final = 256
 
 
 class Chains:
+    # The handshake gives the identity alone; nodes verify a foreign master's word themselves, so its chain
+    # is kept.
+
     def __init__(self) -> None:
         self._chains: OrderedDict[bytes, tuple[bytes, ...]] = OrderedDict()
 
@@ -77,14 +63,10 @@ class Chains:
 class OwnMaster:
     """The master that follows.
 
-    Args:
-        state: what it knows.
-        effects: delivers events.
-        context: its own identity, to dial with; its `verify` is that of `chains`.
-        chains: the certificates by which peers were verified.
-        mirror: takes over the parameters of a site; raises ImportRefused.
-        drop_mirror: forgets those of the site with this label.
-        grants: reads the grants in its home, which another master wants to see.
+    `context`: its own identity, to dial with; its `verify` is that of `chains`. `chains`: the
+    certificates by which peers were verified. `mirror`: takes over the parameters of a site; raises
+    ImportRefused. `drop_mirror`: forgets those of the site with this label. `grants`: reads the
+    grants in its home, which another master wants to see.
     """
 
     state: MasterState
@@ -110,9 +92,7 @@ _PROOFS_AT_ONCE: Final = 64
 class ForeignLists:
     """Keeps the revocations of one foreign domain fresh, on the connection that is followed.
 
-    Args:
-        own: the master that follows.
-        label: of the domain.
+    `own`: the master that follows.
     """
 
     def __init__(self, own: OwnMaster, label: str) -> None:
@@ -302,7 +282,8 @@ _AT_ONCE: Final = 128
 
 
 class Mirroring:
-    """Reads the parameters that `settings` names.
+    """Reads the parameters that `settings` names, on the connection that is followed. The copy is set at its
+    origin only; the other master decides by grants what may be read (`param-get`).
 
     Attributes:
         mirrored: how many parameters there are.

@@ -1,16 +1,10 @@
 """Following one other master: dial, check who it is, take over what it says. A shell.
 
-What happens is decided by `states`, what an answer means by `answers`; the facts are in the import
-layer of the own master. The site is asked, and never calls: no address of this master is needed
-there. Lists of revocations and domains are compared with every answer, and settled before more
-facts are asked for.
-
-A site that is reached by a relay of this site: the doors of its master, nodes and services.
-
-A shell: what doors there are is `rossec.master.state.forwarded_ports`'s, how facts become doors is
-`door_facts`'s. The relay is another process, so every door is waited for, and not long.
-
-A connection with the master of a site: dialled, and checked who answers. A shell.
+What happens is decided by `site_state`; the facts are in the import layer of the own master. The
+site is asked, and never calls: no address of this master is needed there. Lists of revocations and
+domains are compared with every answer, and settled before more facts are asked for. A site behind a
+relay is reached by its forwarded ports; the relay is another process, so each is waited for, and
+not long.
 """
 
 import asyncio
@@ -68,8 +62,7 @@ _log = logging.getLogger("rossec.federation")
 class SiteDoors:
     """The doors of one site.
 
-    Args:
-        on_door: called when the master's door was opened.
+    `on_door`: called when the master's door was opened.
     """
 
     def __init__(self, doors: Doors, settings: SiteSettings, on_door: Callable[[], None]) -> None:
@@ -159,8 +152,7 @@ _DIAL_VIA: Final = 15.0  # the relay may have to dial its peer first
 class SiteConnections:
     """Connects with one site.
 
-    Args:
-        doors: of the site, if it is reached by a relay.
+    `doors`: of the site, if it is reached by a relay.
     """
 
     def __init__(self, settings: SiteSettings, own: OwnMaster, doors: SiteDoors | None) -> None:
@@ -214,10 +206,7 @@ Failures: Final = (HintedError, OSError, TimeoutError, Fault)
 class FollowedSite:
     """Follows one site until `close`.
 
-    Args:
-        settings: the site.
-        own: the master that follows.
-        rand: returns a random number from 0 up to 1.
+    `own`: the master that follows. `rand`: returns a random number from 0 up to 1.
 
     Attributes:
         state: where it is.
@@ -329,7 +318,10 @@ class FollowedSite:
                 asking.cancel()
             await self._take_over(change)
             self._own.state.imports.settle(self.settings.label, demand)
-            await self._exchange(client, peer, change)
+            if self._foreign is not None:
+                await self._foreign.keep_fresh(client, peer, change.revocations)
+            else:
+                await exchange.settle(client, self._own, peer, change)
             try:
                 await self._mirroring.keep(client)
             except (AnswerRefused, ImportRefused) as error:
@@ -341,6 +333,7 @@ class FollowedSite:
 
     async def _is_answered(self, asking: asyncio.Future[SiteChange], peer: Identity, demand: int) -> bool:
         imports, changes = self._own.state.imports, self._own.state.demand_changes
+        events = [self._lists_changed, *([] if self._doors is None else [self._doors.changed])]
         while not asking.done():
             if self.state.phase is Phase.FOLLOWING and imports.demand.version != demand:
                 return False
@@ -351,7 +344,7 @@ class FollowedSite:
                 await self._apply(self._doors.refreshed())
             others: list[asyncio.Future[Any]] = [
                 asyncio.ensure_future(changes.wait(SILENCE)),
-                *(asyncio.ensure_future(event.wait()) for event in self._events),
+                *(asyncio.ensure_future(event.wait()) for event in events),
             ]
             try:
                 await asyncio.wait([asking, *others], return_when=asyncio.FIRST_COMPLETED)
@@ -359,12 +352,6 @@ class FollowedSite:
                 for each in others:
                     each.cancel()
         return True
-
-    async def _exchange(self, client: RpcClient, peer: Identity, change: SiteChange) -> None:
-        if self._foreign is not None:
-            await self._foreign.keep_fresh(client, peer, change.revocations)
-            return
-        await exchange.settle(client, self._own, peer, change)
 
     async def _next_change(self, client: RpcClient) -> SiteChange:
         imports = self._own.state.imports
@@ -378,10 +365,6 @@ class FollowedSite:
             if change is not None:
                 return change
             await self._pace()
-
-    @property
-    def _events(self) -> list[asyncio.Event]:
-        return [self._lists_changed, *([] if self._doors is None else [self._doors.changed])]
 
     async def _take_over(self, change: SiteChange) -> None:
         try:

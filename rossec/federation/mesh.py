@@ -1,15 +1,8 @@
 """All sites that a master follows: from its configuration, from its file, and announced. A shell.
 
-The file is read again when it has changed, so `rossec federation add` takes effect in a running
-master. A label that the configuration has prevails over the file's, and both over an announced one.
-
-Masters of the own domain that announce themselves on the local links, followed unasked.
-
-A shell around `rossec.discovery`. An announcement gives an address and the hint to dial now,
-nothing more: who answers there must be the master of that name. One that is not heard any more is
-followed for as long as its facts may stay.
-
-The mesh of a master that runs from a node's directory.
+A label that the configuration has prevails over the file's, and both over an announced one. An
+announcement gives an address and the hint to dial now, nothing more: who answers there must be the
+master of that name. One that is not heard any more is followed for as long as its facts may stay.
 """
 
 import asyncio
@@ -50,9 +43,7 @@ class _Heard(NamedTuple):
 class AnnouncedMasters:
     """The masters heard while `listening` is entered.
 
-    Args:
-        home: of the own master.
-        candidates: what is heard; by default of the domain of `home`.
+    `home`: of the own master. `candidates`: what is heard; by default of the domain of `home`.
     """
 
     def __init__(self, home: NodeHome, candidates: Candidates | None = None) -> None:
@@ -113,10 +104,8 @@ ReadSites = Callable[[], Iterable[SiteSettings]]
 class Mesh:
     """Follows every site of its sources.
 
-    Args:
-        own: the master that follows.
-        sources: by what they are called, the one that prevails first.
-        announced: the masters heard on the local links; None: they are not followed.
+    `own`: the master that follows. `sources`: by what they are called, the one that prevails first.
+    `announced`: the masters heard on the local links; None: they are not followed.
     """
 
     def __init__(
@@ -134,7 +123,6 @@ class Mesh:
         own.state.doors.masters = self._direct_masters
 
     async def run(self) -> None:
-        """Follow until cancelled."""
         self._own.effects.on_new_lists.append(self._send_lists)
         listening = contextlib.nullcontext() if self._announced is None else self._announced.listening()
         try:
@@ -150,7 +138,6 @@ class Mesh:
             await self._tasks.close()
 
     def status(self) -> dict[str, Any]:
-        """Every site, and what is wrong with the settings."""
         rows = [
             {**follower.status(), "source": self._source_of(label)}
             for label, (follower, _) in sorted(self._followers.items())

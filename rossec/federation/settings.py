@@ -1,21 +1,14 @@
-"""Which masters to follow: one entry for each, checked. Pure.
+"""Which masters to follow: from the master's configuration, and from `federation.json` in its home.
 
 A label is given once, and never is that of a foreign domain but where the master is one of it: the
 labels of masters of the own domain and of foreign domains name the same thing in `/remote/<label>`.
+The part `federation:` of the configuration is a closed schema, with lines in its errors:
 
-The part `federation:` of the master's configuration file: a closed schema, errors with lines.
-
-federation:
-  follow_announced: true
-  sites:
-    kitchen: {uri: http://kitchen:11311, master: /master/kitchen, parameters: [/robot/**]}
-    hospital: {uri: http://hospital.example:11311, domain: hospital}
-    office: {via: office, master: /master/office}
-
-`federation.json` in a master's home: the sites that `rossec federation add` has given. A shell.
-
-Written under the directory's lock and replaced whole; a running master reads it when it has
-changed. Only the master's own user can write there.
+    follow_announced: true
+    sites:
+      kitchen: {uri: http://kitchen:11311, master: /master/kitchen, parameters: [/robot/**]}
+      hospital: {uri: http://hospital.example:11311, domain: hospital}
+      office: {via: office, master: /master/office}
 """
 
 import json
@@ -41,13 +34,10 @@ _FORM: Final = 1
 class SiteSettings:
     """A master to follow.
 
-    Args:
-        label: what it is called here.
-        uri: where it listens; empty: it is reached by a relay.
-        master: the name it is certified for.
-        domain: the label of its foreign domain; empty: it is of the own domain.
-        parameters: patterns of the parameters to mirror, with the names they have there.
-        via: the label that the relay of this site has for the peer behind which the master is.
+    `label`: what it is called here. `uri`: where it listens; empty: it is reached by a relay.
+    `master`: the name it is certified for. `domain`: the label of its foreign domain; empty: it is
+    of the own domain. `parameters`: patterns of the parameters to mirror, with the names they have
+    there. `via`: the label that the relay of this site has for the peer behind which the master is.
     """
 
     label: str
@@ -91,7 +81,6 @@ class SiteSettings:
 
 
 def checked_sites(sites: Iterable[SiteSettings]) -> dict[str, SiteSettings]:
-    """The sites by label."""
     found: dict[str, SiteSettings] = {}
     for each in sites:
         if each.label in found:
@@ -164,9 +153,7 @@ _EXAMPLE: Final = "for example  kitchen: {uri: http://kitchen:11311, master: /ma
 class FederationConfig:
     """Which masters to follow.
 
-    Args:
-        follow_announced: every master of the own domain that is heard on the local links.
-        sites: these.
+    `follow_announced`: every master of the own domain that is heard on the local links.
     """
 
     follow_announced: bool = False
@@ -251,7 +238,6 @@ class SiteFile:
         return tuple(self._read[1].values())
 
     def change(self, edit: Callable[[dict[str, SiteSettings]], None]) -> None:
-        """Let `edit` change the sites, and write them."""
         if not self._directory.is_dir():
             raise ConfigurationError(
                 f"there is no master in {self._directory}",

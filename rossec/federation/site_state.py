@@ -1,23 +1,9 @@
-"""What following another master goes through, as a table. Pure.
+"""What following another master goes through, and what its answers mean. Pure.
 
 Facts of a site that fell silent stay for a minute, marked: a master that restarts, or a link that
 comes back, disturbs nobody. What the site refuses, and what was removed here, goes at once. Nothing
-here cuts a connection between nodes: they judge each other without any master.
-
-What people and programs are told of a site. Pure but for the clock that is passed.
-
-The answers of `rossec.followSite`: what one site has sent so far, and where to go on. Pure.
-
-An answer may come in parts; the parts are gathered, and taken over together. An empty one says that
-nothing has changed. A version that runs backwards within one run of the master is an error: a
-master does not forget.
-
-Facts of a site behind a relay, with the relay's doors for the addresses it says. Pure.
-
-The addresses are of another network. A node or service has none here until its door is open, and
-another one when the relay was started again; a door that is gone counts until there is another, or
-each restart of the relay would take all publishers from their subscribers for a moment. What the
-site says is checked before a door is wanted.
+here cuts a connection between nodes: they judge each other without any master. An answer may come
+in parts, which are taken over together; an empty one says that nothing has changed.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -30,7 +16,6 @@ from rossec.federation.settings import SiteSettings
 from rossec.master.state.forwarded_ports import NODE, SERVICE, Door, Target
 from rossec.master.state.imported_facts import FACTS_LIMIT, PROVIDER, checked, parts
 from rossec.master.state.imported_facts import NODE as NODE_FACT
-from rossec.master.state.imported_facts import Fact as imported_facts_Fact
 from rossec.master.state.imports import Imports
 from rossec.participant.registrations import Fact, facts_of
 from rossec.ros.names import build_door, build_uri
@@ -170,10 +155,8 @@ _HALF: Final = 1 << 30  # versions count modulo 2**31, the integers of XML-RPC
 class SiteChange(NamedTuple):
     """A complete answer.
 
-    Args:
-        added, removed: facts with the site's own names.
-        whole: `added` is all there is.
-        revocations, domains: digests of the lists that the site holds; empty: none.
+    `added`, `removed`: facts with the site's own names. `whole`: `added` is all there is.
+    `revocations`, `domains`: digests of the lists that the site holds; empty: none.
     """
 
     added: frozenset[Fact]
@@ -230,7 +213,8 @@ class SiteCursor:
             case _:
                 raise AnswerMalformed("a site's answer that is malformed")
         part = SiteChange(facts_of(added), facts_of(removed), whole, revocations, domains)
-        self._check(instance, version)
+        if instance == self.instance and (version - self.version) % (2 * _HALF) >= _HALF:
+            raise AnswerMalformed("a site's version runs backwards")
         self.instance, self.version, self._cursor = instance, version, cursor
         self._lists = revocations, domains
         if whole:
@@ -252,22 +236,14 @@ class SiteCursor:
 
     def _complete(self, parts: list[SiteChange]) -> SiteChange:
         self._parts, self._taken, self._gathered = [], 0, 0
-        return _joined(parts)
-
-    def _check(self, instance: str, version: int) -> None:
-        if instance == self.instance and (version - self.version) % (2 * _HALF) >= _HALF:
-            raise AnswerMalformed("a site's version runs backwards")
-
-
-def _joined(parts: list[SiteChange]) -> SiteChange:
-    added, removed = set[Fact](), set[Fact]()
-    for part in parts:  # in place: each part alone costs, not all before it again
-        added |= part.added
-        added -= part.removed
-        removed |= part.removed
-        removed -= part.added
-    last, whole = parts[-1], parts[0].whole
-    return SiteChange(frozenset(added), frozenset(removed), whole, last.revocations, last.domains)
+        added, removed = set[Fact](), set[Fact]()
+        for part in parts:  # in place: each part alone costs, not all before it again
+            added |= part.added
+            added -= part.removed
+            removed |= part.removed
+            removed -= part.added
+        last, whole = parts[-1], parts[0].whole
+        return SiteChange(frozenset(added), frozenset(removed), whole, last.revocations, last.domains)
 
 
 def _digest(value: object) -> bytes:
@@ -283,26 +259,28 @@ FindDoor = Callable[[Target], Door | None]
 
 
 class DoorFacts:
+    # A node or service has no address here until its door is open, and another one when the relay was started
+    # again; a door that is gone counts until there is another, or each restart of the relay would take all
+    # publishers from their subscribers for a moment.
+
     """What one site says, as far as it concerns addresses.
 
-    Args:
-        peer: the relay's label of the site.
-        find: the door of a target now.
+    `peer`: the relay's label of the site. `find`: the door of a target now.
     """
 
     def __init__(self, peer: str, find: FindDoor) -> None:
         self._peer = peer
         self._find = find
-        self._said: set[imported_facts_Fact] = set()
+        self._said: set[Fact] = set()
         self._doors: dict[Target, Door] = {}
-        self._shown: set[imported_facts_Fact] = set()
+        self._shown: set[Fact] = set()
 
     @property
     def targets(self) -> set[Target]:
         return {self._target(fact) for fact in self._said}
 
     def take(self, change: SiteChange) -> Iterator[None]:
-        said = set[imported_facts_Fact]() if change.whole else self._said - change.removed
+        said = set[Fact]() if change.whole else self._said - change.removed
         for part in parts(change.added):
             said.update(fact for fact in checked(part) if fact[0] in _KINDS)
             yield
@@ -330,10 +308,10 @@ class DoorFacts:
         old = {target: door for target, door in kept if target in targets and door not in taken}
         self._doors = {**old, **found}
 
-    def _target(self, fact: imported_facts_Fact) -> Target:
+    def _target(self, fact: Fact) -> Target:
         return Target(self._peer, _KINDS[fact[0]], fact[1])
 
-    def _door_fact(self, fact: imported_facts_Fact) -> imported_facts_Fact:
+    def _door_fact(self, fact: Fact) -> Fact:
         kind, name, _ = fact
         door = self._doors[self._target(fact)]
         if kind == NODE_FACT:
@@ -341,5 +319,5 @@ class DoorFacts:
         return kind, name, build_uri(*door, scheme="rosrpc").removesuffix("/")
 
 
-def _without_addresses(facts: Iterable[imported_facts_Fact]) -> set[imported_facts_Fact]:
+def _without_addresses(facts: Iterable[Fact]) -> set[Fact]:
     return {fact for fact in facts if fact[0] not in _KINDS}

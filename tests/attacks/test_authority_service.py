@@ -19,7 +19,7 @@ from rossec.authority.keyservice import messages as inner_messages
 from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.authority.keyservice.inner_channel import InnerChannel
 from rossec.authority.keyservice.messages import InnerRequest, Request
-from rossec.authority.keyservice.process import FaceOptions, FaceProcess
+from rossec.authority.keyservice.process import FrontEndOptions, FrontEndProcess
 from rossec.errors import (
     AuthorityLocked,
     KeyMessageRefused,
@@ -178,8 +178,8 @@ def test_the_face_is_not_answered_at_the_socket_of_commands(home: AuthorityHome)
 def test_a_face_that_ended_its_connection_is_still_refused(home: AuthorityHome) -> None:
     """It is given time to end, and uses it to ask as a program of the user."""
     answer = home.path / "answer"
-    options = FaceOptions(str(home.path), str(answer))
-    face = FaceProcess(home, options, os.environ, module="tests.support.takenface")
+    options = FrontEndOptions(str(home.path), str(answer))
+    face = FrontEndProcess(home, options, os.environ, module="tests.support.takenface")
 
     async def run() -> None:
         face.spawn()

@@ -12,8 +12,16 @@ import pytest
 
 from ca.errors import HintedError, OtherChallenge
 from rossec.authority.console.access import Access
-from rossec.authority.console.client import Assertion, ConsoleClient, Registration
-from rossec.authority.console.messages import MAX_REQUEST, OPERATIONS, SOCKET, LoginChallenge, from_value
+from rossec.authority.console.client import ConsoleClient
+from rossec.authority.console.messages import (
+    MAX_REQUEST,
+    OPERATIONS,
+    SOCKET,
+    Assertion,
+    LoginChallenge,
+    Registration,
+    from_value,
+)
 from rossec.authority.console.phone_codes import MAX_FAILURES
 from rossec.authority.keyservice import messages
 from rossec.errors import KeyMessageRefused, KeyServiceFailed, PhoneCodeRefused

@@ -77,21 +77,21 @@ def office(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AuthorityService:
 @pytest.mark.attack("taken-label")
 def test_another_domain_does_not_get_the_name_label_or_key_of_one(office: AuthorityService) -> None:
     hospital = foreign(Site.create("hospital"))
-    office.accept_domain(hospital)
+    office.domains.accept(hospital)
     again = foreign(Site.create("hospital"))  # who calls itself so too
     for other in (again, foreign(Site.create("cafe"), "hospital")):
         with pytest.raises(StoreError):
-            office.accept_domain(other)
+            office.domains.accept(other)
     own = dataclasses.replace(again, domain="home", root=office.home.anchor().certificate, label="here")
     with pytest.raises(DomainsRefused):
-        office.accept_domain(own)
+        office.domains.accept(own)
     assert [row.read() for row in office.unlock().store.domains.accepted()] == [hospital]
 
 
 @pytest.mark.attack("taken-label")
 def test_a_label_is_no_way_to_the_grants_of_who_had_it(office: AuthorityService) -> None:
     hospital = foreign(Site.create("hospital"))
-    office.accept_domain(hospital)
+    office.domains.accept(hospital)
     authority = office.unlock()
     draft = Draft(
         "home",
@@ -104,10 +104,10 @@ def test_a_label_is_no_way_to_the_grants_of_who_had_it(office: AuthorityService)
         (Permission("/door", Right.CALL),),
     )
     authority.issue_grant(draft, NOW)
-    office.remove_domain("hospital", "", revoke_grants=False)
+    office.domains.remove("hospital", "", revoke_grants=False)
     for other in (foreign(Site.create("cafe"), "hospital"), foreign(Site.create("hospital"))):
         with pytest.raises(ConfigurationError, match="a grant names hospital"):
-            office.accept_domain(other)
+            office.domains.accept(other)
     assert authority.store.domains.accepted() == []
 
 
@@ -115,8 +115,8 @@ def test_a_label_is_no_way_to_the_grants_of_who_had_it(office: AuthorityService)
 def test_a_domain_that_was_written_into_the_record_is_found(office: AuthorityService, tmp_path: Path) -> None:
     """By who can write the record and its log, but has not the key."""
     hospital = foreign(Site.create("hospital"))
-    office.accept_domain(hospital)
-    office.remove_domain("hospital", "", revoke_grants=False)
+    office.domains.accept(hospital)
+    office.domains.remove("hospital", "", revoke_grants=False)
     held = office.home.domain_list()
     assert held is not None
     mallory = KeySigner(Site.create("home").key)

@@ -33,7 +33,7 @@ from grants.policy.read import load
 from rossec.authority import invitations
 from rossec.authority.keyservice import network
 from rossec.authority.keyservice.network import JoinNames, NetworkWork
-from rossec.authority.keyservice.process import FaceProcess
+from rossec.authority.keyservice.process import FrontEndProcess
 from rossec.clock import now
 from rossec.enrollment import join
 from rossec.enrollment.join import JoinServer
@@ -281,7 +281,7 @@ rules:
 async def test_slow_metadata_keep_no_other_node_from_joining(tmp_path: Path) -> None:
     """Joins are decided in a thread, rules in processes: the one does not wait for the other."""
     working, face = Working(tmp_path, now()), PlayedFace()
-    network = NetworkWork(tmp_path, working.operations, cast("FaceProcess", face), rules=SLOW)
+    network = NetworkWork(tmp_path, working.operations, cast("FrontEndProcess", face), rules=SLOW)
     code = working.invite(uses=2)
     running = asyncio.ensure_future(network.run())
     try:

@@ -55,7 +55,7 @@ def test_a_statement_that_the_authority_did_not_make(office: Office) -> None:
 def test_a_statement_for_another_router_or_from_before(office: Office) -> None:
     older = office.sign()
     office.now += 100
-    newer = office.service.renew_thing(LAMP, DAY)
+    newer = office.service.things.renew(LAMP, DAY)
     with pytest.raises(ThingRefused, match="for another border router"):
         router(office, ATTIC).install(newer.data)
     files = router(office)
@@ -120,7 +120,7 @@ def test_another_things_name_key_or_kid(office: Office) -> None:
             office.sign(**changes)
     with pytest.raises(StoreError):  # the name's identity, with another key
         office.sign(request=office.request(), identity_lifetime=DAY)
-    assert [each.state for each in office.service.things()] == ["in force"]
+    assert [each.state for each in office.service.things.states()] == ["in force"]
 
 
 @pytest.mark.attack("thing-impostor")
@@ -159,7 +159,7 @@ def test_the_keys_of_a_stolen_router_are_of_no_use(office: Office, how: str) -> 
         ids.add(signed.statement.id)
     stolen = {office.thumbprint(name) for name in (BORDER, *names)}
     if how == "revoked":
-        office.service.revoke_identity(BORDER, "stolen")
+        office.service.identities.revoke(BORDER, "stolen")
     else:
         office.enroll(BORDER, replaced=BORDER)
     assert stolen | ids == set(office.revoked())

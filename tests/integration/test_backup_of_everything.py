@@ -87,7 +87,7 @@ def carry(shell: Shell, neighbours: Neighbours) -> None:
     wish = ("--subscribe", "/robot/pose", "--certificate", certificate, "--out", str(out))
     assert shell.unlocked("grant", "sign", "hospital:/rounds/robot3", *wish).code == 0
     service = AuthorityService(shell.root, lambda: PASSPHRASE, lambda _: None)
-    assert service.deposit([out.read_bytes()]) == []
+    assert service.grants.deposit([out.read_bytes()]) == []
     service.close()
 
 

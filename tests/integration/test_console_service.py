@@ -10,8 +10,8 @@ import pytest
 
 from ca.approvals.statement import Statement
 from ca.errors import HintedError
-from rossec.authority.console.client import Assertion, ConsoleClient, Registration
-from rossec.authority.console.messages import SOCKET
+from rossec.authority.console.client import ConsoleClient
+from rossec.authority.console.messages import SOCKET, Assertion, Registration
 from rossec.errors import PhoneCodeRefused
 from tests.support.passkeys import ORIGIN, RP_ID, Passkey
 from tests.support.ports import free_port
@@ -60,7 +60,7 @@ async def test_a_phone_comes_in_and_approves(service: ServiceProcess) -> None:
         await client.redeem(code)
     asked = await client.login_challenge(ORIGIN)
     assert await client.login(asked.id, Assertion(*phone.sign(asked.challenge))) == "Ann's phone"
-    prepared = await client.prepare("invitation", "/lamp/*", 2, 3600, False)
+    prepared = await client.prepare("invitation", ["/lamp/*", 2, 3600, False])
     assert Statement.from_bytes(prepared.statement).challenge == prepared.challenge
     touch = Assertion(*phone.sign(prepared.challenge))
     outcome = await client.approve(prepared.id, touch)
@@ -85,7 +85,7 @@ async def test_a_service_that_was_killed_knows_phones_and_no_codes(service: Serv
     await add(client, phone, await asyncio.to_thread(code_of, service), "Ann's phone")
     code = await asyncio.to_thread(code_of, service)
     asked = await client.login_challenge(ORIGIN)
-    prepared = await client.prepare("invitation", "/lamp/*", 2, 3600, False)
+    prepared = await client.prepare("invitation", ["/lamp/*", 2, 3600, False])
     await asyncio.to_thread(service.kill)
     await asyncio.to_thread(start, service)
     for attempt in (

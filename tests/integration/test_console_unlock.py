@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from ca.errors import HintedError
-from rossec.authority.console.client import Assertion, ConsoleClient, Registration
-from rossec.authority.console.messages import SOCKET, Outcome
+from rossec.authority.console.client import ConsoleClient
+from rossec.authority.console.messages import SOCKET, Assertion, Outcome, Registration
 from tests.support.passkeys import Passkey
 from tests.support.ports import free_port
 from tests.support.serviceprocess import ServiceProcess
@@ -49,7 +49,7 @@ class Home:
         await self.client.add_passkey(Registration(challenge.id, code, "Ann's phone", *made))
 
     async def approve(self, kind: str, *arguments: int | str | bytes) -> Outcome:
-        prepared = await self.client.prepare(kind, *arguments)
+        prepared = await self.client.prepare(kind, [*arguments])
         signed = self.phone.sign(prepared.challenge)
         return await self.client.approve(prepared.id, Assertion(*signed))
 

@@ -52,8 +52,8 @@ def test_the_authority_goes_on(home: Path) -> None:
 def test_the_authority_can_say_what_a_thing_is(home: Path) -> None:
     place = AuthorityHome(home / "ca")
     service = AuthorityService(home, lambda: PASSPHRASE, lambda _: None, lambda: NOW)
-    service.sign_thing(ThingOrder("/things/lamp", "/robot", KEY, 60))
-    assert [each.state for each in service.things()] == [IN_FORCE]
+    service.things.sign(ThingOrder("/things/lamp", "/robot", KEY, 60))
+    assert [each.state for each in service.things.states()] == [IN_FORCE]
     service.unlock().store.log.audit(place.own_key())
     service.close()
 

@@ -18,10 +18,10 @@ from pathlib import Path
 from ca.authority import Authority
 from ca.revocation.lists import open_list
 from grants import document
-from rossec.authority.grant_operations import MasterCall
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import read_policy
 from rossec.authority.service import AuthorityService
+from rossec.authority.session import MasterCall
 from rossec.authority.signing import SigningAuthority
 from rossec.home import NodeHome
 from tests.support.killing import run_killed
@@ -111,11 +111,11 @@ def prepare(root: Path) -> Authority:
 def apply(root: Path, authority: Authority) -> None:
     """What `rossec policy apply --yes` does."""
     with closing(UnlockedService(root, authority)) as service:
-        plan = service.plan_policy(read_policy(root, None, signs=True))
+        plan = service.policy.plan(read_policy(root, None, signs=True))
         if plan.is_empty:
-            service.complete_policy()
+            service.policy.complete()
         else:
-            service.apply_policy(plan)
+            service.policy.apply(plan)
 
 
 def check(root: Path, authority: Authority) -> None:

@@ -25,12 +25,12 @@ from rossec.authority.console.approving import Approving, Of
 from rossec.authority.console.grant_requests import Removals
 from rossec.authority.console.messages import Outcome, Prepared, from_value
 from rossec.authority.console.serving import acts_of
-from rossec.authority.grant_operations import MasterCall
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.operations import KeyOperations
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.policyfile import PolicyFile
+from rossec.authority.session import MasterCall
 from rossec.errors import KeyServiceRefused, NotDelivered
 from rossec.ros.names import MASTER
 from tests.support.approving import registered

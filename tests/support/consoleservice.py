@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from ca.encoding import Value, encode
@@ -178,7 +179,7 @@ class FakeHome:
         return GrantView(grant_id(data), to.name, data, self.now, end.expires, end.cap, 0, "", rules, "held")
 
     def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        """As `rossec.authority.console.serving.Part`."""
+        """By the names of the operations."""
         return {name: self._handler(name) for name in messages.OPERATIONS}
 
     def _handler(self, name: str) -> Callable[..., Value]:
@@ -350,11 +351,16 @@ class FakeHome:
         raise KeyServiceRefused("there is no such thing any more", "look again")
 
 
+def as_part(home: FakeHome) -> SimpleNamespace:
+    """The handlers as methods, as a part of the service has them."""
+    return SimpleNamespace(**{name.replace("-", "_"): handler for name, handler in home.handlers().items()})
+
+
 @contextlib.contextmanager
 def fake_service(path: Path, home: FakeHome | None = None) -> Iterator[FakeHome]:
     """Serve `home` at the socket `path`, in a thread."""
     shown = home or FakeHome()
-    service = ConsoleService(shown)
+    service = ConsoleService(as_part(shown))
     rules = SocketRules(messages.read_request, messages.MAX_REQUEST)
     server = KeyServer(path, service.carry_out, rules=rules)
     started, loop, ended = threading.Event(), asyncio.new_event_loop(), asyncio.Event()

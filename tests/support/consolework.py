@@ -9,11 +9,12 @@ from ca.encoding import Value
 from grants.document import grant_id
 from grants.model import Draft, Permission, Right
 from grants.request import GrantRequest, RequestedRight, sign_request
-from rossec.authority.grant_operations import MasterCall
+from rossec.authority.console.serving import handlers_of
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.requests import put_in_inbox
+from rossec.authority.session import MasterCall
 from rossec.errors import NotDelivered
 from rossec.home import NodeHome
 from tests.support.commands import PASSPHRASE
@@ -94,6 +95,6 @@ class ConsoleWork:
         raise NotDelivered(f"the master did not get {call.what}: there is none", call.hint)
 
 
-def ask(part: Part, operation: str, *arguments: Value) -> Value:
+def ask(part: object, operation: str, *arguments: Value) -> Value:
     """Have a part carry out an operation."""
-    return part.handlers()[operation](*arguments)
+    return handlers_of(part)[operation](*arguments)

@@ -14,10 +14,10 @@ from pathlib import Path
 
 from rossec.authority.console.access import Access
 from rossec.authority.console.messages import LoginChallenge, from_value
-from rossec.authority.grant_operations import MasterCall
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.keyservice.work import AuthorityWork
+from rossec.authority.session import MasterCall
 from rossec.errors import NotDelivered
 from tests.support.commands import PASSPHRASE
 from tests.support.consolework import NOW, ask

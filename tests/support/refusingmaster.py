@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from rossec.authority.grant_operations import MasterCall
+from rossec.authority.session import MasterCall
 
 REASON = "no room"
 

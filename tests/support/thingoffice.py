@@ -40,7 +40,7 @@ class Office:
         if replaced is not None:
             node.path.rename(node.path.with_name(f"former{len(list(node.path.parent.iterdir()))}"))
         node.create_request("home")
-        bundle = self.service.issue(
+        bundle = self.service.identities.issue(
             node.request(), 30 * DAY, replace_key=replaced, wildcard=False, source="file"
         )
         node.install(bundle, self.now)
@@ -48,7 +48,7 @@ class Office:
 
     def sign(self, **changes: Any) -> SignedThing:
         """State what the lamp is, with some changes."""
-        return self.service.sign_thing(replace(self.order, **changes))
+        return self.service.things.sign(replace(self.order, **changes))
 
     def request(self, name: str = LAMP) -> bytes:
         """A request with a new key, as another border router makes it."""

@@ -7,7 +7,7 @@ RP id of the first bind the others until every one was removed.
 """
 
 import contextlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 from ca.approvals.passkeys import Assertion, Challenge, Passkey, Purpose, Registration, register, verify
 from ca.encoding import Value
@@ -22,35 +22,20 @@ from rossec.authority.keyservice.work import AuthorityWork
 class Access:
     """The operations of who looks.
 
-    Args:
-        work: of the authority.
-        audit: writes a line. Raises `HintedError` if it cannot.
-        elapsed: seconds of a clock that cannot be set.
+    `audit`: writes a line. Raises `HintedError` if it cannot. `elapsed`: seconds of a clock that
+    cannot be set.
     """
 
     def __init__(
         self, work: AuthorityWork, audit: Callable[[str], None], elapsed: clock.Seconds | None = None
     ) -> None:
-        self.proposals = Proposals(elapsed)
+        self.proposed = Proposals(elapsed)
         self._work = work
         self._audit = audit
         self._codes = Codes(elapsed)
         self._challenges = Challenges(elapsed)
         self._counters: dict[bytes, int] = {}  # by credential id, of logins, as the times
         self._logins: dict[bytes, int] = {}
-
-    def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        return {
-            "redeem": self.redeem,
-            "login-challenge": self.login_challenge,
-            "login": self.login,
-            "new-passkey": self.new_passkey,
-            "add-passkey": self.add_passkey,
-            "phone-link": self.phone_link,
-            "propose-passkey": self.propose_passkey,
-            "proposals": self.all_proposals,
-            "end-proposal": self.end_proposal,
-        }
 
     def counter(self, passkey: bytes) -> int:
         # The counter of a passkey at its last login; 0: it has not logged in, or has none.
@@ -115,17 +100,17 @@ class Access:
 
     def propose_passkey(self, number: bytes, code: str, name: str, *registration: bytes) -> Value:
         passkey = self._register(number, code, CodeUse.PHONE, name, registration)
-        proposal = self.proposals.add(passkey, passkey.at, self._codes.owner(code))
+        proposal = self.proposed.add(passkey, passkey.at, self._codes.owner(code))
         self._codes.use(code, CodeUse.PHONE)
         self._audit(f"the phone {name!a} asks at the console to be added")
         return to_value(proposal)
 
-    def all_proposals(self) -> Value:
-        return to_value(self.proposals.all())
+    def proposals(self) -> Value:
+        return to_value(self.proposed.all())
 
     def end_proposal(self, number: bytes) -> Value:
-        self.proposals.get(number)
-        self.proposals.drop(number)
+        self.proposed.get(number)
+        self.proposed.drop(number)
         return None
 
     def _register(

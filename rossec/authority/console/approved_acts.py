@@ -1,18 +1,10 @@
-"""Approving an identity for a node, and an intermediate.
+"""What a phone can approve: identities, intermediates, phones, join codes, the policy, leave to renew.
 
 The request that was shown is the one that is signed: its digest is in the statement. What was
-approved while the key is locked is *approved* in the record, and can still be denied.
-
-Approving what needs no key: another passkey, a join code, the end of the master.
-
-They are done in the transaction of their approval, also while the key is locked. A code exists in
-memory only, as where a command prints it: the record has the public half of its key.
-
-Approving a policy, and leave for the master to renew grants.
-
-A policy is put in force if the file and what it would change are still those that were approved.
-What is new is signed, what goes is revoked and the approval ends in one transaction; then nodes get
-the new grants, and the master the list.
+approved while the key is locked is *approved* in the record, and can still be denied. What needs no
+key is done in the transaction of its approval. A policy is put in force if the file and what it
+would change are still those that were approved: what is new is signed, what goes is revoked and the
+approval ends in one transaction; then nodes get the new grants, and the master the list.
 """
 
 import logging
@@ -50,14 +42,14 @@ from grants.renewal import MAX_DELEGATION, MAX_TICKET, MIN_TICKET, open_delegati
 from rossec import clock
 from rossec.authority import renewals
 from rossec.authority.console.access import check_bound
-from rossec.authority.console.approving import Approved, Arguments, Conclude, Immediate, ToApprove, tried
+from rossec.authority.console.approving import Act, Approved, Arguments, Conclude, ToApprove, tried
 from rossec.authority.console.grant_requests import checked_reason, keys_of
 from rossec.authority.console.phone_codes import Proposals
-from rossec.authority.grant_operations import MasterCall
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import MAX_USES, check_invitation, make_invitation
-from rossec.authority.policyfile import PolicyFile, PolicyPlan
+from rossec.authority.policyfile import PolicyFile, PolicyPlan, check_record, sign_each
 from rossec.authority.service import AuthorityService
+from rossec.authority.session import MasterCall
 from rossec.authority.signing import OF_ALL, OWN_NODE, SigningAuthority
 from rossec.errors import ConfigurationError, KeyServiceRefused
 from rossec.peer_limits import printable
@@ -67,7 +59,7 @@ MAX_SOURCE: Final = 256  # characters
 _log = logging.getLogger("rossec.authority.service")
 
 
-class EnrollAct:
+class EnrollAct(Act):
     """An identity: CSR, where it came from, for anonymous nodes too, lifetime, replaces the key.
 
     `policy`: the file by which the node gets its first grants.
@@ -97,13 +89,13 @@ class EnrollAct:
         return ToApprove(what, csr)
 
     def admit(self, store: Store, approved: Approved, /) -> str | None:
-        _approve(store, _enrolled(approved), approved.approval.at, approved.reason)
+        _approve(store, approved.what(Enroll), approved.approval.at, approved.reason)
         return None
 
     def carry_out(
         self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
     ) -> None:
-        what, authority = _enrolled(approved), service.unlock()
+        what, authority = approved.what(Enroll), service.unlock()
         with authority.store.transaction():
             _check_unchanged(authority.store, what, now)
             authority.issue(
@@ -117,18 +109,18 @@ class EnrollAct:
         name = what.name
         # What the policy gives the name; the identity is signed by then, so a mistake is logged.
         try:
-            for _, data in service.grant_outright(name, place=self._policy):
-                service.store_grant(data)
+            for _, data in service.policy.grant_outright(name, place=self._policy):
+                service.grants.store(data)
         except HintedError as error:
             _log.error("%s has no grants yet: %s", name, printable(str(error)))
 
     def made(self, service: AuthorityService, approved: Approved, /) -> bytes:
         with closing(service.home.store()) as store:
-            found = store.identities.issued_for(_enrolled(approved).csr)
+            found = store.identities.issued_for(approved.what(Enroll).csr)
         return b"" if found is None else _bundle(service.home, found)
 
 
-class IntermediateAct:
+class IntermediateAct(Act):
     def prepare(self, service: AuthorityService, arguments: Arguments, _now: int, /) -> ToApprove:
         match arguments:
             case [bytes(csr), bool(enrolls), int(lifetime)]:
@@ -144,14 +136,10 @@ class IntermediateAct:
             store.identities.check_not_revoked("the intermediate", key)
         return ToApprove(Intermediate(sha256(csr).digest(), enrolls, lifetime), csr)
 
-    def admit(self, _store: Store, _approved: Approved, /) -> str | None:
-        return None
-
     def carry_out(
         self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
     ) -> None:
-        what, authority = approved.statement.what, service.unlock()
-        assert isinstance(what, Intermediate)  # noqa: S101 - of this kind
+        what, authority = approved.what(Intermediate), service.unlock()
         csr = approved.approval.payload
         with authority.store.transaction():
             name, _ = renewals.sign_intermediate(
@@ -165,12 +153,6 @@ class IntermediateAct:
         with closing(home.store()) as store:
             found = store.identities.by_name(f"{INTERMEDIATE}{key.hex()[:16]}")
         return _bundle(home, found[-1]) if found else b""
-
-
-def _enrolled(approved: Approved) -> Enroll:
-    what = approved.statement.what
-    assert isinstance(what, Enroll)  # noqa: S101 - of this kind
-    return what
 
 
 def _approve(store: Store, what: Enroll, at: int, reason: str) -> None:
@@ -212,7 +194,7 @@ MAX_CODES: Final = 32  # that can be shown again
 CODES_KEPT: Final = 600.0  # seconds
 
 
-class PasskeyAct(Immediate):
+class PasskeyAct(Act):
     def __init__(self, proposals: Proposals) -> None:
         self._proposals = proposals
 
@@ -235,8 +217,7 @@ class PasskeyAct(Immediate):
         return f"{passkey.name} can approve"
 
     def _find(self, approved: Approved) -> tuple[bytes, Passkey]:
-        what = approved.statement.what
-        assert isinstance(what, NewPasskey)  # noqa: S101 - of this kind
+        what = approved.what(NewPasskey)
         for shown in self._proposals.all():
             passkey = self._proposals.get(shown.id)
             if to_approve(passkey) == what:
@@ -244,7 +225,7 @@ class PasskeyAct(Immediate):
         raise PasskeyUnknown("this phone does not wait any more", "propose it again")
 
 
-class InvitationAct(Immediate):
+class InvitationAct(Act):
     """A join code: pattern, uses, seconds, for anonymous nodes too.
 
     `address`: where nodes reach the join port, `host:port`.
@@ -273,8 +254,7 @@ class InvitationAct(Immediate):
         return ToApprove(Invitation(pattern, uses, now + seconds, wildcard))
 
     def admit(self, store: Store, approved: Approved, /) -> str | None:
-        what = approved.statement.what
-        assert isinstance(what, Invitation)  # noqa: S101 - of this kind
+        what = approved.what(Invitation)
         code, row = make_invitation(
             self._home,
             what.pattern,
@@ -297,7 +277,7 @@ class InvitationAct(Immediate):
         return text.encode() if self._elapsed() < end else b""
 
 
-class RevokeMasterAct(Immediate):
+class RevokeMasterAct(Act):
     def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
         match arguments:
             case [str(reason), str(master)] if is_master_name(master):
@@ -311,8 +291,7 @@ class RevokeMasterAct(Immediate):
         return ToApprove(RevokeMaster(checked_reason(reason), master))
 
     def admit(self, store: Store, approved: Approved, /) -> str | None:
-        what, at = approved.statement.what, approved.approval.at
-        assert isinstance(what, RevokeMaster)  # noqa: S101 - of this kind
+        what, at = approved.what(RevokeMaster), approved.approval.at
         for entry in sorted(keys_of(what.master)(store, at)):
             store.revoke(entry, what.reason or approved.reason, at)
         return f"{what.master} is revoked"
@@ -323,7 +302,7 @@ _AGAIN: Final = "look at the difference again, and approve that"
 _LATER: Final = "it is tried again"
 
 
-class PolicyAct:
+class PolicyAct(Act):
     def __init__(self, policy: Path) -> None:
         self._policy = policy
 
@@ -336,7 +315,7 @@ class PolicyAct:
         if service.home.is_intermediate:
             raise KeyServiceRefused("an intermediate signs no grants", "do it at the root")
         file = self._read(digest)
-        plan = service.plan_policy(file)
+        plan = service.policy.plan(file)
         if plan.is_empty:
             raise ConfigurationError("this policy is in force already", "there is nothing to do")
         with closing(service.home.store()) as store:
@@ -346,7 +325,7 @@ class PolicyAct:
 
     def admit(self, store: Store, approved: Approved, /) -> str | None:
         # Return if no other policy was approved since it was shown.
-        what = _changed(approved)
+        what = approved.what(PolicyChange)
         self._read(what.new)
         if _last_approved(store) != what.old:
             raise StoreError("another policy was approved meanwhile", _AGAIN)
@@ -355,22 +334,19 @@ class PolicyAct:
     def carry_out(
         self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
     ) -> None:
-        what, authority = _changed(approved), service.unlock()
-        plan = service.plan_policy(self._read(what.new))
+        what, authority = approved.what(PolicyChange), service.unlock()
+        plan = service.policy.plan(self._read(what.new))
         if plan.effect(authority.domain) != what.effect:
             raise StoreError("what this policy would change is not what was approved", _AGAIN)
         signed = _put_in_force(authority, plan, approved, conclude, now)
         try:
             if plan.revoke:
-                service.deposit(signed)
+                service.grants.deposit(signed)
             for data in signed:
-                service.try_to_store(data)
+                service.grants.try_to_store(data)
         finally:  # a grant that cannot be delivered holds no revocation back
             if plan.revoke:
                 service.publish()
-
-    def made(self, _service: AuthorityService, _approved: Approved, /) -> bytes:
-        return b""
 
     def _read(self, digest: bytes) -> PolicyFile:
         file = PolicyFile.read(self._policy, own=True)
@@ -379,7 +355,7 @@ class PolicyAct:
         return file
 
 
-class DelegateAct:
+class DelegateAct(Act):
     """Leave for the master to renew grants: for how long, and the longest time of a renewed grant.
 
     Its serial is the id of the approval: signed again after a crash, it is the same.
@@ -408,8 +384,7 @@ class DelegateAct:
     def carry_out(
         self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
     ) -> None:
-        what, authority = approved.statement.what, service.unlock()
-        assert isinstance(what, Delegate)  # noqa: S101 - of this kind
+        what, authority = approved.what(Delegate), service.unlock()
         _check_holder(authority.store, approved, now)
         data = authority.issue_delegation(
             what.holder, what.lifetime, what.max_ttl, approved.approval.at, serial=approved.id
@@ -419,15 +394,6 @@ class DelegateAct:
         given = open_delegation(data, authority.signer.public_key)
         service.home.confirm_delegation(given.id, now)
         conclude(authority.store, f"{MASTER} may renew grants")
-
-    def made(self, _service: AuthorityService, _approved: Approved, /) -> bytes:
-        return b""
-
-
-def _changed(approved: Approved) -> PolicyChange:
-    what = approved.statement.what
-    assert isinstance(what, PolicyChange)  # noqa: S101 - of this kind
-    return what
 
 
 def _last_approved(store: Store) -> bytes:
@@ -445,15 +411,13 @@ def _last_approved(store: Store) -> bytes:
 def _put_in_force(
     authority: SigningAuthority, plan: PolicyPlan, approved: Approved, conclude: Conclude, now: int
 ) -> list[bytes]:
-    from rossec.authority.policyfile import check_record  # noqa: PLC0415 - an apply needs more
-
-    revoked = sorted(grant.id for grant in plan.revoke)
+    reason, revoked = f"policy, {approved.reason}", sorted(grant.id for grant in plan.revoke)
 
     def check() -> None:
         plan.policy.check_unchanged()
         check_record(authority, plan)
         for entry in revoked:
-            authority.store.revoke(entry, f"policy, {approved.reason}", now)
+            authority.store.revoke(entry, reason, now)
         conclude(authority.store, _done(plan.signs, len(revoked), plan))
 
     drafts = list(plan.drafts(authority.domain, now, lambda: secrets.token_bytes(ID_SIZE)))
@@ -461,29 +425,17 @@ def _put_in_force(
         return authority.issue_grants(drafts, now, check)
     except OF_ALL:
         raise
-    except HintedError as error:
-        return _put_in_force_by_node(authority, plan, approved, conclude, now, error)
-
-
-def _put_in_force_by_node(
-    authority: SigningAuthority,
-    plan: PolicyPlan,
-    approved: Approved,
-    conclude: Conclude,
-    now: int,
-    refusal: HintedError,
-) -> list[bytes]:
-    from rossec.authority import policyfile as policy_apply  # noqa: PLC0415 - an apply needs more
-
-    with authority.store.transaction():
-        signed, left = policy_apply.sign_each(authority, plan, now)
-        if not signed and not left.revoke:
-            raise refusal
-        for grant in left.revoke:
-            authority.store.revoke(grant.id, f"policy, {approved.reason}", now)
-        authority.refresh_list(now)
-        conclude(authority.store, _done(len(signed), len(left.revoke), left))
-    return [data for _, data in signed]
+    except HintedError as refusal:
+        # What cannot be in a grant keeps no other node from its own.
+        with authority.store.transaction():
+            signed, left = sign_each(authority, plan, now)
+            if not signed and not left.revoke:
+                raise refusal from None
+            for grant in left.revoke:
+                authority.store.revoke(grant.id, reason, now)
+            authority.refresh_list(now)
+            conclude(authority.store, _done(len(signed), len(left.revoke), left))
+        return [data for _, data in signed]
 
 
 def _done(signed: int, revoked: int, plan: PolicyPlan) -> str:
@@ -495,7 +447,6 @@ def _done(signed: int, revoked: int, plan: PolicyPlan) -> str:
 
 
 def _check_holder(store: Store, approved: Approved, now: int) -> None:
-    what = approved.statement.what
-    assert isinstance(what, Delegate)  # noqa: S101 - of this kind
+    what = approved.what(Delegate)
     if store.valid_certificate(MASTER, now).thumbprint != what.holder:
         raise StoreError(f"{MASTER} has another key now", "look at it again")

@@ -2,37 +2,21 @@
 
 The service makes the statement and verifies the touch: whoever asks for it could show a person
 anything, and gains nothing. Recording, admitting and auditing are one transaction, before any
-signature. What waits for the key is carried out when it is unlocked, for a day; then it has come to
-nothing. A clock that was set back carries out nothing that is recorded as of later.
-
-What an act is that a phone approves: it is prepared, admitted, and carried out.
-
-Prepared: shown to the person, with all that it gives away; nothing is given. Admitted: in the
-transaction that records the approval, so of two approvals of one thing one is refused. Carried out:
-now or when the key is unlocked, in one transaction with the end of the approval, so that it is done
-once, whenever the process is killed.
-
-Statements that were shown and wait for a touch: in memory, few, each used once.
-
-A statement that this process did not make is never approved. Its time ends by the clock of the
-host, which is in the statement, and by one that cannot be set: a host's clock that was stopped or
-set back makes no statement last longer.
-
-How many requests for identities those who may only look have put into the record.
-
-Preparing an enrollment records its request, which then waits for a day. The record has room for
-256, and one who only looks could fill it with codes of their own; so a few of them are all there
-are at a time, and the rest stays free for phones, commands and nodes that join.
+signature. What waits for the key is carried out when it is unlocked, for a day, in one transaction
+with the end of the approval; then it has come to nothing. A clock that was set back carries out
+nothing that is recorded as of later, and makes no statement last longer: its time ends by the
+host's clock and by one that cannot be set.
 """
 
 import contextlib
 import logging
 import secrets
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from hashlib import sha256
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple, TypeVar
 
 from ca.approvals.passkeys import Approval, Assertion
 from ca.approvals.statement import ID_SIZE, LIFETIME, Kind, Statement, What
@@ -71,6 +55,9 @@ class ToApprove(NamedTuple):
     payload: bytes = b""
 
 
+_T = TypeVar("_T", bound=What)
+
+
 class Approved(NamedTuple):
     approval: Approval
     statement: Statement
@@ -79,30 +66,30 @@ class Approved(NamedTuple):
     def id(self) -> bytes:
         return self.approval.id
 
+    def what(self, kind: type[_T]) -> _T:
+        assert isinstance(self.statement.what, kind)  # noqa: S101 - of the kind of its act
+        return self.statement.what
+
     @property
     def reason(self) -> str:
         return f"approval {self.id.hex()[:8]}"
 
 
-class Act(Protocol):
+class Act(ABC):
+    # Prepared: shown to the person, with all that it gives away; nothing is given. Admitted: in the
+    # transaction that records the approval, so of two approvals of one thing one is refused. Carried out:
+    # now or later.
+
+    @abstractmethod
     def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove: ...
 
-    def admit(self, store: Store, approved: Approved, /) -> str | None:
+    def admit(self, _store: Store, _approved: Approved, /) -> str | None:
         # Returns the result if it is done thereby; None: `carry_out` follows.
-        ...
+        return None
 
-    def carry_out(
-        self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
-    ) -> None: ...
-
-    def made(self, service: AuthorityService, approved: Approved, /) -> bytes: ...
-
-
-class Immediate:
     def carry_out(
         self, _service: AuthorityService, _approved: Approved, _conclude: Conclude, _now: int, /
     ) -> None:
-        # Not called.
         raise AssertionError("done when it was approved")
 
     def made(self, _service: AuthorityService, _approved: Approved, /) -> bytes:
@@ -137,6 +124,9 @@ class _Shown(NamedTuple):
 
 
 class Statements:
+    # Shown, and waiting for a touch: in memory, each used once. One that this process did not make is never
+    # approved.
+
     def __init__(self, elapsed: clock.Seconds | None = None) -> None:
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._lock = threading.Lock()
@@ -181,6 +171,9 @@ MAX_REQUESTS: Final = 32
 
 
 class LookersRequests:
+    # Preparing an enrollment records its request for a day. The record has room for 256, and one who only
+    # looks could fill it: so a few of theirs are all there are at a time.
+
     def __init__(self) -> None:
         self._prepared: dict[bytes, None] = {}
 
@@ -203,16 +196,7 @@ class LookersRequests:
 
 WAITS: Final = DAY  # seconds after the end of a statement in which it is carried out
 MAX_RESULT: Final = 500  # characters
-KINDS: Final[Mapping[str, Kind]] = {
-    "enroll": Kind.ENROLL,
-    "grant": Kind.GRANT,
-    "policy": Kind.POLICY,
-    "delegate": Kind.DELEGATE,
-    "intermediate": Kind.INTERMEDIATE,
-    "passkey": Kind.PASSKEY,
-    "invitation": Kind.INVITATION,
-    "revoke-master": Kind.REVOKE_MASTER,
-}
+KINDS: Final = {name: Kind[name.upper().replace("-", "_")] for name in messages.PREPARED}
 # It is carried out later: the reason is not in what was approved.
 _LATER: Final = (AuthorityLocked, NotDelivered, RecordUnusable, TokenRefused, KeyServiceRefused)
 _PREPARING: Final = "preparing an approval"
@@ -222,11 +206,8 @@ _log = logging.getLogger("rossec.authority.service")
 class Of(NamedTuple):
     """What approving needs of the rest of the service.
 
-    Args:
-        work: of the authority.
-        audit: writes a line. Raises `HintedError` if it cannot.
-        wake: begins a round of the service, which tells the master.
-        counter: of a passkey at its last login.
+    `audit`: writes a line. Raises `HintedError` if it cannot. `wake`: begins a round of the
+    service, which tells the master. `counter`: of a passkey at its last login.
     """
 
     work: AuthorityWork
@@ -238,10 +219,8 @@ class Of(NamedTuple):
 class Approving:
     """The operations of approving.
 
-    Args:
-        of: the rest of the service.
-        acts: each kind that can be approved.
-        elapsed: seconds of a clock that cannot be set.
+    `of`: the rest of the service. `acts`: each kind that can be approved. `elapsed`: seconds of a
+    clock that cannot be set.
     """
 
     def __init__(self, of: Of, acts: Mapping[Kind, Act], elapsed: clock.Seconds | None = None) -> None:
@@ -253,9 +232,6 @@ class Approving:
         self._lookers = LookersRequests()
         self._carrying_out = threading.Lock()
         self._ends: dict[bytes, float] = {}  # by the clock that cannot be set
-
-    def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        return {"prepare": self.prepare, "approve": self.approve, "outcome": self.outcome}
 
     def prepare(self, name: str, arguments: list[Value], owner: str = "") -> Value:
         # Make a statement for `owner`, with all that it would give away.
@@ -271,7 +247,9 @@ class Approving:
                         "there is no phone that could approve this",
                         "set one up with a code from the terminal: rossec console phone",
                     )
-                statement = _state(store, kind, service.home.domain, at, wanted.what)
+                head, domain, number = store.log.head(at), service.home.domain, secrets.token_bytes(ID_SIZE)
+                until = at + LIFETIME
+                statement = Statement(kind, number, domain, at, until, head.size, head.root, wanted.what)
         statement.check_payload(wanted.payload)
         self._statements.add(PreparedStatement(statement, wanted.payload, given), owner)
         return to_value(
@@ -321,19 +299,14 @@ class Approving:
             waiting = store.approvals.waiting()
         for approval in waiting:
             approved = Approved(approval, approval.read())
-            is_late = self._work.now() > approved.statement.until + WAITS
-            if self._is_over(approved, is_late=is_late):
+            left = approved.statement.until + WAITS - self._work.now()
+            is_late = left < 0
+            # What another process of the service recorded is counted from when this one first saw it.
+            left = LIFETIME + WAITS if is_late else min(LIFETIME + WAITS, left)
+            if self._elapsed() > self._ends.setdefault(approved.id, self._elapsed() + left):
                 self._end(approved, ApprovalState.EXPIRED, "it waited for the key too long")
             elif not is_late and not self._work.is_locked:
                 self._carry_out(approved)
-
-    def _is_over(self, approved: Approved, *, is_late: bool) -> bool:
-        # What another process of the service recorded is counted from when this one first saw it.
-        left = LIFETIME + WAITS
-        if not is_late:
-            left = min(left, approved.statement.until + WAITS - self._work.now())
-        end = self._ends.setdefault(approved.id, self._elapsed() + left)
-        return self._elapsed() > end
 
     def _carry_out(self, approved: Approved) -> None:
         # Carry out, unless that is not possible now.
@@ -354,14 +327,11 @@ class Approving:
             except _LATER as error:
                 _log.info("%s waits: %s", purpose, printable(str(error)))
             except HintedError as error:
-                self._fail(store, approved, error)
-
-    def _fail(self, store: Store, approved: Approved, error: HintedError) -> None:
-        # It cannot be done, unless it was and only what follows failed.
-        if store.approvals.state(approved.id) is ApprovalState.WAITING:
-            self._end(approved, ApprovalState.FAILED, printable(str(error)))
-        else:
-            _log.warning("%s: %s", self._named(store, approved), printable(str(error)))
+                # It cannot be done, unless it was and only what follows failed.
+                if store.approvals.state(approved.id) is ApprovalState.WAITING:
+                    self._end(approved, ApprovalState.FAILED, printable(str(error)))
+                else:
+                    _log.warning("%s: %s", purpose, printable(str(error)))
 
     def _end(self, approved: Approved, state: ApprovalState, result: str) -> None:
         try:
@@ -379,10 +349,3 @@ class Approving:
         digest = approved.statement.challenge.hex()
         which = f"approval {approved.id.hex()} ({kind})"
         return f"{which} by the phone {name!a}, statement SHA-256 {digest}"
-
-
-def _state(store: Store, kind: Kind, domain: str, at: int, what: What) -> Statement:
-    head = store.log.head(at)
-    return Statement(
-        kind, secrets.token_bytes(ID_SIZE), domain, at, at + LIFETIME, head.size, head.root, what
-    )

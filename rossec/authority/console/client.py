@@ -16,62 +16,16 @@ from typing import Final, NamedTuple
 
 from ca.encoding import Value
 from rossec.authority.console import messages
-from rossec.authority.console.messages import (
-    ApprovalView,
-    AskedRight,
-    DenialView,
-    EventView,
-    FactView,
-    GrantQuestion,
-    GrantView,
-    IdentityRequestView,
-    InvitationView,
-    ListStanding,
-    LoginChallenge,
-    NodeView,
-    Outcome,
-    PhoneView,
-    PolicyName,
-    PolicyView,
-    Prepared,
-    Proposal,
-    QuestionAnswer,
-    Status,
-    from_value,
-    many,
-)
+from rossec.authority.console.messages import OPERATIONS, Operations
 from rossec.authority.keyservice import messages as frames
 from rossec.authority.keyservice.messages import Request
-from rossec.errors import KeyMessageRefused, KeyServiceFailed, PeerUserRefused
+from rossec.errors import KeyServiceFailed, PeerUserRefused
 from rossec.host.local_sockets import raw_socket, require_user
 
 CONNECTIONS: Final = 4
 STRANGERS: Final = 1  # of them are used at a time for what anybody on the network may ask
-OF_STRANGERS: Final = frozenset(
-    {"login-challenge", "login", "redeem", "new-passkey", "add-passkey", "propose-passkey"}
-)
 TIMEOUT: Final = 60.0  # seconds for an answer: the master is called within 30
 _HINT: Final = "see: rossec ca status; start it with: rossec ca serve"
-_NEWER: Final = "are the service and the console of one version of rossec?"
-
-
-class Assertion(NamedTuple):
-    """What a browser returns for a challenge: `navigator.credentials.get`."""
-
-    credential: bytes
-    client_data: bytes
-    authenticator_data: bytes
-    signature: bytes
-
-
-class Registration(NamedTuple):
-    """A new passkey with the code that allows it: `navigator.credentials.create`."""
-
-    challenge_id: bytes
-    code: str
-    name: str
-    client_data: bytes
-    attestation_object: bytes
 
 
 class _Connection(NamedTuple):
@@ -79,7 +33,7 @@ class _Connection(NamedTuple):
     writer: asyncio.StreamWriter
 
 
-class ConsoleClient:
+class ConsoleClient(Operations):
     """The service whose console's socket is at `path`; connected when it is needed.
 
     Every method raises the service's refusal (`HintedError`), or `KeyServiceFailed` if it does not
@@ -100,9 +54,8 @@ class ConsoleClient:
         await asyncio.sleep(0)
 
     async def ask(self, operation: str, *arguments: Value) -> Value:
-        """Send a request, and return what its answer says."""
         data = frames.write_request(Request(operation, arguments))
-        lane = self._strangers if operation in OF_STRANGERS else nullcontext()
+        lane = self._strangers if OPERATIONS[operation].of_strangers else nullcontext()
         async with lane, self._places:
             try:
                 async with asyncio.timeout(self._timeout):
@@ -115,109 +68,6 @@ class ConsoleClient:
                 raise KeyServiceFailed("the authority's service does not run", _HINT) from error
             except (OSError, TimeoutError, asyncio.IncompleteReadError) as error:
                 raise KeyServiceFailed("the authority's service does not answer", _HINT) from error
-
-    async def status(self) -> Status:
-        return from_value(Status, await self.ask("status"))
-
-    async def nodes(self) -> tuple[NodeView, ...]:
-        return many(NodeView, await self.ask("nodes"))
-
-    async def grants(self) -> tuple[GrantView, ...]:
-        return many(GrantView, await self.ask("grants"))
-
-    async def identity_requests(self) -> tuple[IdentityRequestView, ...]:
-        return many(IdentityRequestView, await self.ask("identity-requests"))
-
-    async def questions(self) -> tuple[GrantQuestion, ...]:
-        return many(GrantQuestion, await self.ask("questions"))
-
-    async def consider(self, question: bytes, coarse: str, seconds: int) -> tuple[AskedRight, ...]:
-        """What would be granted, through the filter `coarse`, for `seconds` (0: as asked)."""
-        return many(AskedRight, await self.ask("consider", question, coarse, seconds))
-
-    async def question_answers(self, question: bytes) -> tuple[QuestionAnswer, ...]:
-        return many(QuestionAnswer, await self.ask("question-answers", question))
-
-    async def invitations(self) -> tuple[InvitationView, ...]:
-        return many(InvitationView, await self.ask("invitations"))
-
-    async def phones(self) -> tuple[PhoneView, ...]:
-        return many(PhoneView, await self.ask("phones"))
-
-    async def proposals(self) -> tuple[Proposal, ...]:
-        return many(Proposal, await self.ask("proposals"))
-
-    async def approvals(self, count: int) -> tuple[ApprovalView, ...]:
-        return many(ApprovalView, await self.ask("approvals", count))
-
-    async def events(self, before: int, count: int) -> tuple[EventView, ...]:
-        return many(EventView, await self.ask("events", before, count))
-
-    async def denials(self) -> tuple[DenialView, ...]:
-        return many(DenialView, await self.ask("denials"))
-
-    async def graph(self) -> tuple[FactView, ...]:
-        return many(FactView, await self.ask("graph"))
-
-    async def policy(self) -> PolicyView:
-        return from_value(PolicyView, await self.ask("policy"))
-
-    async def policy_names(self) -> tuple[PolicyName, ...]:
-        return many(PolicyName, await self.ask("policy-names"))
-
-    async def standing(self, epoch: int, seq: int) -> ListStanding:
-        return from_value(ListStanding, await self.ask("standing", epoch, seq))
-
-    async def deny_request(self, request: bytes, reason: str) -> None:
-        await self.ask("deny-request", request, reason)
-
-    async def deny_question(self, question: bytes, reason: str) -> None:
-        await self.ask("deny-question", question, reason)
-
-    async def revoke_grant(self, grant: bytes, reason: str) -> tuple[int, int]:
-        return _number(await self.ask("revoke-grant", grant, reason))
-
-    async def revoke_node(self, name: str, reason: str) -> tuple[int, int]:
-        return _number(await self.ask("revoke-node", name, reason))
-
-    async def end_invitation(self, invitation: bytes, reason: str) -> None:
-        await self.ask("end-invitation", invitation, reason)
-
-    async def remove_phone(self, phone: bytes, reason: str) -> None:
-        await self.ask("remove-phone", phone, reason)
-
-    async def end_proposal(self, proposal: bytes) -> None:
-        await self.ask("end-proposal", proposal)
-
-    async def prepare(self, kind: str, *arguments: Value, owner: str = "") -> Prepared:
-        return from_value(Prepared, await self.ask("prepare", kind, [*arguments], owner))
-
-    async def approve(self, statement: bytes, assertion: Assertion) -> Outcome:
-        return from_value(Outcome, await self.ask("approve", statement, *assertion))
-
-    async def outcome(self, approval: bytes) -> Outcome:
-        return from_value(Outcome, await self.ask("outcome", approval))
-
-    async def login_challenge(self, origin: str) -> LoginChallenge:
-        return from_value(LoginChallenge, await self.ask("login-challenge", origin))
-
-    async def login(self, challenge: bytes, assertion: Assertion) -> str:
-        return from_value(str, await self.ask("login", challenge, *assertion))
-
-    async def redeem(self, code: str) -> None:
-        await self.ask("redeem", code)
-
-    async def new_passkey(self, origin: str, rp_id: str) -> LoginChallenge:
-        return from_value(LoginChallenge, await self.ask("new-passkey", origin, rp_id))
-
-    async def add_passkey(self, registration: Registration) -> PhoneView:
-        return from_value(PhoneView, await self.ask("add-passkey", *registration))
-
-    async def propose_passkey(self, registration: Registration) -> Proposal:
-        return from_value(Proposal, await self.ask("propose-passkey", *registration))
-
-    async def phone_link(self, owner: str = "") -> str:
-        return from_value(str, await self.ask("phone-link", owner))
 
     async def _exchange(self, data: bytes) -> Value:
         async with self._connection() as (reader, writer):
@@ -251,10 +101,3 @@ async def _connect(path: Path) -> _Connection:
         writer.transport.abort()
         raise KeyServiceFailed(f"another user listens at {path}", "find out who did that") from error
     return _Connection(reader, writer)
-
-
-def _number(value: Value) -> tuple[int, int]:
-    numbers = from_value(tuple[int, ...], value)
-    if len(numbers) != 2:
-        raise KeyMessageRefused("a list has an epoch and a number", _NEWER)
-    return numbers[0], numbers[1]

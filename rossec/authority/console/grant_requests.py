@@ -1,27 +1,17 @@
-"""What nodes ask for, as the policy would grant it: the questions a person answers.
+"""What nodes ask for, as a person answers it: questions, approved grants, and taking away.
 
 The policy decides first: what it denies is denied, what it allows waits only for the key and is no
-question. Looking denies what nobody answered in time, as `rossec grant pending` does. Each right is
-a question of its own: who may see a camera may not drive for that.
+question. Each right is a question of its own: who may see a camera may not drive for that. Grants
+are made when they are shown, and signed as shown, times and serials included.
 
-Approving what a node asks for: the grants are made when they are shown, and signed as shown.
-
-The payload is the CBOR list `[policy, rights, grants]`: the digest of the policy file by which they
-were made, the requested rights that are answered (`[right, pattern]`), and of each grant its claims
-as they are signed and its rules. Times and serials are in the claims: a grant that waits for the
-key does not last longer by that.
-
-Taking away: what a person at the console does without a passkey. Denying is never harder.
-
-Everything is recorded at once, also while the key is locked: a revocation is then on the list that
-is signed at unlock. What was approved and still waits for the key comes to nothing as soon as what
-it is about is denied or ended. Only `/master` is not revoked here: nothing works without one, so a
-stolen session must not end it.
+Taking away needs no passkey: denying is never harder. Everything is recorded at once, also while
+the key is locked: a revocation is then on the list that is signed at unlock. What was approved and
+still waits for the key comes to nothing as soon as what it is about is denied or ended.
 """
 
 import contextlib
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import closing
 from hashlib import sha256
 from pathlib import Path
@@ -50,7 +40,7 @@ from rossec.authority.approvals import (
     VerdictChange,
     verdict_change,
 )
-from rossec.authority.console.approving import Approved, Arguments, Conclude, ToApprove
+from rossec.authority.console.approving import Act, Approved, Arguments, Conclude, ToApprove
 from rossec.authority.console.messages import AskedRight, GrantQuestion, QuestionAnswer, given, to_value
 from rossec.authority.console.queries import bounded
 from rossec.authority.invitations import InvitationStatus
@@ -69,9 +59,6 @@ _PART: Final = "rossec-question-part"
 class Questions:
     def __init__(self, work: AuthorityWork) -> None:
         self._work = work
-
-    def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        return {"questions": self.questions, "consider": self.consider, "question-answers": self.answers}
 
     def questions(self) -> Value:
         if not self._work.policy_path().exists():
@@ -92,7 +79,7 @@ class Questions:
             found = pending_of(queue, question)
         return to_value(tuple(_right(file, change(approve(each.verdict))) for each in found))
 
-    def answers(self, question: bytes) -> Value:
+    def question_answers(self, question: bytes) -> Value:
         with contextlib.closing(self._work.home().store()) as store:
             found = GrantRequestStore(store.database).answers()
         return to_value(
@@ -201,6 +188,8 @@ _MALFORMED: Final = "the payload of an approval is malformed", "restore a backup
 
 
 class Answer(NamedTuple):
+    # The payload: the digest of the policy file, the rights that are answered, each grant's claims and rules.
+
     policy: bytes
     rights: tuple[tuple[int, str], ...]
     grants: tuple[tuple[bytes, str], ...]
@@ -222,7 +211,7 @@ class Answer(NamedTuple):
         return [(_draft(body), rules) for body, rules in self.grants]
 
 
-class GrantAct:
+class GrantAct(Act):
     """Grants for a question: its id, a coarser filter, at most so many seconds (0: as asked)."""
 
     def __init__(self, policy: Path) -> None:
@@ -284,7 +273,7 @@ class GrantAct:
             conclude(authority.store, given([body for body, _ in answer.grants]))
 
         for data in authority.issue_grants(drafts, now, check):
-            service.store_grant(data)
+            service.grants.store(data)
 
     def made(self, _service: AuthorityService, approved: Approved, /) -> bytes:
         bodies: list[Value] = [body for body, _ in Answer.from_bytes(approved.approval.payload).grants]
@@ -351,24 +340,12 @@ Find = Callable[[Store, int], frozenset[bytes]]
 class Removals:
     """The operations that take away.
 
-    Args:
-        work: of the authority.
-        wake: begins a round of the service, which tells the master.
+    `wake`: begins a round of the service, which tells the master.
     """
 
     def __init__(self, work: AuthorityWork, wake: Callable[[], None]) -> None:
         self._work = work
         self._wake = wake
-
-    def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        return {
-            "deny-request": self.deny_request,
-            "deny-question": self.deny_question,
-            "revoke-grant": self.revoke_grant,
-            "revoke-node": self.revoke_node,
-            "end-invitation": self.end_invitation,
-            "remove-phone": self.remove_phone,
-        }
 
     def deny_request(self, digest: bytes, reason: str) -> Value:
         # Deny a request for an identity, also one that was approved and is not issued yet.
@@ -408,7 +385,7 @@ class Removals:
                 f"{name} is the authority's own node, which tells the master what is revoked",
                 "if the authority was stolen, make a new one",
             )
-        if is_master_name(name):
+        if is_master_name(name):  # nothing works without one, so a stolen session must not end it
             raise KeyServiceRefused(
                 f"without {name} its nodes find nothing: a phone has to approve that", "approve it there"
             )

@@ -1,38 +1,35 @@
-"""Requests of the console and their answers. Pure; frames and refusals are those of `keyservice`.
+# mypy: disable-error-code="empty-body"
+"""What the console asks of the authority's service, and the records of the answers. Pure.
 
-The table is all that the console can ask. Nothing in it signs what was not approved: `PREPARE`
-makes a statement, `APPROVE` verifies a passkey's signature over its digest and only then acts. What
-only takes away (`deny-*`, `revoke-*`, `end-*`, `remove-phone`) needs none.
+`Operations` is all that it can ask; frames and refusals are those of `keyservice.messages`. Nothing
+in it signs what was not approved: `prepare` makes a statement, `approve` verifies a passkey's
+signature over its digest and only then acts. What only takes away (`deny_*`, `revoke_*`, `end_*`,
+`remove_phone`) needs none.
 
-Who has what was begun at the console: a phone, or a session that may only look. Pure.
-
-The console says it with what it asks; shares of bounded tables go by it (`rossec.peer_limits`), and
-rights do not. A phone is the owner's, so nothing that a looker begins ends what a phone began.
-
-Where a page of the console may be, and what name its passkeys may have. Pure.
-
-Web Authentication section 5.1.3: the RP id is the host of the page, or a parent domain of it. Only
-https, and http on `localhost`, are secure contexts; an IP address has no passkeys.
-
-Named tuples as CBOR values and back: what the console and the service send each other. Pure.
-
-A record is the list of its fields. The annotations say what may come: int, str, bytes, bool, one of
-them or None, a tuple of any number of them, another record. Everything else is refused, also an int
-where a bool belongs, so the reader of a record needs no further check of types.
-
-What the service shows the console, as records (`records`). Pure.
-
-Times are seconds since the epoch, durations seconds; ids, digests and keys (COSE thumbprints) are
-bytes. Texts of nodes are as the nodes wrote them: whoever shows them escapes them.
-
-What was approved, as one line for people. Pure.
+A record is the list of its fields. The annotations say what may come; everything else is refused,
+also an int where a bool belongs. Times are seconds since the epoch, durations seconds; ids, digests
+and keys (COSE thumbprints) are bytes. Texts of nodes are as the nodes wrote them: whoever shows
+them escapes them.
 """
 
+import inspect
 import ipaddress
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Coroutine, Iterable, Mapping
+from itertools import chain
 from types import NoneType, UnionType
-from typing import Any, Final, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
+from typing import (
+    Any,
+    Concatenate,
+    Final,
+    NamedTuple,
+    ParamSpec,
+    TypeVar,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 from urllib.parse import urlsplit
 
 from ca.approvals import statement as kinds
@@ -138,68 +135,6 @@ PREPARED: Final[Mapping[str, tuple[type, ...]]] = {
     "revoke-master": (str, str),  # reason, which master
 }
 
-OPERATIONS: Final[Mapping[str, tuple[type, ...]]] = {
-    # reading; the answer in brackets
-    "status": (),  # Status
-    "nodes": (),  # [NodeView]
-    "grants": (),  # [GrantView]: in force, and those that ended within 30 days
-    "identity-requests": (),  # [IdentityRequestView]
-    "questions": (),  # [GrantQuestion]
-    "consider": (bytes, str, int),  # as "grant" below: [AskedRight] that would be granted
-    "question-answers": (bytes,),  # id: [QuestionAnswer], none while it waits
-    "invitations": (),  # [InvitationView]
-    "phones": (),  # [PhoneView]
-    "proposals": (),  # [Proposal]
-    "approvals": (int,),  # [ApprovalView], newest first, at most so many
-    "events": (int, int),  # before this number (0: the newest), at most so many: [EventView]
-    "denials": (),  # [DenialView] of the last day, newest first; raises if there is no master
-    "graph": (),  # [FactView]; raises if there is no master
-    "policy": (),  # PolicyView
-    "policy-names": (),  # [PolicyName]: titles and types
-    "standing": (int, int),  # epoch, seq: ListStanding
-    # taking away; a list number [epoch, seq], [0, 0] while the key is locked
-    "deny-request": (bytes, str),  # id, reason: nothing
-    "deny-question": (bytes, str),  # id, reason: nothing
-    "revoke-grant": (bytes, str),  # id, reason: [epoch, seq]
-    "revoke-node": (str, str),  # name, reason: [epoch, seq]; not of a master
-    "end-invitation": (bytes, str),  # id, reason: nothing
-    "remove-phone": (bytes, str),  # id, reason: nothing
-    "end-proposal": (bytes,),  # id of a phone that waits: nothing
-    # approving
-    "prepare": (str, list, str),  # kind, arguments as in PREPARED, for whom (`owners`): Prepared
-    "approve": (bytes, bytes, bytes, bytes, bytes),
-    # id, credential, client data, authenticator data, signature: Outcome
-    "outcome": (bytes,),  # id: Outcome
-    # who looks: the console's own sessions follow from these
-    "login-challenge": (str,),  # origin: LoginChallenge
-    "login": (bytes, bytes, bytes, bytes, bytes),  # as "approve": the phone's name
-    "redeem": (str,),  # a code from the terminal, used up by this: None; looks, approves nothing
-    "new-passkey": (str, str),  # origin, rp id: LoginChallenge, for `navigator.credentials.create`
-    "add-passkey": (bytes, str, str, bytes, bytes),
-    # challenge id, code from the terminal, name, client data, attestation object: PhoneView
-    "propose-passkey": (bytes, str, str, bytes, bytes),  # as above, code of "phone-link": Proposal
-    "phone-link": (str,),  # for whom: a one-time code for "propose-passkey", text
-}
-
-
-def read_request(body: bytes) -> Request:
-    request = messages.read_request(body, OPERATIONS, MAX_REQUEST)
-    match request:
-        case Request("prepare", (str() as kind, list() as arguments, str())) if tuple(
-            map(type, arguments)
-        ) != PREPARED.get(kind):
-            raise KeyMessageRefused(f"{kind[:40]!a} is not prepared with such arguments", _HINT)
-    return request
-
-
-def checked(answer: Value) -> Value:
-    if len(messages.write_answer(answer)) > MAX_ANSWER:
-        raise KeyServiceRefused(
-            f"the answer has more than {MAX_ANSWER} bytes", "use the commands of the authority"
-        )
-    return answer
-
-
 _HINT: Final = "are the service and the console of one version of rossec?"
 
 _PLAIN: Final = (int, str, bytes, bool)
@@ -236,7 +171,10 @@ def _read(kind: Any, value: Value) -> Any:
     if not isinstance(value, list):
         raise KeyMessageRefused("a record that is no list", _HINT)
     if get_origin(kind) is tuple:
-        return tuple(_read(get_args(kind)[0], each) for each in value)
+        first, last = get_args(kind)
+        if last is not Ellipsis and len(value) != 2:
+            raise KeyMessageRefused("a list has an epoch and a number", _HINT)
+        return tuple(_read(first, each) for each in value)
     fields = get_type_hints(kind)
     if len(value) != len(fields):
         raise KeyMessageRefused(f"{kind.__name__} of {len(value)} fields", _HINT)
@@ -472,6 +410,208 @@ class Proposal(NamedTuple):
     expires: int
 
 
+class Assertion(NamedTuple):
+    """What a browser returns for a challenge: `navigator.credentials.get`."""
+
+    credential: bytes
+    client_data: bytes
+    authenticator_data: bytes
+    signature: bytes
+
+
+class Registration(NamedTuple):
+    """A new passkey with the code that allows it: `navigator.credentials.create`."""
+
+    challenge_id: bytes
+    code: str
+    name: str
+    client_data: bytes
+    attestation_object: bytes
+
+
+class Operation(NamedTuple):
+    arguments: tuple[type, ...]  # as they are sent: a record stands for its fields
+    answer: Any
+    changes: bool  # audited, with who asked, before it is done
+    of_strangers: bool  # anybody on the network may ask
+
+
+OPERATIONS: Final[dict[str, Operation]] = {}
+_P = ParamSpec("_P")
+
+
+_Declared = Callable[Concatenate[Any, _P], _T]
+_Asking = Callable[Concatenate[Any, _P], Coroutine[Any, Any, _T]]
+
+
+def _operation(
+    *, changes: bool = False, of_strangers: bool = False
+) -> Callable[[_Declared[_P, _T]], _Asking[_P, _T]]:
+    # Enters an operation into the table as its signature says; the console gets a method that asks for it.
+    def enter(declared: _Declared[_P, _T]) -> _Asking[_P, _T]:
+        name, signature = declared.__name__.replace("_", "-"), inspect.signature(declared)
+        kinds = get_type_hints(declared)
+        answer = kinds.pop("return")
+        sent = (
+            get_type_hints(kind).values() if hasattr(kind, "_fields") else [kind] for kind in kinds.values()
+        )
+        arguments = tuple(get_origin(kind) or kind for kind in chain(*sent))
+        OPERATIONS[name] = Operation(arguments, answer, changes, of_strangers)
+
+        async def ask(client: Any, /, *given: _P.args, **named: _P.kwargs) -> _T:
+            bound = signature.bind(client, *given, **named)
+            bound.apply_defaults()
+            _, *values = bound.arguments.values()
+            flat = chain(*(value if isinstance(value, tuple) else [value] for value in values))
+            found = await client.ask(name, *flat)
+            return cast("_T", None if answer is NoneType else from_value(answer, found))
+
+        return ask
+
+    return enter
+
+
+class Operations:
+    """The table of all that the console can ask, with the answers; the console's client says how to `ask`.
+
+    The service's handler of an operation is the method of that name, of one of its parts.
+    """
+
+    # Reading.
+
+    @_operation()
+    def status(self) -> Status: ...
+
+    @_operation()
+    def nodes(self) -> tuple[NodeView, ...]: ...
+
+    @_operation()
+    def grants(self) -> tuple[GrantView, ...]: ...  # in force, and those that ended within 30 days
+
+    @_operation()
+    def identity_requests(self) -> tuple[IdentityRequestView, ...]: ...
+
+    @_operation()
+    def questions(self) -> tuple[GrantQuestion, ...]: ...
+
+    @_operation()
+    def consider(self, question: bytes, coarse: str, seconds: int) -> tuple[AskedRight, ...]:
+        """What would be granted, through the filter `coarse`, for `seconds` (0: as asked)."""
+
+    @_operation()
+    def question_answers(self, question: bytes) -> tuple[QuestionAnswer, ...]: ...  # none while it waits
+
+    @_operation()
+    def invitations(self) -> tuple[InvitationView, ...]: ...
+
+    @_operation()
+    def phones(self) -> tuple[PhoneView, ...]: ...
+
+    @_operation()
+    def proposals(self) -> tuple[Proposal, ...]: ...
+
+    @_operation()
+    def approvals(self, count: int) -> tuple[ApprovalView, ...]: ...  # newest first, at most so many
+
+    @_operation()
+    def events(self, before: int, count: int) -> tuple[EventView, ...]:
+        """At most so many before this number (0: the newest)."""
+
+    @_operation()
+    def denials(self) -> tuple[DenialView, ...]: ...  # of the last day; raises if there is no master
+
+    @_operation()
+    def graph(self) -> tuple[FactView, ...]: ...  # raises if there is no master
+
+    @_operation()
+    def policy(self) -> PolicyView: ...
+
+    @_operation()
+    def policy_names(self) -> tuple[PolicyName, ...]: ...  # titles and types
+
+    @_operation()
+    def standing(self, epoch: int, seq: int) -> ListStanding: ...
+
+    # Taking away: nothing, or the number of the list, (0, 0) while the key is locked.
+
+    @_operation(changes=True)
+    def deny_request(self, request: bytes, reason: str) -> None: ...
+
+    @_operation(changes=True)
+    def deny_question(self, question: bytes, reason: str) -> None: ...
+
+    @_operation(changes=True)
+    def revoke_grant(self, grant: bytes, reason: str) -> tuple[int, int]: ...
+
+    @_operation(changes=True)
+    def revoke_node(self, name: str, reason: str) -> tuple[int, int]: ...  # not of a master
+
+    @_operation(changes=True)
+    def end_invitation(self, invitation: bytes, reason: str) -> None: ...
+
+    @_operation(changes=True)
+    def remove_phone(self, phone: bytes, reason: str) -> None: ...
+
+    @_operation(changes=True)
+    def end_proposal(self, proposal: bytes) -> None: ...
+
+    # Approving.
+
+    @_operation()
+    def prepare(self, kind: str, arguments: list[Value], owner: str = "") -> Prepared:
+        """Make a statement: arguments as in `PREPARED`, `owner` as `of_phone` and `of_looker` say."""
+
+    @_operation(changes=True)
+    def approve(self, statement: bytes, assertion: Assertion) -> Outcome: ...
+
+    @_operation()
+    def outcome(self, approval: bytes) -> Outcome: ...
+
+    # Who looks: the console's own sessions follow from these.
+
+    @_operation(of_strangers=True)
+    def login_challenge(self, origin: str) -> LoginChallenge: ...
+
+    @_operation(of_strangers=True)
+    def login(self, challenge: bytes, assertion: Assertion) -> str: ...  # the phone's name
+
+    @_operation(of_strangers=True)
+    def redeem(self, code: str) -> None: ...  # a code from the terminal, used up by this: to look
+
+    @_operation(of_strangers=True)
+    def new_passkey(self, origin: str, rp_id: str) -> LoginChallenge: ...
+
+    @_operation(of_strangers=True)
+    def add_passkey(self, registration: Registration) -> PhoneView: ...  # by a code from the terminal
+
+    @_operation(of_strangers=True)
+    def propose_passkey(self, registration: Registration) -> Proposal: ...  # by a code of `phone_link`
+
+    @_operation()
+    def phone_link(self, owner: str = "") -> str: ...  # a one-time code
+
+
+_ARGUMENTS: Final = {name: operation.arguments for name, operation in OPERATIONS.items()}
+
+
+def read_request(body: bytes) -> Request:
+    request = messages.read_request(body, _ARGUMENTS, MAX_REQUEST)
+    match request:
+        case Request("prepare", (str() as kind, list() as arguments, str())) if tuple(
+            map(type, arguments)
+        ) != PREPARED.get(kind):
+            raise KeyMessageRefused(f"{kind[:40]!a} is not prepared with such arguments", _HINT)
+    return request
+
+
+def checked(answer: Value) -> Value:
+    if len(messages.write_answer(answer)) > MAX_ANSWER:
+        raise KeyServiceRefused(
+            f"the answer has more than {MAX_ANSWER} bytes", "use the commands of the authority"
+        )
+    return answer
+
+
 _MOST: Final = 4  # rights that are listed
 
 
@@ -524,17 +664,9 @@ def _bodies(payload: bytes) -> list[bytes]:
     try:
         match decode(payload, limit=kinds.MAX_PAYLOAD):
             case [_, _, [*grants]]:
-                return [body for grant in grants for body in _body(grant)]
+                pairs = (grant for grant in grants if isinstance(grant, list) and len(grant) == 2)
+                return [body for body, _ in pairs if isinstance(body, bytes)]
             case _:
-                pass
+                return []
     except EncodingError:
-        pass
-    return []
-
-
-def _body(grant: Value) -> list[bytes]:
-    match grant:
-        case [bytes(body), _]:
-            return [body]
-        case _:
-            return []
+        return []

@@ -1,22 +1,10 @@
-"""Challenges of logins and new passkeys: made here, kept nowhere, and each used once.
+"""What phones are let in by: challenges, one-time codes, and passkeys that wait for an approval.
 
-Anybody on the network can ask for one, so none is kept until it is used: its id says what it is for
-and until when, under a key of this process (HMAC-SHA-256, as the cookies of RFC 4987 3.6 and RFC
-9147 5.1). Only those that a passkey has answered are remembered, until their time is over.
-
-One-time codes: what a person reads at the terminal, or at a phone that is there already.
-
-Only their SHA-256 is kept, in memory, and compared in constant time. A code is used once, for one
-purpose, within `LIFETIME`. A code has 128 bits, so nobody guesses one: after `MAX_FAILURES` wrong
-ones within a minute those who send more are told to wait, but a right one is always taken. Else any
-stranger on the network could keep people out by being wrong. Time is that of a clock that cannot be
-set.
-
-Passkeys that a new phone proposes, until a phone that is there already approves them.
-
-In memory: one that is not approved within `LIFETIME` is gone. Both phones show the same digits, so
-the person sees that the passkey is that of the phone in the other hand. Its id is random and comes
-from here, so nobody can look for a passkey whose digits are those of another.
+All in memory. A challenge is kept nowhere until a passkey has answered it. Of a code only the
+SHA-256 is kept; it is used once, for one purpose. A passkey that a new phone proposes waits until a
+phone that is there already approves it: both show the same digits, whose id comes from here, so
+nobody can look for a passkey whose digits are those of another. Time is that of a clock that cannot
+be set.
 """
 
 import base64
@@ -44,6 +32,10 @@ _MAC: Final = 32  # bytes
 
 
 class Challenges:
+    # Anybody on the network can ask for one, so its id says what it is for and until when, under a key of
+    # this process (HMAC-SHA-256, as the cookies of RFC 4987 3.6 and RFC 9147 5.1). Only those that were
+    # used are kept.
+
     def __init__(
         self, elapsed: clock.Seconds | None = None, random: Callable[[int], bytes] = secrets.token_bytes
     ) -> None:
@@ -121,7 +113,11 @@ class _Code(NamedTuple):
 
 
 class Codes:
-    """The codes that were made and not used yet; threads may share it."""
+    """The codes that were made and not used yet; threads may share it.
+
+    A code has 128 bits, so nobody guesses one: after `MAX_FAILURES` wrong ones those who send more wait,
+    but a right one is always taken. Else any stranger could keep people out by being wrong.
+    """
 
     def __init__(
         self, elapsed: clock.Seconds | None = None, random: Callable[[int], bytes] = secrets.token_bytes

@@ -1,20 +1,8 @@
-"""What the console shows of the record: identities, grants, requests, join codes, phones, the log.
+"""What the console is shown: the record, the policy, and what the master says.
 
-Each answer is one look at the record, newest first where it is long: what does not fit into an
-answer is left out, and the log of the service says so. Nothing here needs the key.
-
-What the policy calls things: titles for people, and the types of topics. It decides nothing.
-
-Asked for every page, so the policy is read only when its file has changed. Without a policy, or
-while it has mistakes, nothing has a title: pages show the names of ROS, as beside every title.
-
-The policy file, and what putting it in force would change, for a person to approve.
-
-What the master says to the console: the graph, what was refused, how far a list has come.
-
-Asked as `/ca`, through the network face, and only while somebody looks: `look`, which a console
-calls every second, begins one question at a time, at most every `PERIOD`. The graph is watched, so
-that the master answers when it changes; pages get what was heard last.
+Each answer is one look, newest first where it is long: what does not fit into an answer is left
+out, and the log of the service says so. Nothing here needs the key. The master is asked as `/ca`,
+through the network process, and only while somebody looks; pages get what was heard last.
 """
 
 import contextlib
@@ -36,7 +24,7 @@ from ca.store.record import CertificateRow, Store
 from grants import document
 from grants.errors import PolicyRefused
 from grants.policy.difference import Change
-from grants.policy.difference import Kind as difference_Kind
+from grants.policy.difference import Kind as ChangeKind
 from grants.policy.source import MAX_SIZE
 from rossec import clock, files
 from rossec.authority import invitations
@@ -58,9 +46,9 @@ from rossec.authority.console.messages import (
     sentence,
     to_value,
 )
-from rossec.authority.grant_operations import MasterCall
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.policyfile import PolicyFile
+from rossec.authority.session import MasterCall
 from rossec.errors import AnswerMalformed, ConfigurationError, NotDelivered
 from rossec.participant.registrations import WATCH_GRAPH, GraphView
 
@@ -75,13 +63,11 @@ _log = logging.getLogger("rossec.authority.service")
 Deliveries = Callable[[], Mapping[bytes, str]]
 
 
-class Reading:
+class RecordQueries:
     """The operations that read the record.
 
-    Args:
-        work: of the authority.
-        last_used: when passkeys were last used to log in.
-        deliveries: what the master says of each grant; without one, nothing.
+    `last_used`: when passkeys were last used to log in. `deliveries`: what the master says of each
+    grant; without one, nothing.
     """
 
     def __init__(
@@ -90,17 +76,6 @@ class Reading:
         self._work = work
         self._last_used = last_used
         self._deliveries = deliveries
-
-    def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        return {
-            "nodes": self.nodes,
-            "grants": self.grants,
-            "identity-requests": self.identity_requests,
-            "invitations": self.invitations,
-            "phones": self.phones,
-            "approvals": self.approvals,
-            "events": self.events,
-        }
 
     def nodes(self) -> Value:
         at = self._work.now()
@@ -297,50 +272,40 @@ _NOTHING: Final = (0, 0, 0)
 
 
 class PolicyNames:
+    # For every page, so the policy is read only when its file has changed. While it has mistakes there are
+    # no titles.
+
     def __init__(self, work: AuthorityWork) -> None:
         self._work = work
         self._read = _NOTHING
         self._names: tuple[PolicyName, ...] = ()
 
-    def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        return {"policy-names": self.names}
-
-    def names(self) -> Value:
-        found = self._state()
+    def policy_names(self) -> Value:
+        path, found = self._work.policy_path(), _NOTHING
+        with contextlib.suppress(OSError):
+            status = path.stat()
+            found = status.st_mtime_ns, status.st_size, status.st_ino
         if found != self._read:
-            self._names = self._load() if found != _NOTHING else ()
-            self._read = found
+            names: tuple[PolicyName, ...] = ()
+            if found != _NOTHING:
+                with contextlib.suppress(HintedError):  # told on the page of the policy
+                    policy = PolicyFile.read(path, own=True).policy
+                    names = tuple(
+                        PolicyName(name, policy.titles.get(name, ""), policy.types.get(name, ""))
+                        for name in sorted(policy.titles.keys() | policy.types.keys())
+                    )
+            self._read, self._names = found, names
         return bounded("names of the policy", self._names)
-
-    def _state(self) -> tuple[int, int, int]:
-        try:
-            status = self._work.policy_path().stat()
-        except OSError:
-            return _NOTHING
-        return status.st_mtime_ns, status.st_size, status.st_ino
-
-    def _load(self) -> tuple[PolicyName, ...]:
-        try:
-            policy = PolicyFile.read(self._work.policy_path(), own=True).policy
-        except HintedError:  # told on the page of the policy
-            return ()
-        return tuple(
-            PolicyName(name, policy.titles.get(name, ""), policy.types.get(name, ""))
-            for name in sorted(policy.titles.keys() | policy.types.keys())
-        )
 
 
 PURPOSE: Final = "a look at the policy"
 MAX_REFUSED: Final = 64
-_NOT_GIVEN: Final = frozenset({difference_Kind.KEPT, difference_Kind.GONE})
+_NOT_GIVEN: Final = frozenset({ChangeKind.KEPT, ChangeKind.GONE})
 
 
-class PolicyLook:
+class PolicyQuery:
     def __init__(self, work: AuthorityWork) -> None:
         self._work = work
-
-    def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        return {"policy": self.policy}
 
     def policy(self) -> Value:
         path = self._work.policy_path()
@@ -353,17 +318,17 @@ class PolicyLook:
             file = PolicyFile.read(path, own=True)
             read = file.text.encode()
             with self._work.service(PURPOSE) as service:
-                plan = service.plan_policy(file)
+                plan = service.policy.plan(file)
         except HintedError as error:
             digest = hashlib.sha256(read).digest() if read else b""
             return to_value(empty._replace(digest=digest, mistakes=_mistakes(error)))
         changes = [change for node in plan.nodes for change in node.changes]
-        kept = [change for change in changes if change.kind is difference_Kind.KEPT]
+        kept = [change for change in changes if change.kind is ChangeKind.KEPT]
         return to_value(
             empty._replace(
                 digest=hashlib.sha256(read).digest(),
                 gives=tuple(_right(each) for each in changes if each.kind not in _NOT_GIVEN),
-                takes=tuple(_right(each) for each in changes if each.kind is difference_Kind.GONE),
+                takes=tuple(_right(each) for each in changes if each.kind is ChangeKind.GONE),
                 keeps=len(kept),
                 refused=plan.refused[:MAX_REFUSED],
             )
@@ -373,7 +338,7 @@ class PolicyLook:
 def _right(change: Change) -> PolicyRight:
     lines: Sequence[str] = change.restrictions
     until = ""
-    if change.kind is not difference_Kind.GONE:
+    if change.kind is not ChangeKind.GONE:
         *lines, until = change.restrictions
     words, span = "; ".join(lines), until.removeprefix("valid ")
     return PolicyRight(change.subject.name, int(change.right), change.pattern, words, span)
@@ -397,12 +362,9 @@ _HINT: Final = "it is asked again"
 class MasterView:
     """The operations that need the master.
 
-    Args:
-        work: of the authority.
-        deliver: calls the master. Raises `NotDelivered`.
-        elapsed: seconds of a clock that cannot be set.
-        begin: calls a function in another thread.
-        came_back: called when the master answers again: something may wait for it.
+    `deliver`: calls the master. Raises `NotDelivered`. `elapsed`: seconds of a clock that cannot be
+    set. `begin`: calls a function in another thread. `came_back`: called when the master answers
+    again: something may wait for it.
     """
 
     def __init__(
@@ -425,9 +387,6 @@ class MasterView:
         self._denials: tuple[DenialView, ...] = ()
         self._standing: ListStanding | None = None
         self._changes = 0
-
-    def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        return {"standing": self.standing, "graph": self.graph, "denials": self.denials}
 
     def look(self) -> int:
         if self._elapsed() - self._begun >= PERIOD and self._asking.acquire(blocking=False):

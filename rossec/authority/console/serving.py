@@ -1,27 +1,9 @@
-"""The console's side of `rossec ca serve` put together: who may look, what it shows and does.
-
-How the service is, and a number that differs whenever what the console can show has changed.
-
-It is asked every second, so it looks at little: the size of the log says whether the record
-changed, the file's time whether the policy did.
-
-Which processes may not use `service.sock`: whoever showed itself to be the console's pages.
-
-The web process is confined as the network face is: it can start no other process. So one that was
-taken over cannot ask for the key's signature, whether it came to the console's socket first (it is
-remembered as long as it lives) or not (a process that may start no other one is no command of a
-person; it cannot take that back). A number of a process that ended is given to another one, so its
-start is remembered too, where the kernel shows it.
-
-Carries out what the console asks: each operation of `messages` by its handler.
-
-Handlers come in parts. Each part is called in a thread of its own, one task after the other: so it
-needs no lock, and none waits for a master that does not answer but those who ask for it.
-
-The console's socket: `ca/console.sock`, or where another user's console finds it. A shell.
+"""The console's side of `rossec ca serve`: its socket, who carries out what it asks, how the service is.
 
 Whoever may connect can read the record's names and take rights away, so it is the authority's own
-user; one other may be named, whose socket is then outside of the directory of the key.
+user; one other may be named, whose socket is then outside of the directory of the key. Handlers
+come in parts. Each part is called in a thread of its own, one task after the other: so it needs no
+lock, and none waits for a master that does not answer but those who ask for it.
 """
 
 import asyncio
@@ -36,7 +18,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 from ca.approvals.statement import Kind
 from ca.encoding import Value
@@ -56,14 +38,14 @@ from rossec.authority.console.approved_acts import (
 from rossec.authority.console.approving import Act, Approving, Of
 from rossec.authority.console.grant_requests import GrantAct, Questions, Removals
 from rossec.authority.console.messages import OPERATIONS, Status, checked, to_value
-from rossec.authority.console.queries import MasterView, PolicyLook, PolicyNames, Reading
-from rossec.authority.grant_operations import MasterCall
+from rossec.authority.console.queries import MasterView, PolicyNames, PolicyQuery, RecordQueries
 from rossec.authority.home import fingerprint
 from rossec.authority.keyservice.messages import Request
-from rossec.authority.keyservice.network import NetworkWork, Rounds
+from rossec.authority.keyservice.network import NetworkWork, Scheduler
 from rossec.authority.keyservice.operations import HeldKey, KeyOperations
 from rossec.authority.keyservice.process import Caller, KeyServer, SocketRules
 from rossec.authority.keyservice.work import AuthorityWork
+from rossec.authority.session import MasterCall
 from rossec.errors import ConfigurationError, KeyServiceRefused, NotDelivered, PeerUserRefused
 from rossec.host.local_sockets import UnixPeer
 from rossec.peer_limits import printable
@@ -71,14 +53,11 @@ from rossec.peer_limits import printable
 INBOX = "inbox"  # in the authority's directory (`rossec.authority.requests`)
 
 
-class StatusLook:
-    """The operation that is asked every second.
+class StatusQuery:
+    """The operation that is asked every second, so it looks at little: sizes and times.
 
-    Args:
-        work: of the authority.
-        held: its key.
-        has_master: whether the last call to the master succeeded.
-        seen: whatever else differs when something to be shown has changed.
+    `has_master`: whether the last call to the master succeeded. `seen`: whatever else differs when
+    something to be shown has changed.
     """
 
     def __init__(
@@ -94,9 +73,6 @@ class StatusLook:
         self._seen = seen
         anchor = work.home().anchor()
         self._domain, self._fingerprint = anchor.domain, fingerprint(anchor)
-
-    def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        return {"status": self.status}
 
     def status(self) -> Value:
         home, now = self._work.home(), self._work.now()
@@ -130,6 +106,11 @@ _REFUSED: Final = "a process of the console's pages may not use the service's so
 
 
 class ConsolePeers:
+    # Which processes may not use `service.sock`: whoever showed itself to be the console's pages. The web
+    # process can start no other one, so one that was taken over cannot ask for signatures, whether it came
+    # to the console's socket first (it is remembered as long as it lives) or not (its limits show it). A
+    # number is given again to another process, so its start is remembered too.
+
     def __init__(self, proc: Path = Path("/proc")) -> None:
         self._proc = proc
         self._lock = threading.Lock()
@@ -174,43 +155,31 @@ class ConsolePeers:
 _log = logging.getLogger("rossec.authority.service")
 
 Handler = Callable[..., Value]
-CHANGES: Final = frozenset(
-    {
-        "deny-request",
-        "deny-question",
-        "revoke-grant",
-        "revoke-node",
-        "end-invitation",
-        "remove-phone",
-        "end-proposal",
-        "approve",
-    }
-)
 
 
 def _unaudited(_: str) -> None: ...
 
 
-class Part(Protocol):
-    def handlers(self) -> Mapping[str, Handler]: ...
+def handlers_of(part: object) -> dict[str, Handler]:
+    methods = {name: getattr(part, name.replace("-", "_"), None) for name in OPERATIONS}
+    return {name: method for name, method in methods.items() if callable(method)}
 
 
 class ConsoleService:
     """All operations.
 
-    Args:
-        parts: which have one handler for each operation of the table between them.
-        audit: writes a line. Raises `HintedError` if it cannot: then nothing is done.
+    `parts`: which have one handler for each operation of the table between them. `audit`: writes a
+    line. Raises `HintedError` if it cannot: then nothing is done.
     """
 
-    def __init__(self, *parts: Part, audit: Callable[[str], None] = _unaudited) -> None:
+    def __init__(self, *parts: object, audit: Callable[[str], None] = _unaudited) -> None:
         self._audit = audit
         self._threads = [ThreadPoolExecutor(1, thread_name_prefix="console") for _ in parts]
         self._handlers: dict[str, tuple[ThreadPoolExecutor, Handler]] = {}
         for part, thread in zip(parts, self._threads, strict=True):
-            for operation, handler in part.handlers().items():
-                if operation in self._handlers or operation not in OPERATIONS:
-                    raise ValueError(f"{operation} is not an operation, or has two handlers")
+            for operation, handler in handlers_of(part).items():
+                if operation in self._handlers:
+                    raise ValueError(f"{operation} has two handlers")
                 self._handlers[operation] = thread, handler
 
     @property
@@ -222,7 +191,7 @@ class ConsoleService:
             raise KeyServiceRefused(
                 f"this service does not do {request.operation}", "restart it: rossec ca serve"
             )
-        if request.operation in CHANGES:
+        if OPERATIONS[request.operation].changes:
             self._audit(f"{_described(request)}, asked by the console of {caller}")
         thread, handler = self._handlers[request.operation]
         call = partial(_answer, handler, request.arguments)
@@ -290,10 +259,7 @@ def _check_directory(directory: Path) -> None:
 class ConsoleSocket:
     """Answers the console.
 
-    Args:
-        where: the socket.
-        service: carries out what is asked.
-        peers: is told who connects.
+    `service`: carries out what is asked. `peers`: is told who connects.
     """
 
     def __init__(self, where: ConsolePlace, service: ConsoleService, peers: ConsolePeers) -> None:
@@ -322,13 +288,8 @@ PURPOSE: Final = "a look at the console"
 class Console:
     """What the service has for the console.
 
-    Args:
-        where: the socket.
-        rossec_home: ROSSEC_HOME.
-        operations: of the key.
-        network: None: no master is called, and no node joins.
-        policy: its file; None: the usual place.
-        join_address: where nodes reach the join port, `host:port`, for join codes.
+    `network`: None: no master is called, and no node joins. `policy`: its file; None: the usual
+    place. `join_address`: where nodes reach the join port, `host:port`, for join codes.
     """
 
     def __init__(
@@ -343,7 +304,7 @@ class Console:
         self.where = where
         self.peers = ConsolePeers()
         work = network.work if network else AuthorityWork(rossec_home, operations, _fail, policy)
-        self.rounds = network.rounds if network else Rounds(asyncio.to_thread)
+        self.rounds = network.rounds if network else Scheduler(asyncio.to_thread)
         operations.on_unlock = self.rounds.wake
         self.access = Access(work, operations.audit)
         self._network = network
@@ -353,10 +314,10 @@ class Console:
         self.master = MasterView(work, network.deliver if network else _fail, came_back=self.rounds.wake)
         self.service = ConsoleService(
             self.access,
-            StatusLook(work, operations.held, self._has_master, self._seen),
-            Reading(work, self.access.last_used, Deliveries(work, self._has_master).states),
+            StatusQuery(work, operations.held, self._has_master, self._seen),
+            RecordQueries(work, self.access.last_used, Deliveries(work, self._has_master).states),
             Questions(work),
-            PolicyLook(work),
+            PolicyQuery(work),
             PolicyNames(work),
             self.approving,
             self.master,
@@ -370,7 +331,7 @@ class Console:
 
     def _seen(self) -> tuple[object, ...]:
         # What the console shows and the record does not say.
-        return self.master.look(), *(each.id for each in self.access.proposals.all())
+        return self.master.look(), *(each.id for each in self.access.proposed.all())
 
 
 class Deliveries:
@@ -390,7 +351,7 @@ class Deliveries:
             self._asked = now
             try:
                 with self._work.service(PURPOSE) as service:
-                    self._states = service.delivery_states()
+                    self._states = service.grants.delivery_states()
             except HintedError:
                 self._states = {}
         return self._states
@@ -407,7 +368,7 @@ def acts_of(
         Kind.POLICY: PolicyAct(policy),
         Kind.DELEGATE: DelegateAct(),
         Kind.INTERMEDIATE: IntermediateAct(),
-        Kind.PASSKEY: PasskeyAct(access.proposals),
+        Kind.PASSKEY: PasskeyAct(access.proposed),
         Kind.INVITATION: InvitationAct(work.home(), join_address, elapsed),
         Kind.REVOKE_MASTER: RevokeMasterAct(),
     }

@@ -1,12 +1,10 @@
 """The side of a command: asks the service that runs in the authority's directory, if one does.
 
 A command opens the record itself, as it does without a service; only the signatures come from the
-service, which is asked over `ca/service.sock`. Both ends must be of one user. Each signature is
-verified here before it is used: a service of another authority's key could sign nothing for this
-one. A request that the service ended the connection instead of answering is sent once more, over a
-new connection: services are restarted, and drop those that are idle.
-
-One service of an authority at a time, and none while a backup is restored over it.
+service, over `ca/service.sock`. Both ends must be of one user, and each signature is verified
+before it is used. A request that the service ended the connection instead of answering is sent once
+more: services are restarted, and drop those that are idle. One service of an authority runs at a
+time, and none while a backup is restored over it.
 """
 
 import os
@@ -48,8 +46,6 @@ _HINT: Final = "see: rossec ca status; if it hangs, restart `rossec ca serve`"
 
 
 class KeyServiceClient:
-    """A connection to the service, made when it is needed."""
-
     def __init__(self, path: Path, sock: socket.socket) -> None:
         self._path = path
         self._socket: socket.socket | None = sock
@@ -68,7 +64,6 @@ class KeyServiceClient:
             raise KeyServiceFailed(f"{path}: {error.strerror or error}", _HINT) from error
 
     def ask(self, request: Request) -> Value:
-        """Send a request, and return what its answer says."""
         data = messages.write_request(request)
         try:
             try:
@@ -83,7 +78,6 @@ class KeyServiceClient:
             ) from error
 
     def status(self) -> dict[str, Value]:
-        """What the service says of itself (`KeyOperations.status`)."""
         return _as_status(self.ask(Request(messages.STATUS)))
 
     def unlock(self, passphrase: str, seconds: int) -> dict[str, Value]:
@@ -101,7 +95,6 @@ class KeyServiceClient:
         return code
 
     def close(self) -> None:
-        """End the connection."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
@@ -115,8 +108,6 @@ class KeyServiceClient:
 
 
 class RemoteSigner:
-    """A `Signer` whose key the service holds."""
-
     def __init__(self, client: KeyServiceClient, public_key: ec.EllipticCurvePublicKey) -> None:
         self._client = client
         self._public_key = public_key
@@ -126,23 +117,17 @@ class RemoteSigner:
         return self._public_key
 
     def sign(self, message: bytes) -> bytes:
-        """As `Signer.sign`."""
         answer = self._client.ask(Request(messages.SIGN, (message,)))
-        if not isinstance(answer, bytes) or not self._verifies(answer, message):
-            raise KeyServiceFailed("the service signed with another key", _HINT)
-        return answer
-
-    def close(self) -> None:
-        self._client.close()
-
-    def _verifies(self, signature: bytes, message: bytes) -> bool:
-        half = len(signature) // 2
-        r, s = int.from_bytes(signature[:half]), int.from_bytes(signature[half:])
+        signature = answer if isinstance(answer, bytes) and len(answer) == 64 else bytes(64)
+        r, s = int.from_bytes(signature[:32]), int.from_bytes(signature[32:])
         try:
             self._public_key.verify(encode_dss_signature(r, s), message, _ECDSA)
         except InvalidSignature:
-            return False
-        return len(signature) == 64
+            raise KeyServiceFailed("the service signed with another key", _HINT) from None
+        return signature
+
+    def close(self) -> None:
+        self._client.close()
 
 
 def running_signer(home: AuthorityHome) -> RemoteSigner | None:

@@ -1,4 +1,4 @@
-"""The network face: a process of the service that talks to strangers and has no key of it.
+"""The network process: a process of the service that talks to strangers and has no key of it.
 
 `python -I -m rossec.authority.keyservice.front_end`, started by `face_process`. It is the node `/ca`: it
 serves the join port, and calls the master when the service asks for it. What it may ask of the
@@ -13,7 +13,7 @@ import socket
 import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import Final, cast
 
 from ca.encoding import Value
 from ca.enrollment.invitation import JoinClaim, JoinRequest
@@ -41,7 +41,7 @@ from rossec.host import addresses
 from rossec.host.confinement import confine_files, confine_processes
 from rossec.host.runner import log_as_json, until_first_ends
 from rossec.host.sandbox import protect_memory
-from rossec.net.rpc.calls import CALL_DEADLINE, RpcClient
+from rossec.net.rpc.calls import CALL_DEADLINE
 from rossec.peer_limits import printable
 from rossec.ros.xmlrpc import Fault
 
@@ -51,14 +51,10 @@ _FRESH: Final = 10.0  # seconds for which the own identity is not read again
 _log = logging.getLogger("rossec.authority.face")
 
 
-class Face:
+class FrontEnd:
     """The join port, and calls at the master, as `/ca`.
 
-    Args:
-        node: the directory of `/ca`.
-        join_address: `host:port`; the host may be `ANY`.
-        master_uri: of the master.
-        suites: the post-quantum policy.
+    `node`: the directory of `/ca`. `join_address`: `host:port`; the host may be `ANY`.
     """
 
     def __init__(self, node: NodeHome, join_address: str, master_uri: str, suites: tuple[int, ...]) -> None:
@@ -125,16 +121,12 @@ class Face:
                 deadline = max(CALL_DEADLINE, float(seconds))
                 connection = master_connection(own, anchor, self._master_uri, self._suites, deadline)
                 async with connection as client:
-                    return await _ask(client, self._node.name, method, arguments)
+                    answer = await client.ask(method, self._node.name, *arguments)
+                    return cast("Value", answer)  # the frame says what it may be
         except (HintedError, OSError, TimeoutError, Fault) as error:
             reason = error.faultString if isinstance(error, Fault) else str(error)
             shown = printable(reason) or "no answer in time"
             raise NotDelivered(f"{self._master_uri}: {shown}") from error
-
-
-async def _ask(client: RpcClient, name: str, method: str, arguments: list[Value]) -> Value:
-    answer: Any = await client.ask(method, name, *arguments)  # the frame says what it may be
-    return answer  # type: ignore[no-any-return]
 
 
 def _host_and_port(text: str) -> tuple[str | None, int]:
@@ -158,7 +150,7 @@ def main(arguments: list[str]) -> None:
     confine_files([Path(directory)])
     executor = confine_processes()
     suites = opening.post_quantum(os.environ)
-    face = Face(NodeHome(Path(directory), OWN_NODE), join_address, master_uri, suites)
+    face = FrontEnd(NodeHome(Path(directory), OWN_NODE), join_address, master_uri, suites)
 
     async def run() -> None:
         asyncio.get_running_loop().set_default_executor(executor)

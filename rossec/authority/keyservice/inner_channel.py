@@ -1,4 +1,4 @@
-"""The socketpair between the service and its network face, as calls in both directions. A shell.
+"""The socketpair between the service and its network process, as calls in both directions. A shell.
 
 A side that breaks the protocol ends the connection, and with it the face: the service starts a new
 one. The number of requests that are carried out at a time is bounded.
@@ -14,7 +14,6 @@ from typing import Final
 from ca.encoding import Value
 from ca.errors import HintedError
 from rossec.authority.keyservice import messages
-from rossec.authority.keyservice import messages as inner_messages
 from rossec.authority.keyservice.messages import InnerAnswer, InnerRefusal, InnerRequest
 from rossec.errors import KeyMessageRefused, KeyServiceRefused
 from rossec.host.runner import TaskSet
@@ -30,11 +29,9 @@ Handler = Callable[..., Awaitable[Value]]
 class InnerChannel:
     """One end.
 
-    Args:
-        sock: the end of the socketpair.
-        handlers: what the other side may ask; called with the arguments of the operation. Raise
-            `HintedError` to refuse.
-        limit: bytes of a message from the other side.
+    `sock`: the end of the socketpair. `handlers`: what the other side may ask; called with the
+    arguments of the operation. Raise `HintedError` to refuse. `limit`: bytes of a message from the
+    other side.
     """
 
     def __init__(self, sock: socket.socket, handlers: Mapping[str, Handler], limit: int) -> None:
@@ -54,7 +51,7 @@ class InnerChannel:
             while True:
                 head = await reader.readexactly(messages.HEAD)
                 body = await reader.readexactly(messages.frame_size(head, self._limit))
-                self._take(inner_messages.read(body, self._limit))
+                self._take(messages.read(body, self._limit))
         except (asyncio.IncompleteReadError, ConnectionError):
             return
         finally:
@@ -69,8 +66,8 @@ class InnerChannel:
         await self._connected.wait()
         if self._writer is None:
             raise KeyServiceRefused(_ENDED, "it is started again")
-        number = next(self._numbers) % inner_messages.MAX_NUMBER
-        frame = inner_messages.write(InnerRequest(number, operation, arguments))
+        number = next(self._numbers) % messages.MAX_NUMBER
+        frame = messages.write(InnerRequest(number, operation, arguments))
         answer: asyncio.Future[Value] = asyncio.get_running_loop().create_future()
         self._waiting[number] = answer
         try:
@@ -83,7 +80,7 @@ class InnerChannel:
         finally:
             del self._waiting[number]
 
-    def _take(self, message: inner_messages.InnerMessage) -> None:
+    def _take(self, message: messages.InnerMessage) -> None:
         if isinstance(message, InnerRequest):
             if message.operation not in self._handlers or len(self._tasks) >= MAX_REQUESTS:
                 raise KeyMessageRefused(f"a request {message.operation} that may not be made now")
@@ -100,12 +97,12 @@ class InnerChannel:
     async def _carry_out(self, request: InnerRequest) -> None:
         try:
             value = await self._handlers[request.operation](*request.arguments)
-            frame = inner_messages.write(InnerAnswer(request.number, value))
+            frame = messages.write(InnerAnswer(request.number, value))
         except HintedError as error:
-            frame = inner_messages.write(InnerRefusal(request.number, str(error), error.hint))
+            frame = messages.write(InnerRefusal(request.number, str(error), error.hint))
         except Exception:  # noqa: BLE001 - the other side would wait for an answer
             _log.exception("a request %s of the other process failed", request.operation)
-            frame = inner_messages.write(InnerRefusal(request.number, *_FAILED))
+            frame = messages.write(InnerRefusal(request.number, *_FAILED))
         if self._writer is not None:
             self._writer.write(frame)
             await self._writer.drain()

@@ -1,23 +1,14 @@
-"""Messages to the authority's service and its answers: bytes to values and back. Pure.
+"""Messages to the authority's service, and between it and its network process: bytes and values. Pure.
 
 A frame is a length (4 bytes, network byte order) and so many bytes of deterministic CBOR
-(`ca.encoding`). A request is `[1, operation, argument...]`: 1 is the version, `OPERATIONS` says
-which arguments an operation has. An answer is `[0, value]`, or `[1, kind, message, hint]` for a
-refusal, whose kind is in `REFUSALS`. The length is checked before anything is read.
+(`ca.encoding`); the length is checked before anything is read. A request is `[1, operation,
+argument...]`: 1 is the version, `OPERATIONS` says which arguments an operation has. An answer is
+`[0, value]`, or `[1, kind, message, hint]` for a refusal, whose kind is in `REFUSALS`.
 
-What the authority's key signs: the table of its statements, and certificates. Pure.
-
-The service signs for every program of its user, and so it must not become an oracle: bytes that are
-none of these are refused, whoever asks. What nodes or the master sign (requests, renewals, tickets,
-timestamps) is not in the table: those are never signed with this key.
-
-Messages between the service and its network face: bytes to values and back. Pure.
-
-Frames as in `messages`, of deterministic CBOR. `[0, number, operation, argument...]` is a request,
-`[1, number, value]` its answer, `[2, number, message, hint]` a refusal. Each side numbers its own
-requests. `OPERATIONS` is all that the two may ask of each other: what strangers send reaches the
-service as the octets of one `join` or `name`, of a fixed layout and bounded
-(`ca.enrollment.invitation`, `join_claim`).
+Between the two processes `[0, number, operation, argument...]` is a request, `[1, number, value]`
+its answer, `[2, number, message, hint]` a refusal; each side numbers its own requests. What
+strangers send reaches the service as the octets of one `join` or `name`, of a fixed layout and
+bounded.
 """
 
 from collections.abc import Mapping
@@ -53,6 +44,8 @@ from rossec.errors import (
 )
 
 MAX_MESSAGE: Final = MAX_LIST + 512  # the largest statement is a revocation list
+# All that the authority's key signs, besides certificates: the service signs for every program of its user,
+# and must not become an oracle. What nodes or the master sign is not here.
 _STATEMENTS: Final[Mapping[str, Profile]] = {
     "a grant": GRANT,
     "a delegation": DELEGATION,
@@ -116,20 +109,16 @@ _MESSAGES_HINT: Final = "are the service and the command of one version of rosse
 
 
 class Request(NamedTuple):
-    """An operation and its arguments, whose types are those of `OPERATIONS`."""
-
     operation: str
     arguments: tuple[Value, ...] = ()
 
 
 def frame(value: Value) -> bytes:
-    """The frame of a message."""
     body = encode(value)
     return len(body).to_bytes(HEAD) + body
 
 
 def frame_size(head: bytes, limit: int = MAX_FRAME) -> int:
-    """The number of bytes that follow the head of a frame."""
     size = int.from_bytes(head)
     if not 0 < size <= limit:
         raise KeyMessageRefused(f"a message of {size} bytes where 1 to {limit} are allowed", _MESSAGES_HINT)

@@ -1,24 +1,10 @@
-"""The service's joins, calls at the master and rounds: face and work put together. A shell.
+"""What the service does at the network: joins, rounds, identities that nodes renew. A shell.
 
-Tasks that need the record run in one thread, one after the other; a round is a task as a join is.
-So a master whose host is off, which fails slowly, is not called for a while: nodes go on joining.
-
-What the service does again and again: every minute, and at once when there is a reason. A shell.
-
-A reason is a key that was unlocked, or something recorded that waits for the key or the master. One
-that comes during a round begins another. A task that crashes keeps no other from being done.
-
-Names by rules for nodes that join. A shell around `rossec.naming`.
-
-The service holds the authority's key, so it reads no metadata: they go, as they came, to the
-process for rules, and only when the secret of an invitation was proved. What comes back is a name
-that was checked; here it is compared with the invitation. The rules decide twice: for the claim,
-and for the request that follows it, since what is between may lie.
-
-Identities of nodes that are due: fetched from the master, renewed, and brought back. A shell.
-
-The service waits at the master for requests, so that a node has its new identity within seconds of
-asking. While the key is locked it says so there, since nodes tell their users, and does not wait.
+Tasks that need the record run in one thread, one after the other; a round, every minute and at once
+when there is a reason, is a task as a join is. So a master whose host is off, which fails slowly,
+is not called for a while. The service holds the authority's key, so it reads no metadata of nodes:
+they go to the process for rules (`rossec.naming`), and only when the secret of an invitation was
+proved.
 """
 
 import asyncio
@@ -35,10 +21,10 @@ from ca.enrollment.invitation import JoinClaim, JoinRequest
 from ca.enrollment.join import NameAnswer, Named, Refused, RefuseReason, write
 from ca.errors import EncodingError, HintedError
 from ca.names import is_reserved, pattern_covers
-from rossec.authority.grant_operations import MasterCall
 from rossec.authority.keyservice.operations import KeyOperations
-from rossec.authority.keyservice.process import FaceProcess
+from rossec.authority.keyservice.process import FrontEndProcess
 from rossec.authority.keyservice.work import AuthorityWork
+from rossec.authority.session import MasterCall
 from rossec.errors import ConfigurationError, NotDelivered, RossecError
 from rossec.host.runner import TaskSet
 from rossec.naming.rule_runner import RuleRunner
@@ -51,11 +37,10 @@ _log = logging.getLogger("rossec.authority.service")
 Task = Callable[[], None]
 
 
-class Rounds:
+class Scheduler:
     """Calls its tasks, one after the other.
 
-    Args:
-        in_thread: calls a task in a thread.
+    `in_thread`: calls a task in a thread.
     """
 
     def __init__(self, in_thread: Callable[[Task], Awaitable[None]]) -> None:
@@ -72,7 +57,6 @@ class Rounds:
             self._loop.call_soon_threadsafe(self._due.set)
 
     async def run(self) -> None:
-        """Do rounds until this is cancelled."""
         self._loop = asyncio.get_running_loop()
         while True:
             self._due.clear()
@@ -95,8 +79,7 @@ SECONDS: Final = 1.0  # for one answer of the rules
 class JoinNames:
     """The rules of one authority; without rules no node is named.
 
-    Args:
-        rules: a stylesheet, or None.
+    `rules`: a stylesheet, or None.
     """
 
     def __init__(self, rules: bytes | None) -> None:
@@ -116,6 +99,7 @@ class JoinNames:
             self._runner.close()
 
     async def answer(self, metadata: bytes, pattern: str) -> NameAnswer:
+        # For the claim, and again for the request that follows it, since what is between may lie.
         if self._runner is None:
             return Refused(RefuseReason.UNNAMED)
         try:
@@ -143,12 +127,11 @@ class CallsMaster(Protocol):
 
 
 class RenewalWatch:
-    """Renews identities until it is cancelled.
+    """Renews identities: waits at the master for requests, so that a node has its new one in seconds.
 
-    Args:
-        face: calls the master.
-        work: says whether the key is held.
-        renew: answers requests, in the thread of the work.
+    While the key is locked it says so there, since nodes tell their users, and does not wait.
+
+    `work`: says whether the key is held. `renew`: answers requests, in the thread of the work.
     """
 
     def __init__(self, face: CallsMaster, work: AuthorityWork, renew: Renew) -> None:
@@ -228,21 +211,16 @@ _T = TypeVar("_T")
 class NetworkWork:
     """What the network asks of the service, and it of the network.
 
-    Args:
-        rossec_home: ROSSEC_HOME.
-        operations: of the key.
-        face: the network face.
-        applies: put the policy in force in every round; a node that joins gets its grants anyhow.
-        policy: its file; None: the usual place.
-        rules: by which nodes that join are named; None: none is.
-        renews: renew identities of nodes that ask for it at the master.
+    `applies`: put the policy in force in every round; a node that joins gets its grants anyhow.
+    `policy`: its file; None: the usual place. `rules`: by which nodes that join are named; None:
+    none is. `renews`: renew identities of nodes that ask for it at the master.
     """
 
     def __init__(
         self,
         rossec_home: Path,
         operations: KeyOperations,
-        face: FaceProcess,
+        face: FrontEndProcess,
         *,
         applies: bool = False,
         policy: Path | None = None,
@@ -253,7 +231,7 @@ class NetworkWork:
         self._face = face
         self._applies = applies
         self.work = AuthorityWork(rossec_home, operations, self.deliver, policy)
-        self.rounds = Rounds(self._in_thread)
+        self.rounds = Scheduler(self._in_thread)
         self.rounds.add(self.work.maintain)
         if applies:
             self.rounds.add(self.work.apply_if_changed)
@@ -289,7 +267,6 @@ class NetworkWork:
         return answer
 
     async def run(self) -> None:
-        """Serve until this is cancelled."""
         self._loop = asyncio.get_running_loop()
         async with self._names:  # first of all: rules that are refused end it
             self._tasks.spawn(self._rounds(), name="rounds of the authority")

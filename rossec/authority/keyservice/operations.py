@@ -1,15 +1,9 @@
-"""What the service does for those who ask: the operations of `messages`, and its own signatures.
+"""The key while it is unlocked, and the operations on it: sign, lock, unlock.
 
 Everything is audited with who asked, a signature *before* it is made: where the audit cannot be
-written, nothing is signed. `unlock` takes a tenth of a second and may be called in a thread; the
-others return at once.
-
-The key while it is unlocked: for how long, and how often a passphrase may be tried.
-
-Time is that of a clock that counts the seconds in which the machine sleeps (`rossec.clock.counter`)
-and which cannot be set. It is checked at every signature; the key is dropped as soon as somebody
-looks (`drop_if_over`). Each wrong passphrase in a row doubles the time until the next may be tried.
-Threads share it: joins and the policy are signed for in another one than commands are.
+written, nothing is signed. Time is that of a clock that counts the seconds in which the machine
+sleeps and which cannot be set; it is checked at every signature. Threads share the key: joins and
+the policy are signed for in another one than commands are.
 """
 
 import hashlib
@@ -37,9 +31,8 @@ _MAX_DOUBLINGS: Final = 6
 class HeldKey:
     """Holds the key, or does not.
 
-    Args:
-        load: the key that a passphrase or PIN opens. Raises `KeyRefused`.
-        elapsed: seconds of a clock that counts sleep.
+    `load`: the key that a passphrase or PIN opens. Raises `KeyRefused`. `elapsed`: seconds of a
+    clock that counts sleep.
     """
 
     def __init__(self, load: Callable[[str], Signer], elapsed: clock.Seconds | None = None) -> None:
@@ -86,7 +79,6 @@ class HeldKey:
         return signer
 
     def lock(self) -> bool:
-        """Drop the key; whether it was held."""
         with self._held:
             signer, self._signer, self._until = self._signer, None, None
             if isinstance(signer, TokenSigner):
@@ -110,12 +102,10 @@ class HeldKey:
             return None if left <= 0 else math.ceil(left)
 
     def check(self) -> None:
-        """Raise unless it is held."""
         if self.remaining() is None:
             raise _locked()
 
     def sign(self, message: bytes) -> bytes:
-        """As `Signer.sign`."""
         with self._held:
             if self.remaining() is None or self._signer is None:
                 raise _locked()
@@ -132,11 +122,8 @@ ITSELF: Final = "the service itself"
 class KeyOperations:
     """Signs, locks and unlocks.
 
-    Args:
-        held: the key.
-        authority: whose key it is.
-        audit: writes a line. Raises `HintedError` if it cannot.
-        describe: what `status` says besides whether the key is held.
+    `authority`: whose key it is. `audit`: writes a line. Raises `HintedError` if it cannot.
+    `describe`: what `status` says besides whether the key is held.
     """
 
     def __init__(
@@ -153,7 +140,6 @@ class KeyOperations:
         self.on_unlock: Callable[[], None] = _nothing  # there may be work that waited for the key
 
     def carry_out(self, request: Request, caller: object) -> Value:
-        """Carry out a request of `caller`, whose text names it in the audit."""
         match request:
             case Request(messages.STATUS):
                 return self.status()
@@ -169,7 +155,6 @@ class KeyOperations:
         return {**self._describe(), "locked": remaining is None, "remaining": remaining}
 
     def sign(self, message: bytes, caller: object = ITSELF) -> bytes:
-        """Sign a statement or a certificate."""
         try:
             kind = kind_of(message, self._authority)
         except SigningRefused:
@@ -180,7 +165,6 @@ class KeyOperations:
         return self.held.sign(message)
 
     def unlock(self, passphrase: str, seconds: int, caller: object) -> Value:
-        """Hold the key for `seconds` from now on; returns as `status`."""
         if not 0 <= seconds <= MAX_UNLOCKED or len(passphrase) > MAX_PASSPHRASE:
             raise KeyServiceRefused(
                 f"unlocking for {seconds} s where 0 to {MAX_UNLOCKED} are allowed",
@@ -205,7 +189,6 @@ class KeyOperations:
         self._audit(text)
 
     def lock(self, caller: object) -> Value:
-        """Drop the key at once; returns as `status`."""
         if self.held.lock():
             self._audit(f"locked by {caller}")
         return self.status()

@@ -1,22 +1,10 @@
-"""The process that holds the key, while it runs: socket, time and audit put together. A shell.
+"""The process that holds the key, while it runs: its socket, time and audit, and the network process.
 
-Who asks the service: the user, the process and its command line, for the audit.
-
-The kernel says which process connected (SO_PEERCRED). Its command line is read from /proc at that
-moment and is what the process itself says: a process can change it, or end and another one get its
-number. It is evidence for a person who reads the audit, and decides nothing.
-
-A socket of the service: `ca/service.sock`, for the user of the authority alone. A shell.
-
-Every connection is one caller, admitted by the user id that the kernel reports. It may send any
-number of requests, one after the other. Its number of connections, the size of a message and the
-time for one are bounded; what is malformed is answered with a refusal and ends the connection.
-
-The service's side of its network face: starts it, answers it, starts it again. A shell.
-
-The face is executed anew, so that nothing of the service's memory is in it, and started first while
-the service has no key. Its end of a socketpair is the only descriptor it inherits. A face that dies
-is replaced, each time later; one that breaks the protocol is killed before.
+Every connection to the socket is one caller, admitted by the user id that the kernel reports. Its
+number of connections, the size of a message and the time for one are bounded; what is malformed is
+answered with a refusal and ends the connection. The network process is executed anew, so that
+nothing of the service's memory is in it, and started first while the service has no key; its end of
+a socketpair is the only descriptor it inherits. One that dies is replaced, each time later.
 """
 
 import asyncio
@@ -61,6 +49,8 @@ class Caller(NamedTuple):
         return f"user {self.user}, process {self.process}: {self.command}"
 
 
+# What the process says of itself: it can change it, or end and another one get its number. It is evidence
+# for a person who reads the audit, and decides nothing.
 def caller_of(peer: UnixPeer, proc: Path = Path("/proc")) -> Caller:
     try:
         with (proc / str(peer.process) / "cmdline").open("rb") as file:
@@ -85,11 +75,9 @@ def admit_all(_: UnixPeer) -> None: ...
 class SocketRules(NamedTuple):
     """What a socket takes, and from whom.
 
-    Args:
-        read_request: reads the body of a frame. Raises `KeyMessageRefused`.
-        max_request: bytes of the body.
-        max_callers: connections at a time.
-        users: who may connect; empty: the user of this process.
+    `read_request`: reads the body of a frame. Raises `KeyMessageRefused`. `max_request`: bytes of
+    the body. `max_callers`: connections at a time. `users`: who may connect; empty: the user of
+    this process.
     """
 
     read_request: Callable[[bytes], Request] = messages.read_request
@@ -104,11 +92,9 @@ KEY_RULES: Final = SocketRules()
 class KeyServer:
     """Listens at `path`.
 
-    Args:
-        path: of the socket; a stale one is replaced, so the caller holds the lock of the service.
-        carry_out: carries out one request. Raises `HintedError` for a refusal.
-        admit: raises `PeerUserRefused` for a process that may not ask.
-        rules: of the socket.
+    `path`: of the socket; a stale one is replaced, so the caller holds the lock of the service.
+    `carry_out`: carries out one request. Raises `HintedError` for a refusal. `admit`: raises
+    `PeerUserRefused` for a process that may not ask.
     """
 
     def __init__(
@@ -126,20 +112,13 @@ class KeyServer:
         self._callers: set[asyncio.StreamWriter] = set()
 
     async def start(self) -> None:
-        """Listen."""
         self._path.unlink(missing_ok=True)
-        self._server = await asyncio.start_unix_server(
-            self._serve, sock=self._listen(), limit=self._rules.max_request
-        )
-
-    def _listen(self) -> socket.socket:
         sock = listen_at(self._path)
         if self._rules.users:
             self._path.chmod(0o666)  # the directory, and who connects, decide
-        return sock
+        self._server = await asyncio.start_unix_server(self._serve, sock=sock, limit=self._rules.max_request)
 
     async def close(self) -> None:
-        """Stop listening, and end every connection."""
         if self._server is not None:
             self._server.close()
             self._path.unlink(missing_ok=True)
@@ -178,7 +157,11 @@ class KeyServer:
             except KeyMessageRefused as error:
                 await _send(writer, messages.write_refusal(error))
                 return
-            await _send(writer, await self._answer(request, caller))
+            try:
+                answer = messages.write_answer(await self._carry_out(request, caller))
+            except HintedError as error:
+                answer = messages.write_refusal(error)
+            await _send(writer, answer)
 
     def _admitted(self, writer: asyncio.StreamWriter) -> Caller:
         try:
@@ -190,12 +173,6 @@ class KeyServer:
             _log.warning("refused at the authority's service: %s", error)
             raise OSError("refused") from error
         return caller_of(peer)
-
-    async def _answer(self, request: Request, caller: Caller) -> bytes:
-        try:
-            return messages.write_answer(await self._carry_out(request, caller))
-        except HintedError as error:
-            return messages.write_refusal(error)
 
 
 async def _send(writer: asyncio.StreamWriter, data: bytes) -> None:
@@ -231,7 +208,6 @@ def operations_of(
 
 
 def audit_to(file: AuditFile) -> Callable[[str], None]:
-    """Writes lines to the audit, and raises `KeyServiceRefused` where one is not written."""
     audit = logging.getLogger(AUDIT)
 
     def write(text: str) -> None:
@@ -247,11 +223,8 @@ def audit_to(file: AuditFile) -> Callable[[str], None]:
 class KeyServiceProcess:
     """Answers commands at the socket, and drops the key when its time is over.
 
-    Args:
-        home: of the authority.
-        operations: of its key.
-        admit: raises `PeerUserRefused` for a process that may not ask.
-        phone_code: makes a code for the console, for a caller; audited.
+    `admit`: raises `PeerUserRefused` for a process that may not ask. `phone_code`: makes a code for
+    the console, for a caller; audited.
     """
 
     def __init__(
@@ -301,7 +274,7 @@ MAX_DELAY: Final = 60.0
 _END: Final = 5.0  # seconds between the end of the connection and SIGKILL
 
 
-class FaceOptions(NamedTuple):
+class FrontEndOptions(NamedTuple):
     """Where nodes join (`host:port`), the master's URI, and the log's form."""
 
     join_address: str
@@ -309,17 +282,9 @@ class FaceOptions(NamedTuple):
     log: str = "text"
 
 
-class FaceProcess:
-    """The face, from the first start to the end of the service.
-
-    Args:
-        home: of the authority.
-        options: of the face.
-        environ: its environment.
-    """
-
+class FrontEndProcess:
     def __init__(
-        self, home: AuthorityHome, options: FaceOptions, environ: Mapping[str, str], module: str = MODULE
+        self, home: AuthorityHome, options: FrontEndOptions, environ: Mapping[str, str], module: str = MODULE
     ) -> None:
         self.port = 0
         self._command = [sys.executable, "-I", "-m", module]
@@ -331,7 +296,6 @@ class FaceProcess:
         self._started: asyncio.Future[int] | None = None
 
     def spawn(self) -> None:
-        """Start the process; `run` connects to it."""
         ours, theirs = socket.socketpair()
         with theirs:
             self._process = subprocess.Popen(  # noqa: S603 - this program's own module
@@ -359,7 +323,11 @@ class FaceProcess:
             except KeyMessageRefused as error:
                 _log.error("the network process breaks the protocol: %s", error)
             finally:
-                await self._end()
+                if (process := self._process) is not None:
+                    try:
+                        await reap(process, _END)
+                    finally:
+                        self._process = None
             lasted = asyncio.get_running_loop().time() - begin
             delay = 1.0 if lasted > MAX_DELAY else min(MAX_DELAY, 2 * delay)
             _log.error("the network process ended; it is started again in %.0f s", delay)
@@ -377,7 +345,6 @@ class FaceProcess:
             ) from error
 
     async def call(self, method: str, arguments: list[Value], within: int) -> Value:
-        """Have it call the master; returns the value of the answer."""
         if self._channel is None:
             raise KeyServiceRefused("the network process does not run", "it is started again")
         operation = messages.CALL
@@ -399,15 +366,6 @@ class FaceProcess:
             await self._channel.run()
         finally:
             self._channel = None
-
-    async def _end(self) -> None:
-        process = self._process
-        if process is None:
-            return
-        try:
-            await reap(process, _END)
-        finally:
-            self._process = None
 
     def close(self) -> None:
         """End a face that was started and never connected."""

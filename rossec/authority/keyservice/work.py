@@ -2,7 +2,7 @@
 
 Called in one thread of its own, in which the record is opened for each task: commands are answered
 meanwhile. Signatures are audited like those of commands, with the purpose. Deposits and lists are
-passed to the master by the network face; what it does not take is recorded and signed all the same,
+passed to the master by the network process; what it does not take is recorded and signed all the same,
 and the next round tries again.
 """
 
@@ -19,11 +19,12 @@ from ca.errors import HintedError, RecordUnusable, StoreError
 from grants.errors import PolicyRefused
 from rossec import clock
 from rossec.authority import invitations, policyfile, renewals
-from rossec.authority.grant_operations import MasterCall, RefusedDeposit
+from rossec.authority.grant_operations import RefusedDeposit
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.operations import KeyOperations, OwnSigner
 from rossec.authority.policyfile import PolicyPlan
 from rossec.authority.service import AuthorityService
+from rossec.authority.session import MasterCall
 from rossec.errors import (
     AuthorityLocked,
     ConfigurationError,
@@ -45,12 +46,8 @@ _log = logging.getLogger("rossec.authority.service")
 class AuthorityWork:
     """The tasks of the service.
 
-    Args:
-        rossec_home: ROSSEC_HOME.
-        operations: of the key.
-        deliver: calls the master. Raises `NotDelivered`.
-        policy: the file; None: its usual place.
-        now: seconds since the epoch.
+    `deliver`: calls the master. Raises `NotDelivered`. `policy`: the file; None: its usual place.
+    `now`: seconds since the epoch.
     """
 
     def __init__(
@@ -73,11 +70,9 @@ class AuthorityWork:
 
     @property
     def is_locked(self) -> bool:
-        """Whether the key is not held now."""
         return self._operations.held.remaining() is None
 
     def now(self) -> int:
-        """Seconds since the epoch."""
         return self._now()
 
     def policy_path(self) -> Path:
@@ -132,7 +127,6 @@ class AuthorityWork:
             return invitations.allowed_pattern(store, asked, self._now())
 
     def was_issued(self, request: JoinRequest) -> bool:
-        """Whether there is an identity for exactly this request."""
         with contextlib.closing(self.home().store()) as store:
             return store.identities.issued_for(request.digest) is not None
 
@@ -146,7 +140,7 @@ class AuthorityWork:
         try:
             policy = policyfile.read_policy(self._rossec_home, self._policy, signs=True)
             with self.service(APPLY_PURPOSE) as service:
-                plan = service.plan_policy(policy, names, renew_due=True)
+                plan = service.policy.plan(policy, names, renew_due=True)
                 for reason in plan.refused:
                     _log.error("the policy is not applied: %s", printable(reason))
                 if plan.signs or plan.revoke:
@@ -168,9 +162,9 @@ class AuthorityWork:
         """Give nodes that joined what the policy in force gives their names, if there is one."""
         try:
             with self.service(APPLY_PURPOSE) as service:
-                signed = service.grant_outright(*names, place=self._policy)
+                signed = service.policy.grant_outright(*names, place=self._policy)
                 if signed:
-                    _log_refused(service.deposit([data for _, data in signed]))
+                    _log_refused(service.grants.deposit([data for _, data in signed]))
         except HintedError as error:
             alone = _to_try_alone(error, names)
             for name in alone:
@@ -200,7 +194,16 @@ class AuthorityWork:
         """
         if self.is_locked:
             return
-        steps = (self._renew_own_node, _complete_list, self._publish, _deposit_missing)
+
+        def renew_own_node(service: AuthorityService) -> None:
+            authority = service.unlock()
+            if renewals.own_node_is_due(authority, self._now()):
+                renewals.renew_own_node(authority, self._now())
+
+        def deposit_missing(service: AuthorityService) -> None:
+            _log_refused(service.grants.deposit_missing()[1])
+
+        steps = (renew_own_node, AuthorityService.complete_list, self._publish, deposit_missing)
         said = ""
         with self.service(MAINTENANCE_PURPOSE) as service:
             for step in steps:
@@ -224,18 +227,17 @@ class AuthorityWork:
         is_new = not self.published and 0 <= self._now() - self._undelivered_since < GRACE
         return logging.INFO if is_new else logging.WARNING
 
-    def _renew_own_node(self, service: AuthorityService) -> None:
-        authority = service.unlock()
-        if renewals.own_node_is_due(authority, self._now()):
-            renewals.renew_own_node(authority, self._now())
-
     def _publish(self, service: AuthorityService) -> None:
         # It is asked in each round whether it has the list still: it may be another master since, or one that
         # was set back to an older state, and would let the revoked in.
         found = service.home.domain_list()
         newest, domains = service.home.revocation_list(), b"" if found is None else found[0]
         known = (newest, domains) == (self.published, self._published_domains)
-        if not known or not _still_has_list(service):
+        with contextlib.suppress(
+            NotDelivered
+        ):  # it is away, and asked again, or of a version that does not tell
+            known = known and service.master_has_list()
+        if not known:
             service.publish()
             self.published, self._published_domains = newest, domains
 
@@ -258,24 +260,9 @@ class AuthorityWork:
 
 def _apply(service: AuthorityService, plan: PolicyPlan) -> None:
     try:
-        service.apply_policy(plan, lambda text: _log.info("policy: %s", text))
+        service.policy.apply(plan, lambda text: _log.info("policy: %s", text))
     except OSError as error:
         raise NotDelivered(str(error), "the next round tries again") from error
-
-
-def _complete_list(service: AuthorityService) -> None:
-    service.complete_list()
-
-
-def _still_has_list(service: AuthorityService) -> bool:
-    try:
-        return service.master_has_list()
-    except NotDelivered:  # it is away, and asked again, or of a version that does not tell
-        return True
-
-
-def _deposit_missing(service: AuthorityService) -> None:
-    _log_refused(service.deposit_missing()[1])
 
 
 def _log_refused(refused: Iterable[RefusedDeposit]) -> None:

@@ -111,10 +111,10 @@ def approve(
     batch = Batch(len(ids), "id")
     for request_id in ids:
         with batch.item(request_id):
-            row = service.request(request_id)
+            row = service.identities.request(request_id)
             record(name=row.name)
             show_request(service, row, wildcard=anonymous)
-            bundle = service.issue(
+            bundle = service.identities.issue(
                 row.der, lifetime, replace_key=replaced, wildcard=anonymous, source=row.source
             )
             say(f"approved {row.name}")
@@ -168,8 +168,8 @@ def deny(environment: Environment, request_ids: tuple[str, ...], reason: str) ->
     batch = Batch(len(ids), "id")
     for request_id in ids:
         with batch.item(request_id):
-            row = service.request(request_id)
-            service.deny_request(row, reason)
+            row = service.identities.request(request_id)
+            service.identities.deny_request(row, reason)
             record(name=row.name)
             say(f"denied {row.name}")
     batch.finish()
@@ -218,18 +218,18 @@ def enroll(
     destination = _destination(found, given_address, csr_file)
     core = AuthorityEnrollment(found, domain, wildcard=anonymous)
     _fetch_request(core, csr_file, destination)
-    row = service.add_request(core.request, core.csr, _source(found, csr_file, destination))
+    row = service.identities.add_request(core.request, core.csr, _source(found, csr_file, destination))
     record(name=row.name, request=row.digest.hex(), state="pending")
     show_request(service, row, wildcard=core.request.wildcard)
     if later:
         say(f"recorded; decide with: rossec ca approve {row.digest.hex()[:8]}, or deny")
         return
     if row.state is RequestState.PENDING and not ask_yes_no("give this name to this key?", yes=yes):
-        service.deny_request(row, _DENIED)
+        service.identities.deny_request(row, _DENIED)
         record(state="denied")
         raise ConfigurationError("denied", "to ask again the node needs a new request")
     core.approve(now())
-    bundle = service.issue(
+    bundle = service.identities.issue(
         row.der, lifetime, replace_key=replaced, wildcard=core.request.wildcard, source=row.source
     )
     record(state="signed")

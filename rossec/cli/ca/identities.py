@@ -152,7 +152,7 @@ def renew(
     for name in names:
         with batch.item(name):
             if name == OWN_NODE:
-                expires = service.renew_own_node()
+                expires = service.identities.renew_own_node()
                 record(expires=expires)
                 say(f"renewed {name} until {format_time(expires)}")
             else:
@@ -166,7 +166,7 @@ def renew(
 
 
 def _renew(service: AuthorityService, name: str, lifetime: int, out: Path | None, *, expired: bool) -> Path:
-    bundle = service.renew(name, lifetime, expired=expired)
+    bundle = service.identities.renew(name, lifetime, expired=expired)
     target = out or Path(f"{name.lstrip('/').replace('/', '.')}.pem")
     files.replace(target, bundle, 0o644)
     record(file=str(target))
@@ -281,7 +281,7 @@ def revoke(
 
 
 def _revoke_thing(service: AuthorityService, name: str, reason: str) -> str:
-    listed, count = service.revoke_thing(name, reason)
+    listed, count = service.things.revoke(name, reason)
     record(statements=count, list=listed.seq)
     return f"revoked the thing {name}, {count} statement{'s' * (count != 1)} (list {listed.seq})"
 
@@ -290,15 +290,15 @@ def _revoke_node(service: AuthorityService, name: str, reason: str, certificate:
     local = local_name(name)
     if is_alias(local):
         pem = b"" if certificate is None else files.read(certificate, options.MAX_PEM)
-        listed, count = service.revoke_foreigner(local, reason, pem)
+        listed, count = service.domains.revoke_foreigner(local, reason, pem)
     elif certificate is not None:
         raise ConfigurationError(
             f"{name} is a node of this domain, whose keys are in the record",
             "--certificate is for nodes of other domains: LABEL:/NAME",
         )
     else:
-        listed, count = service.revoke_identity(name, reason)
-        for intermediate in service.intermediates():
+        listed, count = service.identities.revoke(name, reason)
+        for intermediate in service.identities.intermediates():
             note(
                 f"{intermediate} may have certified other keys for {shown(local)}, which are not"
                 " in this record: rossec ca import NODE.pem and revoke again, or revoke"

@@ -19,8 +19,8 @@ from rossec.authority.keyservice.front_end import ANY
 from rossec.authority.keyservice.messages import MAX_UNLOCKED, SOCKET
 from rossec.authority.keyservice.network import NetworkWork
 from rossec.authority.keyservice.process import (
-    FaceOptions,
-    FaceProcess,
+    FrontEndOptions,
+    FrontEndProcess,
     KeyServiceProcess,
     audit_to,
     operations_of,
@@ -126,12 +126,12 @@ def serve(
     uri = master_at(environment, home.node(), master_uri)
     names.parse_uri(uri, "the master's URI")
     where = serving.place(home.path, console_socket_path, console_user)
-    options_of_face = FaceOptions(join_address, uri, log)
+    options_of_face = FrontEndOptions(join_address, uri, log)
     with ExitStack() as stack:
         protect_memory()
         stack.enter_context(service_lock(home.path))
         audit = stack.enter_context(audit_written(home.path / AUDIT_FILE, home.node().signer()))
-        face = None if no_network else FaceProcess(home, options_of_face, environment.variables)
+        face = None if no_network else FrontEndProcess(home, options_of_face, environment.variables)
         operations = operations_of(home, audit_to(audit), lambda: face.port if face else 0)
         network = None
         if face is not None:
@@ -157,7 +157,7 @@ def serve(
         asyncio.run(_serve(environment, home, process, console, face, network, as_json=as_json))
 
 
-def _join_address(environment: Environment, given: str, face: FaceProcess | None) -> str:
+def _join_address(environment: Environment, given: str, face: FrontEndProcess | None) -> str:
     if face is None or not face.port:
         raise ConfigurationError(
             "this service has no join port", "start it without --no-network: rossec ca serve"
@@ -166,7 +166,7 @@ def _join_address(environment: Environment, given: str, face: FaceProcess | None
     return addresses.join(own_address(environment) if given.startswith(ANY) else host, face.port)
 
 
-def _admit(console: Console, face: FaceProcess | None, peer: UnixPeer) -> None:
+def _admit(console: Console, face: FrontEndProcess | None, peer: UnixPeer) -> None:
     if face is not None:
         face.admit(peer)
     console.peers.refuse(peer)
@@ -177,7 +177,7 @@ async def _serve(
     home: AuthorityHome,
     process: KeyServiceProcess,
     console: Console,
-    face: FaceProcess | None,
+    face: FrontEndProcess | None,
     network: NetworkWork | None,
     *,
     as_json: bool,

@@ -109,7 +109,9 @@ def sign(
         for path, data, name in checked:
             with batch.item(path):
                 key = name if name in replaced else None
-                bundle = service.issue(data, lifetime, replace_key=key, wildcard=anonymous, source="file")
+                bundle = service.identities.issue(
+                    data, lifetime, replace_key=key, wildcard=anonymous, source="file"
+                )
                 target = write_identity(path, bundle)
                 record(name=name, identity=str(target))
                 say(f"signed {name}: {target}")
@@ -187,7 +189,7 @@ def sign_intermediate(service: AuthorityService, request: Path, may: str, lifeti
     say(f"an intermediate of {domain} that may {powers} until {format_time(now() + lifetime)}")
     say(f"  fingerprint {format_fingerprint(thumbprint(key))}")
     confirm("is this the fingerprint its host shows, and sign it?", yes=yes)
-    name, bundle = service.sign_intermediate(data, may_enroll=may == "enroll", lifetime=lifetime)
+    name, bundle = service.identities.sign_intermediate(data, may_enroll=may == "enroll", lifetime=lifetime)
     target = request.with_suffix(".pem")
     files.replace(target, bundle, 0o644)
     record(name=name, file=str(target), key=thumbprint(key).hex(), may=may)
@@ -237,7 +239,7 @@ def import_(
         service.unlock()
         for path, data in found:
             with batch.item(path):
-                identity, new = service.import_identity(data, replaced)
+                identity, new = service.identities.import_bundle(data, replaced)
                 record(name=identity.name, new=new)
                 say(f"{'imported' if new else 'known already:'} {identity.name}")
         publish_if_revoked(service)
@@ -293,7 +295,7 @@ def thing(service: AuthorityService, name: str, yes: bool, renew: bool, **given:
     if renew:
         if any(given[name] for name in ("border", "ccs", "description", "request", "code", "replaced")):
             raise ConfigurationError("--renew says the same again, and takes nothing new", _ONE)
-        signed = service.renew_thing(name, given["lifetime"])
+        signed = service.things.renew(name, given["lifetime"])
     else:
         if given["border"] is None:
             raise ConfigurationError("which border router serves it?", "give --border NAME")
@@ -318,7 +320,7 @@ def thing(service: AuthorityService, name: str, yes: bool, renew: bool, **given:
             asked = check_request(order.request, service.home.domain)
             say(f"  and an identity for its node, fingerprint {format_fingerprint(asked.thumbprint)}")
         confirm(f"sign the statement about {name}?", yes=yes)
-        signed = service.sign_thing(order)
+        signed = service.things.sign(order)
     _hand_over(service, signed, given["request"], given["out"])
     if service.has_revoked:
         record(revoked=signed.revoked)
@@ -366,7 +368,7 @@ def _hand_over(
     if request is not None:
         record(identity=str(bundle))
         say(f"signed its identity: {bundle}")
-    path = service.store_thing(signed.data, signed.bundle)
+    path = service.things.store(signed.data, signed.bundle)
     if path is not None:
         record(border=str(path))
         say(f"given to its border router in {path}")

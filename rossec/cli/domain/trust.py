@@ -86,7 +86,7 @@ def card(
     with yours by telephone or on paper, or scan its code from your screen.
     """
     home = service.home
-    data = service.domain_card(names, masters, lifetime)
+    data = service.domains.card(names, masters, lifetime)
     target = out or Path(f"{home.domain}.card")
     files.replace(target, data, 0o644)
     record(domain=home.domain, file=str(target), code=card_code(data), fingerprint=fingerprint(home.anchor()))
@@ -183,7 +183,7 @@ def accept(
     # 3. A person compares.
     _show(home, domain, found, is_checked=code is not None or expected is not None)
     confirm("trust this domain so far?", yes=yes)
-    listed = service.accept_domain(domain)
+    listed = service.domains.accept(domain)
     record(**as_json(domain), list=listed.seq)
     say(f"{domain.domain} is trusted as {domain.label} (list of domains {listed.seq})")
     note(f"this is one way: until {domain.label} accepts you too, connections with it fail there")
@@ -358,12 +358,12 @@ def limit(
         changes["imported"] = read_rules(imported)
     if not changes:
         raise ConfigurationError("nothing is changed", "--admit, --fresh, --for, --export, --import")
-    new = service.changed_domain(label, **changes)
+    new = service.domains.changed(label, **changes)
     say(f"domain {new.domain}, here {label}")
     for line in lines(new):
         say(printable(line))
     confirm("trust it so far?", yes=yes)
-    listed = service.limit_domain(label, **changes)
+    listed = service.domains.limit(label, **changes)
     record(**as_json(new), list=listed.seq)
     say(f"changed (list of domains {listed.seq})")
     publish_domains(service)
@@ -381,7 +381,7 @@ def remove(service: AuthorityService, label: str, reason: str, revoke_grants: bo
 
     The other side goes on trusting this one until it removes it as well.
     """
-    removed = service.remove_domain(label, reason, revoke_grants=revoke_grants)
+    removed = service.domains.remove(label, reason, revoke_grants=revoke_grants)
     record(domain=removed.row.domain, label=label, revoked=len(removed.revoked))
     say(f"{removed.row.domain} is not trusted any more, nor called {label}")
     if removed.revoked:

@@ -67,7 +67,7 @@ def list_(environment: Environment, nodes: tuple[str, ...], as_json: bool, maste
 def _complete(service: AuthorityService, grants: list[Grant], states: dict[bytes, str]) -> None:
     answered, reason = dict[bytes, str](), ""
     try:
-        answered = dict(service.delivery_states())
+        answered = dict(service.grants.delivery_states())
     except (NotDelivered, ConfigurationError) as error:
         reason = str(error)
     for grant in grants:
@@ -126,7 +126,7 @@ def deliver(environment: Environment, master_uri: str | None) -> None:
     Nodes fetch theirs from it, those that run at once.
     """
     service = service_of(environment, master_uri=master_uri)
-    count, refused = service.deposit_missing()
+    count, refused = service.grants.deposit_missing()
     say_deposited(count, refused)
     if not count and not refused:
         say("the master has every grant in force")
@@ -205,7 +205,7 @@ def revoke(service: AuthorityService, grant_ids: tuple[str, ...], reason: str) -
     batch = Batch(len(ids), "id")
     for grant_id in ids:
         with batch.item(grant_id):
-            listed, entry = service.revoke_grant(grant_id, reason)
+            listed, entry = service.grants.revoke(grant_id, reason)
             record(grant=entry.hex(), list=listed.seq)
             say(f"revoked {entry.hex()} (list {listed.seq})")
     if batch.done:
@@ -254,16 +254,16 @@ def delegate(service: AuthorityService, lifetime: int, ticket: int, master: str,
             f"{master[:255]!a} is not the name of a master", "/master, or /master/kitchen"
         )
     if withdraw:
-        listed, count = service.revoke_delegations("withdrawn")
+        listed, count = service.grants.revoke_delegations("withdrawn")
         record(withdrawn=count, list=listed.seq)
         say(f"withdrew {count} delegation{'s' * (count != 1)} (list {listed.seq})")
         publish_list(service)
         return
-    delegation, call = service.delegate(lifetime, ticket, master)
+    delegation, call = service.grants.delegate(lifetime, ticket, master)
     until = format_time(delegation.expires)
     record(master=master, id=delegation.id.hex(), expires=delegation.expires, published=False)
     say(f"{master} may renew grants until {until} (delegation {delegation.id.hex()})")
-    service.deliver_delegation(delegation, call)
+    service.grants.deliver_delegation(delegation, call)
     record(published=True)
     say("the master has the delegation")
     remind_to_publish(service)

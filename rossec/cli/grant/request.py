@@ -98,7 +98,7 @@ def decide(
     What it allows is signed; what it leaves to you is shown by `rossec grant pending`.
     """
     policy = _collected(service, policy_path, request_files)
-    decided = service.decide_grants(policy)
+    decided = service.policy.decide(policy)
     refused = _deliver(service, decided.grants, out_dir)
     denied = len(decided.denied)
     record(allowed=decided.allowed, denied=denied, waiting=decided.waiting)
@@ -124,7 +124,7 @@ def pending(environment: Environment, as_json: bool, policy_path: Path | None) -
     """Show what nodes ask for and the policy leaves to you. No answer in time denies it."""
     service = service_of(environment)
     policy = _collected(service, policy_path)
-    prompts = service.pending_grants(policy)
+    prompts = service.policy.pending(policy)
     if as_json:
         say_json([_summary(item) for item in prompts])
         return
@@ -174,7 +174,7 @@ def approve(
     batch, signed = Batch(len(ids), "id"), list[SignedGrant]()
     for request_id in ids:
         with batch.item(request_id):
-            signed += service.approve_grants(policy, request_id, change)
+            signed += service.policy.approve(policy, request_id, change)
     refused = _deliver(service, signed, out_dir)
     batch.finish()
     require_delivered(refused)
@@ -195,7 +195,7 @@ def deny(environment: Environment, request_ids: tuple[str, ...], policy_path: Pa
     batch = Batch(len(ids), "id")
     for request_id in ids:
         with batch.item(request_id):
-            for item in service.deny_grants(policy, request_id):
+            for item in service.policy.deny(policy, request_id):
                 add_entry("requests", {"node": item.stored.request.node, **_right(item)})
                 say(f"denied {item.stored.request.node} {item.stored.requested}")
     batch.finish()
@@ -210,7 +210,7 @@ def _collected(
 
 
 def _collect(service: AuthorityService, policy: PolicyFile, request_files: Sequence[Path] = ()) -> None:
-    for error in service.collect_grant_requests(policy, map(requests.read_request, request_files)):
+    for error in service.policy.collect_requests(policy, map(requests.read_request, request_files)):
         note(printable(f"a request was dropped: {error}"))
 
 

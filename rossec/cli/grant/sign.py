@@ -194,7 +194,7 @@ def sign(
     wanted = for_node(said, name, lambda: _has_suffix(service, name))
     permissions = read_permissions(wanted)
     pem = b"" if certificate is None else files.read(certificate, options.MAX_PEM)
-    draft, data = service.sign_grant(name, permissions, lifetime, renewal, may_narrow, pem)
+    draft, data = service.grants.sign(name, permissions, lifetime, renewal, may_narrow, pem)
     record(id=document.grant_id(data).hex(), node=name, expires=draft.expires)
     say(f"grant {document.grant_id(data).hex()} for {node} until {format_time(draft.expires)}")
     refused = deliver_grant(service, data, out)

@@ -225,7 +225,7 @@ def apply(
     """
     policy = read_policy(service.rossec_home, policy_path, signs=True)
     with working("comparing the policy with the grants in force", quiet=as_json):
-        plan = service.plan_policy(policy, names or None, renew_due=renew, prune=prune)
+        plan = service.policy.plan(policy, names or None, renew_due=renew, prune=prune)
     if as_json:
         say_json(check.as_json(plan))
     else:
@@ -252,14 +252,14 @@ def _carry_out(service: AuthorityService, plan: PolicyPlan, *, yes: bool, as_jso
         confirm(f"{check.summary(plan)}?", yes=yes)
         service.unlock()  # it may ask
         with working("signing and delivering", quiet=as_json):
-            service.apply_policy(plan, note if as_json else say)
+            service.policy.apply(plan, note if as_json else say)
         if any(node.sign and is_alias(node.subject.name) for node in plan.nodes):
-            say(f"grants for nodes of other domains are in {service.outgoing}: carry them there")
+            say(f"grants for nodes of other domains are in {service.grants.outgoing}: carry them there")
         if not plan.revoke:  # else the list was published
             remind_to_publish(service)
         return
     try:
-        service.complete_policy()
+        service.policy.complete()
     except NotDelivered as error:  # nothing was signed now, so nothing is undelivered for certain
         note(str(error))
 
@@ -279,13 +279,13 @@ def opt_out(service: AuthorityService, name: str, is_node: bool, policy_path: Pa
     """
     check_pattern(name)
     policy = read_policy(service.rossec_home, policy_path)
-    opted_out = service.opt_out(policy, name, is_node=is_node)
+    opted_out = service.policy.opt_out(policy, name, is_node=is_node)
     record(rule=opted_out.rule, file=str(opted_out.policy.path))
     if opted_out.name != name:
         say(f"{name} is one of the anonymous nodes of {opted_out.name}, which are one identity:")
         say("all of them are opted out")
     say(f"rule {opted_out.rule} in {opted_out.policy.path} denies it from now on")
-    withdrawn = service.revoke_opted_out(opted_out)
+    withdrawn = service.policy.revoke_opted_out(opted_out)
     for grant, _ in withdrawn:
         say(f"revoked grant {grant.id.hex()} of {grant.subject}")
     record(revoked_grants=[grant.id.hex() for grant, _ in withdrawn])

@@ -13,8 +13,9 @@ from ca.errors import HintedError
 from ca.revocation.trust_status import NO_LIST_YET
 from grants import document
 from rossec import files
-from rossec.authority.grant_operations import LATER, MasterCall, RefusedDeposit, SignedGrant
+from rossec.authority.grant_operations import LATER, RefusedDeposit, SignedGrant
 from rossec.authority.service import AuthorityService
+from rossec.authority.session import MasterCall
 from rossec.cli.shared import passphrase
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import master_as, master_at
@@ -123,7 +124,7 @@ def deliver_grant(service: AuthorityService, data: bytes, out: Path | None) -> S
     files.create(out, data, 0o644)
     record(file=str(out))
     say(f"written to {out}")
-    if (path := service.store_grant(data)) is not None:
+    if (path := service.grants.store(data)) is not None:
         add_entry("given", {"node": document.peek(data).subject, "path": str(path)})
         say(f"given to {document.peek(data).subject} in {path}")
     return ()
@@ -139,7 +140,7 @@ def deliver_grants(service: AuthorityService, grants: Iterable[bytes]) -> Sequen
     for data in grants:
         node, path = document.peek(data).subject, None
         with contextlib.suppress(HintedError, OSError):  # one node's disk; it is said below
-            path = service.store_grant(data)
+            path = service.grants.store(data)
         if path is None:
             elsewhere.append(data)
         else:
@@ -148,7 +149,7 @@ def deliver_grants(service: AuthorityService, grants: Iterable[bytes]) -> Sequen
     if not elsewhere:
         return ()
     try:
-        refused = service.deposit(elsewhere)
+        refused = service.grants.deposit(elsewhere)
     except (NotDelivered, ConfigurationError) as error:
         record(undelivered=str(error))
         note(f"{error}; {LATER}")
@@ -179,7 +180,7 @@ def give_outright(service: AuthorityService, name: str) -> None:
     policy that cannot be used is a note.
     """
     try:
-        signed = service.grant_outright(name)
+        signed = service.policy.grant_outright(name)
     except HintedError as error:
         record(no_grants=str(error))
         note(f"{name} has no grants yet: {error}")

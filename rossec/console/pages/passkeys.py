@@ -35,8 +35,7 @@ from ca.errors import EncodingError, HintedError
 from grants import document
 from grants.errors import GrantError
 from grants.model import ID_SIZE
-from rossec.authority.console.client import Assertion, Registration
-from rossec.authority.console.messages import LoginChallenge
+from rossec.authority.console.messages import Assertion, LoginChallenge, Registration
 from rossec.console import approvals, words
 from rossec.console.context import ConsoleContext
 from rossec.console.options import MAX_PHONE_NAME
@@ -243,7 +242,7 @@ PHONES_PAGES: Final = (
 async def prepare(request: Request, context: ConsoleContext) -> Response:
     act = await approvals.read(context, request.path_params["kind"], await read_form(request))
     owner = owner_of(request.state.session)
-    made = await context.service.prepare(act.kind, *act.arguments, owner=owner)
+    made = await context.service.prepare(act.kind, [*act.arguments], owner)
     if not made.credentials:
         raise HttpRefused(
             "no phone is set up", "get a code at the terminal: rossec console phone", status=409

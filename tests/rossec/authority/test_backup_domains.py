@@ -26,7 +26,7 @@ class Trusting:
         self.cafe = foreign(Site.create("cafe"), "cafe")
         self.place = root / "new"
         for each in (self.hospital, self.cafe):
-            self.service.accept_domain(each)
+            self.service.domains.accept(each)
         self.backup = back_up(self.home, PASSPHRASE)
 
     def list(self) -> bytes:
@@ -65,11 +65,11 @@ def test_without_a_newer_list_no_domain_is_trusted(trusting: Trusting) -> None:
 
 
 def test_a_newer_list_says_what_was_done_since(trusting: Trusting) -> None:
-    trusting.service.remove_domain("hospital", "", revoke_grants=False)
+    trusting.service.domains.remove("hospital", "", revoke_grants=False)
     office = foreign(Site.create("office"), "hospital")  # its label was free
     narrower = dataclasses.replace(trusting.cafe, admitted=("/a",))
-    trusting.service.accept_domain(office)
-    trusting.service.accept_domain(narrower)
+    trusting.service.domains.accept(office)
+    trusting.service.domains.accept(narrower)
     done = trusting.restore(trusting.list())
     assert done.ended_domains == 1
     listed, held = content(done.home)
@@ -85,7 +85,7 @@ def test_the_same_list_changes_nothing(trusting: Trusting) -> None:
 
 def test_an_older_or_foreign_list_is_refused(trusting: Trusting) -> None:
     old = trusting.list()
-    trusting.service.remove_domain("cafe", "", revoke_grants=False)
+    trusting.service.domains.remove("cafe", "", revoke_grants=False)
     trusting.backup = back_up(trusting.home, PASSPHRASE)
     with pytest.raises(DomainsRefused, match="older than the backup"):
         trusting.restore(old)

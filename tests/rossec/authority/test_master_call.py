@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from rossec.authority.grant_operations import MasterCall
+from rossec.authority.session import MasterCall
 from rossec.home import NodeHome
 
 

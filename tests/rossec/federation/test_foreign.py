@@ -97,7 +97,7 @@ async def test_only_what_is_taken_from_it_comes_and_another_list_counts_at_once(
 async def test_parameters_are_mirrored_as_far_as_they_are_taken(
     pair: list[Master], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(exchange, "EVERY", 0.1)
+    monkeypatch.setattr(exchange, "MIRRORED_EVERY", 0.1)
     here, there = pair
     key = here.site.identity("/master").thumbprint
     for name in ("/rounds/speed", "/rounds/key"):
@@ -214,7 +214,7 @@ async def test_who_is_refused_without_a_reason_is_told_what_to_ask(pair: list[Ma
 
 
 async def test_proofs_of_its_tree_are_fetched(pair: list[Master], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exchange, "EVERY", 0.1)
+    monkeypatch.setattr(exchange, "FOREIGN_EVERY", 0.1)
     monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
     here, there = pair
     here.follow(there.as_site("h", "h"))

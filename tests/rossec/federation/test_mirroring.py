@@ -16,7 +16,7 @@ from tests.support.witness import until
 
 @pytest.fixture
 async def pair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[list[Master]]:
-    monkeypatch.setattr(exchange, "EVERY", 0.1)
+    monkeypatch.setattr(exchange, "MIRRORED_EVERY", 0.1)
     async with masters(Site(tmp_path / "site"), "/master", "/master/kitchen") as found:
         yield found
 

@@ -199,7 +199,7 @@ def test_a_proposal_whose_digits_differ_is_refused(access: Access) -> None:
     ask(access, "end-proposal", proposal.id)
     assert ask(access, "proposals") == []
     with pytest.raises(PasskeyUnknown):
-        access.proposals.get(proposal.id)
+        access.proposed.get(proposal.id)
     with pytest.raises(PasskeyUnknown):
         ask(access, "end-proposal", proposal.id)
 
@@ -214,7 +214,7 @@ def test_a_phone_there_is_proposes_and_adds_nothing(site: ConsoleWork, access: A
         ask(access, "redeem", link)
     proposal = from_value(Proposal, add(access, phone, "Ben's phone", link, "propose-passkey"))
     assert many(Proposal, ask(access, "proposals")) == (proposal,)
-    assert access.proposals.get(proposal.id).id == phone.id
+    assert access.proposed.get(proposal.id).id == phone.id
     assert site.home.store().passkeys.all() == [], "until another phone approves it"
     with pytest.raises(PhoneCodeRefused):
         add(access, phone, "Ben's phone", link, "propose-passkey")

@@ -14,7 +14,7 @@ from grants.document import GRANT
 from grants.model import ID_SIZE
 from rossec.authority.console.grant_requests import Answer, Questions
 from rossec.authority.console.messages import ApprovalView, GrantQuestion, many
-from rossec.authority.console.queries import Reading
+from rossec.authority.console.queries import RecordQueries
 from rossec.authority.requests import GrantRequestStore
 from rossec.errors import ConfigurationError, KeyServiceRefused
 from tests.support.consoleacts import DAY, POLICY, Acts
@@ -63,7 +63,7 @@ def test_a_coarser_answer_restricts_the_grant(acts: Acts) -> None:
     (permission,) = document.peek(data).permissions
     assert permission.restriction is not None
     assert permission.restriction.filters
-    views = many(ApprovalView, Reading(acts.work, acts.access.last_used).approvals(9))
+    views = many(ApprovalView, RecordQueries(acts.work, acts.access.last_used).approvals(9))
     (view,) = [each for each in views if each.kind == Kind.GRANT]
     for said in (view.sentence, view.result):
         assert said.startswith("/map may subscribe /pose (not all of it), until 20")

@@ -11,7 +11,7 @@ import pytest
 from rossec.authority.console import queries as module
 from rossec.authority.console.messages import DenialView, FactView, ListStanding, from_value, many
 from rossec.authority.console.queries import DENIALS, FRESH, PERIOD, STANDING, MasterView
-from rossec.authority.grant_operations import MasterCall
+from rossec.authority.session import MasterCall
 from rossec.errors import NotDelivered
 from rossec.participant.registrations import WATCH_GRAPH as WATCH
 from tests.support.consoleacts import Acts

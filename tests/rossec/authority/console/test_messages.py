@@ -13,7 +13,7 @@ ONE: dict[type, Value] = {bytes: b"x", str: "x", int: 1, bool: True, list: []}
 
 @pytest.mark.parametrize("operation", sorted(OPERATIONS.keys() - {"prepare"}))
 def test_read_request_takes_exactly_the_types_of_the_table(operation: str) -> None:
-    arguments = [ONE[kind] for kind in OPERATIONS[operation]]
+    arguments = [ONE[kind] for kind in OPERATIONS[operation].arguments]
     assert read_request(encode([1, operation, *arguments])) == Request(operation, tuple(arguments))
     for wrong in ([*arguments, 1], *_changed(arguments)):
         with pytest.raises(KeyMessageRefused):

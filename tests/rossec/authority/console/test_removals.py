@@ -9,6 +9,7 @@ from ca.errors import HintedError, InvitationRefused, PasskeyUnknown, RequestClo
 from ca.revocation.lists import RevocationList
 from ca.revocation.trust_status import open_statement
 from rossec.authority.console.grant_requests import MAX_REASON, UNSIGNED
+from rossec.authority.console.serving import handlers_of
 from rossec.authority.invitations import invite, source
 from rossec.authority.requests import GrantRequestStore
 from rossec.errors import ConfigurationError, KeyServiceRefused
@@ -137,7 +138,7 @@ def test_a_reason_is_bounded(acts: Acts) -> None:
 
 
 def test_each_operation_that_takes_away_has_a_handler(acts: Acts) -> None:
-    assert sorted(acts.removals.handlers()) == [
+    assert sorted(handlers_of(acts.removals)) == [
         "deny-question",
         "deny-request",
         "end-invitation",

@@ -2,7 +2,7 @@
 
 import asyncio
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import pytest
 
@@ -18,10 +18,7 @@ CALLER = Caller(1, 2, "rossec console")
 
 class Part:
     def __init__(self, **handlers: Callable[..., Value]) -> None:
-        self._handlers = handlers
-
-    def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        return self._handlers
+        vars(self).update({name.replace("-", "_"): handler for name, handler in handlers.items()})
 
 
 async def test_each_part_has_a_thread_and_waits_for_no_other() -> None:
@@ -54,10 +51,9 @@ async def test_an_answer_that_is_too_long_is_refused() -> None:
     await service.close()
 
 
-@pytest.mark.parametrize("operation", ["sign", "status"])
-def test_an_operation_has_one_handler_and_is_in_the_table(operation: str) -> None:
-    parts = [Part(**{operation: lambda: None}) for _ in range(2)]
-    with pytest.raises(ValueError, match="not an operation"):
+def test_an_operation_has_one_handler() -> None:
+    parts = [Part(status=lambda: None) for _ in range(2)]
+    with pytest.raises(ValueError, match="two handlers"):
         ConsoleService(*parts)
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from rossec.authority.console import serving as module
-from rossec.authority.console.client import ConsoleClient, Registration
-from rossec.authority.console.messages import Status, from_value
+from rossec.authority.console.client import ConsoleClient
+from rossec.authority.console.messages import Registration, Status, from_value
 from rossec.authority.console.serving import Console, ConsolePlace, Deliveries
 from rossec.authority.keyservice.messages import Request
 from rossec.authority.keyservice.process import Caller

@@ -1,4 +1,4 @@
-"""The network face: the join port, calls at the master, and its confinement."""
+"""The network process: the join port, calls at the master, and its confinement."""
 
 import asyncio
 import socket
@@ -16,7 +16,7 @@ from ca.errors import JoinBusy, JoinRefused
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import invite
 from rossec.authority.keyservice import front_end as module
-from rossec.authority.keyservice.front_end import Face, main
+from rossec.authority.keyservice.front_end import FrontEnd, main
 from rossec.authority.keyservice.inner_channel import Handler, InnerChannel
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.clock import now
@@ -33,7 +33,7 @@ from tests.support.site import Site
 class Served:
     """A service's end of the socketpair: what the face said, and what it gets."""
 
-    def __init__(self, face: Face) -> None:
+    def __init__(self, face: FrontEnd) -> None:
         ours, self._theirs = socket.socketpair()
         self.said: asyncio.Queue[Value] = asyncio.Queue()
         self.answer: Value = write(Refused(RefuseReason.ENDED))
@@ -71,8 +71,8 @@ class Served:
             await asyncio.gather(service, face, return_exceptions=True)
 
 
-def face_of(node: NodeHome, join_address: str, master: str = "http://127.0.0.1:1/") -> Face:
-    return Face(node, join_address, master, PRODUCTION)
+def face_of(node: NodeHome, join_address: str, master: str = "http://127.0.0.1:1/") -> FrontEnd:
+    return FrontEnd(node, join_address, master, PRODUCTION)
 
 
 @pytest.fixture

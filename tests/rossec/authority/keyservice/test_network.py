@@ -10,13 +10,13 @@ import pytest
 from ca.encoding import Value
 from ca.enrollment.join import Issued, Named, Refused, RefuseReason, read
 from ca.errors import EncodingError
-from rossec.authority.grant_operations import MasterCall
 from rossec.authority.keyservice import network
 from rossec.authority.keyservice import network as module
 from rossec.authority.keyservice.inner_channel import Handler
 from rossec.authority.keyservice.network import NetworkWork
-from rossec.authority.keyservice.process import FaceProcess
+from rossec.authority.keyservice.process import FrontEndProcess
 from rossec.authority.keyservice.work import AuthorityWork
+from rossec.authority.session import MasterCall
 from rossec.clock import now
 from rossec.errors import KeyServiceRefused, NotDelivered, RulesRefused
 from rossec.home import NodeHome
@@ -56,7 +56,7 @@ class Playing:
         (self.working.home.path / "policy.yaml").write_text(POLICY)
         self.face = PlayedFace()
         self.network = NetworkWork(
-            root, self.working.operations, cast("FaceProcess", self.face), applies=applies, rules=rules
+            root, self.working.operations, cast("FrontEndProcess", self.face), applies=applies, rules=rules
         )
 
 
@@ -102,7 +102,7 @@ async def test_the_policy_is_applied_once_to_all_who_joined_meanwhile(
         apply(self, names)
 
     monkeypatch.setattr(AuthorityWork, "apply", applies)
-    network = NetworkWork(tmp_path, working.operations, cast("FaceProcess", face), applies=True)
+    network = NetworkWork(tmp_path, working.operations, cast("FrontEndProcess", face), applies=True)
     running = asyncio.ensure_future(network.run())
     await until(lambda: sorted(name for each in applied for name in each) == names, within=20)
     running.cancel()

@@ -20,13 +20,13 @@ from ca.enrollment.join import (
     read,
 )
 from ca.errors import EnrollmentMessageRefused, StoreError
-from rossec.authority.grant_operations import MasterCall
+from rossec.authority.grant_operations import PolicyWork
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import invite
 from rossec.authority.keyservice.operations import KeyOperations
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.keyservice.work import AuthorityWork
-from rossec.authority.service import AuthorityService
+from rossec.authority.session import MasterCall
 from rossec.errors import NotDelivered
 from rossec.home import NodeHome
 from tests.support.domains import foreign
@@ -272,7 +272,7 @@ def test_a_policy_that_could_not_be_applied_is_tried_in_the_next_round(
         raise StoreError("another command uses the record", "try again")
 
     with monkeypatch.context() as patch:
-        patch.setattr(AuthorityService, "plan_policy", busy)
+        patch.setattr(PolicyWork, "plan", busy)
         working.work.apply_if_changed()
     assert working.grants() == 0
     working.work.apply_if_changed()

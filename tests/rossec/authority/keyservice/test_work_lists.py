@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from ca.revocation.trust_status import open_statement
-from rossec.authority.grant_operations import MasterCall
+from rossec.authority.session import MasterCall
 from tests.rossec.authority.keyservice.test_work import Working
 
 LIST = "rossec.updateRevocations"

@@ -5,7 +5,7 @@ import pytest
 
 from rossec import clock
 from rossec.authority.home import OWN_LIFETIME, AuthorityHome
-from rossec.authority.service import AuthorityService
+from rossec.authority.service import Identities
 from rossec.home import NodeHome
 from rossec.master.server.server import master_of
 from tests.rossec.cli.ca.record import key_of, listed
@@ -116,7 +116,7 @@ def test_keys_that_an_intermediate_may_have_certified_are_spoken_of(
     shell: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shell.enroll("/robot")
-    monkeypatch.setattr(AuthorityService, "intermediates", lambda _: ["intermediate:0123"])
+    monkeypatch.setattr(Identities, "intermediates", lambda _: ["intermediate:0123"])
     said = shell.unlocked(*REVOKE)
     assert "intermediate:0123 may have certified other keys for /robot" in said.err
     assert "or revoke intermediate:0123" in said.err

@@ -6,9 +6,9 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 from ca.domains.trust import DomainList, open_domains
-from rossec.authority.grant_operations import MasterCall
 from rossec.authority.home import AuthorityHome
 from rossec.authority.service import AuthorityService
+from rossec.authority.session import MasterCall
 from rossec.cli.domain.trust import publish_domains
 from rossec.cli.shared.context import Environment
 from rossec.cli.shared.service import call_master

@@ -7,9 +7,10 @@ import click
 import pytest
 
 from ca.certificates import Identity
-from rossec.authority.grant_operations import MasterCall, RefusedDeposit
+from rossec.authority.grant_operations import RefusedDeposit
 from rossec.authority.home import AuthorityHome
 from rossec.authority.service import AuthorityService
+from rossec.authority.session import MasterCall
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment
 from rossec.cli.shared.service import call_master, deliver_grant, pass_service, say_deposited, service_of
