@@ -344,16 +344,16 @@ def test_one_that_takes_memory_or_time_is_ended(monkeypatch: pytest.MonkeyPatch)
 async def test_nothing_of_one_that_was_taken_over_is_there_for_the_next_caller() -> None:
     """It answers twice, and changes what is in its memory: neither reaches anybody."""
     program = (
-        "from rossec.naming import child, frames\n"
+        "from rossec.naming import child, requests\n"
         "honest = child._answered\n"
         "def answered(body):\n"
-        "    child._answered = lambda _: frames.write_names(['/kept'])\n"
-        "    return frames.write_names(['/lie']) * 2 if b'secret' in body else honest(body)\n"
+        "    child._answered = lambda _: requests.write_names(['/kept'])\n"
+        "    return requests.write_names(['/lie']) * 2 if b'secret' in body else honest(body)\n"
         "child._answered = answered\n"
         "child.main()\n"
     )
     command = [sys.executable, "-I", "-c", program]
-    async with RuleRunner(rules_with(""), start=lambda: RuleProcess.start(command)) as runner:
+    async with RuleRunner(rules_with(""), start=lambda: RuleProcess(command)) as runner:
         for _ in range(3):
             assert await runner.name(HONEST) == NAME
             with pytest.raises(RulesExceeded, match="answers in another form"):

@@ -4,6 +4,7 @@ A frame is a length (4 bytes, network byte order) and so many bytes: a picture a
 `[0, text]` (empty: no code) or `[1, message, hint]` in deterministic CBOR the other way.
 """
 
+from functools import partial
 from typing import Final, NamedTuple
 
 from ca.encoding import decode, encode
@@ -39,6 +40,9 @@ def size(head: bytes, limit: int) -> int:
     if not 0 < found <= limit:
         raise KeyMessageRefused(f"a picture's frame of {found} bytes where {limit} are allowed")
     return found
+
+
+answer_size: Final = partial(size, limit=MAX_ANSWER)
 
 
 def write_answer(answer: Found | Unreadable) -> bytes:

@@ -107,10 +107,10 @@ CONFINED = """
 import sys
 from pathlib import Path
 from rossec.host.confinement import confine_files
-from rossec.console.server.web import load, make_context
+from rossec.console.server.web import load_bundle, make_context
 data = sys.stdin.buffer.read()
 confine_files([Path(sys.argv[1])])
-load(make_context(), data)
+load_bundle(make_context(), data)
 try:
     Path(sys.argv[2]).read_bytes()
 except PermissionError:
