@@ -1,13 +1,6 @@
 """What every page gets: the service, this console's settings, and what it remembers.
 
 Nothing here is written to a disk: a console that is started again knows nobody, and asks again.
-
-Whether anything changed: one question a second to the service, for all open pages.
-
-A stream has numbers only, so it tells nothing that the page itself would not: the service's number,
-and how often something changed in this console. Between them it says every few seconds whether the
-service answers (`alive`, `silent`), so that a page knows when it is old. The service is asked only
-while a page waits. A stream ends with its session; there are at most 100 of them.
 """
 
 import asyncio
@@ -40,7 +33,12 @@ _log = logging.getLogger("rossec.console")
 
 
 class NewsFeed:
-    """The newest `Status.number`, and the streams that wait for it.
+    """The newest `Status.number`, and the streams that wait for it: one question a second for all open pages.
+
+    A stream has numbers only, so it tells nothing that the page itself would not: the service's number, and
+    how often something changed in this console. Between them it says every few seconds whether the service
+    answers (`alive`, `silent`), so that a page knows when it is old. The service is asked only while a page
+    waits.
 
     Args:
         status: asks the service.
@@ -95,14 +93,10 @@ class NewsFeed:
                     told = self.number
                     yield f"data: {told}\n\n".encode()
                 elif not await self._wait(told, beat):
-                    yield self._sign()
+                    silent_for = asyncio.get_running_loop().time() - self._answered
+                    yield ALIVE if silent_for < BEAT + 2 * self._period else SILENT
         finally:
             self._streams -= 1
-
-    def _sign(self) -> bytes:
-        patience = BEAT + 2 * self._period
-        is_answered = asyncio.get_running_loop().time() - self._answered < patience
-        return ALIVE if is_answered else SILENT
 
     async def _wait(self, told: str | None, beat: float) -> bool:
         try:

@@ -1,11 +1,8 @@
-"""The sockets of an endpoint, listening before anything that talks to strangers starts. A shell.
+"""The sockets of an endpoint, listening before strangers are talked to; and where a console is. A shell.
 
-Where the console of an authority is: written when it begins, for the commands that show codes.
-
-There is one at a time: phones belong to one address, and codes lead to it.
-
-A console that was killed leaves the file behind. That harms nobody: the address of a console that
-does not run answers nothing, and a code is worth nothing there.
+The address is written when the console begins, for the commands that show codes. There is one console at a
+time: phones belong to one address, and codes lead to it. One that was killed leaves the file behind, which
+harms nobody: the address of a console that does not run answers nothing, and a code is worth nothing there.
 """
 
 import errno

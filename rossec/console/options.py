@@ -1,10 +1,8 @@
 """Where the console listens, and what a browser calls it. Pure: options in, an endpoint out.
 
-A passkey belongs to a name (the RP id, WebAuthn section 5.1.2) and is recorded with the origin it
-was made at: so there is one origin, it is known before anything listens, and another one means new
-passkeys. A name is a DNS name: browsers refuse addresses as RP ids ("invalid domain").
-
-Names of phones: what a person calls the device that approves. Pure.
+A passkey belongs to a name (the RP id, WebAuthn section 5.1.2) and is recorded with the origin it was made
+at: so there is one origin, it is known before anything listens, and another one means new passkeys. A name is
+a DNS name: browsers refuse addresses as RP ids ("invalid domain").
 """
 
 import ipaddress
@@ -20,6 +18,7 @@ from rossec.errors import ConfigurationError
 
 PORT: Final = 7411
 HAND_OUT_PORT: Final = 7410
+MAX_PHONE_NAME: Final = 40  # characters: it is shown in one line
 LOCALHOST: Final = "localhost"
 _LOOPBACK: Final = ("127.0.0.1", "::1")
 _EVERY: Final = ("0.0.0.0", "::")  # noqa: S104 - what --lan asks for; who may see it, sessions say
@@ -104,7 +103,15 @@ def read_options(options: Options, hostname: str) -> Endpoint:
     if not options.lan and options.tls_certificate is None:
         host = _with_port(LOCALHOST, "http", port)
         return Endpoint(f"http://{host}", LOCALHOST, _LOOPBACK, port, read_only=options.read_only)
-    name = check_name(_default_name(hostname) if options.name is None else options.name)
+    if options.name is not None:
+        name = check_name(options.name)
+    else:  # `<hostname>.local`, as mDNS announces it (RFC 6762 section 3)
+        try:
+            name = check_name(f"{hostname.partition('.')[0].lower()}.local")
+        except ConfigurationError as error:
+            raise ConfigurationError(
+                f"the name of this host, {hostname!a}, is not a DNS name", "give one: --name NAME.local"
+            ) from error
     if name == LOCALHOST:
         raise ConfigurationError(
             "no other device can reach localhost", "give the name of this host: --name NAME.local"
@@ -228,18 +235,3 @@ def _is_address(name: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _default_name(hostname: str) -> str:
-    # `<hostname>.local`, as mDNS announces it (RFC 6762 section 3).
-    name = f"{hostname.partition('.')[0].lower()}.local"
-    try:
-        return check_name(name)
-    except ConfigurationError as error:
-        raise ConfigurationError(
-            f"the name of this host, {hostname!a}, is not a DNS name", "give one: --name NAME.local"
-        ) from error
-
-
-MAX_PHONE_NAME: Final = 40
-"""Characters: it is shown in one line."""

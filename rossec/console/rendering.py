@@ -1,22 +1,11 @@
-"""Templates: what a page shows becomes HTML, with everything escaped.
+"""What a page is, what its request says, and the HTML and static files that answer it.
 
-Texts of nodes go through `printable` before they are escaped, so that none turns the direction of
-the line or hides a character; `name` in `macros.html` puts them in `<bdi>` as well.
-
-What a page is, and how one is found by its path. Pure.
-
-A page module has a table `PAGES`; `routes` puts them together. The guard answers what is not in
-the table, so a page without an entry does not exist and one without a session is never public by
-mistake: `SESSION` is what a page has unless it says otherwise.
-
-What a request's body says: a form's fields, or the JSON object a script sends.
-
-Read strictly: the guard has bounded the body; here one type, UTF-8, each field once. There are no
-files in forms, so no multipart.
-
-The static files: read once, served under the digest of their content, so none is ever stale.
-
-`/static/DIGEST/NAME` with another digest does not exist: an address names one content for ever.
+The guard answers what is not in a table of pages, so a page without an entry does not exist, and one without
+a session is never public by mistake: `SESSION` is what a page has unless it says otherwise. Bodies are read
+strictly: one type, UTF-8, each field once; there are no files in forms, so no multipart. Templates escape
+everything; texts of nodes go through `printable` before, so that none turns the direction of the line or
+hides a character (`name` in `macros.html` puts them in `<bdi>` as well). `/static/DIGEST/NAME` with another
+digest does not exist: an address names one content.
 """
 
 import base64
@@ -251,7 +240,8 @@ def render(
     `here` (the path), `read_only`, `now`, and `number` (of the news). With `live=True` the page is
     loaded again when anything changes (`live.js`).
     """
-    session = getattr(request.state, "session", None)
+    session, only_shows = getattr(request.state, "session", None), context.settings.read_only
+    places = [place for place in NAVIGATION if not (only_shows and place.path == "/add")]
     _NAMES.set(names_of(request))
     text = (
         environment()
@@ -259,21 +249,15 @@ def render(
         .render(
             domain=context.settings.domain,
             session=session,
-            places=_places(context) if session is not None else (),
+            places=places if session is not None else (),
             here=request.url.path,
-            read_only=context.settings.read_only,
+            read_only=only_shows,
             number=getattr(request.state, "number", ""),
             now=context.clock(),
             **values,
         )
     )
     return HTMLResponse(text, status)
-
-
-def _places(context: ConsoleContext) -> tuple[Place, ...]:
-    # The navigation; a console that only shows adds no node.
-    only_shows = context.settings.read_only
-    return tuple(place for place in NAVIGATION if not (only_shows and place.path == "/add"))
 
 
 def names_of(request: Request) -> Names:

@@ -1,11 +1,8 @@
-"""A node's request for grants: who, what, why, what it would look like, and for how long.
+"""What is decided: a request for grants, the policy, renewals, other hosts that sign; and what is ended.
 
-What is decided once for many: the policy, renewals by the master, other hosts that sign.
-
-Ending what was allowed: the reason, and three ticks as they come true. Needs no passkey.
-
-Taking away is never harder than giving: a session is enough, and while the key is locked the
-revocation is recorded and signed at unlock. A whole node asks for its name, since it loses all.
+Taking away is never harder than giving: a session is enough, and while the key is locked the revocation is
+recorded and signed at unlock. A whole node asks for its name, since it loses all. Three ticks say how far an
+end has come.
 """
 
 from collections.abc import Mapping
@@ -20,7 +17,7 @@ from ca.certificates import check_intermediate_request
 from ca.errors import HintedError
 from ca.keys.signing import thumbprint
 from ca.names import is_master_name
-from rossec.authority.console.messages import FactView, GrantQuestion, PolicyRight
+from rossec.authority.console.messages import FactView, PolicyRight
 from rossec.console import approvals, words
 from rossec.console.approvals import certificate_request
 from rossec.console.context import ConsoleContext
@@ -65,16 +62,11 @@ async def show_ask(request: Request, context: ConsoleContext) -> Response:
         ways=approvals.ways(ways),
         acts=approvals.acts(found.rights),
         alone=approvals.why_no_coarser(found),
-        others=_others(questions, found),
+        others=sum(each.request == found.request for each in questions) - 1,
         labels=approvals.LABELS,
         looks=approvals.looks(found.node, ways, context.preview),
         durations=approvals.durations(found, context.clock()),
     )
-
-
-def _others(questions: tuple[GrantQuestion, ...], found: GrantQuestion) -> int:
-    same = [each for each in questions if each.request == found.request]
-    return len(same) - 1
 
 
 async def _answered(request: Request, context: ConsoleContext, number: bytes) -> Response:

@@ -1,23 +1,11 @@
-"""Logging in: with a code from the terminal, or with the passkey of a phone that is set up.
+"""Logging in, the phones that approve, and approving itself.
 
-A code is in the fragment of the address it comes with, which browsers send to nobody; the page
-takes it out and posts it. It is used once, either to look, or together with the new passkey that it
-adds: so nobody who only has a session can add one. Whether a code or a passkey is right is decided
-by the authority's service; sessions are this console's.
-
-Phones: the passkeys that approve. A second one comes by a link, and the first approves it.
-
-The link opens `/propose` on the new phone, which makes a passkey and shows digits; here the same
-digits are shown, and approving them is an approval like every other. Removing one takes something
-away, so it needs no passkey.
-
-Approving: the service makes a statement, a passkey signs its digest, the service verifies that.
-
-The same two requests for every kind (`approve.js` makes them): `/prepare/KIND` with the form's
-fields, `/approve/ID` with the assertion. Nothing is decided here: a console that lies about what
-it shows can ask for another signature, but not without the phone, and the record keeps it.
-
-What came of an approval: done, waiting for the key or the master, or why not.
+A code is in the fragment of the address it comes with, which browsers send to nobody; the page takes it out
+and posts it. It is used once, either to look, or together with the new passkey that it adds: so nobody who
+only has a session can add one. A second phone comes by a link and shows digits, and the first approves it;
+removing one takes something away, so it needs no passkey. Whether a code or a passkey is right is decided by
+the authority's service: a console that lies about what it shows can ask for another signature, but not
+without the phone, and the record keeps it.
 """
 
 import secrets
@@ -36,7 +24,7 @@ from grants import document
 from grants.errors import GrantError
 from grants.model import ID_SIZE
 from rossec.authority.console.client import Assertion, Registration
-from rossec.authority.console.messages import LoginChallenge
+from rossec.authority.console.messages import LoginChallenge, Prepared
 from rossec.console import approvals, words
 from rossec.console.context import ConsoleContext
 from rossec.console.options import MAX_PHONE_NAME
@@ -111,7 +99,7 @@ async def log_out(request: Request, context: ConsoleContext) -> Response:
     return response
 
 
-def challenge_fields(made: LoginChallenge, now: int) -> dict[str, object]:
+def challenge_fields(made: LoginChallenge | Prepared, now: int) -> dict[str, object]:
     """A challenge as `approve.js` reads it; the timeout is in milliseconds."""
     return {
         "id": to_base64url(made.id),
@@ -249,15 +237,7 @@ async def prepare(request: Request, context: ConsoleContext) -> Response:
             "no phone is set up", "get a code at the terminal: rossec console phone", status=409
         )
     context.pending.add(made.id, request.state.session.id, act, owner)
-    return JSONResponse(
-        {
-            "id": to_base64url(made.id),
-            "challenge": to_base64url(made.challenge),
-            "credentials": [to_base64url(each) for each in made.credentials],
-            "rpId": made.rp_id,
-            "timeout": max(0, made.until - context.clock()) * 1000,
-        }
-    )
+    return JSONResponse(challenge_fields(made, context.clock()))
 
 
 async def approve(request: Request, context: ConsoleContext) -> Response:

@@ -1,8 +1,6 @@
-"""Today: what waits for an answer, who sees what, what it looks like, and what happened.
+"""Today: what waits for an answer, who sees what, what it looks like; what happened; and the data flow, live.
 
-What happened: the record's log and the denials as one time line; and the data flow, live.
-
-`/news`: that something changed, as server-sent events, to pages that are open.
+`/news` tells pages that are open that something changed, as server-sent events.
 """
 
 from collections.abc import Iterable
@@ -56,6 +54,7 @@ async def show_today(request: Request, context: ConsoleContext) -> Response:
     events = await context.service.events(0, _ENTRIES)
     known = Known.of(home.held, home.nodes, questions, home.ending)
     told = [each for each in story(events, denied, known) if each.tone != "note"]
+    seen = request.state.session.seen  # the last entry that this session saw in the log
     busy = home.matrix.busiest_first()
     part = busy.window(slice(ROWS), slice(RECEIVERS))
     return render(
@@ -75,7 +74,7 @@ async def show_today(request: Request, context: ConsoleContext) -> Response:
         sentences=told[:THINGS],
         ending=len(home.ending),
         again=visibility.again(home),
-        new=_new(request, [each.number for each in told]),
+        new=0 if seen is None else sum(each.number > seen for each in told),
         without_master=home.without_master,
         without_policy=without_policy,
     )
@@ -143,12 +142,6 @@ def _contrast(row: TopicRow) -> tuple[bool, bool, int]:
     return states == {Access.ALL, Access.COARSE}, place.has_place(row.type), len(states)
 
 
-def _new(request: Request, numbers: list[int]) -> int:
-    # How many things happened since this session looked at the log.
-    seen = request.state.session.seen
-    return 0 if seen is None else sum(number > seen for number in numbers)
-
-
 TODAY_PAGES: Final = (Page("/", ("GET",), show_today),)
 
 HAPPENED_THINGS: Final = 50
@@ -166,7 +159,10 @@ async def log(request: Request, context: ConsoleContext) -> Response:
     known = Known.of(home.held, home.nodes, questions, home.ending)
     events, following = await _events(context, before, node, known)
     denied = _between(await visibility.denials(context), events, before, following)
-    told, refused = _bounded([each for each in story(events, denied, known) if not node or each.node == node])
+    told = [each for each in story(events, denied, known) if not node or each.node == node]
+    # At most so many denials, the newest, and how many are left out: nodes cause them at will.
+    refused = set([each for each in told if each.number < 0][MAX_REFUSED:])
+    told = [each for each in told if each not in refused]
     fresh = 0 if before else _look(request, events, told)
     more = urlencode({"before": following, **({"node": node} if node else {})})
     return render(
@@ -179,17 +175,10 @@ async def log(request: Request, context: ConsoleContext) -> Response:
         before=before,
         more=f"/log?{more}" if following else "",
         new=fresh,
-        more_refused=refused,
+        more_refused=len(refused),
         without_master=home.without_master,
         again=0 if before else visibility.again(home),
     )
-
-
-def _bounded(told: list[Sentence]) -> tuple[list[Sentence], int]:
-    # At most so many denials, the newest, and how many are left out: nodes cause them at will.
-    denied = [each for each in told if each.number < 0]
-    left = set(denied[MAX_REFUSED:])
-    return [each for each in told if each not in left], len(left)
 
 
 async def _events(

@@ -1,14 +1,8 @@
-"""What most pages begin with: nodes, grants and the graph, asked of the service, as a matrix.
+"""Who sees what: the matrix, one topic as each receiver sees it, a node, a grant; and the report to print.
 
-Without a master there is no graph and there are no denials: pages show the rest and say so.
-
-Who sees what: the whole matrix, a part at a time, and one topic as each receiver sees it.
-
-One node: its identity, what it sees and sends, its grants; and one grant.
-
-The report to print: every field, every receiver, how, why, until when, of all that is granted.
-
-`rossec privacy --html` writes the same from the policy, as a file of its own (`write`).
+Most pages begin with the same `load`: nodes, grants and the graph, asked of the service, as a matrix. Without
+a master there is no graph and there are no denials: pages show the rest and say so. `rossec privacy --html`
+writes the report from the policy, as a file of its own (`write`).
 """
 
 import logging
@@ -69,15 +63,14 @@ class Overview(NamedTuple):
     def ending(self) -> frozenset[str]:
         grants = [each for each in self.held if each.is_ending]
         keys = {each.grant.holder for each in grants}
-        return frozenset(
-            {each.view.id.hex() for each in grants}
-            | {each.key.hex() for each in self.nodes if self._may_still_be_used(each, keys)}
-        )
-
-    def _may_still_be_used(self, node: NodeView, keys: set[bytes]) -> bool:
-        if not node.revoked_at or node.not_after <= self.now:
-            return False
-        return node.key in keys or not self.heard.has(node.revoked_at, keeps=False)
+        nodes = {
+            each.key.hex()
+            for each in self.nodes
+            if each.revoked_at
+            and each.not_after > self.now
+            and (each.key in keys or not self.heard.has(each.revoked_at, keeps=False))
+        }
+        return frozenset({each.view.id.hex() for each in grants} | nodes)
 
     def named(self, name: str) -> list[NodeView]:
         found = [node for node in self.nodes if node.name == name]
@@ -228,7 +221,7 @@ async def see(request: Request, context: ConsoleContext) -> Response:
     row = home.matrix.row(name)
     if row is None:
         raise HttpRefused(f"no grant and no node names {words.name(name)}", "see who sees what", status=404)
-    cells = sorted(row.cells, key=lambda cell: (_order(row, cell.receiver), cell.receiver))
+    cells = sorted(row.cells, key=lambda cell: ([*Access].index(cell.access), cell.receiver))
     return render(
         context,
         request,
@@ -241,11 +234,6 @@ async def see(request: Request, context: ConsoleContext) -> Response:
         without_master=home.without_master,
         again=again(home),
     )
-
-
-def _order(row: TopicRow, receiver: str) -> int:
-    access = next(cell.access for cell in row.cells if cell.receiver == receiver)
-    return [*Access].index(access)
 
 
 WHO_PAGES: Final = (Page("/who", ("GET",), show_who), Page("/see/{topic:path}", ("GET",), see))
@@ -349,14 +337,10 @@ async def grant(request: Request, context: ConsoleContext) -> Response:
         held=held,
         lines=lines,
         line=grant_line(held, context.clock()),
-        holder=_holder(home, held),
+        holder=any(node.key == held.grant.holder and not node.revoked_at for node in home.nodes),
         without_master=home.without_master,
         again=again(home),
     )
-
-
-def _holder(home: Overview, held: HeldGrant) -> bool:
-    return any(node.key == held.grant.holder and not node.revoked_at for node in home.nodes)
 
 
 NODES_PAGES: Final = (Page("/node/{name:path}", ("GET",), show_node), Page("/grant/{id}", ("GET",), grant))

@@ -44,7 +44,9 @@ def draw(
         for name in row.publishers
         if name in left
     ]
-    parts = [*_heads(), *sent, *_seen(shown, middle, right)]
+    columns = ((_SENDERS, "comes from"), (_TOPICS, "what"), (_RECEIVERS, "is seen by"))
+    heads = [label(column[0], 16, text, "head") for column, text in columns]
+    parts = [*heads, *sent, *_seen(shown, middle, right)]
     parts += _column(left, _SENDERS, "box end", title) + _column(middle, _TOPICS, "box", title)
     parts += _column(right, _RECEIVERS, "box end", title)
     stubs = [_stub(right[name], names) for name, names in ends.items() if name in right]
@@ -55,13 +57,6 @@ def draw(
 
 def _first(names: Iterable[str]) -> list[str]:
     return list(dict.fromkeys(names))[:MAX_ROWS]
-
-
-def _heads() -> list[Element]:
-    return [
-        label(column[0], 16, text, "head")
-        for column, text in ((_SENDERS, "comes from"), (_TOPICS, "what"), (_RECEIVERS, "is seen by"))
-    ]
 
 
 def _spread(names: Sequence[str], height: float) -> dict[str, float]:

@@ -71,12 +71,7 @@ def frame_of(seen: Iterable[SeenTopic], restrictions: Iterable[Restriction] = ()
 
 
 def cells_of(restrictions: Iterable[Restriction], origin: Point | None = None) -> list[Extent]:
-    found = []
-    for restriction in restrictions:
-        cell = _cell(restriction, origin)
-        if cell is not None:
-            found.append(cell)
-    return found
+    return [cell for each in restrictions if (cell := _cell(each, origin)) is not None]
 
 
 def draw(seen: SeenTopic, frame: Frame, cell: Extent | None) -> Element | None:
@@ -168,7 +163,8 @@ def _is_near(point: Point) -> bool:
 
 
 def _paper(frame: Frame, cell: Extent | None) -> Element:
-    wide, high = cell or _metres(frame)
+    metres = _round_length(frame.width / 11)
+    wide, high = cell or (metres, metres)
     lines: list[Element] = [Element("rect", width=WIDTH, height=HEIGHT, class_="ground", rx=8.0)]
     reach = frame.width * HEIGHT / WIDTH / 2
     for x in _steps(frame.x - frame.width / 2, frame.x + frame.width / 2, wide, cell is not None):
@@ -178,11 +174,6 @@ def _paper(frame: Frame, cell: Extent | None) -> Element:
         up = frame.at((0.0, y))[1]
         lines.append(Element("line", x1=0.0, y1=up, x2=WIDTH, y2=up, class_="grid"))
     return Element("g", *lines)
-
-
-def _metres(frame: Frame) -> Extent:
-    step = _round_length(frame.width / 11)
-    return step, step
 
 
 def _steps(low: float, high: float, step: float, between: bool) -> list[float]:

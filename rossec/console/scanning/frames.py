@@ -1,7 +1,8 @@
 """Pictures and what was read in them, between web process, supervisor and worker. Pure.
 
-A frame is a length (4 bytes, network byte order) and so many bytes: a picture as it came one way,
-`[0, text]` (empty: no code) or `[1, message, hint]` in deterministic CBOR the other way.
+A picture is read in a process without rights (`worker`); neither of the other two decodes anything. A frame
+is a length (4 bytes, network byte order) and so many bytes: a picture as it came one way, `[0, text]` (empty:
+no code) or `[1, message, hint]` in deterministic CBOR the other way.
 """
 
 from functools import partial
