@@ -6,7 +6,6 @@ Nothing here is written to a disk: a console that is started again knows nobody,
 import asyncio
 import logging
 from collections.abc import AsyncIterator, Awaitable, Callable
-from dataclasses import dataclass, field
 from typing import Final, Protocol
 
 from ca.errors import HintedError
@@ -126,7 +125,6 @@ class Scanner(Protocol):
     async def read(self, frame: bytes) -> str | None: ...
 
 
-@dataclass
 class ConsoleContext:
     """One console.
 
@@ -139,29 +137,24 @@ class ConsoleContext:
         elapsed: seconds of a clock that cannot be set, for what ends after some time.
     """
 
-    service: ConsoleClient
-    settings: Settings
-    scanner: Scanner | None = None
-    preview: Preview | None = None
-    clock: Callable[[], int] = clock.now
-    elapsed: Seconds = field(default_factory=counter)
-    sessions: Sessions = field(init=False)
-    phones: KnownPhones = field(init=False)
-    news: NewsFeed = field(init=False)
-    failures: FailureLimit = field(init=False)
-    pending: PendingActs = field(init=False)
-    enrollments: Enrollments = field(init=False)
-    made_codes: MadeCodes = field(init=False)
-    turns: Turns = field(init=False)
-    endings: Endings = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.sessions = Sessions(self.settings.lifetime, self.settings.idle)
-        self.phones = KnownPhones(self.service.phones)
-        self.news = NewsFeed(self.service.status)
+    def __init__(
+        self,
+        service: ConsoleClient,
+        settings: Settings,
+        scanner: Scanner | None = None,
+        preview: Preview | None = None,
+        clock: Callable[[], int] = clock.now,
+        elapsed: Seconds | None = None,
+    ) -> None:
+        self.service, self.settings = service, settings
+        self.scanner, self.preview = scanner, preview
+        self.clock, self.elapsed = clock, elapsed or counter()
+        self.sessions = Sessions(settings.lifetime, settings.idle)
+        self.phones = KnownPhones(service.phones)
+        self.news = NewsFeed(service.status)
         self.failures = FailureLimit()
         self.pending = PendingActs()
         self.made_codes = MadeCodes()
         self.turns = Turns()
         self.endings = Endings()
-        self.enrollments = Enrollments(self.service, self.settings.domain, self.clock, self.news.changed)
+        self.enrollments = Enrollments(service, settings.domain, clock, self.news.changed)

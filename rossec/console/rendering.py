@@ -282,21 +282,12 @@ def environment() -> Environment:
         lstrip_blocks=True,
     )
     made.globals["asset"] = asset_path
-    made.filters["printable"] = printable
-    made.filters["hex"] = bytes.hex
-    made.filters["base64url"] = to_base64url
-    made.filters["day"] = day
+    made.filters |= {"printable": printable, "hex": bytes.hex, "base64url": to_base64url, "day": day}
     made.filters["title"] = _title
-    made.filters["titled"] = _titled
-    made.filters["ago"] = ago
-    made.filters["address"] = quote  # of a name of ROS: its slashes stay
-    made.filters["topic"] = topic
+    made.filters["titled"] = lambda name: f"{_title(name)} {printable(name)}".strip()
+    made.filters |= {"ago": ago, "address": quote, "topic": topic}  # of a name of ROS the slashes stay
     return made
 
 
 def _title(name: str) -> str:
     return _NAMES.get().title(name)
-
-
-def _titled(name: str) -> str:
-    return f"{_title(name)} {printable(name)}".strip()

@@ -57,11 +57,11 @@ async def show_today(request: Request, context: ConsoleContext) -> Response:
     seen = request.state.session.seen  # the last entry that this session saw in the log
     busy = home.matrix.busiest_first()
     part = busy.window(slice(ROWS), slice(RECEIVERS))
-    return render(
+    return visibility.render_home(
         context,
         request,
+        home,
         "today.html",
-        live=True,
         authority=await context.service.status(),
         waiting=await _waiting(context, questions),
         counts=counts(home.matrix),
@@ -73,9 +73,7 @@ async def show_today(request: Request, context: ConsoleContext) -> Response:
         flow=flow.draw(part, visibility.refused_names(denied), names_of(request).title),
         sentences=told[:THINGS],
         ending=len(home.ending),
-        again=visibility.again(home),
         new=0 if seen is None else sum(each.number > seen for each in told),
-        without_master=home.without_master,
         without_policy=without_policy,
     )
 
@@ -223,21 +221,19 @@ async def way(request: Request, context: ConsoleContext) -> Response:
     part = busy.window(slice(row, row + flow.MAX_ROWS), slice(flow.MAX_ROWS))
     told = refusals(denied)
     running = {fact.name for fact in home.facts if fact.kind == "publisher"}
-    return render(
+    return visibility.render_home(
         context,
         request,
+        home,
         "way.html",
-        live=True,
         row=row,
         rows=len(busy.rows),
         page_rows=flow.MAX_ROWS,
         shown=busy.rows[row : row + flow.MAX_ROWS],
         flow=flow.draw(part, visibility.refused_names(denied), names_of(request).title),
         running=running,
-        again=visibility.again(home),
         refused=sorted(told, key=lambda each: -each.at)[:MAX_REFUSED],
         more_refused=max(0, len(told) - MAX_REFUSED),
-        without_master=home.without_master,
     )
 
 

@@ -8,7 +8,7 @@ writes the report from the policy, as a file of its own (`write`).
 import logging
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from starlette.requests import Request
 from starlette.responses import Response
@@ -108,6 +108,14 @@ def again(home: Overview) -> int:
     return AGAIN if home.ending and not home.without_master else 0
 
 
+def render_home(
+    context: ConsoleContext, request: Request, home: Overview, template: str, **values: Any
+) -> Response:
+    """As `render`: a page of the home, which looks again while something is ending."""
+    state = {"live": True, "without_master": home.without_master, "again": again(home)}
+    return render(context, request, template, **(state | values))
+
+
 async def denials(context: ConsoleContext) -> tuple[DenialView, ...]:
     """The denials of the last day; none without a master."""
     try:
@@ -181,11 +189,11 @@ async def show_who(request: Request, context: ConsoleContext) -> Response:
     receiver = position(request.query_params.get("receiver"))
     part = home.matrix.window(slice(row, row + ROWS), slice(receiver, receiver + RECEIVERS))
     others = other_rights(home.held)
-    return render(
+    return render_home(
         context,
         request,
+        home,
         "who.html",
-        live=True,
         matrix=part,
         row=row,
         receiver=receiver,
@@ -195,8 +203,6 @@ async def show_who(request: Request, context: ConsoleContext) -> Response:
         page_receivers=RECEIVERS,
         others=others[:MAX_OTHERS],
         more=max(0, len(others) - MAX_OTHERS),
-        without_master=home.without_master,
-        again=again(home),
     )
 
 
@@ -222,17 +228,15 @@ async def see(request: Request, context: ConsoleContext) -> Response:
     if row is None:
         raise HttpRefused(f"no grant and no node names {words.name(name)}", "see who sees what", status=404)
     cells = sorted(row.cells, key=lambda cell: ([*Access].index(cell.access), cell.receiver))
-    return render(
+    return render_home(
         context,
         request,
+        home,
         "see.html",
-        live=True,
         row=row,
         cells=cells[:MAX_CELLS],
         more=max(0, len(cells) - MAX_CELLS),
         comparison=comparison(context, row),
-        without_master=home.without_master,
-        again=again(home),
     )
 
 
@@ -273,11 +277,11 @@ async def show_node(request: Request, context: ConsoleContext) -> Response:
     events = await context.service.events(0, _ENTRIES)
     known = Known.of(home.held, home.nodes, ending=home.ending)
     told = [each for each in story(events, await denials(context), known) if each.node == name]
-    return render(
+    return render_home(
         context,
         request,
+        home,
         "node.html",
-        live=True,
         name=name,
         identities=identities,
         seen=seen[:MAX_ROWS],
@@ -288,9 +292,7 @@ async def show_node(request: Request, context: ConsoleContext) -> Response:
         more_grants=max(0, len(grants) - MAX_GRANTS),
         sentences=told[:THINGS],
         is_master=is_master_name(name),
-        without_master=home.without_master,
         is_ending=identities[0].key.hex() in home.ending,
-        again=again(home),
     )
 
 
@@ -329,17 +331,15 @@ async def grant(request: Request, context: ConsoleContext) -> Response:
         )
         for each in held.grant.permissions
     ]
-    return render(
+    return render_home(
         context,
         request,
+        home,
         "grant.html",
-        live=True,
         held=held,
         lines=lines,
         line=grant_line(held, context.clock()),
         holder=any(node.key == held.grant.holder and not node.revoked_at for node in home.nodes),
-        without_master=home.without_master,
-        again=again(home),
     )
 
 
@@ -353,17 +353,15 @@ async def show_privacy(request: Request, context: ConsoleContext) -> Response:
     first = position(request.query_params.get("row"))
     types = {fact.name: fact.node for fact in home.facts if fact.kind == "type"}
     found = topics(held_accesses(home.held, types, names_of(request).type_of), layout_of)
-    return render(
+    return render_home(
         context,
         request,
+        home,
         "privacy.html",
-        live=True,
         topics=found[first : first + TOPICS],
         row=first,
         rows=len(found),
         page_rows=TOPICS,
-        without_master=home.without_master,
-        again=again(home),
     )
 
 

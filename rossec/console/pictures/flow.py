@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final, TypeAlias
 
 from rossec.console.matrix import Access, Matrix
-from rossec.console.pictures.svg import Element, Point, along, curve, cut, drawing, label, path
+from rossec.console.pictures.svg import Element, Point, along, box, curve, cut, drawing, label, path
 
 MAX_ROWS: Final = 12
 Line: TypeAlias = tuple[Point, Point]
@@ -78,22 +78,8 @@ def _column(
                 label(middle, y - 2, short, "box-title", "middle"),
                 label(middle, y + 13, cut(name, most), "box-name", "middle"),
             ]
-        boxes.append(
-            Element(
-                "g",
-                Element("title", f"{called} {name}".strip()),
-                Element(
-                    "rect",
-                    x=left + 0.5,
-                    y=y - _BOX / 2,
-                    width=right - left - 1,
-                    height=_BOX,
-                    rx=9.0,
-                    class_=class_,
-                ),
-                *texts,
-            )
-        )
+        frame = box(left + 0.5, y - _BOX / 2, right - left - 1, _BOX, 9.0, class_)
+        boxes.append(Element("g", Element("title", f"{called} {name}".strip()), frame, *texts))
     return boxes
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from grants.model import FilterRule, Restriction
-from rossec.console.pictures.svg import Element, Point, drawing, label, path
+from rossec.console.pictures.svg import Element, Point, box, drawing, label, path
 from rossec.console.samples import Sample, SeenTopic
 
 WIDTH, HEIGHT = 300.0, 250.0
@@ -249,19 +249,8 @@ def _squares(points: list[Point], frame: Frame, cell: Extent) -> list[Element]:
         x, y = frame.at(point)
         shade = max(1, math.ceil(_SHADES * times / most))
         now = " now" if point == points[-1] else ""
-        squares.append(_box(x, y, wide, high, f"square shade{shade}{now}"))
+        left, right = min(max(x - wide / 2, 0.0) + 1, WIDTH - 2), min(x + wide / 2, WIDTH) - 1
+        top, bottom = min(max(y - high / 2, 0.0) + 1, HEIGHT - 2), min(y + high / 2, HEIGHT) - 1
+        size = max(right - left, 1.0), max(bottom - top, 1.0)
+        squares.append(box(left, top, *size, 4.0, f"square shade{shade}{now}"))
     return squares
-
-
-def _box(x: float, y: float, wide: float, high: float, class_: str) -> Element:
-    left, right = min(max(x - wide / 2, 0.0) + 1, WIDTH - 2), min(x + wide / 2, WIDTH) - 1
-    top, bottom = min(max(y - high / 2, 0.0) + 1, HEIGHT - 2), min(y + high / 2, HEIGHT) - 1
-    return Element(
-        "rect",
-        x=left,
-        y=top,
-        width=max(right - left, 1.0),
-        height=max(bottom - top, 1.0),
-        rx=4.0,
-        class_=class_,
-    )

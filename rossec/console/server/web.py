@@ -20,7 +20,7 @@ from rossec.authority.console.client import ConsoleClient
 from rossec.console import samples
 from rossec.console.app import create_app
 from rossec.console.context import ConsoleContext
-from rossec.console.samples import PreviewMemory, Recorded
+from rossec.console.samples import PreviewMemory
 from rossec.console.scanning import frames
 from rossec.console.scanning.frames import Found, Unreadable
 from rossec.console.server import control
@@ -219,10 +219,7 @@ class PreviewClient:
         self._socket = sock
         self._memory = PreviewMemory(now)
         self._tasks = TaskSet()
-
-    def recorded(self, topic: str) -> Recorded | None:
-        # The last minute of a topic; None if it is not received, or nothing came.
-        return self._memory.recorded(topic)
+        self.recorded = self._memory.recorded
 
     def start(self) -> None:
         self._tasks.spawn(self._take(), "preview of the console")
