@@ -131,14 +131,7 @@ def wants_json(headers: Mapping[str, str]) -> bool:
 
 
 class Guard:
-    """The application behind it gets only requests that broke no rule.
-
-    Args:
-        app: the pages.
-        context: of the console.
-        pages: the table of pages.
-        refuse: makes the answer of a refusal.
-    """
+    """The application behind it gets only requests that broke no rule."""
 
     def __init__(
         self,

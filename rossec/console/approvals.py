@@ -243,7 +243,6 @@ READERS: Final[Mapping[str, tuple[tuple[frozenset[str], ...], Reader]]] = {
 
 
 def certificate_request(text: str) -> bytes:
-    """The DER of a pasted request: PEM, or its base64 alone."""
     pem = _PEM.fullmatch(text)
     digits = "".join((pem[1] if pem else text).split())
     hint = "on the host: base64 intermediate.csr, and paste all of it"

@@ -38,9 +38,6 @@ class NewsFeed:
     how often something changed in this console. Between them it says every few seconds whether the service
     answers (`alive`, `silent`), so that a page knows when it is old. The service is asked only while a page
     waits.
-
-    Args:
-        status: asks the service.
     """
 
     def __init__(self, status: Callable[[], Awaitable[Status]], period: float = PERIOD) -> None:

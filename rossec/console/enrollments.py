@@ -35,8 +35,6 @@ _PATIENCE: Final = 3600  # seconds that a label waits for the key; a screen code
 
 
 class Stage(Enum):
-    """What the page of an enrollment shows."""
-
     FETCHING = "fetching"
     COMPARED = "compared"  # a person decides
     WAITING = "waiting"  # approved; the key is locked
@@ -255,12 +253,6 @@ class Enrollments:
 
     Where all places are taken, what a session that may only look has begun makes room for a phone's, and
     nothing that was approved makes room.
-
-    Args:
-        service: the authority's service.
-        domain: the trust domain.
-        clock: seconds since the epoch.
-        changed: called when a page of one of them shows something else.
     """
 
     def __init__(

@@ -8,6 +8,7 @@ a DNS name: browsers refuse addresses as RP ids ("invalid domain").
 import ipaddress
 import re
 from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -93,7 +94,6 @@ class Endpoint:
 
 
 def read_options(options: Options, hostname: str) -> Endpoint:
-    """The endpoint for `options` on the host called `hostname`."""
     _check_pairs(options)
     if options.unix_path is not None:
         return _behind_proxy(options, options.unix_path)
@@ -130,8 +130,8 @@ def read_options(options: Options, hostname: str) -> Endpoint:
 
 
 def check_name(name: str) -> str:
-    """The DNS name `name` in lower case."""
-    if _is_address(name):
+    with suppress(ValueError):
+        ipaddress.ip_address(name.strip("[]"))
         raise ConfigurationError(
             f"{name} is an address: a passkey cannot belong to one",
             "give a name, such as --name rossec.local",
@@ -227,11 +227,3 @@ def _origin_refused(origin: str) -> ConfigurationError:
 
 def _with_port(name: str, scheme: str, port: int) -> str:
     return name if port == _DEFAULT_PORTS[scheme] else f"{name}:{port}"
-
-
-def _is_address(name: str) -> bool:
-    try:
-        ipaddress.ip_address(name.strip("[]"))
-    except ValueError:
-        return False
-    return True

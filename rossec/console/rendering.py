@@ -95,7 +95,6 @@ _HINT: Final = "go back, load the page again, and try once more"
 
 
 async def read_form(request: Request) -> dict[str, str]:
-    """The fields of a form."""
     body = await request.body()
     if not body:
         return {}  # a form of a button alone
@@ -115,7 +114,6 @@ async def read_form(request: Request) -> dict[str, str]:
 
 
 async def read_json(request: Request) -> dict[str, Any]:
-    """The JSON object of a script."""
     _require_type(request, _JSON)
     try:
         value = json.loads((await request.body()).decode(), object_pairs_hook=_once)
@@ -138,12 +136,10 @@ def text_field(fields: dict[str, Any], name: str, limit: int = 200) -> str:
 
 
 def bytes_field(fields: dict[str, Any], name: str) -> bytes:
-    """A field that is bytes, as base64url without padding, as WebAuthn's JSON has them."""
     return from_base64url(text_field(fields, name, limit=16 * 1024))
 
 
 def from_base64url(text: str) -> bytes:
-    """The bytes of a base64url text without padding."""
     try:
         data = base64.b64decode(text + "=" * (-len(text) % 4), altchars=b"-_", validate=True)
     except (binascii.Error, ValueError) as error:
@@ -154,7 +150,6 @@ def from_base64url(text: str) -> bytes:
 
 
 def to_base64url(data: bytes) -> str:
-    """Bytes as base64url without padding."""
     return base64.urlsafe_b64encode(data).rstrip(b"=").decode()
 
 

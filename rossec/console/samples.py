@@ -249,9 +249,6 @@ class PreviewMemory:
     """What was received within the last minute; what is older is dropped, also where nothing new comes.
 
     Publishers choose size and rate of their messages, so every number is bounded.
-
-    Args:
-        clock: seconds since the epoch.
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
@@ -281,7 +278,6 @@ class PreviewMemory:
         return Recorded(topic, kept[-1].type, messages)
 
     def drop_old(self) -> None:
-        """Forget what is older than a minute."""
         begin = self._clock() - MEMORY_SECONDS
         for topic in tuple(self._topics):
             while topic in self._topics and self._topics[topic][0].at < begin:
@@ -314,7 +310,6 @@ def write_preview(message: PreviewMessage) -> bytes:
 
 
 def preview_size(head: bytes) -> int:
-    """The number of bytes that follow the head."""
     return frame_size(head, MAX_FRAME)
 
 

@@ -67,7 +67,6 @@ class Known(NamedTuple):
         questions: Iterable[GrantQuestion] = (),
         ending: frozenset[str] = frozenset(),
     ) -> "Known":
-        """The ids in these views."""
         asked: dict[str, tuple[GrantQuestion, ...]] = {}
         for each in questions:
             number = each.request.hex()
@@ -184,20 +183,16 @@ def _revocation(event: EventView, known: Known) -> _Told:
     grant, node = known.grants.get(event.subject), known.nodes.get(event.subject)
     why = _because(event.detail)
     if event.subject in known.ending and (grant is not None or node is not None):
-        return "ended", "Ending", (*_may_still(grant, node or ""), *why)
+        still: tuple[Part, ...] = (_name(node or ""), Part("may still do what it was allowed"))
+        if grant is not None:
+            still = (_name(grant.subject), Part("may still"), *permissions(grant.permissions))
+        return "ended", "Ending", (*still, Part(", until every node has heard"), *why)
     if grant is not None:
         gone = (_name(grant.subject), Part("may no longer"), *permissions(grant.permissions))
         return "ended", "Ended", (*gone, *why)
     if node is not None:
         return "ended", "Removed", (_name(node), Part("does not belong here any more"), *why)
     return "ended", "Ended", (Part(f"what has the number {event.subject[:8]}"), *why)
-
-
-def _may_still(grant: Grant | None, node: str) -> tuple[Part, ...]:
-    until = Part(", until every node has heard")
-    if grant is None:
-        return (_name(node), Part("may still do what it was allowed"), until)
-    return (_name(grant.subject), Part("may still"), *permissions(grant.permissions), until)
 
 
 def _grant_request(event: EventView, known: Known) -> _Told:

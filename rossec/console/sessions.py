@@ -48,11 +48,7 @@ class Session:
 
 
 class Sessions:
-    """The sessions of one console; the oldest of the phone with most, or to look, makes room.
-
-    Args:
-        lifetime, idle: in seconds.
-    """
+    """The sessions of one console; the oldest of the phone with most, or to look, makes room."""
 
     def __init__(self, lifetime: int, idle: int) -> None:
         self._lifetime, self._idle = lifetime, idle
@@ -113,10 +109,6 @@ class KnownPhones:
 
     A phone that is registered again under the name of one that was removed does not bring its sessions back.
     Where the service does not answer nobody is let in.
-
-    Args:
-        phones: asks the service.
-        elapsed: seconds of a clock that cannot be set.
     """
 
     def __init__(self, phones: Phones, elapsed: clock.Seconds | None = None) -> None:

@@ -295,7 +295,6 @@ class Names:
 
     @classmethod
     def of(cls, found: Iterable[PolicyName]) -> "Names":
-        """Those of a policy."""
         titles: dict[str, str] = {}
         types: dict[str, str] = {}
         for each in found:

@@ -17,7 +17,7 @@ from ca.certificates import check_intermediate_request
 from ca.errors import HintedError
 from ca.keys.signing import thumbprint
 from ca.names import is_master_name
-from rossec.authority.console.messages import FactView, PolicyRight
+from rossec.authority.console.messages import FactView, PolicyRight, QuestionAnswer
 from rossec.console import approvals, words
 from rossec.console.approvals import certificate_request
 from rossec.console.context import ConsoleContext
@@ -51,14 +51,16 @@ async def show_ask(request: Request, context: ConsoleContext) -> Response:
             ways.append((name, await context.service.consider(number, name, 0)))
         except HintedError:  # this filter does not fit these messages
             continue
-    sentence = approvals.sentence(found, await _graph(context))
+    facts: tuple[FactView, ...] = ()
+    with suppress(HintedError):
+        facts = await context.service.graph()
     return render(
         context,
         request,
         "ask.html",
         live=True,
         found=found,
-        sentence=sentence,
+        sentence=approvals.sentence(found, facts),
         ways=approvals.ways(ways),
         acts=approvals.acts(found.rights),
         alone=approvals.why_no_coarser(found),
@@ -71,11 +73,10 @@ async def show_ask(request: Request, context: ConsoleContext) -> Response:
 
 async def _answered(request: Request, context: ConsoleContext, number: bytes) -> Response:
     # How it was answered, by the record; a service that does not say leaves it open.
-    try:
+    told: list[tuple[QuestionAnswer, tuple[Part, ...]]] = []
+    with suppress(HintedError):
         answers = await context.service.question_answers(number)
-    except HintedError:
-        answers = ()
-    told = [(each, approvals.answer(each)) for each in answers]
+        told = [(each, approvals.answer(each)) for each in answers]
     return render(context, request, "asked.html", told=told)
 
 
@@ -84,13 +85,6 @@ async def deny(request: Request, context: ConsoleContext) -> Response:
     number = request.path_params["id"]
     await context.service.deny_question(from_base64url(number), DENIED)
     return RedirectResponse(f"/ask/{number}", 303)
-
-
-async def _graph(context: ConsoleContext) -> tuple[FactView, ...]:
-    try:
-        return await context.service.graph()
-    except HintedError:
-        return ()
 
 
 ASK_PAGES: Final = (Page("/ask/{id}", ("GET",), show_ask), Page("/ask/{id}/deny", ("POST",), deny))

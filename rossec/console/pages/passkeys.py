@@ -182,7 +182,6 @@ async def show_phones(request: Request, context: ConsoleContext) -> Response:
 
 
 async def link(request: Request, context: ConsoleContext) -> Response:
-    """A link for a second phone, as a code to scan."""
     await read_form(request)
     code = await context.service.phone_link(owner_of(request.state.session))
     address = f"{context.settings.origin}/propose#{code}"

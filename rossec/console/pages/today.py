@@ -3,6 +3,7 @@
 `/news` tells pages that are open that something changed, as server-sent events.
 """
 
+import math
 from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any, Final, NamedTuple
@@ -13,7 +14,7 @@ from starlette.responses import Response, StreamingResponse
 
 from ca.errors import HintedError
 from grants.model import Permission, Right
-from rossec.authority.console.messages import DenialView, EventView, GrantQuestion
+from rossec.authority.console.messages import EventView, GrantQuestion
 from rossec.console import approvals
 from rossec.console.context import ConsoleContext
 from rossec.console.matrix import Access, Matrix, TopicRow
@@ -21,7 +22,7 @@ from rossec.console.pages import visibility
 from rossec.console.pages.visibility import Overview
 from rossec.console.pictures import flow, place
 from rossec.console.rendering import Page, names_of, render, to_base64url
-from rossec.console.sentences import Known, Part, Sentence, permissions, refusals, story
+from rossec.console.sentences import Known, Part, permissions, refusals, story
 
 ROWS: Final = 8
 RECEIVERS: Final = 4
@@ -126,18 +127,17 @@ def silent(home: Overview) -> int:
 
 def _looks(context: ConsoleContext, matrix: Matrix) -> dict[str, Any]:
     # `moving` is the node whose place it is, if it is one's.
-    for row in sorted(matrix.rows, key=_contrast, reverse=True):
+    def contrast(row: TopicRow) -> tuple[bool, bool, int]:
+        states = {cell.access for cell in row.seen_by()}
+        return states == {Access.ALL, Access.COARSE}, place.has_place(row.type), len(states)
+
+    for row in sorted(matrix.rows, key=contrast, reverse=True):
         found = visibility.comparison(context, row)
         if found is not None:
             one = len(row.publishers) == 1 and place.has_place(row.type)
             moving = row.publishers[0] if one else ""
             return {"comparison": found._replace(looks=found.looks[:LOOKS]), "moving": moving}
     return {"comparison": None, "moving": ""}
-
-
-def _contrast(row: TopicRow) -> tuple[bool, bool, int]:
-    states = {cell.access for cell in row.seen_by()}
-    return states == {Access.ALL, Access.COARSE}, place.has_place(row.type), len(states)
 
 
 TODAY_PAGES: Final = (Page("/", ("GET",), show_today),)
@@ -156,12 +156,18 @@ async def log(request: Request, context: ConsoleContext) -> Response:
     questions = (await visibility.questions(context))[0]
     known = Known.of(home.held, home.nodes, questions, home.ending)
     events, following = await _events(context, before, node, known)
-    denied = _between(await visibility.denials(context), events, before, following)
+    times = [event.at for event in events] or [0]
+    first, end = min(times) if following else 0, max(times) if before else math.inf
+    denied = [each for each in await visibility.denials(context) if first <= each.at < end]
     told = [each for each in story(events, denied, known) if not node or each.node == node]
     # At most so many denials, the newest, and how many are left out: nodes cause them at will.
     refused = set([each for each in told if each.number < 0][MAX_REFUSED:])
     told = [each for each in told if each not in refused]
-    fresh = 0 if before else _look(request, events, told)
+    fresh, seen = 0, request.state.session.seen
+    if not before:
+        fresh = 0 if seen is None else sum(each.number > seen for each in told)
+        if events:
+            request.state.session.seen = max(seen or 0, *(event.number for event in events))
     more = urlencode({"before": following, **({"node": node} if node else {})})
     return render(
         context,
@@ -195,22 +201,6 @@ async def _events(
         if len(part) < _HAPPENED_ENTRIES:
             return found, 0
     return found, following
-
-
-def _between(
-    denied: tuple[DenialView, ...], events: list[EventView], before: int, following: int
-) -> list[DenialView]:
-    first = min((event.at for event in events), default=0) if following else 0
-    last = max((event.at for event in events), default=0) if before else None
-    return [each for each in denied if each.at >= first and (last is None or each.at < last)]
-
-
-def _look(request: Request, events: list[EventView], told: list[Sentence]) -> int:
-    session = request.state.session
-    seen = session.seen
-    if events:
-        session.seen = max(seen or 0, *(event.number for event in events))
-    return 0 if seen is None else sum(each.number > seen for each in told)
 
 
 async def way(request: Request, context: ConsoleContext) -> Response:

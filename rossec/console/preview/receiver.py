@@ -33,13 +33,7 @@ _log = logging.getLogger("rossec.console")
 
 
 class PreviewReceiver:
-    """Receives as `/console`, and writes frames.
-
-    Args:
-        writer: to the pages.
-        environ: of the node.
-        period: seconds between two looks for topics.
-    """
+    """Receives as `/console`, and writes frames."""
 
     def __init__(
         self, writer: asyncio.StreamWriter, environ: Mapping[str, str], period: float = PERIOD

@@ -25,8 +25,6 @@ class Found(NamedTuple):
 
 
 class Unreadable(NamedTuple):
-    """Why a picture could not be read."""
-
     message: str
     hint: str
 
@@ -36,7 +34,6 @@ def frame(body: bytes) -> bytes:
 
 
 def size(head: bytes, limit: int) -> int:
-    """The number of bytes after a frame's head."""
     found = int.from_bytes(head)
     if not 0 < found <= limit:
         raise KeyMessageRefused(f"a picture's frame of {found} bytes where {limit} are allowed")

@@ -206,7 +206,6 @@ class ConsoleServer:
         self.places = ConnectionShares()
 
     async def start(self, sockets: Iterable[socket.socket]) -> None:
-        """Serve at each of the sockets."""
         for sock in sockets:
             sock.setblocking(False)
             self._listening.append(sock)
@@ -268,7 +267,6 @@ class ConsoleServer:
                 place.release()
 
     async def close(self) -> None:
-        """Stop, and end every connection."""
         while self._listening:
             sock = self._listening.pop()
             asyncio.get_running_loop().remove_reader(sock.fileno())

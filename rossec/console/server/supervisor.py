@@ -285,12 +285,7 @@ class ScannerSupervisor:
 
 
 class PreviewProcess:
-    """The process of the preview; one at a time, started beside each web process.
-
-    Args:
-        environ: of the node.
-        module: that is run.
-    """
+    """The process of the preview; one at a time, started beside each web process."""
 
     def __init__(self, environ: Mapping[str, str], module: str = RECEIVER_MODULE) -> None:
         self._environ = environ

@@ -128,13 +128,7 @@ class CertificateSource(Protocol):
 
 
 class OwnCertificates:
-    """Issued by the console's own authority, each with a new key, which is in memory alone.
-
-    Args:
-        authority: issues them.
-        address: of this host now; None: it has none that others reach.
-        serial: makes random serials.
-    """
+    """Issued by the console's own authority, each with a new key, which is in memory alone."""
 
     def __init__(self, authority: TlsAuthority, address: Address | None, serial: Callable[[], int]) -> None:
         self._authority = authority

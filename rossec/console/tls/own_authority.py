@@ -82,7 +82,6 @@ class TlsAuthority:
 
     @classmethod
     def load(cls, key: ec.EllipticCurvePrivateKey, data: bytes) -> Self:
-        """The authority with the certificate `data` (DER)."""
         try:
             certificate = x509.load_der_x509_certificate(data)
             found = certificate.extensions.get_extension_for_class(x509.NameConstraints).value
@@ -125,7 +124,6 @@ class TlsAuthority:
         return _sign(builder, self.key)
 
     def check_time(self, now: int) -> None:
-        """Raise unless the authority is valid."""
         if now > self.not_after:
             raise ConfigurationError("the console's TLS authority has expired", _RENEW)
         if now < self.not_before:
