@@ -1,26 +1,15 @@
-"""The pages as one ASGI application, behind the guard; a refusal becomes a page with its hint.
+"""The pages as one ASGI application, behind a guard: who may ask, from where, and how much.
 
-The application knows no address but those of its settings, so a request's `Host` decides nothing.
-
-The headers of every response, also of errors. Pure.
-
-No script makes HTML, so `trusted-types 'none'` holds; pictures are SVG with classes, so styles come
-from the one file. `Referrer-Policy: no-referrer` would make browsers send `Origin: null` with the
-console's own forms, which the guard refuses.
-
-What stands before every page: who may ask, from where, and how much. Decisions are a table.
-
-The first rule that is broken answers; a page sees only requests that broke none. `Host` is checked
-against DNS rebinding, `Origin` and `Sec-Fetch-Site` against forms of other sites; the session is
-looked up by its cookie; a body is read here, bounded in size and time, before the page runs. A
-guard that crashes answers 500 and nothing else.
-
-Every page of the console. What is not here does not exist, and nothing is served beside it.
+The first rule of `RULES` that is broken answers; a page sees only requests that broke none. `Host` is checked
+against DNS rebinding, `Origin` and `Sec-Fetch-Site` against forms of other sites; the session is looked up by
+its cookie; a body is read here, bounded in size and time, before the page runs. A guard that crashes answers
+500 and nothing else; a refusal becomes a page with its hint. What is not in `ROUTES` does not exist.
 """
 
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable, Iterable, Mapping
+from contextlib import suppress
 from typing import Final, NamedTuple
 
 from starlette.applications import Starlette
@@ -37,10 +26,12 @@ from rossec.console.pages import adding, decisions, passkeys, today, visibility
 from rossec.console.rendering import PREFIX, Access, Match, Page, PageTable, for_looking, render
 from rossec.console.server.serving import PLACE, check_peer
 from rossec.console.sessions import COOKIE, Session, owner_of
-from rossec.console.words import NONE, Names
+from rossec.console.words import Names
 from rossec.errors import HttpRefused, KeyServiceFailed, PeerUserRefused
 from rossec.peer_limits import printable
 
+# No script makes HTML, so `trusted-types 'none'` holds; pictures are SVG with classes, so styles come from
+# the one file.
 _POLICY: Final = "; ".join(
     (
         "default-src 'none'",
@@ -60,7 +51,7 @@ _POLICY: Final = "; ".join(
 HEADERS: Final[Mapping[str, str]] = {
     "Content-Security-Policy": _POLICY,
     "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "same-origin",
+    "Referrer-Policy": "same-origin",  # `no-referrer` makes `Origin: null` of own forms, which is refused
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Permissions-Policy": ("camera=(self), publickey-credentials-get=(self), microphone=(), geolocation=()"),
@@ -98,7 +89,6 @@ class Facts(NamedTuple):
 
 class GuardRule(NamedTuple):
     name: str
-    holds: Callable[[Facts, "Allowed", Match | None], bool]
     status: int
     message: str
     hint: str
@@ -109,49 +99,30 @@ class Allowed(NamedTuple):
     origins: tuple[str, ...]
 
 
-def _is_own_host(facts: Facts, allowed: Allowed, _match: Match | None) -> bool:
-    return len(facts.hosts) == 1 and facts.hosts[0] in allowed.hosts
-
-
-def _exists(_facts: Facts, _allowed: Allowed, match: Match | None) -> bool:
-    return match is not None
-
-
-def _has_method(_facts: Facts, _allowed: Allowed, match: Match | None) -> bool:
-    return match is not None and match.page is not None
-
-
-def _is_own_origin(facts: Facts, allowed: Allowed, _match: Match | None) -> bool:
-    if facts.method in SAFE:
-        return True
-    own = len(facts.origins) == 1 and facts.origins[0] in allowed.origins
-    return own and facts.site in {"", "same-origin"}
-
-
-def _may_see(facts: Facts, _allowed: Allowed, match: Match | None) -> bool:
-    page = None if match is None else match.page
-    return page is not None and (page.access is Access.PUBLIC or facts.has_session)
-
-
-def _is_bounded(facts: Facts, _allowed: Allowed, match: Match | None) -> bool:
-    page = None if match is None else match.page
-    return page is not None and facts.length is not None and facts.length <= page.max_body
-
-
 RULES: Final = (
-    GuardRule("host", _is_own_host, 421, "this is not its address", "use the printed one"),
-    GuardRule("path", _exists, 404, "there is no such page", "is the address right?"),
-    GuardRule("method", _has_method, 405, "this page is not used in this way", "load it again"),
-    GuardRule("origin", _is_own_origin, 403, "another site sent this", "load the page again"),
-    GuardRule("session", _may_see, SEE_OTHER, "you are not logged in", "log in"),
-    GuardRule("size", _is_bounded, 413, "this is too large", "send less"),
+    GuardRule("host", 421, "this is not its address", "use the printed one"),
+    GuardRule("path", 404, "there is no such page", "is the address right?"),
+    GuardRule("method", 405, "this page is not used in this way", "load it again"),
+    GuardRule("origin", 403, "another site sent this", "load the page again"),
+    GuardRule("session", SEE_OTHER, "you are not logged in", "log in"),
+    GuardRule("size", 413, "this is too large", "send less"),
 )
 _NOT_LOGGED_IN: Final = next(rule for rule in RULES if rule.name == "session")
 
 
 def broken_rule(facts: Facts, allowed: Allowed, match: Match | None) -> GuardRule | None:
     """The first rule that a request breaks; None: it may pass."""
-    return next((rule for rule in RULES if not rule.holds(facts, allowed, match)), None)
+    page = None if match is None else match.page
+    is_own = len(facts.origins) == 1 and facts.origins[0] in allowed.origins
+    holds = {
+        "host": len(facts.hosts) == 1 and facts.hosts[0] in allowed.hosts,
+        "path": match is not None,
+        "method": page is not None,
+        "origin": facts.method in SAFE or (is_own and facts.site in {"", "same-origin"}),
+        "session": page is not None and (page.access is Access.PUBLIC or facts.has_session),
+        "size": page is not None and facts.length is not None and facts.length <= page.max_body,
+    }
+    return next((rule for rule in RULES if not holds[rule.name]), None)
 
 
 def wants_json(headers: Mapping[str, str]) -> bool:
@@ -160,14 +131,7 @@ def wants_json(headers: Mapping[str, str]) -> bool:
 
 
 class Guard:
-    """The application behind it gets only requests that broke no rule.
-
-    Args:
-        app: the pages.
-        context: of the console.
-        pages: the table of pages.
-        refuse: makes the answer of a refusal.
-    """
+    """The application behind it gets only requests that broke no rule."""
 
     def __init__(
         self,
@@ -178,8 +142,7 @@ class Guard:
     ) -> None:
         self._app, self._context, self._refuse = app, context, refuse
         self._table = PageTable(pages)
-        settings = context.settings
-        self._allowed = Allowed(settings.hosts, settings.origins)
+        self._allowed = Allowed(context.settings.hosts, context.settings.origins)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -278,21 +241,16 @@ def _as_refusal(error: HintedError | TimeoutError) -> HintedError:
 
 def facts_of(scope: Scope, *, has_session: bool) -> Facts:
     headers = Headers(scope=scope)
+    lengths = headers.getlist("content-length") or ["0"]
+    is_number = len(lengths) == 1 and lengths[0].isascii() and lengths[0].isdigit()
     return Facts(
         scope["method"],
         tuple(headers.getlist("host")),
         tuple(headers.getlist("origin")),
         headers.get("sec-fetch-site", ""),
-        _length(headers.getlist("content-length")),
+        int(lengths[0]) if is_number else None,
         has_session,
     )
-
-
-def _length(found: list[str]) -> int | None:
-    if not found:
-        return 0
-    text = found[0]
-    return int(text) if len(found) == 1 and text.isascii() and text.isdigit() else None
 
 
 def _cookie(headers: Headers) -> str:
@@ -332,16 +290,13 @@ class _Answer:
     async def send(self, message: Message) -> None:
         if message["type"] == "http.response.start":
             self.has_begun = True
-            message = {**message, "headers": self._headers(message)}
+            immutable = self._path.startswith(PREFIX) and message["status"] == 200
+            added = security_headers(immutable=immutable, hsts=self._hsts)
+            names = {name for name, _ in added}
+            kept = [pair for pair in message.get("headers", ()) if pair[0].lower() not in names]
+            message = {**message, "headers": [*kept, *added]}
         async with asyncio.timeout(WRITE):
             await self._send(message)
-
-    def _headers(self, message: Message) -> list[tuple[bytes, bytes]]:
-        immutable = self._path.startswith(PREFIX) and message["status"] == 200
-        added = security_headers(immutable=immutable, hsts=self._hsts)
-        names = {name for name, _ in added}
-        kept = [pair for pair in message.get("headers", ()) if pair[0].lower() not in names]
-        return [*kept, *added]
 
 
 ROUTES: Final[tuple[Page, ...]] = (
@@ -381,8 +336,9 @@ def _endpoint(page: Page, context: ConsoleContext) -> Callable[[Request], Awaita
         try:
             if page.access is Access.SESSION and request.method == "GET":
                 request.state.number = await context.news.ask()
-            if page.access is Access.SESSION and wants_page(request):
-                request.state.names = await _names(context)
+            if page.access is Access.SESSION and not wants_json(request.headers):
+                with suppress(HintedError):  # a service that does not say what the policy calls things
+                    request.state.names = Names.of(await context.service.policy_names())
             return await page.handler(request, context)
         except HintedError as error:
             return show_error(request, context, error)
@@ -391,18 +347,6 @@ def _endpoint(page: Page, context: ConsoleContext) -> Callable[[Request], Awaita
             return show_error(request, context, CRASHED)
 
     return answer
-
-
-def wants_page(request: Request) -> bool:
-    return not wants_json(request.headers)
-
-
-async def _names(context: ConsoleContext) -> Names:
-    # What the policy calls things; nothing from a service that does not say.
-    try:
-        return Names.of(await context.service.policy_names())
-    except HintedError:
-        return NONE
 
 
 def status_of(error: HintedError) -> int:

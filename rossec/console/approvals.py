@@ -1,21 +1,9 @@
-"""What a form asks to be approved: its fields become the arguments of `prepare`.
+"""What a phone is asked to approve: forms, acts that wait, and a request for grants in words and pictures.
 
-`READERS` has every kind that a page can prepare. A form has exactly the fields of its kind, each
-once, and none is completed but a typed name: what was typed is what is approved, or nothing is. The
-service checks all of it again; here a mistake is told to the person before the phone is asked.
-
-Which session may still see the join code that it made: once. Pure.
-
-Acts that are shown to a phone and not approved yet: the console's side of a statement. Pure.
-
-The statement itself is the service's. Here is what the page said it was for, so that the answer
-leads on to the right page, and only in the session that asked.
-
-A node's request for grants in words and pictures. Pure.
-
-The heading is a sentence: what the node wants, of whom. Below it, each way in which a person could
-approve it, with what the node would see of the same minute. What a node would do is told apart from
-what it would see. The way that shows least is chosen beforehand: more is given only on purpose.
+`READERS` has every kind that a page can prepare: its form's fields become the arguments of `prepare`. A form
+has exactly the fields of its kind, each once, and none is completed but a typed name: what was typed is what
+is approved, or nothing is. The service makes the statement and checks all of it again; here a mistake is told
+to the person before the phone is asked, and an act is carried on only in the session that asked for it. Pure.
 """
 
 import base64
@@ -53,6 +41,7 @@ from rossec.errors import FormRefused, HttpRefused
 from rossec.peer_limits import SharedTable, printable
 
 MAX_CODES: Final = 64
+MAX_PENDING: Final = 256
 
 
 class MadeCodes:
@@ -76,14 +65,32 @@ class MadeCodes:
 
 DAY: Final = 86400
 IDENTITY_LIFETIME: Final = 30 * DAY
-DELEGATION_LIFETIME: Final = 90 * DAY
-INTERMEDIATE_LIFETIME: Final = 90 * DAY
 MAX_USES: Final = 10_000
 MAX_REASON: Final = 200
 GRANT_DURATIONS: Final = ("today", "week", "month", "open")
 INVITATION_DURATIONS: Final[Mapping[str, int]] = {"hour": 3600, "day": DAY, "week": 7 * DAY}
 TICKETS: Final[Mapping[str, int]] = {"hour": 3600, "eight-hours": 8 * 3600, "day": DAY}
 _SECONDS: Final[Mapping[str, int]] = {"week": 7 * DAY, "month": 30 * DAY, "open": 0}
+MAX_PICTURES: Final = 2  # topics
+_MOST: Final = 4  # rights in the sentence
+ACTS: Final = Right.PUBLISH | Right.CALL | Right.PROVIDE | Right.PARAM_SET | Right.ADMIN
+DRIVING: Final = frozenset(
+    {
+        "geometry_msgs/Twist",
+        "geometry_msgs/TwistStamped",
+        "ackermann_msgs/AckermannDrive",
+        "ackermann_msgs/AckermannDriveStamped",
+    }
+)
+LABELS: Final[Mapping[str, str]] = {
+    "": "All of it, as it asks",
+    "coarse": "Coarser",
+    "coarse-position": "Only roughly where it is",
+    "presence-only": "Only that it is there",
+    "anonymous-diagnostics": "Only whether its parts are well, without names",
+    "blurred-camera": "Only a blurred picture",
+}
+"""What a filter is called: rossec's own ones. One of the policy has the name that it has there."""
 _PEM: Final = re.compile(
     r"\s*-----BEGIN CERTIFICATE REQUEST-----([A-Za-z0-9+/=\s]+)-----END CERTIFICATE REQUEST-----\s*"
 )
@@ -142,28 +149,23 @@ def carried_out(sources: Sources, act: Act, outcome: Outcome, session: bytes) ->
     return act.next.format(id=base64.urlsafe_b64encode(outcome.id).rstrip(b"=").decode())
 
 
-async def _enrollment(sources: Sources, form: Form) -> Act:
-    number = form["enrollment"]
-    found = sources.enrollments.get(number)
-    found.check_can_approve()
-    request = found.core.request
-    replaces = _replaces(form, request.name, is_other_key=found.is_other_key)
-    arguments: list[Value] = [found.core.csr, found.source, request.wildcard, IDENTITY_LIFETIME, replaces]
-    return Act("enroll", arguments, f"/add/{number}", subject=number)
-
-
-async def _request(sources: Sources, form: Form) -> Act:
+async def _enroll(sources: Sources, form: Form) -> Act:
+    arguments: list[Value]
+    if "enrollment" in form:
+        number = form["enrollment"]
+        found = sources.enrollments.get(number)
+        found.check_can_approve()
+        request = found.core.request
+        replaces = _replaces(form, request.name, is_other_key=found.is_other_key)
+        arguments = [found.core.csr, found.source, request.wildcard, IDENTITY_LIFETIME, replaces]
+        return Act("enroll", arguments, f"/add/{number}", subject=number)
     wanted = _octets(form, "request")
     for each in await sources.service.identity_requests():
         if each.id == wanted:
             replaces = _replaces(form, each.name, is_other_key=each.is_other_key)
-            arguments: list[Value] = [each.csr, each.source, each.anonymous, IDENTITY_LIFETIME, replaces]
+            arguments = [each.csr, each.source, each.anonymous, IDENTITY_LIFETIME, replaces]
             return Act("enroll", arguments, "/approved/{id}")
     raise FormRefused("this request was answered already, or has expired", "see what still waits")
-
-
-async def _enroll(sources: Sources, form: Form) -> Act:
-    return await (_enrollment if "enrollment" in form else _request)(sources, form)
 
 
 async def _grant(sources: Sources, form: Form) -> Act:
@@ -175,12 +177,14 @@ async def _grant(sources: Sources, form: Form) -> Act:
     asked = [each for each in await sources.service.questions() if each.id == question]
     if not asked:
         raise FormRefused("this question was answered, or it is too late", "see what still waits")
-    seconds = _grant_seconds(form["duration"], asked[0].lifetime)
+    most = asked[0].lifetime
+    if form["duration"] == "today":
+        seconds = min(clock.seconds_left_today(clock.now()), most)
+    else:
+        seconds = _SECONDS[form["duration"]]
+    if seconds > most:
+        raise FormRefused(f"the policy allows {words.duration(most)} at most", "choose a shorter time")
     return Act("grant", [question, coarse, seconds], "/approved/{id}")
-
-
-async def _policy(_: Sources, form: Form) -> Act:
-    return Act("policy", [_octets(form, "digest")], "/approved/{id}")
 
 
 async def _delegate(_: Sources, form: Form) -> Act:
@@ -195,8 +199,11 @@ async def _intermediate(_: Sources, form: Form) -> Act:
     return Act("intermediate", arguments, "/approved/{id}")
 
 
-async def _passkey(_: Sources, form: Form) -> Act:
-    return Act("passkey", [_octets(form, "proposal")], "/phones")
+def _of_octets(kind: str, field: str, following: str) -> Reader:
+    async def act(_: Sources, form: Form) -> Act:
+        return Act(kind, [_octets(form, field)], following)
+
+    return act
 
 
 async def _invitation(_: Sources, form: Form) -> Act:
@@ -219,19 +226,14 @@ async def _revoke_master(_: Sources, form: Form) -> Act:
 
 READERS: Final[Mapping[str, tuple[tuple[frozenset[str], ...], Reader]]] = {
     "enroll": (
-        (
-            frozenset({"enrollment"}),
-            frozenset({"enrollment", "name"}),
-            frozenset({"request"}),
-            frozenset({"request", "name"}),
-        ),
+        tuple(frozenset({what, *name}) for what in ("enrollment", "request") for name in ((), ("name",))),
         _enroll,
     ),
     "grant": ((frozenset({"question", "coarse", "duration"}),), _grant),
-    "policy": ((frozenset({"digest"}),), _policy),
+    "policy": ((frozenset({"digest"}),), _of_octets("policy", "digest", "/approved/{id}")),
     "delegate": ((frozenset({"days", "ticket"}),), _delegate),
     "intermediate": ((frozenset({"csr", "may", "days"}),), _intermediate),
-    "passkey": ((frozenset({"proposal"}),), _passkey),
+    "passkey": ((frozenset({"proposal"}),), _of_octets("passkey", "proposal", "/phones")),
     "invitation": (
         (frozenset({"pattern", "uses", "lasts"}), frozenset({"pattern", "uses", "lasts", "anonymous"})),
         _invitation,
@@ -241,7 +243,6 @@ READERS: Final[Mapping[str, tuple[tuple[frozenset[str], ...], Reader]]] = {
 
 
 def certificate_request(text: str) -> bytes:
-    """The DER of a pasted request: PEM, or its base64 alone."""
     pem = _PEM.fullmatch(text)
     digits = "".join((pem[1] if pem else text).split())
     hint = "on the host: base64 intermediate.csr, and paste all of it"
@@ -277,15 +278,6 @@ def _replaces(form: Form, name: str, *, is_other_key: bool) -> bool:
     return is_other_key
 
 
-def _grant_seconds(duration: str, most: int) -> int:
-    if duration == "today":
-        return min(clock.seconds_left_today(clock.now()), most)
-    seconds = _SECONDS[duration]
-    if seconds > most:
-        raise FormRefused(f"the policy allows {words.duration(most)} at most", "choose a shorter time")
-    return seconds
-
-
 def _octets(form: Form, field: str) -> bytes:
     if not re.fullmatch(r"[A-Za-z0-9_-]{2,120}", form[field], re.ASCII):
         raise FormRefused(f"the field {field} is no identifier", _RELOAD)
@@ -308,53 +300,25 @@ def _choice(form: Form, field: str, choices: Mapping[str, int]) -> int:
     return choices[form[field]]
 
 
-MAX_PENDING: Final = 256
-
-
-class _Pending(NamedTuple):
-    session: bytes
-    act: Act
-
-
 class PendingActs:
+    """Acts that are shown to a phone and not approved yet, with the session that asked."""
+
     def __init__(self) -> None:
-        self._acts: SharedTable[bytes, _Pending] = SharedTable(MAX_PENDING)
+        self._acts: SharedTable[bytes, tuple[bytes, Act]] = SharedTable(MAX_PENDING)
 
     def add(self, statement: bytes, session: bytes, act: Act, owner: str = "") -> None:
         who = owner or messages.of_looker(session)
-        if self._acts.add(statement, _Pending(session, act), who, messages.rank(who)) is None:
+        if self._acts.add(statement, (session, act), who, messages.rank(who)) is None:
             raise HttpRefused("too much waits for a phone", "approve that, or wait", status=429)
 
     def get(self, statement: bytes, session: bytes) -> Act:
         found = self._acts.get(statement)
-        if found is None or found.session != session:
+        if found is None or found[0] != session:
             raise HttpRefused("this was not asked here", "load the page again", status=404)
-        return found.act
+        return found[1]
 
     def remove(self, statement: bytes) -> None:
         self._acts.pop(statement)
-
-
-MAX_PICTURES: Final = 2  # topics
-_MOST: Final = 4  # rights in the sentence
-ACTS: Final = Right.PUBLISH | Right.CALL | Right.PROVIDE | Right.PARAM_SET | Right.ADMIN
-DRIVING: Final = frozenset(
-    {
-        "geometry_msgs/Twist",
-        "geometry_msgs/TwistStamped",
-        "ackermann_msgs/AckermannDrive",
-        "ackermann_msgs/AckermannDriveStamped",
-    }
-)
-LABELS: Final[Mapping[str, str]] = {
-    "": "All of it, as it asks",
-    "coarse": "Coarser",
-    "coarse-position": "Only roughly where it is",
-    "presence-only": "Only that it is there",
-    "anonymous-diagnostics": "Only whether its parts are well, without names",
-    "blurred-camera": "Only a blurred picture",
-}
-"""What a filter is called: rossec's own ones. One of the policy has the name that it has there."""
 
 
 class Way(NamedTuple):
@@ -394,7 +358,15 @@ def sentence(question: GrantQuestion, facts: Iterable[FactView]) -> tuple[Part, 
     parts = [Part(words.name(question.node), is_name=True), Part("wants to")]
     shown = question.rights[:_MOST]
     for place, right in enumerate(shown):
-        parts += [*([Part("and to")] if place else []), *_wish(right, senders)]
+        parts += [Part("and to")] if place else []
+        known = sorted(senders.get(right.pattern, ()))
+        topic = Part(words.topic(right.pattern), is_name=True)
+        if drives(right):
+            parts += [Part("drive: send commands to"), topic]
+        elif right.right == Right.SUBSCRIBE and has_place(right.type) and len(known) == 1:
+            parts += [Part("see where"), Part(words.name(known[0]), is_name=True), Part("is")]
+        else:
+            parts += [Part(wanted(right.right)), topic]
     if len(question.rights) > len(shown):
         parts.append(Part(f"and {len(question.rights) - len(shown)} more things"))
     return tuple(parts)
@@ -473,19 +445,13 @@ def looks(
 
 def durations(question: GrantQuestion, now: int) -> list[Duration]:
     """The four buttons; none promises more than the policy gives."""
-    most = question.lifetime
+    most, today = question.lifetime, clock.seconds_left_today(now)
     allowed = words.duration(most)
-    today = clock.seconds_left_today(now)
-    given = [  # a button that promises more than the policy would be a lie
-        Duration("today", "Today", f"{words.duration(min(today, most))}", True),
-        Duration("week", "For a week", "", most >= 7 * DAY),
-        Duration("month", "For a month", "", most >= 30 * DAY),
-    ]
+    too_long = f"the policy allows {allowed}"
     return [
-        *(
-            each if each.is_possible else each._replace(detail=f"the policy allows {allowed}")
-            for each in given
-        ),
+        Duration("today", "Today", words.duration(min(today, most)), True),
+        Duration("week", "For a week", "" if most >= 7 * DAY else too_long, most >= 7 * DAY),
+        Duration("month", "For a month", "" if most >= 30 * DAY else too_long, most >= 30 * DAY),
         Duration("open", "Until I end it", f"at most {allowed}, says the policy", True),
     ]
 
@@ -504,15 +470,6 @@ def drives(right: AskedRight) -> bool:
     name = right.pattern.rpartition("/")[2]
     is_driving = right.type in DRIVING or name.endswith("cmd_vel")
     return right.right == Right.PUBLISH and is_driving
-
-
-def _wish(right: AskedRight, senders: dict[str, set[str]]) -> list[Part]:
-    if drives(right):
-        return [Part("drive: send commands to"), Part(words.topic(right.pattern), is_name=True)]
-    known = sorted(senders.get(right.pattern, ()))
-    if right.right == Right.SUBSCRIBE and has_place(right.type) and len(known) == 1:
-        return [Part("see where"), Part(words.name(known[0]), is_name=True), Part("is")]
-    return [Part(wanted(right.right)), Part(words.topic(right.pattern), is_name=True)]
 
 
 def _line(right: AskedRight) -> tuple[Part, ...]:

@@ -1,19 +1,11 @@
 """What every page gets: the service, this console's settings, and what it remembers.
 
 Nothing here is written to a disk: a console that is started again knows nobody, and asks again.
-
-Whether anything changed: one question a second to the service, for all open pages.
-
-A stream has numbers only, so it tells nothing that the page itself would not: the service's number,
-and how often something changed in this console. Between them it says every few seconds whether the
-service answers (`alive`, `silent`), so that a page knows when it is old. The service is asked only
-while a page waits. A stream ends with its session; there are at most 100 of them.
 """
 
 import asyncio
 import logging
 from collections.abc import AsyncIterator, Awaitable, Callable
-from dataclasses import dataclass, field
 from typing import Final, Protocol
 
 from ca.errors import HintedError
@@ -40,10 +32,12 @@ _log = logging.getLogger("rossec.console")
 
 
 class NewsFeed:
-    """The newest `Status.number`, and the streams that wait for it.
+    """The newest `Status.number`, and the streams that wait for it: one question a second for all open pages.
 
-    Args:
-        status: asks the service.
+    A stream has numbers only, so it tells nothing that the page itself would not: the service's number, and
+    how often something changed in this console. Between them it says every few seconds whether the service
+    answers (`alive`, `silent`), so that a page knows when it is old. The service is asked only while a page
+    waits.
     """
 
     def __init__(self, status: Callable[[], Awaitable[Status]], period: float = PERIOD) -> None:
@@ -95,14 +89,10 @@ class NewsFeed:
                     told = self.number
                     yield f"data: {told}\n\n".encode()
                 elif not await self._wait(told, beat):
-                    yield self._sign()
+                    silent_for = asyncio.get_running_loop().time() - self._answered
+                    yield ALIVE if silent_for < BEAT + 2 * self._period else SILENT
         finally:
             self._streams -= 1
-
-    def _sign(self) -> bytes:
-        patience = BEAT + 2 * self._period
-        is_answered = asyncio.get_running_loop().time() - self._answered < patience
-        return ALIVE if is_answered else SILENT
 
     async def _wait(self, told: str | None, beat: float) -> bool:
         try:
@@ -132,7 +122,6 @@ class Scanner(Protocol):
     async def read(self, frame: bytes) -> str | None: ...
 
 
-@dataclass
 class ConsoleContext:
     """One console.
 
@@ -145,29 +134,24 @@ class ConsoleContext:
         elapsed: seconds of a clock that cannot be set, for what ends after some time.
     """
 
-    service: ConsoleClient
-    settings: Settings
-    scanner: Scanner | None = None
-    preview: Preview | None = None
-    clock: Callable[[], int] = clock.now
-    elapsed: Seconds = field(default_factory=counter)
-    sessions: Sessions = field(init=False)
-    phones: KnownPhones = field(init=False)
-    news: NewsFeed = field(init=False)
-    failures: FailureLimit = field(init=False)
-    pending: PendingActs = field(init=False)
-    enrollments: Enrollments = field(init=False)
-    made_codes: MadeCodes = field(init=False)
-    turns: Turns = field(init=False)
-    endings: Endings = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.sessions = Sessions(self.settings.lifetime, self.settings.idle)
-        self.phones = KnownPhones(self.service.phones)
-        self.news = NewsFeed(self.service.status)
+    def __init__(
+        self,
+        service: ConsoleClient,
+        settings: Settings,
+        scanner: Scanner | None = None,
+        preview: Preview | None = None,
+        clock: Callable[[], int] = clock.now,
+        elapsed: Seconds | None = None,
+    ) -> None:
+        self.service, self.settings = service, settings
+        self.scanner, self.preview = scanner, preview
+        self.clock, self.elapsed = clock, elapsed or counter()
+        self.sessions = Sessions(settings.lifetime, settings.idle)
+        self.phones = KnownPhones(service.phones)
+        self.news = NewsFeed(service.status)
         self.failures = FailureLimit()
         self.pending = PendingActs()
         self.made_codes = MadeCodes()
         self.turns = Turns()
         self.endings = Endings()
-        self.enrollments = Enrollments(self.service, self.settings.domain, self.clock, self.news.changed)
+        self.enrollments = Enrollments(service, settings.domain, clock, self.news.changed)

@@ -1,15 +1,10 @@
-"""The enrollments that the console runs: a bounded table of tasks, in the web process. A shell.
+"""The nodes that are being added: from the code that a person brought to the node's own last word. A shell.
 
-An enrollment is one code that a person brought; its secret stays here. Nothing is signed here: an
-approval is the service's, which returns the identity that is then delivered. All of them end with
-the process, and their nodes show a new code. Where all places are taken, what a session that may
-only look has begun makes room for a phone's, and nothing that was approved makes room.
-
-One node that is being added: from the code that a person brought to the node's own last word.
-
-The states are those that a page shows. The protocol is `ca.enrollment.sides`, over sockets in
-`rossec.enrollment.enroll`; this puts them together with the service, which alone signs. It says
-ENROLLED only when the node has said so, and every failure is kept with its reason.
+An enrollment is one code; its secret stays here, in the web process, and all of them end with it: their nodes
+show a new code. Nothing is signed here: an approval is the service's, which returns the identity that is then
+delivered. The states are those that a page shows; the protocol is `ca.enrollment.sides`, over sockets in
+`rossec.enrollment.enroll`. It says ENROLLED only when the node has said so, and every failure is kept with
+its reason.
 """
 
 import asyncio
@@ -40,8 +35,6 @@ _PATIENCE: Final = 3600  # seconds that a label waits for the key; a screen code
 
 
 class Stage(Enum):
-    """What the page of an enrollment shows."""
-
     FETCHING = "fetching"
     COMPARED = "compared"  # a person decides
     WAITING = "waiting"  # approved; the key is locked
@@ -166,7 +159,7 @@ class Enrollment:
             self._move(Stage.DELIVERING)
             host, port, _ = self._destination
             async with asyncio.timeout(2 * WINDOW):
-                await deliver(self.core, offer, host, port, self._clock, self._show)
+                await deliver(self.core, offer, host, port, self._clock, lambda _: self._move(Stage.DIGITS))
             self._move(Stage.ENROLLED)
         except HintedError as error:
             self.fail(error)
@@ -228,9 +221,6 @@ class Enrollment:
                 "have it show a new one (rossec node enroll NAME), and scan that",
             )
 
-    def _show(self, _: str) -> None:
-        self._move(Stage.DIGITS)
-
     def _move(self, stage: Stage) -> None:
         self.stage = stage
         self._changed()
@@ -259,13 +249,10 @@ class _Place:
 
 
 class Enrollments:
-    """Every enrollment of one console.
+    """Every enrollment of one console: a bounded table of tasks.
 
-    Args:
-        service: the authority's service.
-        domain: the trust domain.
-        clock: seconds since the epoch.
-        changed: called when a page of one of them shows something else.
+    Where all places are taken, what a session that may only look has begun makes room for a phone's, and
+    nothing that was approved makes room.
     """
 
     def __init__(
@@ -292,13 +279,18 @@ class Enrollments:
         code, now = qr.parse(text), self._clock()
         code.check_time(now)
         destination = _destination(code, given_address)
-        self._settle()
+        for number, place in self._running.items():
+            place.found.check_time()
+            if place.found.is_over:
+                self._running.pop(number)
+                self._keep(place)
         core = AuthorityEnrollment(code, self._domain, wildcard=True)
         found = Enrollment(core, destination, self._service, self._clock, self._changed)
         number = secrets.token_hex(16)
         place = _Place(number, found, owner)
         ended = None
-        if self._count(owner) < MAX_RUNNING:  # nobody ends all of their own by beginning more
+        own = sum(each.owner == owner for _, each in self._running.items())
+        if own < MAX_RUNNING:  # nobody ends all of their own by beginning more
             ended = self._running.add(number, place, owner, messages.rank(owner))
         if ended is None:
             raise TooManyEnrollments(
@@ -333,9 +325,6 @@ class Enrollments:
     async def close(self) -> None:
         await self._tasks.close()
 
-    def _count(self, owner: str) -> int:
-        return sum(place.owner == owner for _, place in self._running.items())
-
     def _place(self, number: str) -> _Place:
         place = self._running.get(number) or self._ended.get(number)
         if place is None:
@@ -360,13 +349,6 @@ class Enrollments:
         if place.task is not None:
             place.task.cancel()
         self._keep(place)
-
-    def _settle(self) -> None:
-        for number, place in self._running.items():
-            place.found.check_time()
-            if place.found.is_over:
-                self._running.pop(number)
-                self._keep(place)
 
     def _keep(self, place: _Place) -> None:
         self._ended.add(place.number, place, place.owner, messages.rank(place.owner))

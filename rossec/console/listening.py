@@ -1,11 +1,8 @@
-"""The sockets of an endpoint, listening before anything that talks to strangers starts. A shell.
+"""The sockets of an endpoint, listening before strangers are talked to; and where a console is. A shell.
 
-Where the console of an authority is: written when it begins, for the commands that show codes.
-
-There is one at a time: phones belong to one address, and codes lead to it.
-
-A console that was killed leaves the file behind. That harms nobody: the address of a console that
-does not run answers nothing, and a code is worth nothing there.
+The address is written when the console begins, for the commands that show codes. There is one console at a
+time: phones belong to one address, and codes lead to it. One that was killed leaves the file behind, which
+harms nobody: the address of a console that does not run answers nothing, and a code is worth nothing there.
 """
 
 import errno
@@ -22,8 +19,8 @@ from rossec.console.options import Endpoint
 from rossec.errors import ConfigurationError
 from rossec.host.local_sockets import listen_at, process_lock
 
+BACKLOG: Final = 128
 NAME: Final = ADDRESS  # in the authority's directory
-_LOCK: Final = LOCK
 _MAX: Final = 512
 _NONE: Final = ConfigurationError("no console runs", "start it in another terminal: rossec console")
 
@@ -31,12 +28,12 @@ _NONE: Final = ConfigurationError("no console runs", "start it in another termin
 @contextmanager
 def only_console(directory: Path) -> Iterator[None]:
     """Be the console of this authority; its address is removed in the end."""
-    (directory / _LOCK).parent.mkdir(mode=0o700, exist_ok=True)
+    (directory / LOCK).parent.mkdir(mode=0o700, exist_ok=True)
     busy = ConfigurationError(
         "another console of this authority runs",
         "end that one; to show the pages only: --read-only, and another --port",
     )
-    with process_lock(directory / _LOCK, busy):
+    with process_lock(directory / LOCK, busy):
         try:
             yield
         finally:
@@ -45,18 +42,13 @@ def only_console(directory: Path) -> Iterator[None]:
 
 
 def write_address(directory: Path, origin: str) -> None:
-    """Write the console's origin."""
     path = directory / NAME
     files.make_private_directory(path.parent)
     files.replace(path, origin.encode())
 
 
 def read_address(directory: Path) -> str:
-    """The console's origin."""
     return files.read_own(directory / NAME, _MAX, _NONE).decode(errors="replace")
-
-
-BACKLOG: Final = 128
 
 
 def listen(endpoint: Endpoint) -> list[socket.socket]:
@@ -71,8 +63,8 @@ def listen_tcp(addresses: tuple[str, ...], port: int) -> list[socket.socket]:
     found = list[socket.socket]()
     try:
         for address in addresses:
-            with suppress(_NoSuchAddress):
-                found.append(_listen_at(address, port))
+            sock = _listen_at(address, port)
+            found += [] if sock is None else [sock]
     except BaseException:
         for sock in found:
             sock.close()
@@ -82,16 +74,13 @@ def listen_tcp(addresses: tuple[str, ...], port: int) -> list[socket.socket]:
     return found
 
 
-class _NoSuchAddress(Exception):
-    pass
-
-
-def _listen_at(address: str, port: int) -> socket.socket:
+def _listen_at(address: str, port: int) -> socket.socket | None:
+    # None: this host has no such address.
     family = socket.AF_INET6 if ":" in address else socket.AF_INET
     try:
         sock = socket.socket(family, socket.SOCK_STREAM)
-    except OSError as error:
-        raise _NoSuchAddress from error
+    except OSError:
+        return None
     try:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         if family == socket.AF_INET6:
@@ -101,7 +90,7 @@ def _listen_at(address: str, port: int) -> socket.socket:
     except OSError as error:
         sock.close()
         if error.errno in {errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT}:
-            raise _NoSuchAddress from error
+            return None
         reason = os.strerror(error.errno or 0).lower()
         raise ConfigurationError(
             f"cannot listen at port {port}: {reason}", "choose another one: --port N"

@@ -1,23 +1,11 @@
-"""Who sees what: topics by receivers, from the grants of the record and the graph. Pure.
+"""Who sees what: topics by receivers, from the grants of the record and the graph; and its report. Pure.
 
-A cell never shows less than a node could see. Grants of one node are alternatives, because it
-presents only those it chooses (`grants.decision`): one of them without filters means `ALL`. A grant
-that the master may renew counts as in force until its cap.
-
-Whether what was ended has ended: nobody may still see it. Pure.
-
-A revocation is over when every node with a session has its list, which the master says: the third
-tick of its page. Until then somebody may still see, so no page says *ended*. That is remembered,
-since a master that does not answer now told it before. A node without a session takes no messages
-for long: its view of the list is stale within two minutes and it cuts what does not outlive that
-(`on_stale: keep`, grant.md section 4). That helps only where the master has the list: one that has
-not goes on confirming the old one.
-
-The report: every field of every topic, who receives it, how, why and until when. Pure.
-
-The same accesses as `rossec privacy` prints (`grants.policy.privacy`), in words, with receivers
-that are treated alike together. The page of the console and the file of the command line are made
-of it.
+A cell never shows less than a node could see. Grants of one node are alternatives, because it presents only
+those it chooses (`grants.decision`): one of them without filters means `ALL`. A grant that the master may
+renew counts as in force until its cap. What was ended may still be seen until every node has heard
+(`Endings`), and no page says *ended* before. The report has the same accesses as `rossec privacy` prints
+(`grants.policy.privacy`), in words, with receivers that are treated alike together: the console's page and
+the command line's file are made of it.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -38,6 +26,9 @@ from rossec.console import words
 from rossec.errors import MessageError
 from rossec.peer_limits import printable
 
+_ANY: Final = "anything_else"  # stands for a wildcard's segment; no node has such a name
+AS_IT_IS: Final = "as it is"
+REMOVED: Final = "removed"
 STALE: Final = 300  # seconds after which no node without a session goes on, with some to spare
 
 
@@ -55,6 +46,14 @@ class Heard(NamedTuple):
 
 
 class Endings:
+    """What the master said of ends, remembered: one that does not answer now told it before.
+
+    A revocation is over when every node with a session has its list. A node without a session takes no
+    messages for long: its view of the list is stale within two minutes and it cuts what does not outlive that
+    (`on_stale: keep`, grant.md section 4). That helps only where the master has the list: one that has not
+    goes on confirming the old one.
+    """
+
     def __init__(self) -> None:
         self._heard = Heard()
 
@@ -71,9 +70,6 @@ class Endings:
         elif not standing.nodes:
             cut = max(cut, asked_at - STALE)
         self._heard = Heard(every, cut)
-
-
-_ANY: Final = "anything_else"  # stands for a wildcard's segment; no node has such a name
 
 
 class Access(StrEnum):
@@ -216,13 +212,20 @@ def build(
     """
     types = {fact.name: fact.node for fact in facts if fact.kind == "type"}
     topics = sorted(_topics(held, facts), key=lambda topic: (_is_pattern(topic), topic))
-    receivers = sorted({each.grant.subject for each in held if _sees(each.grant)})
+    receivers = sorted(
+        {
+            each.grant.subject
+            for each in held
+            if any(Right.SUBSCRIBE in one.rights for one in each.grant.permissions)
+        }
+    )
     of = {name: [each for each in held if each.grant.subject == name] for name in receivers}
     rows = []
     for topic in topics:
         publishers = publishers_of(topic, held, facts)
         cells = tuple(_cell(name, topic, of[name], publishers, now) for name in receivers)
-        kind = types.get(topic, "") or _granted_type(cells) or type_of(topic)
+        granted = (each.type for cell in cells for each in cell.restrictions if each.type)
+        kind = types.get(topic, "") or next(granted, "") or type_of(topic)
         rows.append(TopicRow(topic, kind, publishers, cells))
     return Matrix(tuple(receivers), tuple(rows))
 
@@ -244,10 +247,6 @@ def permissions_on(grant: Grant, right: Right, topic: str) -> list[Permission]:
     ]
 
 
-def _sees(grant: Grant) -> bool:
-    return any(Right.SUBSCRIBE in each.rights for each in grant.permissions)
-
-
 def _topics(held: Iterable[HeldGrant], facts: Iterable[FactView]) -> set[str]:
     running = {fact.name for fact in facts if fact.kind in ("publisher", "subscriber")}
     return running | {
@@ -263,11 +262,6 @@ def _is_pattern(topic: str) -> bool:
     return "*" in topic or TAIL in topic
 
 
-def _granted_type(cells: Iterable[Cell]) -> str:
-    kinds = (each.type for cell in cells for each in cell.restrictions)
-    return next((kind for kind in kinds if kind), "")
-
-
 def _cell(receiver: str, topic: str, held: list[HeldGrant], publishers: tuple[str, ...], now: int) -> Cell:
     covering = [(each, permissions_on(each.grant, Right.SUBSCRIBE, topic)) for each in held]
     ways = [(each, found) for each, found in covering if found]
@@ -279,7 +273,14 @@ def _cell(receiver: str, topic: str, held: list[HeldGrant], publishers: tuple[st
     ending = sorted((way for way in possible if way[0].is_ending), key=lambda way: _strictness(way[1]))
     # What is ending is said unless what stays shows as much.
     if ending and all(_strictness(ending[0][1]) < _strictness(given) for _, given in living):
-        return _ending_cell(cell, *ending[0], now)
+        last, restrictions = ending[0]
+        return cell._replace(
+            access=Access.ENDING,
+            words=printable(last.reason, 200),
+            term=f"was ended {words.ago(last.ended_at, now)}; it may see it until every node has heard",
+            grants=(last.view.id,),
+            restrictions=restrictions,
+        )
     if not living:
         last = max((each for each, _ in ways), key=lambda each: each.ended_at)
         return cell._replace(
@@ -292,21 +293,14 @@ def _cell(receiver: str, topic: str, held: list[HeldGrant], publishers: tuple[st
     living.sort(key=lambda way: (_strictness(way[1]), -way[0].view.cap, way[0].view.id))
     widest, restrictions = living[0]
     texts = dict.fromkeys(words.plain(given) for _, given in living)
+    term = words.term(widest.grant.expires, widest.view.cap, now)
+    if now < widest.grant.not_before:
+        term = f"begins in {words.duration(widest.grant.not_before - now)}"
     return cell._replace(
         access=Access.COARSE if restrictions else Access.ALL,
         words=", or ".join(texts) if restrictions else "",
-        term=_term(widest, now),
+        term=term,
         grants=tuple(each.view.id for each, _ in living),
-        restrictions=restrictions,
-    )
-
-
-def _ending_cell(cell: Cell, held: HeldGrant, restrictions: tuple[Restriction, ...], now: int) -> Cell:
-    return cell._replace(
-        access=Access.ENDING,
-        words=printable(held.reason, 200),
-        term=f"was ended {words.ago(held.ended_at, now)}; it may see it until every node has heard",
-        grants=(held.view.id,),
         restrictions=restrictions,
     )
 
@@ -314,15 +308,6 @@ def _ending_cell(cell: Cell, held: HeldGrant, restrictions: tuple[Restriction, .
 def _strictness(restrictions: tuple[Restriction, ...]) -> int:
     return sum(len(each.filters) + len(each.conditions) + 1 for each in restrictions)
 
-
-def _term(held: HeldGrant, now: int) -> str:
-    if now < held.grant.not_before:
-        return f"begins in {words.duration(held.grant.not_before - now)}"
-    return words.term(held.grant.expires, held.view.cap, now)
-
-
-AS_IT_IS: Final = "as it is"
-REMOVED: Final = "removed"
 
 Wanted = Callable[[str, str], bool]
 """Whether a receiver's field is in the report."""
@@ -408,6 +393,10 @@ def held_accesses(
     """
     found = []
     for each in held:
+        why = f"rule {each.view.rules} of the policy" if each.view.rules else "decided by hand"
+        why = "it was ended, and may still see it" if each.is_ending else why
+        end = words.day(max(each.grant.expires, each.view.cap))
+        until = "every node has heard" if each.is_ending else end
         for permission in each.grant.permissions:
             if each.is_over or Right.SUBSCRIBE not in permission.rights:
                 continue
@@ -417,26 +406,14 @@ def held_accesses(
                 topic,
                 kind or type_of(topic) or None,
                 each.grant.subject,
-                _why(each),
-                _until(each),
+                why,
+                until,
                 f"grant {each.grant.short_id}",
                 () if restriction is None else (restriction,),
                 None if restriction is None else restriction.rate,
             )
             found.append(access)
     return found
-
-
-def _why(held: HeldGrant) -> str:
-    if held.is_ending:
-        return "it was ended, and may still see it"
-    return f"rule {held.view.rules} of the policy" if held.view.rules else "decided by hand"
-
-
-def _until(held: HeldGrant) -> str:
-    if held.is_ending:
-        return "every node has heard"
-    return words.day(max(held.grant.expires, held.view.cap))
 
 
 def _fields(

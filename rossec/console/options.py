@@ -1,15 +1,14 @@
 """Where the console listens, and what a browser calls it. Pure: options in, an endpoint out.
 
-A passkey belongs to a name (the RP id, WebAuthn section 5.1.2) and is recorded with the origin it
-was made at: so there is one origin, it is known before anything listens, and another one means new
-passkeys. A name is a DNS name: browsers refuse addresses as RP ids ("invalid domain").
-
-Names of phones: what a person calls the device that approves. Pure.
+A passkey belongs to a name (the RP id, WebAuthn section 5.1.2) and is recorded with the origin it was made
+at: so there is one origin, it is known before anything listens, and another one means new passkeys. A name is
+a DNS name: browsers refuse addresses as RP ids ("invalid domain").
 """
 
 import ipaddress
 import re
 from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -20,6 +19,7 @@ from rossec.errors import ConfigurationError
 
 PORT: Final = 7411
 HAND_OUT_PORT: Final = 7410
+MAX_PHONE_NAME: Final = 40  # characters: it is shown in one line
 LOCALHOST: Final = "localhost"
 _LOOPBACK: Final = ("127.0.0.1", "::1")
 _EVERY: Final = ("0.0.0.0", "::")  # noqa: S104 - what --lan asks for; who may see it, sessions say
@@ -94,7 +94,6 @@ class Endpoint:
 
 
 def read_options(options: Options, hostname: str) -> Endpoint:
-    """The endpoint for `options` on the host called `hostname`."""
     _check_pairs(options)
     if options.unix_path is not None:
         return _behind_proxy(options, options.unix_path)
@@ -104,7 +103,15 @@ def read_options(options: Options, hostname: str) -> Endpoint:
     if not options.lan and options.tls_certificate is None:
         host = _with_port(LOCALHOST, "http", port)
         return Endpoint(f"http://{host}", LOCALHOST, _LOOPBACK, port, read_only=options.read_only)
-    name = check_name(_default_name(hostname) if options.name is None else options.name)
+    if options.name is not None:
+        name = check_name(options.name)
+    else:  # `<hostname>.local`, as mDNS announces it (RFC 6762 section 3)
+        try:
+            name = check_name(f"{hostname.partition('.')[0].lower()}.local")
+        except ConfigurationError as error:
+            raise ConfigurationError(
+                f"the name of this host, {hostname!a}, is not a DNS name", "give one: --name NAME.local"
+            ) from error
     if name == LOCALHOST:
         raise ConfigurationError(
             "no other device can reach localhost", "give the name of this host: --name NAME.local"
@@ -123,8 +130,8 @@ def read_options(options: Options, hostname: str) -> Endpoint:
 
 
 def check_name(name: str) -> str:
-    """The DNS name `name` in lower case."""
-    if _is_address(name):
+    with suppress(ValueError):
+        ipaddress.ip_address(name.strip("[]"))
         raise ConfigurationError(
             f"{name} is an address: a passkey cannot belong to one",
             "give a name, such as --name rossec.local",
@@ -220,26 +227,3 @@ def _origin_refused(origin: str) -> ConfigurationError:
 
 def _with_port(name: str, scheme: str, port: int) -> str:
     return name if port == _DEFAULT_PORTS[scheme] else f"{name}:{port}"
-
-
-def _is_address(name: str) -> bool:
-    try:
-        ipaddress.ip_address(name.strip("[]"))
-    except ValueError:
-        return False
-    return True
-
-
-def _default_name(hostname: str) -> str:
-    # `<hostname>.local`, as mDNS announces it (RFC 6762 section 3).
-    name = f"{hostname.partition('.')[0].lower()}.local"
-    try:
-        return check_name(name)
-    except ConfigurationError as error:
-        raise ConfigurationError(
-            f"the name of this host, {hostname!a}, is not a DNS name", "give one: --name NAME.local"
-        ) from error
-
-
-MAX_PHONE_NAME: Final = 40
-"""Characters: it is shown in one line."""

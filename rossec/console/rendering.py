@@ -1,22 +1,11 @@
-"""Templates: what a page shows becomes HTML, with everything escaped.
+"""What a page is, what its request says, and the HTML and static files that answer it.
 
-Texts of nodes go through `printable` before they are escaped, so that none turns the direction of
-the line or hides a character; `name` in `macros.html` puts them in `<bdi>` as well.
-
-What a page is, and how one is found by its path. Pure.
-
-A page module has a table `PAGES`; `routes` puts them together. The guard answers what is not in
-the table, so a page without an entry does not exist and one without a session is never public by
-mistake: `SESSION` is what a page has unless it says otherwise.
-
-What a request's body says: a form's fields, or the JSON object a script sends.
-
-Read strictly: the guard has bounded the body; here one type, UTF-8, each field once. There are no
-files in forms, so no multipart.
-
-The static files: read once, served under the digest of their content, so none is ever stale.
-
-`/static/DIGEST/NAME` with another digest does not exist: an address names one content for ever.
+The guard answers what is not in a table of pages, so a page without an entry does not exist, and one without
+a session is never public by mistake: `SESSION` is what a page has unless it says otherwise. Bodies are read
+strictly: one type, UTF-8, each field once; there are no files in forms, so no multipart. Templates escape
+everything; texts of nodes go through `printable` before, so that none turns the direction of the line or
+hides a character (`name` in `macros.html` puts them in `<bdi>` as well). `/static/DIGEST/NAME` with another
+digest does not exist: an address names one content.
 """
 
 import base64
@@ -106,7 +95,6 @@ _HINT: Final = "go back, load the page again, and try once more"
 
 
 async def read_form(request: Request) -> dict[str, str]:
-    """The fields of a form."""
     body = await request.body()
     if not body:
         return {}  # a form of a button alone
@@ -126,7 +114,6 @@ async def read_form(request: Request) -> dict[str, str]:
 
 
 async def read_json(request: Request) -> dict[str, Any]:
-    """The JSON object of a script."""
     _require_type(request, _JSON)
     try:
         value = json.loads((await request.body()).decode(), object_pairs_hook=_once)
@@ -149,12 +136,10 @@ def text_field(fields: dict[str, Any], name: str, limit: int = 200) -> str:
 
 
 def bytes_field(fields: dict[str, Any], name: str) -> bytes:
-    """A field that is bytes, as base64url without padding, as WebAuthn's JSON has them."""
     return from_base64url(text_field(fields, name, limit=16 * 1024))
 
 
 def from_base64url(text: str) -> bytes:
-    """The bytes of a base64url text without padding."""
     try:
         data = base64.b64decode(text + "=" * (-len(text) % 4), altchars=b"-_", validate=True)
     except (binascii.Error, ValueError) as error:
@@ -165,7 +150,6 @@ def from_base64url(text: str) -> bytes:
 
 
 def to_base64url(data: bytes) -> str:
-    """Bytes as base64url without padding."""
     return base64.urlsafe_b64encode(data).rstrip(b"=").decode()
 
 
@@ -251,7 +235,8 @@ def render(
     `here` (the path), `read_only`, `now`, and `number` (of the news). With `live=True` the page is
     loaded again when anything changes (`live.js`).
     """
-    session = getattr(request.state, "session", None)
+    session, only_shows = getattr(request.state, "session", None), context.settings.read_only
+    places = [place for place in NAVIGATION if not (only_shows and place.path == "/add")]
     _NAMES.set(names_of(request))
     text = (
         environment()
@@ -259,21 +244,15 @@ def render(
         .render(
             domain=context.settings.domain,
             session=session,
-            places=_places(context) if session is not None else (),
+            places=places if session is not None else (),
             here=request.url.path,
-            read_only=context.settings.read_only,
+            read_only=only_shows,
             number=getattr(request.state, "number", ""),
             now=context.clock(),
             **values,
         )
     )
     return HTMLResponse(text, status)
-
-
-def _places(context: ConsoleContext) -> tuple[Place, ...]:
-    # The navigation; a console that only shows adds no node.
-    only_shows = context.settings.read_only
-    return tuple(place for place in NAVIGATION if not (only_shows and place.path == "/add"))
 
 
 def names_of(request: Request) -> Names:
@@ -298,21 +277,12 @@ def environment() -> Environment:
         lstrip_blocks=True,
     )
     made.globals["asset"] = asset_path
-    made.filters["printable"] = printable
-    made.filters["hex"] = bytes.hex
-    made.filters["base64url"] = to_base64url
-    made.filters["day"] = day
+    made.filters |= {"printable": printable, "hex": bytes.hex, "base64url": to_base64url, "day": day}
     made.filters["title"] = _title
-    made.filters["titled"] = _titled
-    made.filters["ago"] = ago
-    made.filters["address"] = quote  # of a name of ROS: its slashes stay
-    made.filters["topic"] = topic
+    made.filters["titled"] = lambda name: f"{_title(name)} {printable(name)}".strip()
+    made.filters |= {"ago": ago, "address": quote, "topic": topic}  # of a name of ROS the slashes stay
     return made
 
 
 def _title(name: str) -> str:
     return _NAMES.get().title(name)
-
-
-def _titled(name: str) -> str:
-    return f"{_title(name)} {printable(name)}".strip()

@@ -1,24 +1,9 @@
-"""What a receiver would see of some messages: the guard of its grants applied to them. Pure.
+"""What a receiver would see of some messages: the guard of its grants (`grants.guard`) applied to them. Pure.
 
-The messages are those of a preview, or made up (`made_up`); the guard is the one that stands before
-a real connection (`grants.guard`). Only conditions are left out of a made-up drive, as nothing made
-up could fulfil them. The keys of pseudonyms are the publishers' own, so here they are others.
-
-A minute of messages that nobody sent, for pages without a preview. Pure, and always the same.
-
-A drive in a circle, a room around a laser, a picture of a room; for other types a message whose
-numbers move. They go through the real filters (`samples.see`), and the page says that they are
-made up.
-
-The last minute of each topic that the console receives, in memory and nowhere else. Pure.
-
-What is older than a minute is dropped, also where nothing new comes. Publishers choose size and
-rate of their messages, so every number is bounded.
-
-Messages on the way from the process that receives them to the pages. Pure.
-
-A frame is a length (4 bytes, network byte order) and so many bytes of deterministic CBOR:
-`[topic, type, milliseconds since the epoch, data]`. The length is checked before the rest is read.
+The messages are a preview's, kept for a minute in memory and nowhere else (`PreviewMemory`), or a minute that
+nobody sent, always the same: a drive in a circle, a room around a laser, a picture of a room; for other types
+a message whose numbers move. Pages say that these are made up; only conditions are left out of them, as
+nothing made up could fulfil them. The keys of pseudonyms are the publishers' own, so here they are others.
 """
 
 import hashlib
@@ -81,7 +66,11 @@ class Preview(Protocol):
 def see(recorded: Recorded, receiver: str, restrictions: Iterable[Restriction]) -> SeenTopic:
     applied = tuple(restrictions)
     if recorded.is_made_up:
-        applied = tuple(_without_conditions(applied))
+        applied = tuple(
+            replace(each, conditions=())
+            for each in applied
+            if each.filters or each.rate is not None or each.slot is not None
+        )
     kind = message_type(recorded.type)
     decision = Decision(Right.SUBSCRIBE, recorded.topic, (), _NEVER, applied)
     keys = {name: hashlib.sha256(name.encode()).digest() for name in needed_keys(applied)}
@@ -102,12 +91,6 @@ def try_see(recorded: Recorded, receiver: str, restrictions: Iterable[Restrictio
         return see(recorded, receiver, restrictions)
     except (GrantError, MessageError):
         return None
-
-
-def _without_conditions(given: Iterable[Restriction]) -> Iterable[Restriction]:
-    for each in given:
-        if each.filters or each.rate is not None or each.slot is not None:
-            yield replace(each, conditions=())
 
 
 def as_mapping(message: Any) -> Mapping[str, Any]:
@@ -263,10 +246,9 @@ class PreviewMessage(NamedTuple):
 
 
 class PreviewMemory:
-    """What was received within the last minute.
+    """What was received within the last minute; what is older is dropped, also where nothing new comes.
 
-    Args:
-        clock: seconds since the epoch.
+    Publishers choose size and rate of their messages, so every number is bounded.
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
@@ -296,7 +278,6 @@ class PreviewMemory:
         return Recorded(topic, kept[-1].type, messages)
 
     def drop_old(self) -> None:
-        """Forget what is older than a minute."""
         begin = self._clock() - MEMORY_SECONDS
         for topic in tuple(self._topics):
             while topic in self._topics and self._topics[topic][0].at < begin:
@@ -323,12 +304,12 @@ MAX_DATA: Final = 1024 * 1024  # of one message; a larger one is not drawn
 MAX_FRAME: Final = MAX_DATA + 4096
 
 
+# A frame is deterministic CBOR, `[topic, type, milliseconds since the epoch, data]`.
 def write_preview(message: PreviewMessage) -> bytes:
     return frame([message.topic, message.type, int(message.at * 1000), message.data])
 
 
 def preview_size(head: bytes) -> int:
-    """The number of bytes that follow the head."""
     return frame_size(head, MAX_FRAME)
 
 

@@ -67,7 +67,6 @@ class Known(NamedTuple):
         questions: Iterable[GrantQuestion] = (),
         ending: frozenset[str] = frozenset(),
     ) -> "Known":
-        """The ids in these views."""
         asked: dict[str, tuple[GrantQuestion, ...]] = {}
         for each in questions:
             number = each.request.hex()
@@ -87,7 +86,12 @@ _Tell: TypeAlias = Callable[[EventView, Known], _Told]
 def story(events: Sequence[EventView], denials: Iterable[DenialView], known: Known) -> list[Sentence]:
     """Everything that has a sentence, newest first; equal denials are one with a number."""
     certified = {each.subject: each.number for each in sorted(events) if each.what == "certificate"}
-    told = [_event(each, known) for each in events if not _repeats(each, certified)]
+
+    def repeats(event: EventView) -> bool:
+        answered = certified.get(event.subject, -1) > event.number
+        return event.what in _FOLDED or (event.what in ("pending", "approved") and answered)
+
+    told = [_event(each, known) for each in events if not repeats(each)]
     found = [each for each in told if each is not None]
     return sorted([*found, *refusals(denials)], key=lambda each: (-each.at, -each.number))
 
@@ -97,20 +101,13 @@ def refusals(denials: Iterable[DenialView]) -> list[Sentence]:
     groups: dict[tuple[str, int, str], list[int]] = {}
     for denial in denials:
         groups.setdefault((denial.node, denial.right, denial.name), []).append(denial.at)
-    return [
-        Sentence(max(times), "refused", "Refused", _denial(node, right, name, len(times)), -1, node)
-        for (node, right, name), times in groups.items()
-    ]
-
-
-def _denial(node: str, right: int, name: str, times: int) -> tuple[Part, ...]:
-    often = f", {times} times" if times > 1 else ""
-    return (
-        _name(node),
-        Part(f"asked to {wanted(right)}"),
-        _name(name),
-        Part(f"without being allowed to{often}"),
-    )
+    found = []
+    for (node, right, name), times in groups.items():
+        often = f", {len(times)} times" if len(times) > 1 else ""
+        asked, end = Part(f"asked to {wanted(right)}"), Part(f"without being allowed to{often}")
+        parts = (_name(node), asked, _name(name), end)
+        found.append(Sentence(max(times), "refused", "Refused", parts, -1, node))
+    return found
 
 
 def wanted(right: int) -> str:
@@ -157,23 +154,15 @@ def _because(reason: str) -> tuple[Part, ...]:
     return (Part(f": {printable(reason, 200)}"),) if reason else ()
 
 
-def _repeats(event: EventView, certified: Mapping[str, int]) -> bool:
-    answered = certified.get(event.subject, -1) > event.number
-    return event.what in _FOLDED or (event.what in ("pending", "approved") and answered)
-
-
 def _event(event: EventView, known: Known) -> Sentence | None:
     told = _TELL.get(event.what, _unknown)(event, known)
     if told is None:
         return None
     tone, verb, parts = told
-    node = event.subject if event.subject.startswith("/") else _node_of(event, known)
+    node, grant = known.nodes.get(event.subject, ""), known.grants.get(event.subject)
+    node = node if grant is None else grant.subject
+    node = event.subject if event.subject.startswith("/") else node
     return Sentence(event.at, tone, verb, parts, event.number, node)
-
-
-def _node_of(event: EventView, known: Known) -> str:
-    grant = known.grants.get(event.subject)
-    return known.nodes.get(event.subject, "") if grant is None else grant.subject
 
 
 def _unknown(event: EventView, known: Known) -> _Told:
@@ -194,20 +183,16 @@ def _revocation(event: EventView, known: Known) -> _Told:
     grant, node = known.grants.get(event.subject), known.nodes.get(event.subject)
     why = _because(event.detail)
     if event.subject in known.ending and (grant is not None or node is not None):
-        return "ended", "Ending", (*_may_still(grant, node or ""), *why)
+        still: tuple[Part, ...] = (_name(node or ""), Part("may still do what it was allowed"))
+        if grant is not None:
+            still = (_name(grant.subject), Part("may still"), *permissions(grant.permissions))
+        return "ended", "Ending", (*still, Part(", until every node has heard"), *why)
     if grant is not None:
         gone = (_name(grant.subject), Part("may no longer"), *permissions(grant.permissions))
         return "ended", "Ended", (*gone, *why)
     if node is not None:
         return "ended", "Removed", (_name(node), Part("does not belong here any more"), *why)
     return "ended", "Ended", (Part(f"what has the number {event.subject[:8]}"), *why)
-
-
-def _may_still(grant: Grant | None, node: str) -> tuple[Part, ...]:
-    until = Part(", until every node has heard")
-    if grant is None:
-        return (_name(node), Part("may still do what it was allowed"), until)
-    return (_name(grant.subject), Part("may still"), *permissions(grant.permissions), until)
 
 
 def _grant_request(event: EventView, known: Known) -> _Told:
@@ -232,9 +217,9 @@ def _collected(event: EventView, _: Known) -> _Told:
     return "note", "Expired", (_name(event.subject), Part("asked to join and got no answer"))
 
 
-def _about(tone: str, verb: str, text: str) -> _Tell:
+def _about(tone: str, verb: str, text: str, *, why: bool = True) -> _Tell:
     def tell(event: EventView, _: Known) -> _Told:
-        return tone, verb, (_name(event.subject), Part(text), *_because(event.detail))
+        return tone, verb, (_name(event.subject), Part(text), *(_because(event.detail) if why else ()))
 
     return tell
 
@@ -251,17 +236,8 @@ def _pending(event: EventView, _: Known) -> _Told:
     return "asked", "Asked", (_name(event.subject), Part("asked to join"), *source)
 
 
-def _certificate(event: EventView, _: Known) -> _Told:
-    return "joined", "Joined", (_name(event.subject), Part("belongs here now"))
-
-
-def _joined_by_code(event: EventView, _: Known) -> _Told:
-    return "note", "Code used", (_name(event.subject), Part("came with a join code"))
-
-
 def _restored(event: EventView, _: Known) -> _Told:
-    text = f"the record was put back {printable(event.detail, 80)}"
-    return "note", "Restored", (Part(text),)
+    return "note", "Restored", (Part(f"the record was put back {printable(event.detail, 80)}"),)
 
 
 def _passkey(event: EventView, _: Known) -> _Told:
@@ -302,14 +278,14 @@ _TELL: Final[Mapping[str, _Tell]] = {
     "approved": _about("allowed", "Approved", "may join"),
     "denied": _about("refused", "Denied", "may not join"),
     "collected": _collected,
-    "certificate": _certificate,
+    "certificate": _about("joined", "Joined", "belongs here now", why=False),
     "grant": _grant,
     "revocation": _revocation,
     "list": _plain("note", "Signed", "the list of ended rights, number"),
     "grant request": _grant_request,
     "decision": _decision,
     "invitation": _plain("allowed", "Join code", "made for"),
-    "join": _joined_by_code,
+    "join": _about("note", "Code used", "came with a join code", why=False),
     "invitation ended": _about("ended", "Ended", "can no longer be joined with its code"),
     "imported": _plain("note", "Imported", "from an intermediate:"),
     "restored": _restored,

@@ -1,27 +1,8 @@
-"""Who is logged in: sessions by the digest of their cookie, in memory only. Pure.
+"""Who is logged in, and how often somebody may try: in memory only, and by a clock that cannot be set. Pure.
 
-A cookie is 256 random bits. Only its SHA-256 is kept, so nothing that reads this process's memory
-late, or its core file, has a cookie to send. A session ends 8 hours after it began, 30 minutes
-after its last use, and with the process. Time is that of a clock that cannot be set: one that is
-ahead for a look would end all of them. It shows, denies and revokes; it never approves.
-
-Whether the phone that began a session still counts: it may be removed at the terminal.
-
-A session outlives what began it by at most `KEPT`. A phone that is registered again under the name
-of one that was removed does not bring its sessions back. Where the service does not answer nobody
-is let in.
-
-How often somebody may be wrong: five times a minute, then a minute's pause. Pure.
-
-Codes have 128 bits and passkeys cannot be guessed: this keeps noise from the authority, and makes
-whoever mistypes look again. Counted by address, so that one device does not lock out another; of
-IPv6 by the network, since a device has as many addresses as it likes. Time is that of a clock that
-cannot be set.
-
-How many questions of one source wait for the authority's service before a login. Pure.
-
-Anybody on the network may ask for a challenge, and all such questions take turns at the service. A
-source that has several waiting is told to come back, so a phone waits for few of each.
+A cookie is 256 random bits. Only its SHA-256 is kept, so nothing that reads this process's memory late, or
+its core file, has a cookie to send. A session ends 8 hours after it began, 30 minutes after its last use, and
+with the process. It shows, denies and revokes; it never approves.
 """
 
 import base64
@@ -42,6 +23,11 @@ from rossec.peer_limits import SharedTable
 COOKIE: Final = "__Host-rossec"  # the prefix: only this host, over a secure connection, sets it
 COOKIE_SIZE: Final = 32  # bytes
 MAX_SESSIONS: Final = 64
+KEPT: Final = 2.0  # seconds for which an answer about phones is taken
+MAX_FAILURES: Final = 5
+WINDOW: Final = 60  # seconds
+MAX_ADDRESSES: Final = 256
+MAX_WAITING: Final = 4
 _TEXT_SIZE: Final = 43  # of 32 bytes as base64url
 
 
@@ -62,11 +48,7 @@ class Session:
 
 
 class Sessions:
-    """The sessions of one console; the oldest of the phone with most, or to look, makes room.
-
-    Args:
-        lifetime, idle: in seconds.
-    """
+    """The sessions of one console; the oldest of the phone with most, or to look, makes room."""
 
     def __init__(self, lifetime: int, idle: int) -> None:
         self._lifetime, self._idle = lifetime, idle
@@ -119,17 +101,14 @@ def owner_of(session: Session) -> str:
     return messages.of_phone(session.phone) if session.phone else messages.of_looker(session.id)
 
 
-KEPT: Final = 2.0  # seconds for which an answer is taken
-
 Phones = Callable[[], Awaitable[tuple[PhoneView, ...]]]
 
 
 class KnownPhones:
-    """The phones of the record, as they were asked for last.
+    """The phones of the record, as they were asked for last: a session outlives its phone by at most `KEPT`.
 
-    Args:
-        phones: asks the service.
-        elapsed: seconds of a clock that cannot be set.
+    A phone that is registered again under the name of one that was removed does not bring its sessions back.
+    Where the service does not answer nobody is let in.
     """
 
     def __init__(self, phones: Phones, elapsed: clock.Seconds | None = None) -> None:
@@ -155,12 +134,14 @@ class KnownPhones:
         return False
 
 
-MAX_FAILURES: Final = 5
-WINDOW: Final = 60  # seconds
-MAX_ADDRESSES: Final = 256
-
-
 class FailureLimit:
+    """How often somebody may be wrong: five times a minute, then a minute's pause.
+
+    Codes have 128 bits and passkeys cannot be guessed: this keeps noise from the authority, and makes whoever
+    mistypes look again. Counted by address, so that one device does not lock out another; of IPv6 by the
+    network, since a device has as many addresses as it likes.
+    """
+
     def __init__(self) -> None:
         self._failures: OrderedDict[str, deque[float]] = OrderedDict()
 
@@ -168,7 +149,7 @@ class FailureLimit:
         if not address:  # behind a proxy all have none: one would keep out everybody
             return False
         times = self._failures.get(source_of(address))
-        return times is not None and len(_recent(times, now)) >= MAX_FAILURES
+        return times is not None and sum(now - time < WINDOW for time in times) >= MAX_FAILURES
 
     def note(self, address: str, now: float) -> None:
         key = source_of(address)
@@ -179,14 +160,13 @@ class FailureLimit:
             self._failures.popitem(last=False)
 
 
-def _recent(times: deque[float], now: float) -> list[float]:
-    return [time for time in times if now - time < WINDOW]
-
-
-MAX_WAITING: Final = 4
-
-
 class Turns:
+    """How many questions of one source wait for the authority's service before a login.
+
+    Anybody on the network may ask for a challenge, and all such questions take turns at the service. A source
+    that has several waiting is told to come back, so a phone waits for few of each.
+    """
+
     def __init__(self) -> None:
         self._waiting: Counter[str] = Counter()
 

@@ -1,14 +1,9 @@
-"""What grants, filters, rights and spans of time are called on the pages. Pure.
+"""What grants, filters, rights and spans of time are called, and what the policy calls things. Pure.
 
-For people who live with robots and do not program them: short, and the most important field first.
-`sentences` says what happened, `matrix` who sees what. Every operator of a filter has its words
-here, which a test compares with `grants.filters.operators`; a text of a node or a policy that is
-shown passes `printable`.
-
-What the policy calls things, for pages: titles of nodes and topics, and types of topics. Pure.
-
-A title is never shown without the name of ROS beside it: it is a help to people, who decide by the
-name. Both come from the authority's policy, and no node can choose its own.
+For people who live with robots and do not program them: short, and the most important field first. Every
+operator of a filter has its words here, which a test compares with `grants.filters.operators`; a text of a
+node or a policy that is shown passes `printable`. A title of the policy is never shown without the name of
+ROS beside it: it is a help to people, who decide by the name. No node can choose its own.
 """
 
 import re
@@ -300,7 +295,6 @@ class Names:
 
     @classmethod
     def of(cls, found: Iterable[PolicyName]) -> "Names":
-        """Those of a policy."""
         titles: dict[str, str] = {}
         types: dict[str, str] = {}
         for each in found:

@@ -9,7 +9,7 @@ import resource
 import sys
 import sysconfig
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
@@ -51,3 +51,11 @@ def confine_processes() -> ThreadPoolExecutor:
     ready.wait()
     resource.setrlimit(resource.RLIMIT_NPROC, (0, 0))
     return executor
+
+
+def lower_limits(limits: Mapping[int, int]) -> None:
+    """Bound resources (RLIMIT_...) of this process, for good; none is raised above what it is."""
+    for what, most in limits.items():
+        _, hard = resource.getrlimit(what)
+        bound = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        resource.setrlimit(what, (bound, bound))

@@ -1,11 +1,11 @@
 """The process that applies rules (`python -I -m rossec.naming.child`): it forks for each request.
 
-Rules and metadata are read by libraries written in C, and libxslt bounds neither time nor memory.
-So each request has a process of its own, with limits, which nothing outlives. The one that forks
-only passes bytes on: no request is left in it for the next. Frames come on standard input.
+Rules and metadata are read by libraries written in C, and libxslt bounds neither time nor memory. So each
+request has a process of its own, with limits, which nothing outlives. The one that forks only passes bytes
+on: no request is left in it for the next. Frames come on standard input.
 
-A process for a request computes and writes into one pipe: it opens no file, has no socket, starts
-no process and signals none, also as root (`seccomp`), and dies with the one that forked it.
+A process for a request computes and writes into one pipe: it opens no file, has no socket, starts no process
+and signals none, also as root (`seccomp`), and dies with the one that forked it.
 """
 
 import ctypes
@@ -20,6 +20,7 @@ from typing import Final, NoReturn
 from ca.errors import EncodingError
 from rossec.errors import RossecError, RulesExceeded, RulesNotConfined
 from rossec.host import sandbox
+from rossec.host.confinement import lower_limits
 from rossec.naming import requests
 from rossec.naming.requests import Kind, NameRequest
 from rossec.naming.xslt import answer
@@ -27,45 +28,24 @@ from rossec.naming.xslt import answer
 CPU: Final = 2  # seconds for a request
 MEMORY: Final = 256 * 1024 * 1024
 FILES: Final = 16  # descriptors
+_LIMITS: Final = {
+    resource.RLIMIT_AS: MEMORY,
+    resource.RLIMIT_CORE: 0,
+    resource.RLIMIT_FSIZE: 0,
+    resource.RLIMIT_NOFILE: FILES,
+}
 _PR_SET_PDEATHSIG: Final = 1
 _NICE: Final = 5  # rules are no reason to slow a robot down
-_COMPUTE: Final = (
-    "brk",
-    "clock_gettime",
-    "close",
-    "exit",
-    "exit_group",
-    "fstat",
-    "futex",
-    "getpid",
-    "getrandom",
-    "gettid",
-    "lseek",
-    "madvise",
-    "mmap",
-    "mprotect",
-    "mremap",
-    "munmap",
-    "read",
-    "restart_syscall",
-    "rseq",
-    "rt_sigaction",
-    "rt_sigprocmask",
-    "rt_sigreturn",
-    "sched_yield",
-    "write",
+# The system calls of the process for a request, and those beside them of the one that forks it.
+_COMPUTE: Final = tuple(
+    """brk clock_gettime close exit exit_group fstat futex getpid getrandom gettid lseek madvise mmap mprotect
+    mremap munmap read restart_syscall rseq rt_sigaction rt_sigprocmask rt_sigreturn sched_yield
+    write""".split()  # noqa: SIM905 - read as a text
 )
 _FORKS: Final = (
     *_COMPUTE,
     sandbox.FORK,
-    "getppid",
-    "kill",
-    "pipe2",
-    "prctl",
-    "prlimit64",
-    "readv",
-    "set_robust_list",
-    "wait4",
+    *"getppid kill pipe2 prctl prlimit64 readv set_robust_list wait4".split(),  # noqa: SIM905
 )
 _ENDED: Final = "the rules took more time or memory than allowed, and were ended"
 _ENDED_HINT: Final = f"{CPU} s and {MEMORY // 1024 // 1024} MB are allowed for one request"
@@ -97,25 +77,13 @@ def main() -> None:
 
 def confine() -> None:
     os.nice(_NICE)
-    for what, most in (
-        (resource.RLIMIT_AS, MEMORY),
-        (resource.RLIMIT_CORE, 0),
-        (resource.RLIMIT_FSIZE, 0),
-        (resource.RLIMIT_NOFILE, FILES),
-    ):
-        limit(what, most)
+    lower_limits(_LIMITS)
     with suppress(OSError):  # no Landlock: the filter forbids to open anything in any case
         sandbox.read_only(())
     os.closerange(3, FILES)
     gc.collect()
     gc.freeze()  # forks share these pages
     sandbox.allow_only(_FORKS)
-
-
-def limit(what: int, most: int) -> None:
-    _, hard = resource.getrlimit(what)
-    bound = most if hard == resource.RLIM_INFINITY else min(most, hard)
-    resource.setrlimit(what, (bound, bound))
 
 
 def serve(source: int, sink: int) -> None:
@@ -136,10 +104,9 @@ def ask(body: bytearray) -> bytearray:
         work(body, sink, own)
     os.close(sink)
     try:
-        found = bytearray()
-        while len(found) <= requests.MAX_ANSWER and (piece := os.read(source, 64 * 1024)):
-            found += piece
-        given = found
+        given = bytearray()
+        while len(given) <= requests.MAX_ANSWER and (piece := os.read(source, 64 * 1024)):
+            given += piece
     finally:
         os.close(source)
         os.kill(child, signal.SIGKILL)  # one that has answered has no more to do
@@ -167,8 +134,7 @@ def restrict(sink: int, parent: int) -> None:
     os.closerange(0, sink)
     os.closerange(sink + 1, FILES)
     resource.setrlimit(resource.RLIMIT_CPU, (CPU, CPU))
-    limit(resource.RLIMIT_NPROC, 0)
-    limit(resource.RLIMIT_NOFILE, 0)
+    lower_limits({resource.RLIMIT_NPROC: 0, resource.RLIMIT_NOFILE: 0})
     sandbox.allow_only(_COMPUTE)
 
 

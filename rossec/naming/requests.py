@@ -1,35 +1,19 @@
-"""What is checked in a text of XML before any parser sees it. Pure.
+"""Metadata of nodes, and what goes between a process that applies rules and the one that asks it. Pure.
 
-Rules, metadata and launch files come from people and nodes. A document type is refused by its
-characters, since it is what entities are declared in (billion laughs, XXE), and so is every
-encoding that could hide one: only those in which ASCII is ASCII remain. Parsers guess others by the
-first bytes (EBCDIC), so these are `<` in ASCII.
+Rules, metadata and launch files come from people and nodes: `check_rules` and `check_document` look at their
+characters before any parser sees them. Metadata are claims of a node: nothing is granted by them.
 
-The metadata of a node: who owns it, what it is, which topics and services it has.
-
-The elements are the thesis's (section 4.4, appendix A). Others may stand beside them: rules may
-use whatever they like, and only what names have to be found for is read here. Metadata are claims
-of a node: nothing is granted by them.
-
-Requests to the process that applies rules, and its answers. Pure.
-
-A frame is a length (4 bytes, network byte order) and so many bytes of deterministic CBOR:
-`[rules, metadata, [[kind, which], ...], thesis_defaults]` one way; without metadata the rules are
-compiled only. The other way `[0, [result, ...]]` with `[0, text]` or `[code, message, hint]` for
-each query, or `[code, message, hint]`. An answer is not trusted: a process that was taken over may
-have written it.
-
-The names that rules give, checked: absolute ROS names, and none that others trust. Pure.
-
-What lies below these names is not for rules: identities that nodes trust (`/master`, `/ca`,
-`/relay`), those of the own services, names of other domains (`/remote`), and topics that every
-node may use without a grant.
+A frame is a length (4 bytes, network byte order) and so many bytes of deterministic CBOR: `[rules, metadata,
+[[kind, which], ...], thesis_defaults]` one way; without metadata the rules are compiled only. The other way
+`[0, [result, ...]]` with `[0, text]` or `[code, message, hint]` for each query, or `[code, message, hint]`.
+An answer is not trusted: a process that was taken over may have written it. So names are checked.
 """
 
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import partial
 from typing import TYPE_CHECKING, Final
 from xml.etree.ElementTree import ParseError
 from xml.parsers import expat
@@ -53,66 +37,32 @@ from rossec.errors import (
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
-
 MAX_INPUT: Final = 256 * 1024
+MAX_ENTRIES: Final = 256
+MAX_WHICH: Final = 255
+HEAD: Final = 4
+MAX_REQUEST: Final = 2 * MAX_INPUT + (MAX_ENTRIES + 1) * (4 * MAX_WHICH + 16) + 64
+MAX_ANSWER: Final = 1024 * 1024
+MAX_TEXT: Final = 1024  # characters of a name; legal ones have 255
+READY: Final = b"\x00"  # the body of the first frame of a process, once it is confined
+# What lies below these is not for rules: identities that nodes trust, those of the own services, names of
+# other domains (`/remote`), and topics that every node may use without a grant.
+RESERVED: Final = frozenset(
+    """remote master ca relay gateway router console border namespace sidecar rossec rosout rosout_agg
+    clock""".split()  # noqa: SIM905 - read as a text
+)
+THESIS_DEFAULTS: Final = ("unknown-group", "unknown-node", "unknown-location")
+# Only encodings in which ASCII is ASCII: others could hide a document type.
 _ENCODINGS: Final = frozenset({"utf-8", "iso-8859-1", "us-ascii", "ascii"})
 _DECLARED: Final = re.compile(rb"""<\?xml\s[^>]*?encoding\s*=\s*["']([^"'>]*)["'][^>]*\?>""")
 _DECLARATION: Final = re.compile(rb"<!(?:DOCTYPE|ENTITY|ELEMENT|ATTLIST|NOTATION)", re.IGNORECASE)
 _BOM: Final = b"\xef\xbb\xbf"
 _SPACE: Final = b" \t\r\n"
-
-
-def check_rules(data: bytes) -> bytes:
-    """Return `data` if it may be parsed as rules."""
-    return _check(data, "rules", RulesRefused)
-
-
-def check_document(data: bytes, what: str = "metadata") -> bytes:
-    """Return `data` if it may be parsed as `what`: metadata, or a launch file."""
-    return _check(data, what, MetadataRefused)
-
-
-def _check(data: bytes, what: str, refusal: type[RossecError]) -> bytes:
-    if len(data) > MAX_INPUT:
-        raise refusal(
-            f"{len(data)} bytes of {what} where at most {MAX_INPUT} are allowed",
-            "metadata of one node are some lines; rules are a few hundred at most",
-        )
-    if not data.strip():
-        raise refusal(f"empty {what}", "an XML document is needed")
-    found = _DECLARATION.search(data)
-    if found is not None:
-        line = data.count(b"\n", 0, found.start()) + 1
-        raise refusal(f"line {line}: {what} with a document type or entities", "leave <!DOCTYPE ...> out")
-    encoding = _encoding(data)
-    if encoding not in _ENCODINGS or b"\0" in data:
-        raise refusal(f"{what} in the encoding {encoding[:40]!a}", "use UTF-8 or ISO-8859-1")
-    if not data.removeprefix(_BOM).lstrip(_SPACE).startswith(b"<"):
-        raise refusal(f"line 1: {what} that begin with no element", "an XML document is needed")
-    return data
-
-
-def _encoding(data: bytes) -> str:
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return "utf-16"
-    text = data.removeprefix(_BOM)
-    if not text.startswith(b"<?xml"):
-        return "utf-8"
-    end = text.find(b"?>")
-    if end < 0:
-        return "unknown"
-    head = text[: end + 2]
-    if b"encoding" not in head:
-        return "utf-8"
-    found = _DECLARED.fullmatch(head) if head.count(b"encoding") == 1 else None
-    return "unknown" if found is None else found[1].decode("ascii", "replace").lower()
-
-
-MAX_ENTRIES: Final = 256
-MAX_WHICH: Final = 255
 _ENTRIES: Final = frozenset({"topic", "service"})
 _MOBILE: Final = {"true": True, "false": False, None: None}
+_ERRORS: Final = (RulesRefused, MetadataRefused, NameUndefined, RulesExceeded, RulesNotConfined)
 _HINT: Final = "for example <node><name>lamp</name><topic><name>state</name></topic></node>"
+_ODD: Final = "the process that applies rules answers in another form"
 
 
 class Kind(StrEnum):
@@ -137,6 +87,11 @@ class Entry:
 
 @dataclass(frozen=True)
 class Metadata:
+    """The elements of the thesis (section 4.4, appendix A) for which names have to be found.
+
+    Others may stand beside them: rules may use whatever they like.
+    """
+
     owner: str | None = None
     name: str | None = None
     group: str | None = None
@@ -146,6 +101,65 @@ class Metadata:
         yield Kind.NODE, ""
         for entry in self.entries:
             yield entry.kind, entry.name
+
+
+@dataclass(frozen=True)
+class NameRequest:
+    rules: bytes
+    metadata: bytes
+    queries: tuple[tuple[Kind, str], ...] = ()
+    thesis_defaults: bool = False
+
+
+Result = str | RossecError
+
+
+def check_rules(data: bytes) -> bytes:
+    """Return `data` if it may be parsed as rules."""
+    return _check(data, "rules", RulesRefused)
+
+
+def check_document(data: bytes, what: str = "metadata") -> bytes:
+    """Return `data` if it may be parsed as `what`: metadata, or a launch file."""
+    return _check(data, what, MetadataRefused)
+
+
+def _check(data: bytes, what: str, refusal: type[RossecError]) -> bytes:
+    if len(data) > MAX_INPUT:
+        raise refusal(
+            f"{len(data)} bytes of {what} where at most {MAX_INPUT} are allowed",
+            "metadata of one node are some lines; rules are a few hundred at most",
+        )
+    if not data.strip():
+        raise refusal(f"empty {what}", "an XML document is needed")
+    # Entities are declared in a document type (billion laughs, XXE).
+    found = _DECLARATION.search(data)
+    if found is not None:
+        line = data.count(b"\n", 0, found.start()) + 1
+        raise refusal(f"line {line}: {what} with a document type or entities", "leave <!DOCTYPE ...> out")
+    encoding = _encoding(data)
+    if encoding not in _ENCODINGS or b"\0" in data:
+        raise refusal(f"{what} in the encoding {encoding[:40]!a}", "use UTF-8 or ISO-8859-1")
+    # Parsers guess other encodings by the first bytes (EBCDIC).
+    if not data.removeprefix(_BOM).lstrip(_SPACE).startswith(b"<"):
+        raise refusal(f"line 1: {what} that begin with no element", "an XML document is needed")
+    return data
+
+
+def _encoding(data: bytes) -> str:
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    text = data.removeprefix(_BOM)
+    if not text.startswith(b"<?xml"):
+        return "utf-8"
+    end = text.find(b"?>")
+    if end < 0:
+        return "unknown"
+    head = text[: end + 2]
+    if b"encoding" not in head:
+        return "utf-8"
+    found = _DECLARED.fullmatch(head) if head.count(b"encoding") == 1 else None
+    return "unknown" if found is None else found[1].decode("ascii", "replace").lower()
 
 
 def read(data: bytes) -> Metadata:
@@ -175,16 +189,6 @@ def parse(data: bytes, what: str = "metadata") -> "Element":
     return root
 
 
-def check_query(kind: Kind, which: str) -> tuple[Kind, str]:
-    if (kind is Kind.NODE) is not (which == ""):
-        raise MetadataRefused(
-            "a topic or service is asked for by its name in the metadata", "a node has none"
-        )
-    if len(which) > MAX_WHICH or not which.isprintable():
-        raise MetadataRefused(f"{which[:60]!a} is no name of a {kind} in metadata")
-    return kind, which
-
-
 def _lines(data: bytes) -> list[int]:
     parser, found, depth = expat.ParserCreate(), list[int](), 0
 
@@ -204,16 +208,13 @@ def _lines(data: bytes) -> list[int]:
 
 
 def _entry(element: "Element", line: int) -> Entry:
-    name = _text(element, "name")
+    kind, name, mobile = Kind(element.tag), _text(element, "name"), _text(element, "mobile")
     if name is None:
         raise MetadataRefused(f"line {line}: a {element.tag} without <name>", _HINT)
-    check_query(Kind(element.tag), name)
-    mobile = _text(element, "mobile")
+    check_query(kind, name)
     if mobile not in _MOBILE:
         raise MetadataRefused(f"line {line}: <mobile> is true or false, not {mobile!a:.60}")
-    return Entry(
-        Kind(element.tag), name, _text(element, "function"), _text(element, "location"), _MOBILE[mobile], line
-    )
+    return Entry(kind, name, _text(element, "function"), _text(element, "location"), _MOBILE[mobile], line)
 
 
 def _text(element: "Element", tag: str) -> str | None:
@@ -227,24 +228,14 @@ def _text(element: "Element", tag: str) -> str | None:
     return (found[0].text or "").strip() or None
 
 
-HEAD: Final = 4
-MAX_REQUEST: Final = 2 * MAX_INPUT + (MAX_ENTRIES + 1) * (4 * MAX_WHICH + 16) + 64
-MAX_ANSWER: Final = 1024 * 1024
-READY: Final = b"\x00"  # the body of the first frame of a process, once it is confined
-MAX_TEXT: Final = 1024  # characters of a name; legal ones have 255
-_ERRORS: Final = (RulesRefused, MetadataRefused, NameUndefined, RulesExceeded, RulesNotConfined)
-_ODD: Final = "the process that applies rules answers in another form"
-
-
-@dataclass(frozen=True)
-class NameRequest:
-    rules: bytes
-    metadata: bytes
-    queries: tuple[tuple[Kind, str], ...] = ()
-    thesis_defaults: bool = False
-
-
-Result = str | RossecError
+def check_query(kind: Kind, which: str) -> tuple[Kind, str]:
+    if (kind is Kind.NODE) is not (which == ""):
+        raise MetadataRefused(
+            "a topic or service is asked for by its name in the metadata", "a node has none"
+        )
+    if len(which) > MAX_WHICH or not which.isprintable():
+        raise MetadataRefused(f"{which[:60]!a} is no name of a {kind} in metadata")
+    return kind, which
 
 
 def frame(body: bytes) -> bytes:
@@ -257,6 +248,9 @@ def size(head: bytes, limit: int) -> int:
     if not 0 < found <= limit:
         raise RulesExceeded(f"{found} bytes where at most {limit} are allowed")
     return found
+
+
+answer_size: Final = partial(size, limit=MAX_ANSWER)
 
 
 def write_request(request: NameRequest) -> bytes:
@@ -295,20 +289,15 @@ def _written(result: Result) -> Value:
 
 
 def read_names(body: bytes, count: int) -> list[Result]:
-    items = _value(body)
-    if not isinstance(items, list) or len(items) != count:
-        raise RulesExceeded(_ODD)
-    return [_result(item) for item in items]
-
-
-def _value(body: bytes) -> Value:
     try:
         value = decode(body, limit=MAX_ANSWER)
     except EncodingError as error:
         raise RulesExceeded(_ODD) from error
     match value:
-        case [0, found]:
-            return found
+        case [0, list() as items] if len(items) == count:
+            return [_result(item) for item in items]
+        case [0, _]:
+            raise RulesExceeded(_ODD)
         case _:
             raise _error(value)
 
@@ -329,30 +318,14 @@ def _error(item: Value) -> RossecError:
             return RulesExceeded(_ODD)
 
 
-RESERVED: Final = frozenset(
-    {
-        "remote",
-        "master",
-        "ca",
-        "relay",
-        "gateway",
-        "router",
-        "console",
-        "border",
-        "namespace",
-        "sidecar",
-        "rossec",
-        "rosout",
-        "rosout_agg",
-        "clock",
-    }
-)
-THESIS_DEFAULTS: Final = ("unknown-group", "unknown-node", "unknown-location")
-
-
 def check_proposed(text: str, *, thesis_defaults: bool = False) -> str:
+    """Return `text` if it is an absolute ROS name that rules may give."""
+    legal = text
+    if thesis_defaults:  # which are no names of ROS
+        parts = [each.replace("-", "_") if each in THESIS_DEFAULTS else each for each in text.split("/")]
+        legal = "/".join(parts)
     try:
-        check_name(_legal(text) if thesis_defaults else text)
+        check_name(legal)
     except NameRefused as error:
         raise ProposedNameRefused(f"the rules do not give a name: {error}", error.hint) from None
     first = text.split("/")[1]
@@ -361,9 +334,3 @@ def check_proposed(text: str, *, thesis_defaults: bool = False) -> str:
             f"the rules gave {text}, which is reserved", f"no rule may put anything below /{first}"
         )
     return text
-
-
-def _legal(text: str) -> str:
-    return "/".join(
-        segment.replace("-", "_") if segment in THESIS_DEFAULTS else segment for segment in text.split("/")
-    )

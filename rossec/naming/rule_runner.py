@@ -1,23 +1,13 @@
-"""The rules and examples that are shipped: those of the thesis (appendix A).
+"""Names asked for of rules: `async with RuleRunner(rules) as runner: await runner.name(...)`.
 
-One process that applies rules, as the loop that asks it sees it. A shell.
-
-It is started and ended without waiting for anything, so nothing of it can be left behind by a task
-that is cancelled meanwhile; what is asked may be cancelled, and then the process is of no more use.
-
-Names asked for of rules: `async with RuleRunner(rules) as runner: await runner.name(...)`.
-
-Rules and documents go to a confined process, which forks for each request: what one caller sent
-can change no answer to another. Requests beyond the number of processes wait. Whatever comes back
-is checked here again: no name leaves that is not one, or that is reserved.
+Rules and documents go to a confined process, which forks for each request: what one caller sent can change no
+answer to another. Requests beyond the number of processes wait. Whatever comes back is checked here again: no
+name leaves that is not one, or that is reserved.
 """
 
 import asyncio
-import importlib
 import importlib.util
-import socket
 import subprocess
-import sys
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from importlib.resources import files
@@ -25,112 +15,24 @@ from types import TracebackType
 from typing import Final, Self
 
 from rossec.errors import NamesExtraMissing, ProposedNameRefused, RossecError, RulesExceeded, RulesNotConfined
+from rossec.host.workers import AskedWorker, worker_command
 from rossec.naming import requests
 from rossec.naming.requests import Kind, NameRequest, Result, check_proposed, check_query
 
 RULES: Final = "names.xsl"
+LIBRARY: Final = "lxml"
+CHILD: Final = worker_command("rossec.naming.child")
+START: Final = 20.0  # seconds until it is confined
+SECONDS: Final = 5.0  # wall clock for a request
 
 
 def shipped_rules(name: str = RULES) -> bytes:
+    """Rules of the thesis (appendix A)."""
     return files("rossec.naming").joinpath("rules", name).read_bytes()
 
 
 def shipped_example(name: str) -> bytes:
     return files("rossec.naming").joinpath("examples", name).read_bytes()
-
-
-CHILD: Final = (sys.executable, "-I", "-m", "rossec.naming.child")
-START: Final = 20.0  # seconds until it is confined
-
-
-class RuleProcess:
-    def __init__(self, process: "subprocess.Popen[bytes]", sock: socket.socket) -> None:
-        self._process = process
-        self._socket = sock
-        self._is_ready = False
-
-    @classmethod
-    def start(cls, command: Sequence[str] = CHILD) -> Self:
-        own, other = socket.socketpair()
-        with other:
-            try:
-                process = subprocess.Popen(  # noqa: S603 - the own interpreter and module
-                    command,
-                    stdin=other.fileno(),
-                    stdout=other.fileno(),
-                    stderr=subprocess.DEVNULL,
-                    env={},
-                    cwd="/",
-                    start_new_session=True,  # Ctrl-C is for this process
-                )
-            except OSError as error:
-                own.close()
-                raise RulesNotConfined(f"the process for rules does not start: {error}") from error
-        own.setblocking(False)
-        return cls(process, own)
-
-    @property
-    def pid(self) -> int:
-        return self._process.pid
-
-    @property
-    def has_ended(self) -> bool:
-        return self._process.poll() is not None
-
-    async def ask(self, body: bytes, seconds: float) -> bytes:
-        # The body of the answer to a request. After any exception the process must be closed.
-        await self._wait_until_ready()
-        try:
-            async with asyncio.timeout(seconds):
-                await asyncio.get_running_loop().sock_sendall(self._socket, requests.frame(body))
-                return await self._receive()
-        except TimeoutError:
-            raise RulesExceeded(f"the rules took longer than {seconds:g} s") from None
-        except OSError as error:
-            raise RulesExceeded("the process for rules ended") from error
-
-    def close(self) -> None:
-        self._socket.close()
-        self._process.kill()
-        self._process.wait()
-
-    async def _wait_until_ready(self) -> None:
-        if self._is_ready:
-            return
-        hint = "run python -m rossec.naming.child to see why"
-        try:
-            async with asyncio.timeout(START):
-                first = await self._receive()
-        except (OSError, RulesExceeded) as error:  # TimeoutError is an OSError
-            raise RulesNotConfined("the process for rules does not start", hint) from error
-        if first != requests.READY:
-            raise _refusal(first)
-        self._is_ready = True
-
-    async def _receive(self) -> bytes:
-        head = await self._exactly(requests.HEAD)
-        return await self._exactly(requests.size(head, requests.MAX_ANSWER))
-
-    async def _exactly(self, size: int) -> bytes:
-        found, loop = bytearray(), asyncio.get_running_loop()
-        while len(found) < size:
-            piece = await loop.sock_recv(self._socket, size - len(found))
-            if not piece:
-                raise RulesExceeded("the process for rules ended")
-            found += piece
-        return bytes(found)
-
-
-def _refusal(first: bytes) -> RossecError:
-    try:
-        requests.read_names(first, 0)
-    except RossecError as error:
-        return error
-    return RulesNotConfined("the process for rules says nothing of being confined")
-
-
-SECONDS: Final = 5.0  # wall clock for a request
-LIBRARY: Final = "lxml"
 
 
 def require_extra(library: str = LIBRARY) -> None:
@@ -140,6 +42,50 @@ def require_extra(library: str = LIBRARY) -> None:
             f"names by rules need {library}, which is not installed",
             "install the extra: pip install 'rossec[names]'",
         )
+
+
+class RuleProcess:
+    """One process that applies rules. After any exception of `ask` it must be closed."""
+
+    def __init__(self, command: Sequence[str] = CHILD) -> None:
+        try:
+            self._worker = AskedWorker(command, stderr=subprocess.DEVNULL, cwd="/")
+        except OSError as error:
+            raise RulesNotConfined(f"the process for rules does not start: {error}") from error
+        self._is_ready = False
+        self.close = self._worker.close
+
+    @property
+    def pid(self) -> int:
+        return self._worker.pid
+
+    @property
+    def has_ended(self) -> bool:
+        return self._worker.has_ended
+
+    async def ask(self, body: bytes, seconds: float) -> bytes:
+        """The body of the answer to a request."""
+        if not self._is_ready:
+            await self._wait_until_ready()
+        try:
+            async with asyncio.timeout(seconds):
+                return await self._worker.ask(requests.frame(body), requests.answer_size)
+        except TimeoutError:
+            raise RulesExceeded(f"the rules took longer than {seconds:g} s") from None
+        except (OSError, EOFError) as error:
+            raise RulesExceeded("the process for rules ended") from error
+
+    async def _wait_until_ready(self) -> None:
+        try:
+            async with asyncio.timeout(START):
+                first = await self._worker.receive(requests.answer_size)
+        except (OSError, EOFError, RulesExceeded) as error:  # TimeoutError is an OSError
+            hint = "run python -m rossec.naming.child to see why"
+            raise RulesNotConfined("the process for rules does not start", hint) from error
+        if first != requests.READY:
+            requests.read_names(first, 0)  # which raises why, if it says so
+            raise RulesNotConfined("the process for rules says nothing of being confined")
+        self._is_ready = True
 
 
 class RuleRunner:
@@ -161,7 +107,7 @@ class RuleRunner:
         thesis_defaults: bool = False,
         children: int = 1,
         seconds: float = SECONDS,
-        start: Callable[[], RuleProcess] = RuleProcess.start,
+        start: Callable[[], RuleProcess] = RuleProcess,
     ) -> None:
         self._rules = rules
         self._thesis_defaults = thesis_defaults
@@ -219,19 +165,8 @@ class RuleRunner:
 
     async def _ask(self, document: bytes, queries: tuple[tuple[Kind, str], ...]) -> bytes:
         request = NameRequest(self._rules, document, queries, self._thesis_defaults)
-        body = requests.write_request(request)
         async with self._process() as process:
-            return await process.ask(body, self._seconds)
-
-    def _take(self) -> RuleProcess:
-        if self._is_closed:
-            raise RulesExceeded("the processes for rules have ended")
-        while self._idle:
-            process = self._idle.pop()
-            if not process.has_ended:
-                return process
-            process.close()
-        return self._start()
+            return await process.ask(requests.write_request(request), self._seconds)
 
     @asynccontextmanager
     async def _process(self) -> AsyncIterator[RuleProcess]:
@@ -246,3 +181,13 @@ class RuleRunner:
                 process.close()
             else:
                 self._idle.append(process)
+
+    def _take(self) -> RuleProcess:
+        if self._is_closed:
+            raise RulesExceeded("the processes for rules have ended")
+        while self._idle:
+            process = self._idle.pop()
+            if not process.has_ended:
+                return process
+            process.close()
+        return self._start()

@@ -353,7 +353,7 @@ async def test_nothing_of_one_that_was_taken_over_is_there_for_the_next_caller()
         "child.main()\n"
     )
     command = [sys.executable, "-I", "-c", program]
-    async with RuleRunner(rules_with(""), start=lambda: RuleProcess.start(command)) as runner:
+    async with RuleRunner(rules_with(""), start=lambda: RuleProcess(command)) as runner:
         for _ in range(3):
             assert await runner.name(HONEST) == NAME
             with pytest.raises(RulesExceeded, match="answers in another form"):

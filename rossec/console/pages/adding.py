@@ -1,14 +1,9 @@
-"""Adding a node: its code by camera, picture or text; the card; six digits; and how it ended.
+"""Adding a node: its code by camera, picture or text; join codes; and requests that wait in the record.
 
-The page of an enrollment shows the stage it is in and nothing else decides what comes next: the
-node says that it is enrolled, and only then this page does.
-
-Join codes: made with a passkey, shown once to the session that made them, ended without one.
-
-Whoever has the code can join, so it is on one page, once. What is listed later is who joined by it.
-
-A request for an identity that waits in the record: of a node that came with a join code, or that
-`rossec ca enroll --later` recorded. Its page is the card of `/add`, and the same approval.
+The page of an enrollment shows the stage it is in and nothing else decides what comes next: the node says
+that it is enrolled, and only then this page does. A join code is on one page, once, for the session that made
+it: whoever has it can join. A request that waits is of a node that came with one, or that `rossec ca enroll
+--later` recorded.
 """
 
 from typing import Final

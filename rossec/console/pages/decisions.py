@@ -1,11 +1,8 @@
-"""A node's request for grants: who, what, why, what it would look like, and for how long.
+"""What is decided: a request for grants, the policy, renewals, other hosts that sign; and what is ended.
 
-What is decided once for many: the policy, renewals by the master, other hosts that sign.
-
-Ending what was allowed: the reason, and three ticks as they come true. Needs no passkey.
-
-Taking away is never harder than giving: a session is enough, and while the key is locked the
-revocation is recorded and signed at unlock. A whole node asks for its name, since it loses all.
+Taking away is never harder than giving: a session is enough, and while the key is locked the revocation is
+recorded and signed at unlock. A whole node asks for its name, since it loses all. Three ticks say how far an
+end has come.
 """
 
 from collections.abc import Mapping
@@ -20,7 +17,7 @@ from ca.certificates import check_intermediate_request
 from ca.errors import HintedError
 from ca.keys.signing import thumbprint
 from ca.names import is_master_name
-from rossec.authority.console.messages import FactView, GrantQuestion, PolicyRight
+from rossec.authority.console.messages import FactView, PolicyRight, QuestionAnswer
 from rossec.console import approvals, words
 from rossec.console.approvals import certificate_request
 from rossec.console.context import ConsoleContext
@@ -54,36 +51,32 @@ async def show_ask(request: Request, context: ConsoleContext) -> Response:
             ways.append((name, await context.service.consider(number, name, 0)))
         except HintedError:  # this filter does not fit these messages
             continue
-    sentence = approvals.sentence(found, await _graph(context))
+    facts: tuple[FactView, ...] = ()
+    with suppress(HintedError):
+        facts = await context.service.graph()
     return render(
         context,
         request,
         "ask.html",
         live=True,
         found=found,
-        sentence=sentence,
+        sentence=approvals.sentence(found, facts),
         ways=approvals.ways(ways),
         acts=approvals.acts(found.rights),
         alone=approvals.why_no_coarser(found),
-        others=_others(questions, found),
+        others=sum(each.request == found.request for each in questions) - 1,
         labels=approvals.LABELS,
         looks=approvals.looks(found.node, ways, context.preview),
         durations=approvals.durations(found, context.clock()),
     )
 
 
-def _others(questions: tuple[GrantQuestion, ...], found: GrantQuestion) -> int:
-    same = [each for each in questions if each.request == found.request]
-    return len(same) - 1
-
-
 async def _answered(request: Request, context: ConsoleContext, number: bytes) -> Response:
     # How it was answered, by the record; a service that does not say leaves it open.
-    try:
+    told: list[tuple[QuestionAnswer, tuple[Part, ...]]] = []
+    with suppress(HintedError):
         answers = await context.service.question_answers(number)
-    except HintedError:
-        answers = ()
-    told = [(each, approvals.answer(each)) for each in answers]
+        told = [(each, approvals.answer(each)) for each in answers]
     return render(context, request, "asked.html", told=told)
 
 
@@ -92,13 +85,6 @@ async def deny(request: Request, context: ConsoleContext) -> Response:
     number = request.path_params["id"]
     await context.service.deny_question(from_base64url(number), DENIED)
     return RedirectResponse(f"/ask/{number}", 303)
-
-
-async def _graph(context: ConsoleContext) -> tuple[FactView, ...]:
-    try:
-        return await context.service.graph()
-    except HintedError:
-        return ()
 
 
 ASK_PAGES: Final = (Page("/ask/{id}", ("GET",), show_ask), Page("/ask/{id}/deny", ("POST",), deny))

@@ -1,23 +1,11 @@
-"""Logging in: with a code from the terminal, or with the passkey of a phone that is set up.
+"""Logging in, the phones that approve, and approving itself.
 
-A code is in the fragment of the address it comes with, which browsers send to nobody; the page
-takes it out and posts it. It is used once, either to look, or together with the new passkey that it
-adds: so nobody who only has a session can add one. Whether a code or a passkey is right is decided
-by the authority's service; sessions are this console's.
-
-Phones: the passkeys that approve. A second one comes by a link, and the first approves it.
-
-The link opens `/propose` on the new phone, which makes a passkey and shows digits; here the same
-digits are shown, and approving them is an approval like every other. Removing one takes something
-away, so it needs no passkey.
-
-Approving: the service makes a statement, a passkey signs its digest, the service verifies that.
-
-The same two requests for every kind (`approve.js` makes them): `/prepare/KIND` with the form's
-fields, `/approve/ID` with the assertion. Nothing is decided here: a console that lies about what
-it shows can ask for another signature, but not without the phone, and the record keeps it.
-
-What came of an approval: done, waiting for the key or the master, or why not.
+A code is in the fragment of the address it comes with, which browsers send to nobody; the page takes it out
+and posts it. It is used once, either to look, or together with the new passkey that it adds: so nobody who
+only has a session can add one. A second phone comes by a link and shows digits, and the first approves it;
+removing one takes something away, so it needs no passkey. Whether a code or a passkey is right is decided by
+the authority's service: a console that lies about what it shows can ask for another signature, but not
+without the phone, and the record keeps it.
 """
 
 import secrets
@@ -35,7 +23,7 @@ from ca.errors import EncodingError, HintedError
 from grants import document
 from grants.errors import GrantError
 from grants.model import ID_SIZE
-from rossec.authority.console.messages import Assertion, LoginChallenge, Registration
+from rossec.authority.console.messages import Assertion, LoginChallenge, Prepared, Registration
 from rossec.console import approvals, words
 from rossec.console.context import ConsoleContext
 from rossec.console.options import MAX_PHONE_NAME
@@ -110,7 +98,7 @@ async def log_out(request: Request, context: ConsoleContext) -> Response:
     return response
 
 
-def challenge_fields(made: LoginChallenge, now: int) -> dict[str, object]:
+def challenge_fields(made: LoginChallenge | Prepared, now: int) -> dict[str, object]:
     """A challenge as `approve.js` reads it; the timeout is in milliseconds."""
     return {
         "id": to_base64url(made.id),
@@ -193,7 +181,6 @@ async def show_phones(request: Request, context: ConsoleContext) -> Response:
 
 
 async def link(request: Request, context: ConsoleContext) -> Response:
-    """A link for a second phone, as a code to scan."""
     await read_form(request)
     code = await context.service.phone_link(owner_of(request.state.session))
     address = f"{context.settings.origin}/propose#{code}"
@@ -248,15 +235,7 @@ async def prepare(request: Request, context: ConsoleContext) -> Response:
             "no phone is set up", "get a code at the terminal: rossec console phone", status=409
         )
     context.pending.add(made.id, request.state.session.id, act, owner)
-    return JSONResponse(
-        {
-            "id": to_base64url(made.id),
-            "challenge": to_base64url(made.challenge),
-            "credentials": [to_base64url(each) for each in made.credentials],
-            "rpId": made.rp_id,
-            "timeout": max(0, made.until - context.clock()) * 1000,
-        }
-    )
+    return JSONResponse(challenge_fields(made, context.clock()))
 
 
 async def approve(request: Request, context: ConsoleContext) -> Response:

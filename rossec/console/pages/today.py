@@ -1,10 +1,9 @@
-"""Today: what waits for an answer, who sees what, what it looks like, and what happened.
+"""Today: what waits for an answer, who sees what, what it looks like; what happened; and the data flow, live.
 
-What happened: the record's log and the denials as one time line; and the data flow, live.
-
-`/news`: that something changed, as server-sent events, to pages that are open.
+`/news` tells pages that are open that something changed, as server-sent events.
 """
 
+import math
 from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any, Final, NamedTuple
@@ -15,7 +14,7 @@ from starlette.responses import Response, StreamingResponse
 
 from ca.errors import HintedError
 from grants.model import Permission, Right
-from rossec.authority.console.messages import DenialView, EventView, GrantQuestion
+from rossec.authority.console.messages import EventView, GrantQuestion
 from rossec.console import approvals
 from rossec.console.context import ConsoleContext
 from rossec.console.matrix import Access, Matrix, TopicRow
@@ -23,7 +22,7 @@ from rossec.console.pages import visibility
 from rossec.console.pages.visibility import Overview
 from rossec.console.pictures import flow, place
 from rossec.console.rendering import Page, names_of, render, to_base64url
-from rossec.console.sentences import Known, Part, Sentence, permissions, refusals, story
+from rossec.console.sentences import Known, Part, permissions, refusals, story
 
 ROWS: Final = 8
 RECEIVERS: Final = 4
@@ -56,13 +55,14 @@ async def show_today(request: Request, context: ConsoleContext) -> Response:
     events = await context.service.events(0, _ENTRIES)
     known = Known.of(home.held, home.nodes, questions, home.ending)
     told = [each for each in story(events, denied, known) if each.tone != "note"]
+    seen = request.state.session.seen  # the last entry that this session saw in the log
     busy = home.matrix.busiest_first()
     part = busy.window(slice(ROWS), slice(RECEIVERS))
-    return render(
+    return visibility.render_home(
         context,
         request,
+        home,
         "today.html",
-        live=True,
         authority=await context.service.status(),
         waiting=await _waiting(context, questions),
         counts=counts(home.matrix),
@@ -74,9 +74,7 @@ async def show_today(request: Request, context: ConsoleContext) -> Response:
         flow=flow.draw(part, visibility.refused_names(denied), names_of(request).title),
         sentences=told[:THINGS],
         ending=len(home.ending),
-        again=visibility.again(home),
-        new=_new(request, [each.number for each in told]),
-        without_master=home.without_master,
+        new=0 if seen is None else sum(each.number > seen for each in told),
         without_policy=without_policy,
     )
 
@@ -129,24 +127,17 @@ def silent(home: Overview) -> int:
 
 def _looks(context: ConsoleContext, matrix: Matrix) -> dict[str, Any]:
     # `moving` is the node whose place it is, if it is one's.
-    for row in sorted(matrix.rows, key=_contrast, reverse=True):
+    def contrast(row: TopicRow) -> tuple[bool, bool, int]:
+        states = {cell.access for cell in row.seen_by()}
+        return states == {Access.ALL, Access.COARSE}, place.has_place(row.type), len(states)
+
+    for row in sorted(matrix.rows, key=contrast, reverse=True):
         found = visibility.comparison(context, row)
         if found is not None:
             one = len(row.publishers) == 1 and place.has_place(row.type)
             moving = row.publishers[0] if one else ""
             return {"comparison": found._replace(looks=found.looks[:LOOKS]), "moving": moving}
     return {"comparison": None, "moving": ""}
-
-
-def _contrast(row: TopicRow) -> tuple[bool, bool, int]:
-    states = {cell.access for cell in row.seen_by()}
-    return states == {Access.ALL, Access.COARSE}, place.has_place(row.type), len(states)
-
-
-def _new(request: Request, numbers: list[int]) -> int:
-    # How many things happened since this session looked at the log.
-    seen = request.state.session.seen
-    return 0 if seen is None else sum(number > seen for number in numbers)
 
 
 TODAY_PAGES: Final = (Page("/", ("GET",), show_today),)
@@ -165,9 +156,18 @@ async def log(request: Request, context: ConsoleContext) -> Response:
     questions = (await visibility.questions(context))[0]
     known = Known.of(home.held, home.nodes, questions, home.ending)
     events, following = await _events(context, before, node, known)
-    denied = _between(await visibility.denials(context), events, before, following)
-    told, refused = _bounded([each for each in story(events, denied, known) if not node or each.node == node])
-    fresh = 0 if before else _look(request, events, told)
+    times = [event.at for event in events] or [0]
+    first, end = min(times) if following else 0, max(times) if before else math.inf
+    denied = [each for each in await visibility.denials(context) if first <= each.at < end]
+    told = [each for each in story(events, denied, known) if not node or each.node == node]
+    # At most so many denials, the newest, and how many are left out: nodes cause them at will.
+    refused = set([each for each in told if each.number < 0][MAX_REFUSED:])
+    told = [each for each in told if each not in refused]
+    fresh, seen = 0, request.state.session.seen
+    if not before:
+        fresh = 0 if seen is None else sum(each.number > seen for each in told)
+        if events:
+            request.state.session.seen = max(seen or 0, *(event.number for event in events))
     more = urlencode({"before": following, **({"node": node} if node else {})})
     return render(
         context,
@@ -179,17 +179,10 @@ async def log(request: Request, context: ConsoleContext) -> Response:
         before=before,
         more=f"/log?{more}" if following else "",
         new=fresh,
-        more_refused=refused,
+        more_refused=len(refused),
         without_master=home.without_master,
         again=0 if before else visibility.again(home),
     )
-
-
-def _bounded(told: list[Sentence]) -> tuple[list[Sentence], int]:
-    # At most so many denials, the newest, and how many are left out: nodes cause them at will.
-    denied = [each for each in told if each.number < 0]
-    left = set(denied[MAX_REFUSED:])
-    return [each for each in told if each not in left], len(left)
 
 
 async def _events(
@@ -210,22 +203,6 @@ async def _events(
     return found, following
 
 
-def _between(
-    denied: tuple[DenialView, ...], events: list[EventView], before: int, following: int
-) -> list[DenialView]:
-    first = min((event.at for event in events), default=0) if following else 0
-    last = max((event.at for event in events), default=0) if before else None
-    return [each for each in denied if each.at >= first and (last is None or each.at < last)]
-
-
-def _look(request: Request, events: list[EventView], told: list[Sentence]) -> int:
-    session = request.state.session
-    seen = session.seen
-    if events:
-        session.seen = max(seen or 0, *(event.number for event in events))
-    return 0 if seen is None else sum(each.number > seen for each in told)
-
-
 async def way(request: Request, context: ConsoleContext) -> Response:
     home = await visibility.load(context, names_of(request))
     row = visibility.position(request.query_params.get("row"))
@@ -234,21 +211,19 @@ async def way(request: Request, context: ConsoleContext) -> Response:
     part = busy.window(slice(row, row + flow.MAX_ROWS), slice(flow.MAX_ROWS))
     told = refusals(denied)
     running = {fact.name for fact in home.facts if fact.kind == "publisher"}
-    return render(
+    return visibility.render_home(
         context,
         request,
+        home,
         "way.html",
-        live=True,
         row=row,
         rows=len(busy.rows),
         page_rows=flow.MAX_ROWS,
         shown=busy.rows[row : row + flow.MAX_ROWS],
         flow=flow.draw(part, visibility.refused_names(denied), names_of(request).title),
         running=running,
-        again=visibility.again(home),
         refused=sorted(told, key=lambda each: -each.at)[:MAX_REFUSED],
         more_refused=max(0, len(told) - MAX_REFUSED),
-        without_master=home.without_master,
     )
 
 

@@ -1,20 +1,14 @@
-"""What most pages begin with: nodes, grants and the graph, asked of the service, as a matrix.
+"""Who sees what: the matrix, one topic as each receiver sees it, a node, a grant; and the report to print.
 
-Without a master there is no graph and there are no denials: pages show the rest and say so.
-
-Who sees what: the whole matrix, a part at a time, and one topic as each receiver sees it.
-
-One node: its identity, what it sees and sends, its grants; and one grant.
-
-The report to print: every field, every receiver, how, why, until when, of all that is granted.
-
-`rossec privacy --html` writes the same from the policy, as a file of its own (`write`).
+Most pages begin with the same `load`: nodes, grants and the graph, asked of the service, as a matrix. Without
+a master there is no graph and there are no denials: pages show the rest and say so. `rossec privacy --html`
+writes the report from the policy, as a file of its own (`write`).
 """
 
 import logging
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from starlette.requests import Request
 from starlette.responses import Response
@@ -69,15 +63,14 @@ class Overview(NamedTuple):
     def ending(self) -> frozenset[str]:
         grants = [each for each in self.held if each.is_ending]
         keys = {each.grant.holder for each in grants}
-        return frozenset(
-            {each.view.id.hex() for each in grants}
-            | {each.key.hex() for each in self.nodes if self._may_still_be_used(each, keys)}
-        )
-
-    def _may_still_be_used(self, node: NodeView, keys: set[bytes]) -> bool:
-        if not node.revoked_at or node.not_after <= self.now:
-            return False
-        return node.key in keys or not self.heard.has(node.revoked_at, keeps=False)
+        nodes = {
+            each.key.hex()
+            for each in self.nodes
+            if each.revoked_at
+            and each.not_after > self.now
+            and (each.key in keys or not self.heard.has(each.revoked_at, keeps=False))
+        }
+        return frozenset({each.view.id.hex() for each in grants} | nodes)
 
     def named(self, name: str) -> list[NodeView]:
         found = [node for node in self.nodes if node.name == name]
@@ -113,6 +106,14 @@ async def load(context: ConsoleContext, names: Names = NONE) -> Overview:
 def again(home: Overview) -> int:
     """In how many seconds the page looks again; 0: when something has changed."""
     return AGAIN if home.ending and not home.without_master else 0
+
+
+def render_home(
+    context: ConsoleContext, request: Request, home: Overview, template: str, **values: Any
+) -> Response:
+    """As `render`: a page of the home, which looks again while something is ending."""
+    state = {"live": True, "without_master": home.without_master, "again": again(home)}
+    return render(context, request, template, **(state | values))
 
 
 async def denials(context: ConsoleContext) -> tuple[DenialView, ...]:
@@ -188,11 +189,11 @@ async def show_who(request: Request, context: ConsoleContext) -> Response:
     receiver = position(request.query_params.get("receiver"))
     part = home.matrix.window(slice(row, row + ROWS), slice(receiver, receiver + RECEIVERS))
     others = other_rights(home.held)
-    return render(
+    return render_home(
         context,
         request,
+        home,
         "who.html",
-        live=True,
         matrix=part,
         row=row,
         receiver=receiver,
@@ -202,8 +203,6 @@ async def show_who(request: Request, context: ConsoleContext) -> Response:
         page_receivers=RECEIVERS,
         others=others[:MAX_OTHERS],
         more=max(0, len(others) - MAX_OTHERS),
-        without_master=home.without_master,
-        again=again(home),
     )
 
 
@@ -228,24 +227,17 @@ async def see(request: Request, context: ConsoleContext) -> Response:
     row = home.matrix.row(name)
     if row is None:
         raise HttpRefused(f"no grant and no node names {words.name(name)}", "see who sees what", status=404)
-    cells = sorted(row.cells, key=lambda cell: (_order(row, cell.receiver), cell.receiver))
-    return render(
+    cells = sorted(row.cells, key=lambda cell: ([*Access].index(cell.access), cell.receiver))
+    return render_home(
         context,
         request,
+        home,
         "see.html",
-        live=True,
         row=row,
         cells=cells[:MAX_CELLS],
         more=max(0, len(cells) - MAX_CELLS),
         comparison=comparison(context, row),
-        without_master=home.without_master,
-        again=again(home),
     )
-
-
-def _order(row: TopicRow, receiver: str) -> int:
-    access = next(cell.access for cell in row.cells if cell.receiver == receiver)
-    return [*Access].index(access)
 
 
 WHO_PAGES: Final = (Page("/who", ("GET",), show_who), Page("/see/{topic:path}", ("GET",), see))
@@ -285,11 +277,11 @@ async def show_node(request: Request, context: ConsoleContext) -> Response:
     events = await context.service.events(0, _ENTRIES)
     known = Known.of(home.held, home.nodes, ending=home.ending)
     told = [each for each in story(events, await denials(context), known) if each.node == name]
-    return render(
+    return render_home(
         context,
         request,
+        home,
         "node.html",
-        live=True,
         name=name,
         identities=identities,
         seen=seen[:MAX_ROWS],
@@ -300,9 +292,7 @@ async def show_node(request: Request, context: ConsoleContext) -> Response:
         more_grants=max(0, len(grants) - MAX_GRANTS),
         sentences=told[:THINGS],
         is_master=is_master_name(name),
-        without_master=home.without_master,
         is_ending=identities[0].key.hex() in home.ending,
-        again=again(home),
     )
 
 
@@ -341,22 +331,16 @@ async def grant(request: Request, context: ConsoleContext) -> Response:
         )
         for each in held.grant.permissions
     ]
-    return render(
+    return render_home(
         context,
         request,
+        home,
         "grant.html",
-        live=True,
         held=held,
         lines=lines,
         line=grant_line(held, context.clock()),
-        holder=_holder(home, held),
-        without_master=home.without_master,
-        again=again(home),
+        holder=any(node.key == held.grant.holder and not node.revoked_at for node in home.nodes),
     )
-
-
-def _holder(home: Overview, held: HeldGrant) -> bool:
-    return any(node.key == held.grant.holder and not node.revoked_at for node in home.nodes)
 
 
 NODES_PAGES: Final = (Page("/node/{name:path}", ("GET",), show_node), Page("/grant/{id}", ("GET",), grant))
@@ -369,17 +353,15 @@ async def show_privacy(request: Request, context: ConsoleContext) -> Response:
     first = position(request.query_params.get("row"))
     types = {fact.name: fact.node for fact in home.facts if fact.kind == "type"}
     found = topics(held_accesses(home.held, types, names_of(request).type_of), layout_of)
-    return render(
+    return render_home(
         context,
         request,
+        home,
         "privacy.html",
-        live=True,
         topics=found[first : first + TOPICS],
         row=first,
         rows=len(found),
         page_rows=TOPICS,
-        without_master=home.without_master,
-        again=again(home),
     )
 
 

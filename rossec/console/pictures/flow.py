@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final, TypeAlias
 
 from rossec.console.matrix import Access, Matrix
-from rossec.console.pictures.svg import Element, Point, along, curve, cut, drawing, label, path
+from rossec.console.pictures.svg import Element, Point, along, box, curve, cut, drawing, label, path
 
 MAX_ROWS: Final = 12
 Line: TypeAlias = tuple[Point, Point]
@@ -44,7 +44,9 @@ def draw(
         for name in row.publishers
         if name in left
     ]
-    parts = [*_heads(), *sent, *_seen(shown, middle, right)]
+    columns = ((_SENDERS, "comes from"), (_TOPICS, "what"), (_RECEIVERS, "is seen by"))
+    heads = [label(column[0], 16, text, "head") for column, text in columns]
+    parts = [*heads, *sent, *_seen(shown, middle, right)]
     parts += _column(left, _SENDERS, "box end", title) + _column(middle, _TOPICS, "box", title)
     parts += _column(right, _RECEIVERS, "box end", title)
     stubs = [_stub(right[name], names) for name, names in ends.items() if name in right]
@@ -55,13 +57,6 @@ def draw(
 
 def _first(names: Iterable[str]) -> list[str]:
     return list(dict.fromkeys(names))[:MAX_ROWS]
-
-
-def _heads() -> list[Element]:
-    return [
-        label(column[0], 16, text, "head")
-        for column, text in ((_SENDERS, "comes from"), (_TOPICS, "what"), (_RECEIVERS, "is seen by"))
-    ]
 
 
 def _spread(names: Sequence[str], height: float) -> dict[str, float]:
@@ -83,22 +78,8 @@ def _column(
                 label(middle, y - 2, short, "box-title", "middle"),
                 label(middle, y + 13, cut(name, most), "box-name", "middle"),
             ]
-        boxes.append(
-            Element(
-                "g",
-                Element("title", f"{called} {name}".strip()),
-                Element(
-                    "rect",
-                    x=left + 0.5,
-                    y=y - _BOX / 2,
-                    width=right - left - 1,
-                    height=_BOX,
-                    rx=9.0,
-                    class_=class_,
-                ),
-                *texts,
-            )
-        )
+        frame = box(left + 0.5, y - _BOX / 2, right - left - 1, _BOX, 9.0, class_)
+        boxes.append(Element("g", Element("title", f"{called} {name}".strip()), frame, *texts))
     return boxes
 
 

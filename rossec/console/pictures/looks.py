@@ -1,21 +1,9 @@
 """What a topic looks like to each of its receivers: one picture for each way to see it. Pure.
 
-A type has a picture (`place`, `laser`, `image`, `series`) or its fields as text, with those struck
-that a receiver does not get. All receivers with the same restrictions share one.
-
-A camera picture as a receiver gets it: small, as PNG in the page. Pure.
-
-The last one is shown. An encoding that is not in the table is not drawn, and neither is one whose
-bytes do not have the size that its header says.
-
-A laser scan: the room as its rays met it, from above. Pure.
-
-The last scan is drawn. Rounded distances show as rings, removed ones as an empty circle.
-
-A number over the last minute, as a line. Pure.
-
-What is drawn is the first number of a message that changes, or its first at all. A rounded one is a
-staircase, which a line through its points shows by itself.
+A type has a picture (a place, a laser scan from above, a camera picture as PNG in the page, a number over the
+last minute as a line) or its fields as text, with those struck that a receiver does not get. All receivers
+with the same restrictions share one. Of pictures and scans the last is drawn; rounded distances show as
+rings, removed ones as an empty circle, and a rounded number as a staircase.
 """
 
 import base64
@@ -65,6 +53,8 @@ def draw_image(seen: SeenTopic) -> Element | None:
     return drawing(IMAGE_WIDTH, height, f"The picture that {seen.receiver} sees", shown, class_="camera")
 
 
+# An encoding that is not in the table is not drawn, nor one whose bytes do not have the size that its header
+# says.
 def _picture(seen: SeenTopic) -> Image.Image | None:
     if not seen.samples:
         return None
@@ -269,7 +259,8 @@ def compare(recorded: Recorded, cells: Iterable[Cell]) -> Comparison:
             ways.setdefault(cell.restrictions, []).append(cell)
     groups = sorted(ways.values(), key=lambda group: (bool(group[0].restrictions), group[0]))
     shown = groups[:MAX_LOOKS]
-    recorded = recorded._replace(messages=recorded.messages[-_newest(recorded.type) :])
+    newest = _LAST if recorded.type in (SCAN_TYPE, IMAGE_TYPE) else MAX_MESSAGES  # of these the last is drawn
+    recorded = recorded._replace(messages=recorded.messages[-newest:])
     exact = try_see(recorded, "", ())
     if exact is None:
         return Comparison(recorded.topic, recorded.type, (), 0, recorded.is_made_up)
@@ -278,11 +269,6 @@ def compare(recorded: Recorded, cells: Iterable[Cell]) -> Comparison:
     drawer = _drawer(exact, [each for each in seen if each], cells, minutes(recorded))
     looks = tuple(_look(drawer, group, each) for group, each in zip(shown, seen, strict=True))
     return Comparison(recorded.topic, recorded.type, looks, len(groups) - len(shown), recorded.is_made_up)
-
-
-def _newest(kind: str) -> int:
-    # How many messages are looked at: of a picture or a scan only the last is drawn.
-    return _LAST if kind in (SCAN_TYPE, IMAGE_TYPE) else MAX_MESSAGES
 
 
 class _Drawer(NamedTuple):
@@ -321,8 +307,12 @@ def _look(drawer: _Drawer, group: Sequence[Cell], seen: SeenTopic | None) -> Loo
         return Look(receivers, "gets none of these", caption, cell.access, None, ())
     heading, detail, picture = _looks_picture(drawer, cell, seen)
     caption = ": ".join(filter(None, (detail, cell.words)))
-    lines = () if picture is not None else _fields(seen, cell)
-    return Look(receivers, heading, printable(caption, 400), cell.access, picture, lines)
+    lines: list[FieldLine] = []
+    if picture is None:
+        rules = [rule for each in cell.restrictions for rule in each.filters]
+        _walk(seen.samples[-1].fields, "", rules, lines)
+    text = printable(caption, 400)
+    return Look(receivers, heading, text, cell.access, picture, tuple(lines[:MAX_FIELDS]))
 
 
 def _looks_picture(drawer: _Drawer, cell: Cell, seen: SeenTopic) -> tuple[str, str, Element | None]:
@@ -352,13 +342,6 @@ def _place(frame: place.Frame, cell: Cell, seen: SeenTopic, during: str) -> tupl
         return "sees which square", f"{squares} {during}", picture
     places = words.count(number, "place")
     return "sees the exact place", f"{places} {during}", picture
-
-
-def _fields(seen: SeenTopic, cell: Cell) -> tuple[FieldLine, ...]:
-    rules = [rule for each in cell.restrictions for rule in each.filters]
-    found: list[FieldLine] = []
-    _walk(seen.samples[-1].fields, "", rules, found)
-    return tuple(found[:MAX_FIELDS])
 
 
 def _walk(fields: Mapping[str, Any], above: str, rules: list[FilterRule], found: list[FieldLine]) -> None:

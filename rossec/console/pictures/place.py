@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from grants.model import FilterRule, Restriction
-from rossec.console.pictures.svg import Element, Point, drawing, label, path
+from rossec.console.pictures.svg import Element, Point, box, drawing, label, path
 from rossec.console.samples import Sample, SeenTopic
 
 WIDTH, HEIGHT = 300.0, 250.0
@@ -71,12 +71,7 @@ def frame_of(seen: Iterable[SeenTopic], restrictions: Iterable[Restriction] = ()
 
 
 def cells_of(restrictions: Iterable[Restriction], origin: Point | None = None) -> list[Extent]:
-    found = []
-    for restriction in restrictions:
-        cell = _cell(restriction, origin)
-        if cell is not None:
-            found.append(cell)
-    return found
+    return [cell for each in restrictions if (cell := _cell(each, origin)) is not None]
 
 
 def draw(seen: SeenTopic, frame: Frame, cell: Extent | None) -> Element | None:
@@ -168,7 +163,8 @@ def _is_near(point: Point) -> bool:
 
 
 def _paper(frame: Frame, cell: Extent | None) -> Element:
-    wide, high = cell or _metres(frame)
+    metres = _round_length(frame.width / 11)
+    wide, high = cell or (metres, metres)
     lines: list[Element] = [Element("rect", width=WIDTH, height=HEIGHT, class_="ground", rx=8.0)]
     reach = frame.width * HEIGHT / WIDTH / 2
     for x in _steps(frame.x - frame.width / 2, frame.x + frame.width / 2, wide, cell is not None):
@@ -178,11 +174,6 @@ def _paper(frame: Frame, cell: Extent | None) -> Element:
         up = frame.at((0.0, y))[1]
         lines.append(Element("line", x1=0.0, y1=up, x2=WIDTH, y2=up, class_="grid"))
     return Element("g", *lines)
-
-
-def _metres(frame: Frame) -> Extent:
-    step = _round_length(frame.width / 11)
-    return step, step
 
 
 def _steps(low: float, high: float, step: float, between: bool) -> list[float]:
@@ -258,19 +249,8 @@ def _squares(points: list[Point], frame: Frame, cell: Extent) -> list[Element]:
         x, y = frame.at(point)
         shade = max(1, math.ceil(_SHADES * times / most))
         now = " now" if point == points[-1] else ""
-        squares.append(_box(x, y, wide, high, f"square shade{shade}{now}"))
+        left, right = min(max(x - wide / 2, 0.0) + 1, WIDTH - 2), min(x + wide / 2, WIDTH) - 1
+        top, bottom = min(max(y - high / 2, 0.0) + 1, HEIGHT - 2), min(y + high / 2, HEIGHT) - 1
+        size = max(right - left, 1.0), max(bottom - top, 1.0)
+        squares.append(box(left, top, *size, 4.0, f"square shade{shade}{now}"))
     return squares
-
-
-def _box(x: float, y: float, wide: float, high: float, class_: str) -> Element:
-    left, right = min(max(x - wide / 2, 0.0) + 1, WIDTH - 2), min(x + wide / 2, WIDTH) - 1
-    top, bottom = min(max(y - high / 2, 0.0) + 1, HEIGHT - 2), min(y + high / 2, HEIGHT) - 1
-    return Element(
-        "rect",
-        x=left,
-        y=top,
-        width=max(right - left, 1.0),
-        height=max(bottom - top, 1.0),
-        rx=4.0,
-        class_=class_,
-    )

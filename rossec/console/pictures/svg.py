@@ -105,6 +105,10 @@ def along(start: Point, end: Point, at: float) -> Point:
     )
 
 
+def box(left: float, top: float, width: float, height: float, rx: float, class_: str) -> Element:
+    return Element("rect", x=left, y=top, width=width, height=height, rx=rx, class_=class_)
+
+
 def label(x: float, y: float, text: str, class_: str = "", anchor: str = "start") -> Element:
     return Element("text", text, x=x, y=y, class_=class_, text_anchor=anchor)
 

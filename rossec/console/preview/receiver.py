@@ -33,13 +33,7 @@ _log = logging.getLogger("rossec.console")
 
 
 class PreviewReceiver:
-    """Receives as `/console`, and writes frames.
-
-    Args:
-        writer: to the pages.
-        environ: of the node.
-        period: seconds between two looks for topics.
-    """
+    """Receives as `/console`, and writes frames."""
 
     def __init__(
         self, writer: asyncio.StreamWriter, environ: Mapping[str, str], period: float = PERIOD
@@ -57,14 +51,7 @@ class PreviewReceiver:
                     tasks = TaskSet()
                     try:
                         while True:
-                            found = await node.topic_types()
-                            await self._end_lost(node)
-                            for topic, kind in sorted(found.items()):
-                                if self._is_new(node, topic):
-                                    with suppress(AnswerRefused, MessageError):  # ended since; unknown type
-                                        subscriber = await node.subscriber(topic, kind)
-                                        self._subscribers[topic] = subscriber
-                                        tasks.spawn(self._pass_on(subscriber, kind), f"preview of {topic}")
+                            await self._look(node, tasks)
                             await asyncio.sleep(self._period)
                     finally:
                         await tasks.close()
@@ -73,18 +60,20 @@ class PreviewReceiver:
             self._subscribers.clear()
             await asyncio.sleep(_RETRY)
 
-    def _is_new(self, node: Node, topic: str) -> bool:
-        return (
-            topic not in self._subscribers
-            and len(self._subscribers) < MAX_TOPICS
-            and node.access.holds(Right.SUBSCRIBE, topic, clock.now())
-        )
+    async def _look(self, node: Node, tasks: TaskSet) -> None:
+        def may_see(topic: str) -> bool:
+            return node.access.holds(Right.SUBSCRIBE, topic, clock.now())
 
-    async def _end_lost(self, node: Node) -> None:
-        # Unsubscribe from what it may not receive any more.
+        found = await node.topic_types()
         for topic in tuple(self._subscribers):
-            if not node.access.holds(Right.SUBSCRIBE, topic, clock.now()):
+            if not may_see(topic):
                 await self._subscribers.pop(topic).close()
+        for topic, kind in sorted(found.items()):
+            if topic in self._subscribers or len(self._subscribers) >= MAX_TOPICS or not may_see(topic):
+                continue
+            with suppress(AnswerRefused, MessageError):  # ended since; unknown type
+                self._subscribers[topic] = await node.subscriber(topic, kind)
+                tasks.spawn(self._pass_on(self._subscribers[topic], kind), f"preview of {topic}")
 
     async def _pass_on(self, subscriber: Subscriber, kind: str) -> None:
         next_at = 0.0

@@ -1,9 +1,11 @@
 """Pictures and what was read in them, between web process, supervisor and worker. Pure.
 
-A frame is a length (4 bytes, network byte order) and so many bytes: a picture as it came one way,
-`[0, text]` (empty: no code) or `[1, message, hint]` in deterministic CBOR the other way.
+A picture is read in a process without rights (`worker`); neither of the other two decodes anything. A frame
+is a length (4 bytes, network byte order) and so many bytes: a picture as it came one way, `[0, text]` (empty:
+no code) or `[1, message, hint]` in deterministic CBOR the other way.
 """
 
+from functools import partial
 from typing import Final, NamedTuple
 
 from ca.encoding import decode, encode
@@ -23,8 +25,6 @@ class Found(NamedTuple):
 
 
 class Unreadable(NamedTuple):
-    """Why a picture could not be read."""
-
     message: str
     hint: str
 
@@ -34,11 +34,13 @@ def frame(body: bytes) -> bytes:
 
 
 def size(head: bytes, limit: int) -> int:
-    """The number of bytes after a frame's head."""
     found = int.from_bytes(head)
     if not 0 < found <= limit:
         raise KeyMessageRefused(f"a picture's frame of {found} bytes where {limit} are allowed")
     return found
+
+
+answer_size: Final = partial(size, limit=MAX_ANSWER)
 
 
 def write_answer(answer: Found | Unreadable) -> bytes:

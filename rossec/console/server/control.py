@@ -1,28 +1,30 @@
-"""Between the supervisor and its web process: frames over a socketpair. Pure.
+"""Between the supervisor and its web process: what a console was started with, and frames. Pure.
 
-A frame is a length (4 bytes, network byte order) and so many bytes of deterministic CBOR: a word of
-`WORDS` and its arguments. Whichever side ends, the other sees the end of the stream.
-
-What a console was started with: its addresses, and what follows from them. Pure.
-
-An origin is what a browser sends as `Origin` (RFC 6454): scheme, name, and the port unless it is
-the scheme's own. The first one is the console's address as people are told it.
+A frame (`messages`) is deterministic CBOR: a word of `WORDS` and its arguments. Whichever side ends, the
+other sees the end of the stream.
 """
 
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Final, NamedTuple
 from urllib.parse import urlsplit
 
-from ca.encoding import Value, decode, encode
+from ca.encoding import Value, decode
 from ca.errors import EncodingError
-from rossec.authority.keyservice.messages import HEAD
+from rossec.authority.keyservice import messages
 from rossec.errors import KeyMessageRefused
 
+MAX_FRAME: Final = 128 * 1024
 LIFETIME: Final = 8 * 3600  # seconds of a session
 IDLE: Final = 30 * 60  # seconds without use after which a session ends
 ON_THE_WALL: Final = 90 * 86400  # seconds of a session that can only look, which nobody touches
+READY, CERTIFICATE = "ready", "certificate"
+WORDS: Final[Mapping[str, tuple[type, ...]]] = {
+    READY: (),  # from the web process: it serves
+    CERTIFICATE: (bytes,),  # from the supervisor: key and chain, PEM, for connections from now on
+}
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,8 @@ class Settings:
 
     Args:
         domain: the trust domain's name.
-        origins: the addresses under which it is used; of the first one are links and passkeys.
+        origins: the addresses under which it is used, as browsers send them as `Origin` (RFC 6454); of the
+            first one are links and passkeys.
         users: user ids whose programs on this host may connect; None: it is not on localhost.
         hsts: whether browsers shall insist on https for this name.
         read_only: whether pages only show.
@@ -77,23 +80,16 @@ def read_settings(text: str) -> Settings:
     return Settings(**fields)
 
 
-MAX_FRAME: Final = 128 * 1024
-
-READY, CERTIFICATE = "ready", "certificate"
-WORDS: Final[Mapping[str, tuple[type, ...]]] = {
-    READY: (),  # from the web process: it serves
-    CERTIFICATE: (bytes,),  # from the supervisor: key and chain, PEM, for connections from now on
-}
-
-
 class ControlMessage(NamedTuple):
     word: str
     arguments: tuple[Value, ...] = ()
 
 
 def write(word: ControlMessage) -> bytes:
-    body = encode([word.word, *word.arguments])
-    return len(body).to_bytes(HEAD) + body
+    return messages.frame([word.word, *word.arguments])
+
+
+frame_size: Final = partial(messages.frame_size, limit=MAX_FRAME)
 
 
 def read(body: bytes) -> ControlMessage:

@@ -1,21 +1,9 @@
 """uvicorn in this process's loop, with limits that it lacks: for what comes before a whole head.
 
-No access log: a path can name a robot. No server header, no headers of a proxy read, no websockets.
-A connection has a deadline for every request's head, so nobody holds one by sending a byte a
-minute, and a place from `accept` until it is closed (`places`); what cannot be read is not
-answered.
-
-On localhost: whether the program at the other end belongs to this user.
-
-Cookies know no ports, and every user of a host reaches every port of it; so the user of the TCP
-peer is looked up for each request. Root is refused like any other user unless the console runs as
-root: it could take what it wants anyway, and a browser run as root by mistake should not.
-
-The places of the console's connections: shares by source, then by who is logged in. Pure.
-
-A connection takes a place when it is accepted, before TLS begins, and keeps it until it is closed.
-Where all are taken, one of the source that has most makes room (`rossec.net.limits`). One on
-which a session was shown moves to the places of sessions: strangers end none of those.
+No access log: a path can name a robot. No server header, no headers of a proxy read, no websockets. A
+connection has a deadline for every request's head, so nobody holds one by sending a byte a minute; what
+cannot be read is not answered. It takes a place when it is accepted, before TLS begins, and keeps it until it
+is closed (`ConnectionShares`).
 """
 
 import asyncio
@@ -40,11 +28,26 @@ from rossec.host.runner import TaskSet
 from rossec.net.aio.server import ACCEPT_PAUSE
 from rossec.net.limits import HalfOpen, HalfOpenCount, HalfOpenSlot
 
+HEAD_TIME: Final = 15.0  # seconds for a request's head, from the connection or the answer before
+MAX_HEAD: Final = 16 * 1024
+KEEP_ALIVE: Final = 10  # seconds between two requests
+PLACE: Final = "rossec.place"  # in a request's scope: the place of its connection
+_ACCEPTS_PER_TURN: Final = 16
+STRANGERS: Final = HalfOpen(per_address=64, total=256)  # a browser has six, and a page one for news
+SESSIONS: Final = HalfOpen(per_address=32, total=128)  # of one phone, or of one session to look
+OTHER_USERS: Final = HalfOpen(per_address=8, total=8)  # of this host; they are told, and no more
+PROXIES: Final = HalfOpen(per_address=256, total=256)  # at a unix socket, where all have no address
 _HINT: Final = "open it in a browser of the user who started the console"
+_log = logging.getLogger("rossec.console")
 
 
 def check_peer(scope: Mapping[str, Any], users: frozenset[int] | None) -> None:
-    """Return if the connection of a request may be used; `users` None: anybody's may."""
+    """Return if the connection of a request may be used; `users` None: anybody's may.
+
+    Cookies know no ports, and every user of a host reaches every port of it; so the user of the TCP peer is
+    looked up for each request. Root is refused like any other user unless the console runs as root: it could
+    take what it wants anyway, and a browser run as root by mistake should not.
+    """
     if users is None:
         return
     client, server = scope.get("client"), scope.get("server")
@@ -56,12 +59,6 @@ def check_peer(scope: Mapping[str, Any], users: frozenset[int] | None) -> None:
         raise PeerUserRefused("nobody knows whose connection this is", _HINT) from error
     if holder is None or holder.user not in users or not local_sockets.is_known(holder.user):
         raise PeerUserRefused("this console belongs to another user of this computer", _HINT)
-
-
-STRANGERS: Final = HalfOpen(per_address=64, total=256)  # a browser has six, and a page one for news
-SESSIONS: Final = HalfOpen(per_address=32, total=128)  # of one phone, or of one session to look
-OTHER_USERS: Final = HalfOpen(per_address=8, total=8)  # of this host; they are told, and no more
-PROXIES: Final = HalfOpen(per_address=256, total=256)  # at a unix socket, where all have no address
 
 
 class Place:
@@ -87,6 +84,12 @@ class Place:
 
 
 class ConnectionShares:
+    """The places of the console's connections: shares by source, then by who is logged in.
+
+    Where all are taken, one of the source that has most makes room (`rossec.net.limits`). One on which a
+    session was shown moves to the places of sessions: strangers end none of those.
+    """
+
     def __init__(self) -> None:
         self._strangers = HalfOpenCount(STRANGERS)
         self._sessions = HalfOpenCount(SESSIONS)
@@ -102,15 +105,6 @@ class ConnectionShares:
         count = self._other_users if is_other_user else others
         slot = count.admit(address)
         return None if slot is None else Place(slot, self._sessions)
-
-
-HEAD_TIME: Final = 15.0  # seconds for a request's head, from the connection or the answer before
-MAX_HEAD: Final = 16 * 1024
-KEEP_ALIVE: Final = 10  # seconds between two requests
-PLACE: Final = "rossec.place"  # in a request's scope: the place of its connection
-_ACCEPTS_PER_TURN: Final = 16
-
-_log = logging.getLogger("rossec.console")
 
 
 class BoundedProtocol(H11Protocol):
@@ -212,7 +206,6 @@ class ConsoleServer:
         self.places = ConnectionShares()
 
     async def start(self, sockets: Iterable[socket.socket]) -> None:
-        """Serve at each of the sockets."""
         for sock in sockets:
             sock.setblocking(False)
             self._listening.append(sock)
@@ -239,7 +232,7 @@ class ConsoleServer:
                 sock.close()
                 continue
             sock.setblocking(False)
-            place.closed_by(partial(_end, sock))
+            place.closed_by(partial(_shut_down, sock))
             self._beginning.spawn(self._begin(sock, place), name="a connection of the console")
 
     def _place_for(self, sock: socket.socket, where: Any) -> Place | None:
@@ -251,11 +244,12 @@ class ConsoleServer:
                 return None
             return self.places.take("", is_other_user=False)
         scope = {"client": where[:2], "server": sock.getsockname()[:2]}
+        is_other_user = False
         try:
             check_peer(scope, self._users)
         except PeerUserRefused:  # a few of them are told so, by the guard
-            return self.places.take(where[0], is_other_user=True)
-        return self.places.take(where[0], is_other_user=False)
+            is_other_user = True
+        return self.places.take(where[0], is_other_user=is_other_user)
 
     async def _begin(self, sock: socket.socket, place: Place) -> None:
         loop = asyncio.get_running_loop()
@@ -273,7 +267,6 @@ class ConsoleServer:
                 place.release()
 
     async def close(self) -> None:
-        """Stop, and end every connection."""
         while self._listening:
             sock = self._listening.pop()
             asyncio.get_running_loop().remove_reader(sock.fileno())
@@ -288,6 +281,6 @@ class ConsoleServer:
         await asyncio.gather(*self._state.tasks, return_exceptions=True)
 
 
-def _end(sock: socket.socket) -> None:
+def _shut_down(sock: socket.socket) -> None:
     with suppress(OSError):
         sock.shutdown(socket.SHUT_RDWR)

@@ -1,18 +1,11 @@
-"""Certificates for the console's server: whose turn it is to be replaced, and by what.
+"""The console's certificates: of the TLS authority on disk, or the operator's files, kept new. A shell.
 
-A source gives bundles: the private key and the chain, both PEM. It is asked again every minute; a
-bundle is given when it is a new one, so the server goes on without a restart. What cannot be used
-is refused at the start; later the bundle of before stays, and the log says why.
-
-The TLS authority on disk: `tls.key` and `tls.pem` in the console's own directory. A shell.
-
-The key is made with mode 0600 and O_EXCL, never printed, and left out of backups: who restores the
-authority of the robots makes a new one for browsers. A key and a certificate that do not belong
-together, as a crash between the two leaves them, are refused; `renew` makes both anew.
-
-Which certificates an endpoint shows, checked before anything listens. A shell.
-
-Keeps the server's certificate new while the console runs. A shell around `certificates`.
+A source gives bundles: the private key and the chain, both PEM. It is asked again every minute; a bundle is
+given when it is a new one, so the server goes on without a restart. What cannot be used is refused at the
+start; later the bundle of before stays, and the log says why. The authority's key (`tls.key`) is made with
+mode 0600 and O_EXCL, never printed, and left out of backups: who restores the authority of the robots makes a
+new one for browsers. A key and a certificate that do not belong together, as a crash between the two leaves
+them, are refused; `renew` makes both anew.
 """
 
 import asyncio
@@ -20,6 +13,7 @@ import logging
 import os
 import secrets
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol
@@ -43,11 +37,14 @@ from rossec.host import addresses
 
 DIRECTORY: Final = messages.DIRECTORY
 KEY, CERTIFICATE = messages.TLS_KEY, messages.TLS_CERTIFICATE
+PERIOD: Final = 60.0  # seconds between two looks
 _MAX_FILE: Final = 8 * 1024
+_MAX_CHAIN: Final = 64 * 1024
 _NONE: Final = ConfigurationError(
     "the console has no TLS authority", "make one: rossec console tls --renew, or --lan"
 )
 _RENEW: Final = "make a new one: rossec console tls --renew"
+_log = logging.getLogger("rossec.console")
 
 
 def open_authority(directory: Path) -> TlsAuthority:
@@ -124,11 +121,6 @@ def _read_key(path: Path) -> ec.EllipticCurvePrivateKey:
     return key
 
 
-PERIOD: Final = 60.0  # seconds between two looks
-_CERTIFICATES_MAX_FILE: Final = 64 * 1024
-_log = logging.getLogger("rossec.console")
-
-
 class CertificateSource(Protocol):
     def first(self, now: int) -> bytes: ...
 
@@ -136,13 +128,7 @@ class CertificateSource(Protocol):
 
 
 class OwnCertificates:
-    """Issued by the console's own authority, each with a new key, which is in memory alone.
-
-    Args:
-        authority: issues them.
-        address: of this host now; None: it has none that others reach.
-        serial: makes random serials.
-    """
+    """Issued by the console's own authority, each with a new key, which is in memory alone."""
 
     def __init__(self, authority: TlsAuthority, address: Address | None, serial: Callable[[], int]) -> None:
         self._authority = authority
@@ -184,7 +170,11 @@ class FileCertificates:
 
     def first(self, now: int) -> bytes:
         self._state = self._look()
-        chain, key = (_read(path) for path in self._paths)
+        missing = (ConfigurationError(f"there is no {path}", "name a PEM file") for path in self._paths)
+        chain, key = (
+            files.read_own(path, _MAX_CHAIN, error, link=True)
+            for path, error in zip(self._paths, missing, strict=True)
+        )
         check_bundle(chain, key, self._name, now)
         return key.rstrip() + b"\n" + chain
 
@@ -228,29 +218,19 @@ def check_bundle(chain: bytes, key: bytes, name: str, now: int) -> None:
         )
     if now > _end(leaf):
         raise ConfigurationError("the certificate of --tls-cert has expired", "renew it")
-    if not _names(leaf, name):
+    names = set[str]()
+    with suppress(x509.ExtensionNotFound):
+        found = leaf.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        names = {each.lower() for each in found.get_values_for_type(x509.DNSName)}
+    # Its name, or a wildcard for its first label (RFC 9525 section 6.3).
+    if names.isdisjoint({name, f"*.{name.partition('.')[2]}"}):
         raise ConfigurationError(
             f"the certificate of --tls-cert is not for {name}", "give its name with --name"
         )
 
 
-def _names(leaf: x509.Certificate, name: str) -> bool:
-    # Whether `leaf` has `name`, or a wildcard for its first label (RFC 9525 section 6.3).
-    try:
-        found = leaf.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    except x509.ExtensionNotFound:
-        return False
-    names = {each.lower() for each in found.get_values_for_type(x509.DNSName)}
-    return not names.isdisjoint({name, f"*.{name.partition('.')[2]}"})
-
-
 def _end(certificate: x509.Certificate) -> int:
     return int(certificate.not_valid_after_utc.timestamp())
-
-
-def _read(path: Path) -> bytes:
-    missing = ConfigurationError(f"there is no {path}", "name a PEM file")
-    return files.read_own(path, _CERTIFICATES_MAX_FILE, missing, link=True)
 
 
 class TlsSetup(NamedTuple):
@@ -277,9 +257,9 @@ def prepare_tls(endpoint: Endpoint, directory: Path, now: int, *, rename: bool) 
         return TlsSetup(OwnCertificates(authority, host, random_serial), authority)
     if endpoint.tls_certificate is None or endpoint.tls_key is None:
         raise ConfigurationError("a certificate needs its key", "give --tls-cert and --tls-key")
-    files = FileCertificates(endpoint.tls_certificate, endpoint.tls_key, endpoint.name)
-    files.first(now)
-    return TlsSetup(files)
+    source = FileCertificates(endpoint.tls_certificate, endpoint.tls_key, endpoint.name)
+    source.first(now)
+    return TlsSetup(source)
 
 
 Install = Callable[[bytes], Awaitable[None]]

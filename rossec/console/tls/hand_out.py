@@ -1,15 +1,10 @@
-"""The page that hands the TLS authority's certificate to a phone: plain HTTP, for ten minutes.
+"""Hands the TLS authority's certificate to a phone: plain HTTP, for ten minutes, in a process of its own.
 
-Plain, because the phone trusts nothing here yet: whoever is on the network can change the page. So
-it does not show the fingerprint (an attacker's page would show the attacker's): it tells the reader
-to compare what the phone shows with what the terminal shows. It knows no state, reads no header and
-no body, and answers GET of two paths.
-
-The process that hands the TLS authority's certificate out, and ends by itself. A shell.
-
-`python -I -m rossec.console.tls.hand_out`: it talks to whoever is on the network, so it is
-confined as the web process is, and has nothing but the certificate. It is not the web process: that
-one never speaks plain HTTP to the network.
+Plain, because the phone trusts nothing here yet: whoever is on the network can change the page. So it does
+not show the fingerprint (an attacker's page would show the attacker's): it tells the reader to compare what
+the phone shows with what the terminal shows. It knows no state, reads no header and no body, and answers GET
+of two paths. The process (`python -I -m rossec.console.tls.hand_out`) is confined as the web process is,
+which never speaks plain HTTP to the network, has nothing but the certificate, and ends by itself.
 """
 
 import asyncio
@@ -34,9 +29,11 @@ from rossec.console.listening import listen_tcp
 from rossec.console.options import HAND_OUT_PORT
 from rossec.console.server.serving import ConsoleServer
 from rossec.errors import ConfigurationError
-from rossec.host.confinement import confine_files, confine_processes
+from rossec.host.workers import run_confined, start_worker, worker_command
 
+MODULE: Final = "rossec.console.tls.hand_out"
 SECONDS: Final = 600
+END: Final = 5.0  # seconds until it is killed
 PAGE: Final = "/"
 FILE: Final = "/rossec-console.crt"
 _OTHERS: Final = (
@@ -57,7 +54,8 @@ def documents(certificate: bytes, origin: str) -> dict[str, Document]:
 
     `origin` is the console's, where the reader goes afterwards.
     """
-    style, text = (_text(name) for name in ("hand_out.css", "hand_out.html"))
+    folder = resources.files(__package__)
+    style, text = ((folder / name).read_text("utf-8") for name in ("hand_out.css", "hand_out.html"))
     values = {"origin": html.escape(origin), "file": FILE, "style": style}
     digest = b64encode(sha256(style.encode()).digest()).decode()
     policy = f"default-src 'none'; style-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
@@ -75,38 +73,21 @@ def create_hand_out(certificate: bytes, origin: str, is_over: Callable[[], bool]
         if scope["type"] != "http":
             raise ConfigurationError("only HTTP is served here")
         document = found.get(scope["path"])
-        status = _status(scope["method"], document, over=is_over())
+        status = HTTPStatus.OK if scope["method"] == "GET" else HTTPStatus.METHOD_NOT_ALLOWED
+        status = HTTPStatus.NOT_FOUND if document is None else status
+        status = HTTPStatus.GONE if is_over() else status
         if status is not HTTPStatus.OK or document is None:
             document = Document("text/plain", status.phrase.encode(), "default-src 'none'")
-        await send({"type": "http.response.start", "status": status, "headers": _headers(document)})
+        headers = [
+            (b"content-type", document.media_type.encode()),
+            (b"content-length", str(len(document.body)).encode()),
+            (b"content-security-policy", document.policy.encode()),
+            *_OTHERS,
+        ]
+        await send({"type": "http.response.start", "status": status, "headers": headers})
         await send({"type": "http.response.body", "body": document.body})
 
     return answer
-
-
-def _status(method: str, document: Document | None, *, over: bool) -> HTTPStatus:
-    if over:
-        return HTTPStatus.GONE
-    if document is None:
-        return HTTPStatus.NOT_FOUND
-    return HTTPStatus.OK if method == "GET" else HTTPStatus.METHOD_NOT_ALLOWED
-
-
-def _headers(document: Document) -> list[tuple[bytes, bytes]]:
-    return [
-        (b"content-type", document.media_type.encode()),
-        (b"content-length", str(len(document.body)).encode()),
-        (b"content-security-policy", document.policy.encode()),
-        *_OTHERS,
-    ]
-
-
-def _text(name: str) -> str:
-    return (resources.files(__package__) / name).read_text("utf-8")
-
-
-MODULE: Final = "rossec.console.tls.hand_out"
-END: Final = 5.0  # seconds until it is killed
 
 
 @contextmanager
@@ -125,30 +106,21 @@ def handing_out(
     listening = listen_tcp(addresses, port)
     descriptors = [sock.fileno() for sock in listening]
     arguments = [",".join(map(str, descriptors)), origin, str(seconds), certificate.hex()]
-    process = subprocess.Popen(  # noqa: S603 - this program's own module
-        [sys.executable, "-I", "-m", MODULE, *arguments],
-        stdin=subprocess.PIPE,  # its end tells that the supervisor has ended
-        stdout=subprocess.DEVNULL,
-        pass_fds=descriptors,
-        env=dict(environ),
-        start_new_session=True,  # Ctrl-C is for the supervisor
-    )
+    command = [*worker_command(MODULE), *arguments]
+    # The end of its standard input tells it that the supervisor has ended.
+    process = start_worker(command, environ, descriptors, stdin=subprocess.PIPE)
     for sock in listening:
         sock.close()
     try:
         yield
     finally:
-        _end(process)
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    if process.stdin is not None:
-        process.stdin.close()
-    try:
-        process.wait(END)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
+        if process.stdin is not None:
+            process.stdin.close()
+        try:
+            process.wait(END)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
 
 
 async def serve(
@@ -175,15 +147,12 @@ def main(arguments: list[str]) -> None:
     """Run it: descriptors that listen, the console's origin, seconds, the certificate in hex."""
     descriptors, origin, seconds, data = arguments
     logging.basicConfig(level=logging.WARNING)
-    confine_files([])
-    executor = confine_processes()
-    listening = [socket.socket(fileno=int(each)) for each in descriptors.split(",")]
 
     async def run() -> None:
-        asyncio.get_running_loop().set_default_executor(executor)
+        listening = [socket.socket(fileno=int(each)) for each in descriptors.split(",")]
         await serve(listening, origin, float(seconds), bytes.fromhex(data), sys.stdin.buffer)
 
-    asyncio.run(run())
+    run_confined(run)
 
 
 if __name__ == "__main__":

@@ -1,19 +1,12 @@
-"""The console's own TLS authority: its certificate, and those it issues. Pure.
+"""The console's own TLS authority: its certificate, those it issues, and how a person compares it. Pure.
 
-A browser that trusts it must be able to trust it with nothing else, so it is never the authority of
-the robots, it issues to no other authority (pathlen 0), for TLS servers alone (extended key usage),
-and its critical name constraints permit one DNS name (with what is below it) and one address. A
-name form without a permitted subtree would be unconstrained (RFC 5280 section 4.2.1.10): so each
-form that verifiers know has one, and addresses, which have two sizes, are excluded besides.
+A browser that trusts it must be able to trust it with nothing else, so it is never the authority of the
+robots, it issues to no other authority (pathlen 0), for TLS servers alone (extended key usage), and its
+critical name constraints permit one DNS name (with what is below it) and one address.
 
-The fingerprint of the TLS authority's certificate, in hex and in eight words. Reads its table.
-
-What a phone shows of a certificate is the SHA-256 of its DER form in hex: that is what is compared
-on the phone. The words are its first 88 bits, for saying aloud (one person at the terminal, one at
-the phone that has the console open). Eight words of the PGP list would be 64 bits, which somebody
-with much hardware could match; the list of BIP-39 has 11 bits a word.
-
-The TLS authority in words for a person, and as JSON. Pure.
+What a phone shows of a certificate is the SHA-256 of its DER form in hex: that is what is compared on the
+phone. The words are its first 88 bits, for saying aloud (one person at the terminal, one at the phone that
+has the console open).
 """
 
 from dataclasses import dataclass
@@ -37,9 +30,16 @@ DAY: Final = 86400
 LIFETIME: Final = 365 * DAY
 LEAF_LIFETIME: Final = 90 * DAY
 BACKDATE: Final = 3600  # seconds; clocks of phones differ
+SOON: Final = 30 * DAY  # seconds before its end in which a person is told
+_PAIRS: Final = 16  # of the fingerprint in a line, as phones break it
+# Eight words of the PGP list would be 64 bits, which somebody with much hardware could match; BIP-39's have
+# 11 bits.
+COUNT: Final = 8
+_BITS: Final = 11
 _MAX_COMMON_NAME: Final = 64  # RFC 5280 appendix A: ub-common-name
 _EVERY: Final = (ip_network("0.0.0.0/0"), ip_network("::/0"))
 _SERVER: Final = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH])
+_LEAF: Final = "rossec console"
 _RENEW: Final = "make a new one: rossec console tls --renew"
 
 Address = IPv4Address | IPv6Address
@@ -82,7 +82,6 @@ class TlsAuthority:
 
     @classmethod
     def load(cls, key: ec.EllipticCurvePrivateKey, data: bytes) -> Self:
-        """The authority with the certificate `data` (DER)."""
         try:
             certificate = x509.load_der_x509_certificate(data)
             found = certificate.extensions.get_extension_for_class(x509.NameConstraints).value
@@ -96,7 +95,8 @@ class TlsAuthority:
             raise ConfigurationError("the console's TLS authority has the certificate of another key", _RENEW)
         networks = [each.value for each in permitted if isinstance(each, x509.IPAddress)]
         address = getattr(networks[0], "network_address", None) if networks else None
-        return cls(key, data, name, address, *_validity(certificate))
+        start, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+        return cls(key, data, name, address, int(start.timestamp()), int(end.timestamp()))
 
     def issue(
         self, key: ec.EllipticCurvePublicKey, *, now: int, serial: int, address: Address | None = None
@@ -111,6 +111,7 @@ class TlsAuthority:
         names: list[x509.GeneralName] = [x509.DNSName(self.name)]
         if address is not None and address == self.address:
             names.append(x509.IPAddress(address))
+        issuer = x509.AuthorityKeyIdentifier(_key_identifier(self.key).digest, None, None)
         builder = (
             _builder(key, _subject(_LEAF), serial, start, end)
             .issuer_name(x509.load_der_x509_certificate(self.data).subject)
@@ -118,12 +119,11 @@ class TlsAuthority:
             .add_extension(_usage(authority=False), critical=True)
             .add_extension(x509.SubjectAlternativeName(names), critical=False)
             .add_extension(_SERVER, critical=False)
-            .add_extension(_issuer_key(self.key), critical=False)
+            .add_extension(issuer, critical=False)
         )
         return _sign(builder, self.key)
 
     def check_time(self, now: int) -> None:
-        """Raise unless the authority is valid."""
         if now > self.not_after:
             raise ConfigurationError("the console's TLS authority has expired", _RENEW)
         if now < self.not_before:
@@ -132,10 +132,9 @@ class TlsAuthority:
             )
 
 
-_LEAF: Final = "rossec console"
-
-
 def _constraints(name: str, address: Address | None) -> x509.NameConstraints:
+    # A name form without a permitted subtree would be unconstrained (RFC 5280 section 4.2.1.10): so each form
+    # that verifiers know has one, and addresses, which have two sizes, are excluded besides.
     permitted: list[x509.GeneralName] = [
         x509.DNSName(name),
         x509.DirectoryName(_subject(_LEAF)),
@@ -174,10 +173,6 @@ def _key_identifier(key: ec.EllipticCurvePrivateKey) -> x509.SubjectKeyIdentifie
     return x509.SubjectKeyIdentifier.from_public_key(key.public_key())
 
 
-def _issuer_key(key: ec.EllipticCurvePrivateKey) -> x509.AuthorityKeyIdentifier:
-    return x509.AuthorityKeyIdentifier(_key_identifier(key).digest, None, None)
-
-
 def _usage(*, authority: bool) -> x509.KeyUsage:
     return x509.KeyUsage(
         digital_signature=not authority,
@@ -190,15 +185,6 @@ def _usage(*, authority: bool) -> x509.KeyUsage:
         encipher_only=False,
         decipher_only=False,
     )
-
-
-def _validity(certificate: x509.Certificate) -> tuple[int, int]:
-    start, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
-    return int(start.timestamp()), int(end.timestamp())
-
-
-COUNT: Final = 8
-_BITS: Final = 11
 
 
 def in_hex(certificate: bytes) -> str:
@@ -216,17 +202,17 @@ def word_list() -> tuple[str, ...]:
     return tuple(line for line in text.splitlines() if not line.startswith("#"))
 
 
-SOON = 30 * DAY  # seconds before its end in which a person is told
-_PAIRS = 16  # of the fingerprint in a line, as phones break it
-
-
 def describe(authority: TlsAuthority, now: int) -> list[str]:
     """Lines for a terminal: what it is for, and the fingerprint to compare."""
     pairs = in_hex(authority.data).split(":")
     lines = [":".join(pairs[start : start + _PAIRS]) for start in range(0, len(pairs), _PAIRS)]
+    names = authority.name if authority.address is None else f"{authority.name} and {authority.address}"
+    left, renew = authority.not_after - now, "rossec console tls --renew"
+    warning = "" if left > SOON else f", in {left // DAY} days: {renew}"
+    warning = warning if left > 0 else f": it has expired; {renew}"
     return [
-        f"TLS authority of the console, for {_names(authority)} alone",
-        f"valid until {clock.format_time(authority.not_after)}{_warning(authority, now)}",
+        f"TLS authority of the console, for {names} alone",
+        f"valid until {clock.format_time(authority.not_after)}{warning}",
         "SHA-256 fingerprint, to compare with what the phone shows of the certificate:",
         *(f"    {line}" for line in lines),
         "the same in words, to say aloud:",
@@ -244,15 +230,3 @@ def as_json(authority: TlsAuthority) -> dict[str, object]:
         "sha256": in_hex(authority.data),
         "words": in_words(authority.data),
     }
-
-
-def _names(authority: TlsAuthority) -> str:
-    address = authority.address
-    return authority.name if address is None else f"{authority.name} and {address}"
-
-
-def _warning(authority: TlsAuthority, now: int) -> str:
-    left = authority.not_after - now
-    if left <= 0:
-        return ": it has expired; rossec console tls --renew"
-    return "" if left > SOON else f", in {left // DAY} days: rossec console tls --renew"

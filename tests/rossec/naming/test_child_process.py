@@ -23,7 +23,7 @@ READY = "import os, sys, time\nos.write(1, b'\\0\\0\\0\\1\\0')\n"
 
 def program(text: str) -> RuleProcess:
     """A process of this program instead."""
-    return RuleProcess.start([sys.executable, "-I", "-c", text])
+    return RuleProcess([sys.executable, "-I", "-c", text])
 
 
 def is_alive(process: RuleProcess) -> bool:
@@ -35,7 +35,7 @@ def is_alive(process: RuleProcess) -> bool:
 
 
 async def test_it_answers_one_request_after_the_other() -> None:
-    process = RuleProcess.start()
+    process = RuleProcess()
     try:
         for _ in range(2):
             assert requests.read_names(await process.ask(BODY, 60), 1) == [NAME]
@@ -105,7 +105,7 @@ async def test_one_that_does_not_start_in_time_is_told(monkeypatch: pytest.Monke
 
 def test_a_program_that_is_missing_is_told() -> None:
     with pytest.raises(RulesNotConfined, match=r"does not start: .*No such file"):
-        RuleProcess.start(["/none/python"])
+        RuleProcess(["/none/python"])
 
 
 async def test_it_has_no_descriptor_and_no_environment_of_this_process() -> None:
@@ -135,7 +135,7 @@ def children(pid: int) -> list[int]:
 async def test_what_works_for_a_request_ends_with_it() -> None:
     loops = '<xsl:for-each select="//a">' * 4 + "</xsl:for-each>" * 4
     endless = request(sheet(loops), b"<r>" + b"<a/>" * 500 + b"</r>")
-    process = RuleProcess.start()
+    process = RuleProcess()
     asked = asyncio.ensure_future(process.ask(requests.write_request(endless), 60))
     try:
         await until(lambda: bool(children(process.pid)))
@@ -152,7 +152,7 @@ async def test_nothing_is_left_of_one_that_is_cancelled_at_any_moment() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for steps in range(6):
-            process = RuleProcess.start()
+            process = RuleProcess()
             task = asyncio.ensure_future(process.ask(BODY, 60))
             for _ in range(steps):
                 await asyncio.sleep(0.02)

@@ -71,7 +71,7 @@ async def test_where_no_rules_can_be_applied_nothing_is_reported() -> None:
 
 def unconfined() -> RuleProcess:
     said = requests.frame(requests.write_error(RulesNotConfined("no seccomp")))
-    return RuleProcess.start([sys.executable, "-I", "-c", f"import os; os.write(1, {said!r})"])
+    return RuleProcess([sys.executable, "-I", "-c", f"import os; os.write(1, {said!r})"])
 
 
 async def test_rules_that_fail_for_some_are_told() -> None:

@@ -39,7 +39,7 @@ class Started:
         self.processes: list[RuleProcess] = []
 
     def __call__(self) -> RuleProcess:
-        self.processes.append(RuleProcess.start())
+        self.processes.append(RuleProcess())
         return self.processes[-1]
 
     @property
@@ -55,7 +55,7 @@ class Started:
 
 
 def program(text: str) -> RuleProcess:
-    return RuleProcess.start([sys.executable, "-I", "-c", text])
+    return RuleProcess([sys.executable, "-I", "-c", text])
 
 
 async def test_the_names_of_the_thesis() -> None:

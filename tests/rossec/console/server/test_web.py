@@ -14,6 +14,7 @@ from rossec.console.server import web as module
 from rossec.console.server.control import Settings, write_settings
 from rossec.console.server.web import WebProcess, main, make_context
 from rossec.errors import ConfigurationError, KeyMessageRefused
+from rossec.host import workers
 from tests.support.consoleprocess import listening
 
 SETTINGS = Settings("home", ("http://localhost:7411",))
@@ -104,14 +105,14 @@ async def test_it_is_confined_before_it_serves(
         return ThreadPoolExecutor(1)
 
     monkeypatch.setattr(module, "protect_memory", lambda: done.append("memory"))
-    monkeypatch.setattr(module, "confine_files", lambda paths: done.append(f"files {paths}"))
-    monkeypatch.setattr(module, "confine_processes", confine)
+    monkeypatch.setattr(workers, "confine_files", lambda paths: done.append(f"files {paths}"))
+    monkeypatch.setattr(workers, "confine_processes", confine)
     ours, theirs = pair
     with socket.create_server(("127.0.0.1", 0)) as sock:
         given = [theirs.detach(), scanner.detach(), sock.detach()]
     arguments = [write_settings(SETTINGS), str(tmp_path / "no.sock"), "plain", "text", "made-up"]
     running = asyncio.ensure_future(asyncio.to_thread(main, [",".join(map(str, given)), *arguments]))
     assert await asyncio.to_thread(said, ours) == control.ControlMessage(control.READY)
-    assert done == ["memory", "files []", "processes"]
+    assert done == ["memory", "files ()", "processes"]
     ours.close()
     await asyncio.wait_for(running, 20)

@@ -15,6 +15,7 @@ import pytest
 from rossec.console.tls import hand_out
 from rossec.console.tls.hand_out import FILE, handing_out
 from rossec.errors import ConfigurationError
+from rossec.host import workers
 from tests.support.console_tls import new_authority
 from tests.support.ports import free_port
 
@@ -108,8 +109,8 @@ def test_it_is_confined_before_it_serves(monkeypatch: pytest.MonkeyPatch) -> Non
         done.append("processes")
         return ThreadPoolExecutor(1)
 
-    monkeypatch.setattr(hand_out, "confine_files", lambda _: done.append("files"))
-    monkeypatch.setattr(hand_out, "confine_processes", confine)
+    monkeypatch.setattr(workers, "confine_files", lambda _: done.append("files"))
+    monkeypatch.setattr(workers, "confine_processes", confine)
     monkeypatch.setattr(hand_out, "serve", serve)
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO()))
     descriptor = listening().detach()
