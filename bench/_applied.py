@@ -18,7 +18,7 @@ from grants.model import ID_SIZE
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import NAME, read_policy
 from rossec.authority.service import AuthorityService
-from rossec.authority.session import MasterCall
+from rossec.authority.session import StatementCall
 from rossec.authority.signing import SigningAuthority, certificate_row
 
 SIZES = (30, 300, 3000)
@@ -71,7 +71,7 @@ class SilentMaster:
     def __init__(self) -> None:
         self._known: set[bytes] = set()
 
-    def __call__(self, call: MasterCall) -> object:
+    def __call__(self, call: StatementCall) -> object:
         (items, *_) = call.statement
         if not isinstance(items, list):
             return 0  # the revocation list

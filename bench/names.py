@@ -10,12 +10,12 @@ import time
 from typing import Any, Final
 
 from rossec.naming import rule_runner
-from rossec.naming.requests import Kind
+from rossec.naming.requests import NameKind
 from rossec.naming.rule_runner import RuleRunner
 
 GOAL: Final = 10.0  # milliseconds, the median of a warm name
 _WAYS: Final = 5
-_TOPIC: Final = (Kind.TOPIC, "accelerometer")
+_TOPIC: Final = (NameKind.TOPIC, "accelerometer")
 
 
 def measure(seconds: float) -> dict[str, Any]:
@@ -28,7 +28,7 @@ async def _measure(seconds: float) -> dict[str, Any]:
     result: dict[str, Any] = {"start_and_one_name": await _cold(rules, phone, seconds)}
     async with RuleRunner(rules, children=4) as runner:
         warm = await _repeat(lambda: runner.name(phone, *_TOPIC), seconds)
-        every = [(Kind.NODE, ""), _TOPIC, (Kind.TOPIC, "temperature")]
+        every = [(NameKind.NODE, ""), _TOPIC, (NameKind.TOPIC, "temperature")]
         result |= {
             "warm": warm,
             "three_names_of_one_node": await _repeat(lambda: runner.names(phone, every), seconds),

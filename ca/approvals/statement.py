@@ -26,7 +26,7 @@ _MAX_TEXT: Final = 1024  # bytes of UTF-8
 _HINT: Final = "ask again: the statement may come from another version of rossec"
 
 
-class Kind(IntEnum):
+class StatementKind(IntEnum):
     """What is approved. `FOREIGN_DOMAIN` is reserved: nothing asks for it yet."""
 
     ENROLL = 1
@@ -51,7 +51,7 @@ class Enroll(NamedTuple):
     replaces: bool  # the name's other key, which is revoked
 
 
-class Grant(NamedTuple):
+class GrantStatement(NamedTuple):
     """An answer to the request with the id `request`; `payload`: digest of what will be signed."""
 
     request: bytes
@@ -66,7 +66,7 @@ class PolicyChange(NamedTuple):
     effect: bytes  # of the grants that it makes and revokes (`rossec.authority.policyfile`)
 
 
-class Delegate(NamedTuple):
+class DelegateStatement(NamedTuple):
     """Leave for the master with the key `holder` to renew grants, by `max_ttl` seconds each."""
 
     holder: bytes
@@ -74,7 +74,7 @@ class Delegate(NamedTuple):
     max_ttl: int
 
 
-class Intermediate(NamedTuple):
+class IntermediateStatement(NamedTuple):
     """An intermediate, by the digest of its request; `enrolls`: new nodes, not only known ones."""
 
     csr: bytes
@@ -99,7 +99,7 @@ class Invitation(NamedTuple):
     wildcard: bool
 
 
-class ForeignDomain(NamedTuple):
+class ForeignDomainStatement(NamedTuple):
     digest: bytes
 
 
@@ -112,13 +112,13 @@ class RevokeMaster(NamedTuple):
 
 What: TypeAlias = (
     Enroll
-    | Grant
+    | GrantStatement
     | PolicyChange
-    | Delegate
-    | Intermediate
+    | DelegateStatement
+    | IntermediateStatement
     | NewPasskey
     | Invitation
-    | ForeignDomain
+    | ForeignDomainStatement
     | RevokeMaster
 )
 
@@ -162,23 +162,25 @@ class _Form(NamedTuple):
     default: str | None = None  # a last field that equals it is left out
 
 
-_FORMS: Final[Mapping[Kind, _Form]] = {
-    Kind.ENROLL: _Form(Enroll, (_is_digest, _is_name, _is_digest, _is_flag, is_number, _is_flag), 0, 0),
-    Kind.GRANT: _Form(Grant, (_is_id, _is_digest), 0, 1),
-    Kind.POLICY: _Form(PolicyChange, (_is_digest, _is_digest, _is_digest), 1, 1),
-    Kind.DELEGATE: _Form(Delegate, (_is_digest, is_number, is_number), 0),
-    Kind.INTERMEDIATE: _Form(Intermediate, (_is_digest, _is_flag, is_number), 0, 0),
-    Kind.PASSKEY: _Form(NewPasskey, (_is_credential, _is_digest, _is_name), 0),
-    Kind.INVITATION: _Form(Invitation, (_is_name, is_number, is_number, _is_flag)),
-    Kind.FOREIGN_DOMAIN: _Form(ForeignDomain, (_is_digest,), 0),
-    Kind.REVOKE_MASTER: _Form(RevokeMaster, (_is_text, _is_master), default=MASTER),
+_FORMS: Final[Mapping[StatementKind, _Form]] = {
+    StatementKind.ENROLL: _Form(
+        Enroll, (_is_digest, _is_name, _is_digest, _is_flag, is_number, _is_flag), 0, 0
+    ),
+    StatementKind.GRANT: _Form(GrantStatement, (_is_id, _is_digest), 0, 1),
+    StatementKind.POLICY: _Form(PolicyChange, (_is_digest, _is_digest, _is_digest), 1, 1),
+    StatementKind.DELEGATE: _Form(DelegateStatement, (_is_digest, is_number, is_number), 0),
+    StatementKind.INTERMEDIATE: _Form(IntermediateStatement, (_is_digest, _is_flag, is_number), 0, 0),
+    StatementKind.PASSKEY: _Form(NewPasskey, (_is_credential, _is_digest, _is_name), 0),
+    StatementKind.INVITATION: _Form(Invitation, (_is_name, is_number, is_number, _is_flag)),
+    StatementKind.FOREIGN_DOMAIN: _Form(ForeignDomainStatement, (_is_digest,), 0),
+    StatementKind.REVOKE_MASTER: _Form(RevokeMaster, (_is_text, _is_master), default=MASTER),
 }
 
 
 class Statement(NamedTuple):
     """One act, to be approved between `made` and `until`; the log of the record had this head."""
 
-    kind: Kind
+    kind: StatementKind
     id: bytes
     domain: str
     made: int
@@ -213,8 +215,8 @@ class Statement(NamedTuple):
             ] if version == VERSION:
                 if isinstance(kind, bool) or kind not in _FORMS:  # True equals 1, and is encoded otherwise
                     raise StatementRefused("a statement of an unknown kind", _HINT)
-                what = _what(Kind(kind), fields)
-                found = cls(Kind(kind), id_, domain, made, until, size, root, what)
+                what = _what(StatementKind(kind), fields)
+                found = cls(StatementKind(kind), id_, domain, made, until, size, root, what)
                 _check(found)
                 return found
             case _:
@@ -246,7 +248,7 @@ class Statement(NamedTuple):
         return found
 
 
-def _what(kind: Kind, fields: list[Value]) -> What:
+def _what(kind: StatementKind, fields: list[Value]) -> What:
     form = _FORMS[kind]
     if form.default is not None and len(fields) == len(form.fields) - 1:
         fields = [*fields, form.default]

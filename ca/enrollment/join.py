@@ -92,7 +92,7 @@ class Join:
 
 
 @dataclass(frozen=True)
-class Claim:
+class ClaimMessage:
     """Node to authority: its metadata, to be told its name, and the proof of the secret."""
 
     metadata: bytes
@@ -114,26 +114,26 @@ class Issued:
 
 
 @dataclass(frozen=True)
-class Waiting:
+class WaitingMessage:
     """Authority to node: not yet; the same request may be sent again."""
 
     reason: WaitReason
 
 
 @dataclass(frozen=True)
-class Refused:
+class RefusedMessage:
     """Authority to node: no."""
 
     reason: RefuseReason
 
 
-JoinAnswer: TypeAlias = Issued | Waiting | Refused
-NameAnswer: TypeAlias = Named | Refused
-JoinMessage: TypeAlias = Hello | Welcome | Join | Claim | Named | JoinAnswer
+JoinAnswer: TypeAlias = Issued | WaitingMessage | RefusedMessage
+NameAnswer: TypeAlias = Named | RefusedMessage
+JoinMessage: TypeAlias = Hello | Welcome | Join | ClaimMessage | Named | JoinAnswer
 
 
 # They continue those of an enrollment.
-_KINDS: Final = (Hello, Welcome, Join, Issued, Waiting, Refused, Claim, Named)
+_KINDS: Final = (Hello, Welcome, Join, Issued, WaitingMessage, RefusedMessage, ClaimMessage, Named)
 _NUMBERS: Final[dict[type[JoinMessage], int]] = {kind: number for number, kind in enumerate(_KINDS, 7)}
 
 
@@ -165,7 +165,7 @@ def _message(fields: Value) -> JoinMessage | None:
             return _fitting(Join(name, csr, proof, metadata))
         case [1, 13, bytes() as metadata, bytes() as proof]:
             fits = 0 < len(metadata) <= MAX_METADATA and len(proof) <= MAX_STATEMENT
-            return Claim(metadata, proof) if fits else None
+            return ClaimMessage(metadata, proof) if fits else None
         case _:
             pass
     return _answer(fields)
@@ -176,9 +176,9 @@ def _answer(fields: Value) -> JoinAnswer | Named | None:
         case [1, 10, [*items]]:
             return None if (issued := read_chain(items)) is None else Issued(issued)
         case [1, 11, int() as reason] if reason in frozenset(WaitReason):
-            return Waiting(WaitReason(reason))
+            return WaitingMessage(WaitReason(reason))
         case [1, 12, int() as reason] if reason in frozenset(RefuseReason):
-            return Refused(RefuseReason(reason))
+            return RefusedMessage(RefuseReason(reason))
         case [1, 14, str() as name] if len(name) <= MAX_NAME:
             return Named(name)
     return None
@@ -259,12 +259,12 @@ class NodeJoinState(Enum):
 _S = NodeJoinState
 NODE_TABLE: Final[dict[tuple[_S, type[JoinMessage]], tuple[str, tuple[_S, ...]]]] = {
     (_S.GREETING, Welcome): ("_verify", (_S.WELCOMED, _S.OVER)),
-    (_S.GREETING, Refused): ("_refused", (_S.OVER,)),
+    (_S.GREETING, RefusedMessage): ("_refused", (_S.OVER,)),
     (_S.CLAIMED, Named): ("_named", (_S.NAMED, _S.OVER)),
-    (_S.CLAIMED, Refused): ("_refused", (_S.OVER,)),
+    (_S.CLAIMED, RefusedMessage): ("_refused", (_S.OVER,)),
     (_S.PROVED, Issued): ("_issued", (_S.JOINED, _S.OVER)),
-    (_S.PROVED, Waiting): ("_waiting", (_S.WAITING,)),
-    (_S.PROVED, Refused): ("_refused", (_S.OVER,)),
+    (_S.PROVED, WaitingMessage): ("_waiting", (_S.WAITING,)),
+    (_S.PROVED, RefusedMessage): ("_refused", (_S.OVER,)),
 }
 NODE_WITHOUT_MESSAGE: Final = (
     (_S.WELCOMED, _S.CLAIMED, "claim()"),
@@ -340,7 +340,7 @@ class NodeJoin:
         self._metadata = _checked(metadata)
         proof = invitation.sign_claim(self._code.signer, self._transcript, metadata)
         self.state = _S.CLAIMED
-        return write(Claim(metadata, proof))
+        return write(ClaimMessage(metadata, proof))
 
     def join(self, csr: bytes, metadata: bytes = b"") -> bytes:
         """The request with its proof; `csr` is for a name within the invitation, or `name`.
@@ -396,11 +396,11 @@ class NodeJoin:
         self._identity = JoinedIdentity(message.chain, root, anchor)
         self.state = _S.JOINED
 
-    def _waiting(self, message: Waiting, _: int) -> None:
+    def _waiting(self, message: WaitingMessage, _: int) -> None:
         self.state = _S.WAITING
         raise JoinWaiting(*WAITING[message.reason])
 
-    def _refused(self, message: Refused, _: int) -> None:
+    def _refused(self, message: RefusedMessage, _: int) -> None:
         kind = JoinBusy if message.reason is RefuseReason.BUSY else JoinRefused
         texts = CLAIM_REFUSED if self._metadata else REFUSED
         raise kind(*texts[message.reason])
@@ -445,7 +445,7 @@ class AuthorityJoinState(Enum):
 _A = AuthorityJoinState
 AUTHORITY_TABLE: Final[dict[tuple[_A, type[JoinMessage]], tuple[str, tuple[_A, ...]]]] = {
     (_A.GREETING, Hello): ("_welcome", (_A.WELCOMED,)),
-    (_A.WELCOMED, Claim): ("_take_claim", (_A.NAMING,)),
+    (_A.WELCOMED, ClaimMessage): ("_take_claim", (_A.NAMING,)),
     (_A.WELCOMED, Join): ("_accept", (_A.DECIDING, _A.OVER)),
     (_A.NAMED, Join): ("_accept", (_A.DECIDING, _A.OVER)),
 }
@@ -528,7 +528,7 @@ class AuthorityJoin:
         self.state = _A.WELCOMED
         return write(Welcome(self._nonce, own.chain, own.root, statement))
 
-    def _take_claim(self, message: Claim) -> None:
+    def _take_claim(self, message: ClaimMessage) -> None:
         self._claim = JoinClaim(self.invitation, self._transcript, message.metadata, message.proof)
         self.state = _A.NAMING
 

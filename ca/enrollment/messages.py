@@ -42,7 +42,7 @@ class Delivery:
 
 
 @dataclass(frozen=True)
-class Offer:
+class EnrollmentOffer:
     """Authority to node: the node's identity and its trust anchor."""
 
     chain: tuple[bytes, ...]  # the node's certificate and at most one intermediate (DER)
@@ -71,10 +71,10 @@ class Abort:
 _State = TypeVar("_State", bound=Enum)
 _Message = TypeVar("_Message")
 _Entry = TypeVar("_Entry")
-Message: TypeAlias = Fetch | Delivery | Offer | Acknowledgement | Done | Abort
+Message: TypeAlias = Fetch | Delivery | EnrollmentOffer | Acknowledgement | Done | Abort
 
 
-_KINDS: Final = (Fetch, Delivery, Offer, Acknowledgement, Done, Abort)
+_KINDS: Final = (Fetch, Delivery, EnrollmentOffer, Acknowledgement, Done, Abort)
 _NUMBERS: Final[dict[type[Message], int]] = {kind: number for number, kind in enumerate(_KINDS, 1)}
 
 
@@ -138,7 +138,7 @@ def _message(fields: Value) -> Message | None:
         case [1, 3, [*chain], bytes() as root, bytes() as nonce, bytes() as tag]:
             certificates = read_chain(chain)
             if certificates and len(nonce) == NONCE_SIZE and len(tag) in {0, TAG_SIZE}:
-                return Offer(certificates, root, nonce, tag)
+                return EnrollmentOffer(certificates, root, nonce, tag)
         case [1, 4 | 5 as kind, bytes() as statement]:
             return Acknowledgement(statement) if kind == 4 else Done(statement)
         case [1, 6, int() as reason] if reason in frozenset(Reason):

@@ -25,9 +25,9 @@ from ca.enrollment.messages import (
     Acknowledgement,
     Delivery,
     Done,
+    EnrollmentOffer,
     Fetch,
     Message,
-    Offer,
     Reason,
     check_issued,
     read,
@@ -155,11 +155,11 @@ class NodeState(Enum):
 _S = NodeState
 NODE_TABLE: Final[dict[tuple[_S, type[Message]], tuple[str, tuple[_S, ...]]]] = {
     (_S.SHOWING, Fetch): ("_deliver", (_S.SHOWING,)),
-    (_S.SHOWING, Offer): ("_check_first_offer", (_S.SHOWING, _S.PENDING, _S.OVER)),
+    (_S.SHOWING, EnrollmentOffer): ("_check_first_offer", (_S.SHOWING, _S.PENDING, _S.OVER)),
     (_S.PENDING, Fetch): ("_deliver", (_S.PENDING,)),
-    (_S.PENDING, Offer): ("_compare", (_S.PENDING, _S.OVER)),
-    (_S.CONFIRMED, Offer): ("_compare", (_S.CONFIRMED, _S.OVER)),
-    (_S.ENROLLED, Offer): ("_repeat_answers", (_S.ENROLLED,)),
+    (_S.PENDING, EnrollmentOffer): ("_compare", (_S.PENDING, _S.OVER)),
+    (_S.CONFIRMED, EnrollmentOffer): ("_compare", (_S.CONFIRMED, _S.OVER)),
+    (_S.ENROLLED, EnrollmentOffer): ("_repeat_answers", (_S.ENROLLED,)),
 }
 
 
@@ -273,7 +273,7 @@ class NodeEnrollment:
     def _deliver(self, _: Fetch, __: int) -> list[bytes]:
         return [write(Delivery(self._csr))]
 
-    def _check_first_offer(self, offer: Offer, now: int) -> list[bytes]:
+    def _check_first_offer(self, offer: EnrollmentOffer, now: int) -> list[bytes]:
         transcript_hash = self._check_tag(offer)
         anchor = check_issued(offer.root, offer.chain, self.request, now)
         self._pending = Pending(
@@ -287,7 +287,7 @@ class NodeEnrollment:
         self.state, self.expires = _S.PENDING, now + WINDOW
         return [self._acknowledged()]
 
-    def _compare(self, offer: Offer, now: int) -> list[bytes]:
+    def _compare(self, offer: EnrollmentOffer, now: int) -> list[bytes]:
         if self._is_pending_offer(offer):
             return [self._acknowledged()]
         self._check_tag(offer)
@@ -299,15 +299,15 @@ class NodeEnrollment:
         self.stop(error)
         raise error
 
-    def _repeat_answers(self, offer: Offer, _: int) -> list[bytes]:
+    def _repeat_answers(self, offer: EnrollmentOffer, _: int) -> list[bytes]:
         if not self._is_pending_offer(offer):
             raise EnrollmentOver("the node is enrolled already", _RESTART_HINT)
         return [self._acknowledged(), self._done()]
 
-    def _is_pending_offer(self, offer: Offer) -> bool:
+    def _is_pending_offer(self, offer: EnrollmentOffer) -> bool:
         return self._transcript(offer) == self.pending.transcript
 
-    def _transcript(self, offer: Offer) -> bytes:
+    def _transcript(self, offer: EnrollmentOffer) -> bytes:
         return transcript(self._csr, offer.chain, offer.root, offer.nonce)
 
     def _acknowledged(self) -> bytes:
@@ -316,7 +316,7 @@ class NodeEnrollment:
     def _done(self) -> bytes:
         return write(Done(sign_done(self._signer, self.pending.transcript)))
 
-    def _check_tag(self, offer: Offer) -> bytes:
+    def _check_tag(self, offer: EnrollmentOffer) -> bytes:
         transcript_hash = self._transcript(offer)
         if not self._secret:
             if offer.tag:
@@ -417,7 +417,7 @@ class AuthorityEnrollment:
         self._transcript = transcript(self.csr, chain, root, nonce)
         secret = self._code.secret
         proof = tag(secret, self._transcript) if secret else b""
-        return write(Offer(tuple(chain), root, nonce, proof))
+        return write(EnrollmentOffer(tuple(chain), root, nonce, proof))
 
     def tick(self, now: int) -> None:
         """Check the deadline at `now`."""

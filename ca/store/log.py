@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.approvals.passkeys import Approval, ApprovalVerifier, Passkey, counter_of, to_approve
-from ca.approvals.statement import Kind, Statement
+from ca.approvals.statement import Statement, StatementKind
 from ca.errors import (
     ApprovalOutdated,
     ApprovalOver,
@@ -295,7 +295,7 @@ class ApprovalTable:
             if self._rows("WHERE id = ?", approval.id):
                 raise ApprovalUsed("this was approved already", _AGAIN)
             db.execute("INSERT INTO approval VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", approval)
-            detail = f"{Kind(approval.kind).name.lower()} {approval.id.hex()}"
+            detail = f"{StatementKind(approval.kind).name.lower()} {approval.id.hex()}"
             append_entry(db, approval.at, "approval", passkey.name, detail, digest_of(approval))
         return statement
 
@@ -314,11 +314,11 @@ class ApprovalTable:
     def last_used(self) -> dict[bytes, int]:
         return dict(self._database.rows("SELECT passkey, max(at) FROM approval GROUP BY passkey"))
 
-    def approvers(self, kind: Kind) -> dict[bytes, bytes]:
+    def approvers(self, kind: StatementKind) -> dict[bytes, bytes]:
         query = "SELECT id, passkey FROM approval WHERE kind = ?"
         return dict(self._database.rows(query, int(kind)))
 
-    def about(self, kind: Kind, subject: bytes) -> list[Approval]:
+    def about(self, kind: StatementKind, subject: bytes) -> list[Approval]:
         return self._rows("WHERE kind = ? AND subject = ? ORDER BY rowid", int(kind), subject)
 
     def waiting(self) -> list[Approval]:

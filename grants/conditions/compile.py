@@ -22,7 +22,7 @@ from grants.conditions.syntax import (
     Binary,
     Expression,
     Literal,
-    Membership,
+    MembershipTest,
     Now,
     Path,
     Unary,
@@ -154,7 +154,7 @@ class _Compiler:
                 return "timestamp", "now"
             case Unary():
                 return self._unary(node)
-            case Membership():
+            case MembershipTest():
                 return self._membership(node)
             case Binary():
                 return self._binary(node)
@@ -198,7 +198,7 @@ class _Compiler:
         check = _in_64_bits if kind == "int" else _finite
         return f"{self._source.bind(check)}({code})"
 
-    def _membership(self, node: Membership) -> tuple[str, str]:
+    def _membership(self, node: MembershipTest) -> tuple[str, str]:
         kind, code = self.compile(node.operand)
         compiled = [self.compile(item) for item in node.items]
         for other, _ in compiled:

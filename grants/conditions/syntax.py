@@ -71,12 +71,12 @@ class Binary:
 
 
 @dataclass(frozen=True)
-class Membership:
+class MembershipTest:
     operand: "Expression"
     items: tuple["Expression", ...]
 
 
-Expression: TypeAlias = Literal | Path | Now | FunctionCall | Unary | Binary | Membership
+Expression: TypeAlias = Literal | Path | Now | FunctionCall | Unary | Binary | MembershipTest
 
 
 class Token(NamedTuple):
@@ -164,7 +164,7 @@ class _Parser:
         left = self._sum()
         if self._take("in"):
             self._expect("[")
-            return self._counted(Membership(left, self._items("]")))
+            return self._counted(MembershipTest(left, self._items("]")))
         if operator := self._take(*COMPARISONS):
             left = self._counted(Binary(operator, left, self._sum()))
         return left
@@ -272,7 +272,7 @@ def _below(node: Expression) -> tuple[Expression, ...]:
             return (operand,)
         case Binary(_, left, right):
             return (left, right)
-        case Membership(operand, items):
+        case MembershipTest(operand, items):
             return (operand, *items)
         case FunctionCall(target, _, arguments):
             return arguments if target is None else (target, *arguments)

@@ -113,7 +113,7 @@ class Says(StrEnum):
 
 
 @dataclass(frozen=True)
-class Claim:
+class TestClaim:
     says: Says
     right: Right
     name: str
@@ -129,9 +129,9 @@ class SeenField:
 
 
 @dataclass(frozen=True)
-class Assertion:
+class PolicyTest:
     subject: Subject  # the node; of an identity that is a pattern, one that it covers
-    claims: tuple[Claim, ...] = ()
+    claims: tuple[TestClaim, ...] = ()
     seen: tuple[SeenField, ...] = ()
     at: tuple[int, ...] = ()  # seconds since the epoch; none: conditions are not evaluated
     message: Mapping[str, Value] = field(default_factory=dict)  # by path, for conditions on messages
@@ -144,7 +144,7 @@ def read_tests(
     identities: Mapping[str, SubjectPattern],
     groups: Mapping[str, tuple[SubjectPattern, ...]],
     mistakes: Mistakes,
-) -> tuple[Assertion, ...]:
+) -> tuple[PolicyTest, ...]:
     named = {name: (who,) for name, who in identities.items()}
     reader = _Reader({**named, **groups}, mistakes)
     return tuple(each for item in source.items(part) for each in reader.read(item))
@@ -155,7 +155,7 @@ class _Reader:
     _named: Mapping[str, tuple[SubjectPattern, ...]]
     _mistakes: Mistakes
 
-    def read(self, part: Part) -> list[Assertion]:
+    def read(self, part: Part) -> list[PolicyTest]:
         mapping = source.mapping(part, "a test", self._mistakes)
         if mapping is None:
             return []
@@ -171,7 +171,7 @@ class _Reader:
             self._mistakes.add(message, "message needs at: conditions may read the time", "add at")
         values = self._message(message)
         return [
-            Assertion(subject, tuple(claims), tuple(seen), at, values, mapping.line, pattern)
+            PolicyTest(subject, tuple(claims), tuple(seen), at, values, mapping.line, pattern)
             for subject, pattern in subjects
         ]
 
@@ -189,9 +189,9 @@ class _Reader:
         name = source.subject(part, "who", self._mistakes)
         return [] if name is None else [(Subject(name, bytes(32)), "")]
 
-    def _claims(self, part: Part | None, says: Says) -> list[Claim]:
+    def _claims(self, part: Part | None, says: Says) -> list[TestClaim]:
         rights = source.mapping(part, says.value, self._mistakes)
-        found: list[Claim] = []
+        found: list[TestClaim] = []
         for label, (key, value) in rights.entries.items() if rights is not None else ():
             if label not in RIGHTS:
                 message = f"unknown right {label[:60]!r} in {says.value}"
@@ -200,10 +200,10 @@ class _Reader:
             for item in source.items(value):
                 name = source.own_pattern(item, label, RIGHTS[label], self._mistakes)
                 if name is not None:
-                    found.append(Claim(says, RIGHTS[label], name, item.line))
+                    found.append(TestClaim(says, RIGHTS[label], name, item.line))
         return found
 
-    def _seen(self, part: Part | None, claims: list[Claim]) -> list[SeenField]:
+    def _seen(self, part: Part | None, claims: list[TestClaim]) -> list[SeenField]:
         topics = source.mapping(part, "sees", self._mistakes)
         found: list[SeenField] = []
         for key, value in topics.entries.values() if topics is not None else ():
@@ -211,7 +211,7 @@ class _Reader:
             if topic is None:
                 continue
             if isinstance(value, YamlScalar) and value.value == NOTHING:
-                claims.append(Claim(Says.MAY_NOT, Right.SUBSCRIBE, topic, key.line))
+                claims.append(TestClaim(Says.MAY_NOT, Right.SUBSCRIBE, topic, key.line))
                 continue
             fields = source.mapping(value, f"sees {topic}", self._mistakes)
             for path, (at, limit) in fields.entries.items() if fields is not None else ():

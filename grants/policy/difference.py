@@ -22,7 +22,7 @@ from grants.policy.restrictions import divide, why_unsignable
 from grants.policy.wanted import Atom, Wanted, WantedRight, WantedState, Withheld
 
 
-class Kind(StrEnum):
+class ChangeKind(StrEnum):
     NEW = "new"
     NARROWER = "narrower"
     WIDER = "wider"
@@ -32,14 +32,14 @@ class Kind(StrEnum):
 
     @property
     def sign(self) -> str:
-        return {Kind.NEW: "+", Kind.GONE: "-", Kind.KEPT: "="}.get(self, "~")
+        return {ChangeKind.NEW: "+", ChangeKind.GONE: "-", ChangeKind.KEPT: "="}.get(self, "~")
 
 
 @dataclass(frozen=True)
 class Change:
     """One right on one pattern for one node, before and after a policy is applied."""
 
-    kind: Kind
+    kind: ChangeKind
     subject: Subject
     right: Right
     pattern: str
@@ -57,12 +57,12 @@ class Before(NamedTuple):
 
 
 def kept(subject: Subject, wanted: WantedRight) -> Change:
-    return Change(Kind.KEPT, subject, *wanted.atom, _text(wanted), wanted.rules)
+    return Change(ChangeKind.KEPT, subject, *wanted.atom, _text(wanted), wanted.rules)
 
 
 def change_of(subject: Subject, wanted: WantedRight, before: "Before | None" = None) -> Change:
     if before is None:
-        return Change(Kind.NEW, subject, *wanted.atom, _text(wanted), wanted.rules)
+        return Change(ChangeKind.NEW, subject, *wanted.atom, _text(wanted), wanted.rules)
     longest = max(wanted.lifetime, wanted.renew_until)
     new = _measure(wanted.permissions, wanted.lifetime, longest)
     old = _measure(before.entries, before.lifetime, before.longest)
@@ -71,19 +71,19 @@ def change_of(subject: Subject, wanted: WantedRight, before: "Before | None" = N
     # higher.
     match old.allows(new), new.allows(old):
         case True, False:
-            kind = Kind.NARROWER
+            kind = ChangeKind.NARROWER
         case False, True:
-            kind = Kind.WIDER
+            kind = ChangeKind.WIDER
         case True, True:
-            kind = Kind.KEPT
+            kind = ChangeKind.KEPT
         case _:
-            kind = Kind.CHANGED
+            kind = ChangeKind.CHANGED
     return Change(kind, subject, *wanted.atom, _text(wanted), wanted.rules, was)
 
 
 def withdrawn(subject: Subject, atom: Atom, verdict: Verdict, before: Before) -> Change:
     rules = tuple(dict.fromkeys(verdict.rules))
-    return Change(Kind.GONE, subject, *atom, _lines(before.entries), rules)
+    return Change(ChangeKind.GONE, subject, *atom, _lines(before.entries), rules)
 
 
 def _lines(entries: Iterable[Permission]) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from grants.policy.lint_findings import (
     LEVELS,
     ROOM_REACH,
     SHARE,
-    Finding,
+    LintFinding,
     Suggestion,
     limiting,
     replacing,
@@ -46,14 +46,14 @@ _DENSE: Final = (Aspect.POSITION, Aspect.SURROUNDINGS)
 
 # Floors of parameters are what sensors err anyway, or what the attackers of docs/spec/policy.md, "Lint",
 # needed.
-def parameters(scene: Scene) -> Iterator[Finding]:
+def parameters(scene: Scene) -> Iterator[LintFinding]:
     for view in scene.all_views:
         for rule, paths in _treated(view).items():
             if (advise := _OPERATORS.get(rule.operator)) is not None:
                 yield from advise(view, rule, paths)
 
 
-def rates(scene: Scene) -> Iterator[Finding]:
+def rates(scene: Scene) -> Iterator[LintFinding]:
     for view in scene.all_views:
         coarse = any(view.filter_on(path).operator in _CELLS for path in view.coarse(Aspect.POSITION))
         coarse = coarse or bool(view.coarse(Aspect.IMAGE))
@@ -63,10 +63,10 @@ def rates(scene: Scene) -> Iterator[Finding]:
         begin = f"rule {view.rule.id}: {view.topic} is {'coarse' if coarse else 'empty'}"
         if view.verdict.rate is None:
             message = f"{begin}, but sent at the full rate"
-            yield Finding(view.rule.line, "no-rate", message, hint, suggestions)
+            yield LintFinding(view.rule.line, "no-rate", message, hint, suggestions)
         elif view.verdict.rate > _FASTEST:
             message = f"{begin}, but {view.verdict.rate:g} messages a second hide no movement"
-            yield Finding(view.rule.line, "rate-does-nothing", message, hint, suggestions)
+            yield LintFinding(view.rule.line, "rate-does-nothing", message, hint, suggestions)
 
 
 def _treated(view: View) -> dict[FilterRule, list[str]]:
@@ -79,7 +79,7 @@ def _treated(view: View) -> dict[FilterRule, list[str]]:
     return found
 
 
-def _round(view: View, rule: FilterRule, paths: list[str]) -> Iterator[Finding]:
+def _round(view: View, rule: FilterRule, paths: list[str]) -> Iterator[LintFinding]:
     exact = [path for path in paths if view.left(path) is Precision.EXACT]
     fine = [path for path in exact if too_fine(rule, view.aspects[path], path)]
     dense = [path for path in paths if view.aspects[path] in _DENSE]
@@ -122,14 +122,14 @@ def _step(rule: FilterRule) -> float:
     return float(dict(rule.parameters)["step"])
 
 
-def _clamp(view: View, rule: FilterRule, paths: list[str]) -> Iterator[Finding]:
+def _clamp(view: View, rule: FilterRule, paths: list[str]) -> Iterator[LintFinding]:
     places = [path for path in paths if view.aspects[path] is Aspect.POSITION]
     if places and all(view.left(path) is Precision.EXACT for path in places):
         what = f"{rule.path} of {view.topic} is clamped, and exact between the limits"
         yield _finding(view, rule, "clamp-keeps-values", what, _with_hysteresis(rule, COARSE_STEP))
 
 
-def _rooms(view: View, rule: FilterRule, _paths: list[str]) -> Iterator[Finding]:
+def _rooms(view: View, rule: FilterRule, _paths: list[str]) -> Iterator[LintFinding]:
     plan = Treatment(rule.operator, rule.parameters)
     if smallest(plan) < SMALLEST or narrowest(plan) < NARROWEST:
         what = f"the rooms for {rule.path} of {view.topic} are smaller than rooms: a grid"
@@ -140,7 +140,7 @@ def _rooms(view: View, rule: FilterRule, _paths: list[str]) -> Iterator[Finding]
         yield _finding(view, rule, "no-hysteresis", what, _with(rule, hysteresis=ROOM_REACH))
 
 
-def _pixelate(view: View, rule: FilterRule, _paths: list[str]) -> Iterator[Finding]:
+def _pixelate(view: View, rule: FilterRule, _paths: list[str]) -> Iterator[LintFinding]:
     parameters = dict(rule.parameters)
     levels, block = parameters.get("levels"), int(parameters.get("block", 0))
     squares = _with(rule, across=ACROSS, block=max(block, BLOCK), levels=LEVELS)
@@ -166,13 +166,13 @@ def _with(rule: FilterRule, **changed: float) -> FilterRule:
     return FilterRule(rule.path, rule.operator, tuple(sorted(parameters.items())))
 
 
-def _finding(view: View, old: FilterRule, code: str, what: str, better: FilterRule) -> Finding:
+def _finding(view: View, old: FilterRule, code: str, what: str, better: FilterRule) -> LintFinding:
     text, suggestions = replacing(view, old, better)
     rule, _ = view.place(old)
-    return Finding(rule.line, code, f"rule {rule.id}: {what}", f"write {text}", suggestions)
+    return LintFinding(rule.line, code, f"rule {rule.id}: {what}", f"write {text}", suggestions)
 
 
-_OPERATORS: Final[dict[str, Callable[[View, FilterRule, list[str]], Iterator[Finding]]]] = {
+_OPERATORS: Final[dict[str, Callable[[View, FilterRule, list[str]], Iterator[LintFinding]]]] = {
     "round": _round,
     "clamp": _clamp,
     "pixelate": _pixelate,
@@ -180,7 +180,7 @@ _OPERATORS: Final[dict[str, Callable[[View, FilterRule, list[str]], Iterator[Fin
 }
 
 
-def reasons_and_times(scene: Scene) -> Iterator[Finding]:
+def reasons_and_times(scene: Scene) -> Iterator[LintFinding]:
     for rule in scene.policy.rules:
         if not rule.why:
             yield _of(rule, "no-reason", "gives no reason", "add why: ...")
@@ -192,7 +192,7 @@ def reasons_and_times(scene: Scene) -> Iterator[Finding]:
             yield _of(rule, "long-lifetime", "holds for more than a year", "shorten it")
 
 
-def width(scene: Scene) -> Iterator[Finding]:
+def width(scene: Scene) -> Iterator[LintFinding]:
     for rule in _giving(scene):
         for clause in rule.clauses:
             if all(_owns(who, clause.pattern) for who in rule.who):
@@ -227,7 +227,7 @@ def _owns(who: SubjectPattern, pattern: str) -> bool:
     return "*" not in base and pattern.startswith(f"{base}/")
 
 
-def stale(scene: Scene) -> Iterator[Finding]:
+def stale(scene: Scene) -> Iterator[LintFinding]:
     for rule in _giving(scene):
         if rule.keep_when_stale:
             what = ", ".join(sorted({clause.pattern for clause in rule.clauses}))
@@ -236,7 +236,7 @@ def stale(scene: Scene) -> Iterator[Finding]:
             yield _of(rule, "keep-when-stale", message, hint, ": ")
 
 
-def shadowed(scene: Scene) -> Iterator[Finding]:
+def shadowed(scene: Scene) -> Iterator[LintFinding]:
     denials = [rule for rule in scene.policy.rules if rule.effect is Effect.DENY]
     allowing = [rule for rule in scene.policy.rules if rule.effect is Effect.ALLOW]
     for rule in _giving(scene):
@@ -276,7 +276,7 @@ def _is_wider(one: SubjectPattern, other: SubjectPattern) -> bool:
     return one.node is None or (other.node is not None and includes(one.node, other.node))
 
 
-def unused(scene: Scene) -> Iterator[Finding]:
+def unused(scene: Scene) -> Iterator[LintFinding]:
     policy = scene.policy
     used = {who.label for rule in policy.rules for who in (*rule.who, *rule.exceptions)}
     clauses = [clause for rule in policy.rules for clause in rule.clauses]
@@ -289,7 +289,9 @@ def unused(scene: Scene) -> Iterator[Finding]:
     }
     for kind, unnamed in idle.items():
         for name in unnamed:
-            yield Finding(0, f"unused-{kind}", f"{kind} {name} is used by no rule", "remove it, or use it")
+            yield LintFinding(
+                0, f"unused-{kind}", f"{kind} {name} is used by no rule", "remove it, or use it"
+            )
     names = {any_node(clause.pattern) for clause in clauses}
     wide = [pattern for pattern in names if "*" in pattern]
     for topic in policy.types:
@@ -298,7 +300,7 @@ def unused(scene: Scene) -> Iterator[Finding]:
         above = "*" in name and any(includes(name, each) for each in names)
         if name not in names and not below and not above:
             message = f"the type of {topic} is used by no rule"
-            yield Finding(0, "unused-type", message, "remove it, or correct the name")
+            yield LintFinding(0, "unused-type", message, "remove it, or correct the name")
 
 
 def _giving(scene: Scene) -> Iterator[PolicyRule]:
@@ -312,13 +314,13 @@ def _of(
     hint: str,
     joint: str = " ",
     suggestions: tuple[Suggestion, ...] = (),
-) -> Finding:
-    return Finding(rule.line, code, f"rule {rule.id}{joint}{message}", hint, suggestions)
+) -> LintFinding:
+    return LintFinding(rule.line, code, f"rule {rule.id}{joint}{message}", hint, suggestions)
 
 
 # That a message comes says that the condition held: of a position that is cleared, `x < 5` told the
 # crossing to 0.13 s (docs/spec/policy.md, "Lint"), and `frame_id == "map"` tells a cleared name.
-def oracles(scene: Scene) -> Iterator[Finding]:
+def oracles(scene: Scene) -> Iterator[LintFinding]:
     read = (
         (view, rule, text, path)
         for view in scene.all_views
@@ -331,7 +333,7 @@ def oracles(scene: Scene) -> Iterator[Finding]:
         what = f"sees {path} of {view.topic} {how}, but a condition on it tells its value"
         hint = f"remove the condition on {path}, or leave the field as it is"
         message = f"rule {rule.id}: {view.receiver.label} {what}"
-        yield Finding(rule.line, "condition-tells", message, hint, (Suggestion(rule.id, without=text),))
+        yield LintFinding(rule.line, "condition-tells", message, hint, (Suggestion(rule.id, without=text),))
 
 
 def _conditions(view: View) -> Iterator[tuple[PolicyRule, str]]:
@@ -340,7 +342,7 @@ def _conditions(view: View) -> Iterator[tuple[PolicyRule, str]]:
             yield rule, text
 
 
-CHECKS: Final[tuple[Callable[[Scene], Iterator[Finding]], ...]] = (
+CHECKS: Final[tuple[Callable[[Scene], Iterator[LintFinding]], ...]] = (
     reasons_and_times,
     width,
     stale,
@@ -366,7 +368,7 @@ CHECKS: Final[tuple[Callable[[Scene], Iterator[Finding]], ...]] = (
 )
 
 
-def lint(policy: Policy, layout_of: LayoutOf) -> list[Finding]:
+def lint(policy: Policy, layout_of: LayoutOf) -> list[LintFinding]:
     """All advice on `policy`, in the order of the file, each piece once."""
     scene = Scene(policy, layout_of)
     return sorted({finding for check in CHECKS for finding in check(scene)})

@@ -161,7 +161,7 @@ class Suggestion:
 
 
 @dataclass(frozen=True, order=True)
-class Finding:
+class LintFinding:
     line: int
     code: str
     message: str

@@ -13,8 +13,8 @@ from typing import Final, NamedTuple
 from ca.names import is_alias
 from grants.filters.layout import Array
 from grants.model import FilterRule, Right, Scalar
-from grants.policy.lint_findings import Finding, closing, closing_all, coarsening, replacing
-from grants.policy.lint_views import Aspect, Receiver, Scene, View, conventional
+from grants.policy.lint_findings import LintFinding, closing, closing_all, coarsening, replacing
+from grants.policy.lint_views import Aspect, LintReceiver, Scene, View, conventional
 
 _PLACES: Final = (Aspect.POSITION, Aspect.JOINT)
 _INTEGRATED: Final = ("movement-open", "the exact path follows from it by integration")
@@ -29,7 +29,7 @@ _BESIDE: Final[dict[Aspect, tuple[str, str]]] = {
 _CELLS: Final = (Aspect.TIME, Aspect.COUNT)  # without a value there are no cells to change
 
 
-def beside_position(scene: Scene) -> Iterator[Finding]:
+def beside_position(scene: Scene) -> Iterator[LintFinding]:
     for view in _views(scene):
         treated = view.treated(*_PLACES)
         coarse = view.coarse(*_PLACES)
@@ -39,7 +39,7 @@ def beside_position(scene: Scene) -> Iterator[Finding]:
                 yield _open(view, code, treated[0], open_fields, why)
 
 
-def other_coordinates(scene: Scene) -> Iterator[Finding]:
+def other_coordinates(scene: Scene) -> Iterator[LintFinding]:
     """One coordinate filtered, another not; a height indoors does not change."""
     for view in _views(scene):
         treated = view.treated(Aspect.POSITION)
@@ -48,7 +48,7 @@ def other_coordinates(scene: Scene) -> Iterator[Finding]:
             yield _open(view, "position-open", treated[0], rest, "it shows the place as well")
 
 
-def other_names(scene: Scene) -> Iterator[Finding]:
+def other_names(scene: Scene) -> Iterator[LintFinding]:
     for view in _views(scene):
         treated, rest = view.treated(Aspect.NAME), view.exact(Aspect.NAME)
         if treated and rest:
@@ -60,12 +60,12 @@ def _views(scene: Scene) -> Iterator[View]:
     return (view for views in scene.views.values() for view in views if view.filters)
 
 
-def _open(view: View, code: str, hidden: str, open_fields: list[str], why: str) -> Finding:
+def _open(view: View, code: str, hidden: str, open_fields: list[str], why: str) -> LintFinding:
     path, text, suggestions = closing(view, open_fields)
     rule = view.rule
     filtered = view.filter_on(hidden).path
     what = f"{filtered} of {view.topic} is filtered, {path} is not: {why}"
-    return Finding(rule.line, code, f"rule {rule.id}: {what}", f"add {text}", suggestions)
+    return LintFinding(rule.line, code, f"rule {rule.id}: {what}", f"add {text}", suggestions)
 
 
 class Related(NamedTuple):
@@ -100,7 +100,7 @@ _EVERYWHERE: Final = (
 )
 
 
-def related(scene: Scene) -> Iterator[Finding]:
+def related(scene: Scene) -> Iterator[LintFinding]:
     for views in scene.views.values():
         found: dict[tuple[str, str], tuple[View, View, list[str]]] = {}
         for row in RELATED:
@@ -112,7 +112,7 @@ def related(scene: Scene) -> Iterator[Finding]:
         for hidden, view, told in found.values():
             hint, suggestions = closing_all(view, told)
             message = f"{_begin(hidden)}, but {view.topic} exactly"
-            yield Finding(hidden.rule.line, "exact-relative", message, hint, suggestions)
+            yield LintFinding(hidden.rule.line, "exact-relative", message, hint, suggestions)
 
 
 def _is_hidden(view: View, row: Related) -> bool:
@@ -146,7 +146,7 @@ def _begin(view: View, how: str = "coarsely") -> str:
     return f"rule {view.rule.id}: {view.receiver.label} sees {view.topic} {how}"
 
 
-def presence(scene: Scene) -> Iterator[Finding]:
+def presence(scene: Scene) -> Iterator[LintFinding]:
     """Topics of the same place that are not in slots, beside one that is."""
     for views in scene.views.values():
         slotted = next((view for view in views if view.hides_presence), None)
@@ -155,7 +155,7 @@ def presence(scene: Scene) -> Iterator[Finding]:
                 continue
             message = f"{_begin(slotted, 'in slots')}, but messages of {view.topic} as they come"
             hint = f"filter {view.topic} as well: {{use: presence-only}}"
-            yield Finding(slotted.rule.line, "presence-open", message, hint)
+            yield LintFinding(slotted.rule.line, "presence-open", message, hint)
 
 
 def _is_beside(view: View, slotted: View) -> bool:
@@ -167,7 +167,7 @@ def _is_beside(view: View, slotted: View) -> bool:
     return not sent_for_it and (f"{mine}/".startswith(f"{other}/") or f"{other}/".startswith(f"{mine}/"))
 
 
-def services(scene: Scene) -> Iterator[Finding]:
+def services(scene: Scene) -> Iterator[LintFinding]:
     for receiver, views in scene.views.items():
         coarse = _first_treated(views, Aspect.POSITION)
         for name in _callable(scene, receiver) if coarse is not None else ():
@@ -175,10 +175,10 @@ def services(scene: Scene) -> Iterator[Finding]:
             if coarse is not None and verdict:
                 message = f"{_begin(coarse)}, but may call {name}, which tells it"
                 hint = f"take {verdict.clauses[0].pattern} out, or name the services it needs"
-                yield Finding(verdict.rules[0].line, "service-tells", message, hint)
+                yield LintFinding(verdict.rules[0].line, "service-tells", message, hint)
 
 
-def _callable(scene: Scene, receiver: Receiver) -> list[str]:
+def _callable(scene: Scene, receiver: LintReceiver) -> list[str]:
     own = f"{receiver.subject.name}/"
     named = {
         found.pattern
@@ -190,7 +190,7 @@ def _callable(scene: Scene, receiver: Receiver) -> list[str]:
     return sorted(name for name in told | set(_EVERYWHERE) if not name.startswith(own))
 
 
-def graph(scene: Scene) -> Iterator[Finding]:
+def graph(scene: Scene) -> Iterator[LintFinding]:
     """The right to see the graph: who publishes, since when, how many messages, also withheld."""
     for receiver, views in scene.views.items():
         hidden = next((view for view in views if view.has_slot or view.treated(Aspect.NAME)), None)
@@ -202,7 +202,7 @@ def graph(scene: Scene) -> Iterator[Finding]:
             told = "who publishes it, when, and how many messages"
             message = f"{_begin(coarse)}, but its right to the graph tells {told}"
             hint = "take the graph right out, or limit it to other names"
-            yield Finding(verdict.rules[0].line, "graph-tells", message, hint)
+            yield LintFinding(verdict.rules[0].line, "graph-tells", message, hint)
 
 
 _FRAME: Final = re.compile(r"""frame_id\s*==\s*(["'])([^"']*)\1""")
@@ -218,7 +218,7 @@ _SHOWN_BY: Final[dict[Aspect, tuple[Aspect, ...]]] = {
 }
 
 
-def relatives(scene: Scene) -> Iterator[Finding]:
+def relatives(scene: Scene) -> Iterator[LintFinding]:
     for views in scene.views.values():
         for aspect, others in _SHOWN_BY.items():
             coarse = _first_treated(views, aspect)
@@ -226,7 +226,7 @@ def relatives(scene: Scene) -> Iterator[Finding]:
                 yield from _exact(coarse, views, aspect, others)
 
 
-def saved_poses(scene: Scene) -> Iterator[Finding]:
+def saved_poses(scene: Scene) -> Iterator[LintFinding]:
     """The parameter in which localisation saves where the robot is, twice a second."""
     for receiver, views in scene.views.items():
         coarse = _first_treated(views, Aspect.POSITION)
@@ -236,10 +236,10 @@ def saved_poses(scene: Scene) -> Iterator[Finding]:
         if verdict:
             message = f"{_begin(coarse)}, but may read {SAVED_POSE}, where amcl saves the position"
             hint = f"name the parameters it needs instead of {verdict.clauses[0].pattern}"
-            yield Finding(verdict.rules[0].line, "exact-relative", message, hint)
+            yield LintFinding(verdict.rules[0].line, "exact-relative", message, hint)
 
 
-def unknown(scene: Scene) -> Iterator[Finding]:
+def unknown(scene: Scene) -> Iterator[LintFinding]:
     for views in scene.views.values():
         coarse = _first_treated(views, Aspect.POSITION, Aspect.IMAGE)
         told = {view.pattern for view in views if view.is_below_pattern}
@@ -258,7 +258,7 @@ def unknown(scene: Scene) -> Iterator[Finding]:
                 hint = f"say what it tells: vocabulary: {{{kind}: {{FIELD: WORD}}}}, or withhold {view.topic}"
             if "*" in view.topic:
                 hint = "name the topics it needs, with their types"
-            yield Finding(
+            yield LintFinding(
                 coarse.rule.line, "unknown-type", f"{_begin(coarse)}, and {view.topic}, {what}", hint
             )
 
@@ -269,7 +269,7 @@ def _first_treated(views: Iterable[View], *aspects: Aspect) -> View | None:
 
 def _exact(
     coarse: View, views: Iterable[View], aspect: Aspect, others: tuple[Aspect, ...]
-) -> Iterator[Finding]:
+) -> Iterator[LintFinding]:
     below: dict[str, list[View]] = {}
     for view in views:
         if view is coarse or (aspect is Aspect.NAME and view.layout is not coarse.layout):
@@ -280,10 +280,10 @@ def _exact(
     for found in below.values():
         hint, suggestions = coarsening(found[0])
         message = f"{_begin(coarse)}, but {', '.join(view.topic for view in found)} exactly"
-        yield Finding(coarse.rule.line, "exact-relative", message, hint, suggestions)
+        yield LintFinding(coarse.rule.line, "exact-relative", message, hint, suggestions)
 
 
-def second_receivers(scene: Scene) -> Iterator[Finding]:
+def second_receivers(scene: Scene) -> Iterator[LintFinding]:
     for one, other in _of_one_owner(list(scene.views)):
         coarse = _first_treated(scene.views[one], Aspect.POSITION)
         if coarse is None or _first_treated(scene.views[other], Aspect.POSITION) is not None:
@@ -294,10 +294,10 @@ def second_receivers(scene: Scene) -> Iterator[Finding]:
             if shows and view.topic not in known:
                 hint, suggestions = coarsening(view)
                 message = f"{_begin(coarse)}, but {other.label}, of the same owner, sees {view.topic} exactly"
-                yield Finding(coarse.rule.line, "second-receiver", message, hint, suggestions)
+                yield LintFinding(coarse.rule.line, "second-receiver", message, hint, suggestions)
 
 
-def versions(scene: Scene) -> Iterator[Finding]:
+def versions(scene: Scene) -> Iterator[LintFinding]:
     """Two grids of one position, of which one is not a multiple of the other."""
     grids = {
         receiver: [(view, _step(view)) for view in views if _step(view) or _plan(view)]
@@ -313,12 +313,12 @@ def versions(scene: Scene) -> Iterator[Finding]:
                 cells = "in cells that do not lie on each other: together they are finer"
                 message = f"{begin}, {other.label} {second.topic}, {cells}"
                 hint = "use one frame and one plan of rooms for both"
-                yield Finding(first.rule.line, "two-versions", message, hint)
+                yield LintFinding(first.rule.line, "two-versions", message, hint)
             elif here < there and small > 0 and not (large / small).is_integer():
                 theirs = f"{other.label} {second.topic} in steps of {other_step:g}: together they are finer"
                 hint = "use the same step for both, or a multiple of it"
                 message = f"{begin} in steps of {step:g}, {theirs}"
-                yield Finding(first.rule.line, "two-versions", message, hint)
+                yield LintFinding(first.rule.line, "two-versions", message, hint)
 
 
 def _differ(one: View, other: View) -> bool:
@@ -348,11 +348,11 @@ def _step(view: View) -> float:
     return 0.0
 
 
-def _of_one_owner(receivers: list[Receiver]) -> Iterator[tuple[Receiver, Receiver]]:
+def _of_one_owner(receivers: list[LintReceiver]) -> Iterator[tuple[LintReceiver, LintReceiver]]:
     # Two nodes are of one owner if they have one key, are of one foreign domain, or one is below the
     # other's name: what one of them sees, the other knows.
-    owned: dict[object, list[Receiver]] = {}
-    below: dict[str, list[Receiver]] = {}
+    owned: dict[object, list[LintReceiver]] = {}
+    below: dict[str, list[LintReceiver]] = {}
     for receiver in receivers:
         name = receiver.subject.name
         if any(receiver.subject.key):  # else none is pinned
@@ -370,7 +370,7 @@ def _of_one_owner(receivers: list[Receiver]) -> Iterator[tuple[Receiver, Receive
             yield one, other
 
 
-def pseudonyms(scene: Scene) -> Iterator[Finding]:
+def pseudonyms(scene: Scene) -> Iterator[LintFinding]:
     first: dict[object, View] = {}
     for views in scene.views.values():
         for view in views:
@@ -385,7 +385,7 @@ def pseudonyms(scene: Scene) -> Iterator[Finding]:
                     yield _shared(view, view, rule)
 
 
-def _shared(one: View, other: View, rule: FilterRule) -> Finding:
+def _shared(one: View, other: View, rule: FilterRule) -> LintFinding:
     parameters = dict(rule.parameters) | {"per": "receiver"}
     better = FilterRule(rule.path, "hash", tuple(sorted(parameters.items())))
     hint, suggestions = replacing(other, rule, better)
@@ -393,10 +393,10 @@ def _shared(one: View, other: View, rule: FilterRule) -> Finding:
     one_label = one.receiver.label
     both = f"all of {one_label}" if one is other else f"{one_label} and {other.receiver.label}"
     message = f"rule {place.id}: {both} get the same pseudonyms for {rule.path} of {other.topic}"
-    return Finding(place.line, "shared-pseudonym", message, f"write {hint}", suggestions)
+    return LintFinding(place.line, "shared-pseudonym", message, f"write {hint}", suggestions)
 
 
-def wheels(scene: Scene) -> Iterator[Finding]:
+def wheels(scene: Scene) -> Iterator[LintFinding]:
     for views in scene.views.values():
         coarse = _first_treated(views, Aspect.POSITION)
         for view in views if coarse is not None else ():
@@ -405,4 +405,4 @@ def wheels(scene: Scene) -> Iterator[Finding]:
                 message = f"{_begin(coarse)}, and joints of {view.topic} in steps: wheels tell it"
                 old = view.filter_on(found[0])
                 hint, suggestions = replacing(view, old, FilterRule(old.path, "clear"))
-                yield Finding(coarse.rule.line, "wheels-open", message, f"write {hint}", suggestions)
+                yield LintFinding(coarse.rule.line, "wheels-open", message, f"write {hint}", suggestions)

@@ -188,7 +188,7 @@ class Precision(StrEnum):
 
 
 @dataclass(frozen=True)
-class Receiver:
+class LintReceiver:
     subject: Subject
     who: SubjectPattern
 
@@ -199,7 +199,7 @@ class Receiver:
 
 @dataclass(frozen=True)
 class View:
-    receiver: Receiver
+    receiver: LintReceiver
     topic: str
     verdict: Verdict
     layout: Layout | None
@@ -340,7 +340,7 @@ class Scene:
         return Decider(self.policy)
 
     @cached_property
-    def views(self) -> dict[Receiver, list[View]]:
+    def views(self) -> dict[LintReceiver, list[View]]:
         return {receiver: list(self._views(receiver)) for receiver in receivers(self.policy)}
 
     @property
@@ -356,7 +356,7 @@ class Scene:
             self._contents[topic] = layout, self.policy.vocabulary.describe(layout, topic)
         return self._contents.setdefault(topic, (None, None))
 
-    def _views(self, receiver: Receiver) -> Iterator[View]:
+    def _views(self, receiver: LintReceiver) -> Iterator[View]:
         rules = self.decider.rules_of(receiver.subject)
         for topic in _topics(self.policy, rules, receiver.subject):
             verdict = self.decider.decide_by(rules, receiver.subject, Right.SUBSCRIBE, topic)
@@ -378,8 +378,8 @@ def _topics(policy: Policy, rules: Iterable[PolicyRule], subject: Subject) -> li
     return sorted(named.union(each for each in topics if any(includes(pattern, each) for pattern in wide)))
 
 
-def receivers(policy: Policy) -> list[Receiver]:
-    found: dict[Subject, Receiver] = {}
+def receivers(policy: Policy) -> list[LintReceiver]:
+    found: dict[Subject, LintReceiver] = {}
     rules = (rule for rule in policy.rules if rule.effect is not Effect.DENY)
     subjects = list(dict.fromkeys(who for rule in rules for who in rule.who))
     for who in subjects:
@@ -388,5 +388,5 @@ def receivers(policy: Policy) -> list[Receiver]:
             keys |= {each.key for each in subjects if each.node is None or pattern_covers(each.node, name)}
         for key in keys:
             subject = Subject(name, key or bytes(32))
-            found.setdefault(subject, Receiver(subject, who))
+            found.setdefault(subject, LintReceiver(subject, who))
     return list(found.values())

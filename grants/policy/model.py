@@ -24,7 +24,7 @@ from grants.vocabulary.contents import NOT_KNOWN, Content, DataWord, Description
 from grants.vocabulary.levels import Treatment, plan_treatment
 
 if TYPE_CHECKING:
-    from grants.policy.assertions import Assertion
+    from grants.policy.assertions import PolicyTest as Assertion
 
 EVERYONE: Final = "*"
 MINUTE, HOUR, DAY = 60, 3600, 86400

@@ -22,7 +22,7 @@ from ca.store.record import GrantRow, Store
 from ca.store.signed_statements import DomainRow
 from grants import document
 from grants.policy.model import Subject
-from rossec.authority.session import Session
+from rossec.authority.session import AuthoritySession
 from rossec.authority.signing import SKEW
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
@@ -36,7 +36,7 @@ class Removed(NamedTuple):
 
 
 class Domains:
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: AuthoritySession) -> None:
         self._session = session
 
     def card(

@@ -15,7 +15,7 @@ from grants.renewal import OpenDelegation, open_delegation
 from grants.request import lasting_name
 from rossec import files
 from rossec.authority import domain_operations
-from rossec.authority.session import DEPOSIT_SECONDS, MasterCall, Session
+from rossec.authority.session import DEPOSIT_SECONDS, AuthoritySession, StatementCall
 from rossec.authority.signing import DELEGATIONS, SKEW
 from rossec.errors import ConfigurationError, NotDelivered, PolicyIncomplete
 from rossec.home import NodeHome
@@ -66,7 +66,7 @@ class Grants:
     accepts deposits from the authority's own node, and the grants are signed.
     """
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: AuthoritySession) -> None:
         self._session = session
 
     def sign(
@@ -121,7 +121,7 @@ class Grants:
 
     def delegate(
         self, lifetime: int, max_ttl: int, master: str = MASTER
-    ) -> tuple[OpenDelegation, MasterCall]:
+    ) -> tuple[OpenDelegation, StatementCall]:
         """Let `master` renew grants: sign the delegation, which is to be delivered to it."""
         authority, at = self._session.unlock(), self._session.now()
         holder = authority.store.valid_certificate(master, at).thumbprint
@@ -129,10 +129,10 @@ class Grants:
         hint = (
             f"it is signed and stored in {authority.path / DELEGATIONS}; start the master and run this again"
         )
-        call = MasterCall(self._session.home.node(), "rossec.updateDelegation", (data,), "it", hint)
+        call = StatementCall(self._session.home.node(), "rossec.updateDelegation", (data,), "it", hint)
         return open_delegation(data, authority.signer.public_key), call
 
-    def deliver_delegation(self, delegation: OpenDelegation, call: MasterCall) -> None:
+    def deliver_delegation(self, delegation: OpenDelegation, call: StatementCall) -> None:
         """Deliver what `delegate` returned; from then on grants count as renewed."""
         self._session.deliver(call)
         self._session.home.confirm_delegation(delegation.id, self._session.now())
@@ -205,7 +205,7 @@ class Grants:
 
     def _ask(self, method: str, items: list[bytes], within: float) -> list[str]:
         what = "the grants" if len(items) != 1 else "the grant"
-        call = MasterCall(self._session.home.node(), method, (items,), what, LATER, within=within)
+        call = StatementCall(self._session.home.node(), method, (items,), what, LATER, within=within)
         answer = self._session.deliver(call)
         values = answer if isinstance(answer, list) else []
         texts = [item for item in values if isinstance(item, str)]
@@ -282,7 +282,7 @@ class PolicyWork:
     What each of these needs is imported when it is called: most operations of an authority need no policy.
     """
 
-    def __init__(self, session: Session, grants: Grants) -> None:
+    def __init__(self, session: AuthoritySession, grants: Grants) -> None:
         self._session = session
         self._grants = grants
 

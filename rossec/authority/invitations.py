@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 from ca.certificates import from_pem
 from ca.enrollment.invitation import SECRET_SIZE, InvitationCode, JoinClaim, JoinRequest
-from ca.enrollment.join import Issued, JoinAnswer, Refused, RefuseReason, Waiting, WaitReason
+from ca.enrollment.join import Issued, JoinAnswer, RefusedMessage, RefuseReason, WaitingMessage, WaitReason
 from ca.errors import (
     CAError,
     InvitationRefused,
@@ -51,7 +51,7 @@ _OTHER: Final = RefuseReason.DENIED  # a revoked key, an identity that is not va
 def join(authority: SigningAuthority, request: JoinRequest, now: int) -> JoinAnswer:
     invitation = _proved(authority.store, request)
     if invitation is None:
-        return Refused(RefuseReason.REFUSED)
+        return RefusedMessage(RefuseReason.REFUSED)
     try:
         found = check_request(request.csr, authority.domain, wildcard=invitation.wildcard)
         if found.name != request.name or found.wildcard != invitation.wildcard:
@@ -64,23 +64,23 @@ def join(authority: SigningAuthority, request: JoinRequest, now: int) -> JoinAns
     except RecordUnusable:
         raise
     except (StoreError, InvitationRefused, RequestRefused, NameRefused) as error:
-        return Refused(_reason(error))
+        return RefusedMessage(_reason(error))
 
 
 def join_locked(store: Store, request: JoinRequest, now: int) -> JoinAnswer:
     invitation = _proved(store, request)
     if invitation is None:
-        return Refused(RefuseReason.REFUSED)
+        return RefusedMessage(RefuseReason.REFUSED)
     used = any(use.request == request.digest for use in store.invitations.uses(invitation.id))
     try:
         if not used:  # a request that was answered gets its answer again, however late
             store.invitations.check_open(invitation.id, now)
     except InvitationRefused:
-        return Refused(RefuseReason.ENDED)
-    return Waiting(WaitReason.LOCKED)
+        return RefusedMessage(RefuseReason.ENDED)
+    return WaitingMessage(WaitReason.LOCKED)
 
 
-def allowed_pattern(store: Store, asked: JoinClaim | JoinRequest, now: int) -> str | Refused:
+def allowed_pattern(store: Store, asked: JoinClaim | JoinRequest, now: int) -> str | RefusedMessage:
     """The pattern of the invitation whose secret `asked` proves, or why it is not answered.
 
     What a node says of itself may be looked at only then. An invitation that somebody has joined by
@@ -88,12 +88,12 @@ def allowed_pattern(store: Store, asked: JoinClaim | JoinRequest, now: int) -> s
     """
     invitation = _proved(store, asked)
     if invitation is None:
-        return Refused(RefuseReason.REFUSED)
+        return RefusedMessage(RefuseReason.REFUSED)
     try:
         if not store.invitations.uses(invitation.id):
             store.invitations.check_open(invitation.id, now)
     except InvitationRefused:
-        return Refused(RefuseReason.ENDED)
+        return RefusedMessage(RefuseReason.ENDED)
     return invitation.pattern
 
 
@@ -127,7 +127,7 @@ def _decide(
         if row is None and _needs_person(authority, asked, now):
             store.invitations.check_open(invitation.id, now)
             if sum(each.source == origin for each in store.requests.open(now)) >= MAX_WAITING:
-                return Refused(RefuseReason.BUSY)
+                return RefusedMessage(RefuseReason.BUSY)
             return _repeated(store.requests.add(asked, csr, origin, now))
         if row is None:
             use = InvitationUse(invitation.id, asked.digest, asked.name, asked.thumbprint, now)
@@ -139,8 +139,8 @@ def _decide(
 
 def _repeated(row: RequestRow) -> JoinAnswer:
     if row.state is RequestState.PENDING:
-        return Waiting(WaitReason.PERSON)
-    return Refused(RefuseReason.DENIED)
+        return WaitingMessage(WaitReason.PERSON)
+    return RefusedMessage(RefuseReason.DENIED)
 
 
 # A name that was certified for another key before is not new, nor is one that shares names with such a one

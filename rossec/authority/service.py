@@ -26,7 +26,7 @@ from rossec.authority.domain_operations import Domains
 from rossec.authority.grant_operations import Grants, PolicyWork
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.client import running_signer
-from rossec.authority.session import MasterCall, Session
+from rossec.authority.session import AuthoritySession, StatementCall
 from rossec.authority.signing import SKEW
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -35,12 +35,12 @@ from rossec.saved_statements import ThingFiles
 SERIAL: Final = 16
 
 
-class AuthorityService(Session):
+class AuthorityService(AuthoritySession):
     def __init__(
         self,
         home: Path,
         passphrase: Callable[[], str],
-        deliver: Callable[[MasterCall], object],
+        deliver: Callable[[StatementCall], object],
         now: Callable[[], int] = clock.now,
         find_signer: Callable[[AuthorityHome], Signer | None] = running_signer,
     ) -> None:
@@ -53,7 +53,7 @@ class AuthorityService(Session):
 
 
 class Identities:
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: AuthoritySession) -> None:
         self._session = session
 
     def add_request(self, request: IdentityRequest, csr: bytes, source: str) -> RequestRow:
@@ -151,7 +151,7 @@ class Things:
     once where that router's directory is in this ROSSEC_HOME.
     """
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: AuthoritySession) -> None:
         self._session = session
 
     def sign(self, order: ThingOrder) -> SignedThing:

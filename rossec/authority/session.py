@@ -35,7 +35,7 @@ _PUBLISH_DOMAINS: Final = (
 )
 
 
-class MasterCall(NamedTuple):
+class StatementCall(NamedTuple):
     """A signed statement for the master, or a query: called as `node`, the authority's own.
 
     `what` names it in errors, `hint` says how to deliver it later, `note` is to be shown if set.
@@ -59,7 +59,7 @@ class _Signed(NamedTuple):
     domains: tuple[int, int]
 
 
-class Session:
+class AuthoritySession:
     """The authority below ROSSEC_HOME; for one thread, as its record is.
 
     `passphrase`: returns the passphrase of the key, or raises. `deliver`: calls the master, returns
@@ -71,7 +71,7 @@ class Session:
         self,
         home: Path,
         passphrase: Callable[[], str],
-        deliver: Callable[[MasterCall], object],
+        deliver: Callable[[StatementCall], object],
         now: Callable[[], int] = clock.now,
         find_signer: Callable[[AuthorityHome], Signer | None] = running_signer,
     ) -> None:
@@ -160,7 +160,7 @@ class Session:
         method = "rossec.updateRevocationTree" if entries else "rossec.updateRevocations"
         statement = (data, entries) if entries else (data,)
         soon = note if at >= expires - _EXPIRES_SOON else ""
-        self.deliver(MasterCall(home.node(), method, statement, "the list", _PUBLISH, soon))
+        self.deliver(StatementCall(home.node(), method, statement, "the list", _PUBLISH, soon))
         self.publish_domains()
 
     def publish_domains(self) -> bool:
@@ -176,21 +176,21 @@ class Session:
                 "sign it anew with: rossec ca refresh",
             )
         what = "the list of domains"
-        self.deliver(MasterCall(home.node(), UPDATE_DOMAINS, (data,), what, _PUBLISH_DOMAINS))
+        self.deliver(StatementCall(home.node(), UPDATE_DOMAINS, (data,), what, _PUBLISH_DOMAINS))
         return True
 
     def master_has_list(self) -> bool:
         """Whether the master says that it has the newest list."""
         node, what = self.home.node(), "the question for its list"
         method, hint = "rossec.revocationStanding", "rossec ca publish"
-        answer = self.deliver(MasterCall(node, method, (), what, hint, within=DEPOSIT_SECONDS))
+        answer = self.deliver(StatementCall(node, method, (), what, hint, within=DEPOSIT_SECONDS))
         newest = open_statement(self.home.revocation_list(), self.home.anchor().public_key)
         if self.now() >= newest.expires:
             raise ConfigurationError("the revocation list has expired", "rossec ca refresh")
         epoch, seq = newest.number
         return isinstance(answer, dict) and answer.get("list") == f"{epoch}.{seq}"
 
-    def deliver(self, call: MasterCall) -> object:
+    def deliver(self, call: StatementCall) -> object:
         """Deliver a statement to the master; returns the value of its answer."""
         try:
             call.node.identity(self.now())

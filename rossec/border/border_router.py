@@ -26,8 +26,8 @@ from ca.errors import CAError, HintedError
 from rossec import clock, files
 from rossec.border.bridge import Roster, ThingBridge
 from rossec.border.constrained_node import SharedIdentity, ThingNode
-from rossec.border.conversations import Conversation, Intake
-from rossec.border.endpoint import Answer, Endpoint, Events, OnAnswer, Request, Served
+from rossec.border.conversations import Conversation, DatagramQueue
+from rossec.border.endpoint import CoapAnswer, CoapEndpoint, CoapRequest, Events, OnAnswer, Served
 from rossec.border.handshakes import StaticKey
 from rossec.border.messages import MAX_DATAGRAM, Address
 from rossec.border.resources import read_links
@@ -89,9 +89,9 @@ class Server:
             ) from error
         self._socket = sock
         dice = secrets.SystemRandom().random
-        self.endpoint: Final = Endpoint(own, served, events, self._send, secrets.token_bytes, dice)
+        self.endpoint: Final = CoapEndpoint(own, served, events, self._send, secrets.token_bytes, dice)
         self._timer: asyncio.TimerHandle | None = None
-        self._intake = Intake()
+        self._intake = DatagramQueue()
         self._turn: asyncio.Handle | None = None
         self._loop.add_reader(self._socket.fileno(), self._read)
 
@@ -104,7 +104,7 @@ class Server:
     def lost(self) -> int:
         return self._intake.lost
 
-    def request(self, name: str, request: Request, on_answer: OnAnswer) -> Callable[[], None] | None:
+    def request(self, name: str, request: CoapRequest, on_answer: OnAnswer) -> Callable[[], None] | None:
         # Returns what cancels it. None: the thing is not there.
         conversation = self.endpoint.conversations.of(name)
         if conversation is None:
@@ -314,8 +314,8 @@ class BorderRouter:
         return bridge
 
     async def _links(self, name: str) -> bytes:
-        future: asyncio.Future[Answer | ThingUnreachable] = asyncio.get_running_loop().create_future()
-        request = Request(codes.GET, WELL_KNOWN)
+        future: asyncio.Future[CoapAnswer | ThingUnreachable] = asyncio.get_running_loop().create_future()
+        request = CoapRequest(codes.GET, WELL_KNOWN)
         if self.server.request(name, request, future.set_result) is None:
             raise ThingUnreachable(f"{name} is not there any more")
         answer = await future

@@ -20,7 +20,7 @@ from ca.things.constrained_nodes import ThingKey, ThingStatement
 from grants.filters.layout import Layout
 from rossec.border.constrained_node import ThingNode
 from rossec.border.conversations import MESSAGE_RATE
-from rossec.border.endpoint import Answer, OnAnswer, Request
+from rossec.border.endpoint import CoapAnswer, CoapRequest, OnAnswer
 from rossec.border.resources import PUBLISHER, SERVICE, SUBSCRIBER, Resource, from_ros, to_ros
 from rossec.errors import BodyRefused, ServiceFailed, ThingUnreachable
 from rossec.host.runner import TaskSet
@@ -37,7 +37,7 @@ _log = logging.getLogger("rossec.border")
 CALL_DEADLINE: Final = 30.0
 
 Cancel = Callable[[], None]
-Ask = Callable[[Request, OnAnswer], Cancel | None]  # None: the thing is not there
+Ask = Callable[[CoapRequest, OnAnswer], Cancel | None]  # None: the thing is not there
 
 
 class ServedThing(NamedTuple):
@@ -200,7 +200,7 @@ class ThingBridge:
             if isinstance(publisher, Publisher) and resource not in self._seen:
                 self._cancel(resource)
                 running = self._ask(
-                    Request(codes.GET, resource.path, observe=True),
+                    CoapRequest(codes.GET, resource.path, observe=True),
                     partial(self._notified, resource, publisher),
                 )
                 if running is not None:
@@ -245,7 +245,9 @@ class ThingBridge:
 
     # --- messages
 
-    def _notified(self, resource: Resource, publisher: Publisher, answer: Answer | ThingUnreachable) -> None:
+    def _notified(
+        self, resource: Resource, publisher: Publisher, answer: CoapAnswer | ThingUnreachable
+    ) -> None:
         if isinstance(answer, ThingUnreachable):
             self._running.pop(resource, None)
             _log.info("%s: %s", resource.name, answer)
@@ -263,7 +265,7 @@ class ThingBridge:
         async for data in subscriber.raw():
             try:
                 body = from_ros(data, resource.format, subscriber.endpoint.type.layout)
-                await self._answered(Request(codes.PUT, resource.path, body, resource.format))
+                await self._answered(CoapRequest(codes.PUT, resource.path, body, resource.format))
             except HintedError as error:
                 self.refused += 1
                 _log.info("%s: not written: %s", resource.name, error)
@@ -275,7 +277,7 @@ class ThingBridge:
         data = bytes(kind.request.serialize(request))
         try:
             body = from_ros(data, resource.format, kind.request_layout)
-            asked = Request(codes.POST, resource.path, body, resource.format)
+            asked = CoapRequest(codes.POST, resource.path, body, resource.format)
             async with asyncio.timeout(CALL_DEADLINE):
                 answer = await self._answered(asked)
             return kind.response.deserialize(_message(answer, resource, kind.response_layout))
@@ -284,8 +286,8 @@ class ThingBridge:
         except TimeoutError:
             raise ServiceFailed("the thing does not answer in time") from None
 
-    async def _answered(self, request: Request) -> Answer:
-        future: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
+    async def _answered(self, request: CoapRequest) -> CoapAnswer:
+        future: asyncio.Future[CoapAnswer] = asyncio.get_running_loop().create_future()
         cancel = self._ask(request, partial(_settle, future))
         if cancel is None:
             raise ThingUnreachable(f"{self.node.name} is not there")
@@ -295,7 +297,7 @@ class ThingBridge:
             cancel()
 
 
-def _settle(future: asyncio.Future[Answer], answer: Answer | ThingUnreachable) -> None:
+def _settle(future: asyncio.Future[CoapAnswer], answer: CoapAnswer | ThingUnreachable) -> None:
     if future.done():
         return
     if isinstance(answer, ThingUnreachable):
@@ -306,7 +308,7 @@ def _settle(future: asyncio.Future[Answer], answer: Answer | ThingUnreachable) -
         future.set_result(answer)
 
 
-def _message(answer: Answer, resource: Resource, layout: Layout) -> bytes:
+def _message(answer: CoapAnswer, resource: Resource, layout: Layout) -> bytes:
     if not answer.code.is_successful():
         raise BodyRefused(f"it answers {answer.code.dotted}")
     form: Any = resource.format if answer.format is None else answer.format

@@ -223,7 +223,7 @@ class _Host:
         return self._count > 0
 
 
-class Intake:
+class DatagramQueue:
     """Datagrams of strangers until it is their turn.
 
     What comes from where an authenticated thing was last is taken at once, in front of everything here,

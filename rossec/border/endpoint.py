@@ -18,7 +18,7 @@ from aiocoap.optiontypes import BlockOption
 from ca.things.constrained_nodes import ThingKey
 from rossec.border import messages
 from rossec.border.conversations import MAX_BLOCK, MAX_BODY, Conversation, Conversations, Unauthenticated
-from rossec.border.handshakes import ID_SIZE, MAX_MESSAGE_3, Authenticated, Handshakes, StaticKey
+from rossec.border.handshakes import ID_SIZE, MAX_MESSAGE_3, HandshakeCompleted, Handshakes, StaticKey
 from rossec.errors import DatagramRefused, ThingError, ThingUnauthenticated, ThingUnreachable
 
 DEADLINE: Final = 95.0  # seconds for one message and its answer; repeated for 62 to 93
@@ -35,17 +35,17 @@ _MESSAGE_1: Final = b"\xf5"  # CBOR true, before message_1 (RFC 9528 appendix A.
 _ALONE: Final = 0x18  # from here on a connection identifier of one octet is no integer
 
 
-class Answer(NamedTuple):
+class CoapAnswer(NamedTuple):
     code: Code
     format: int | None  # None: not said
     body: bytes
 
 
-OnAnswer = Callable[[Answer | ThingUnreachable], None]
+OnAnswer = Callable[[CoapAnswer | ThingUnreachable], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class CoapRequest:
     code: Code
     path: tuple[str, ...]
     body: bytes = b""
@@ -56,7 +56,7 @@ class Request:
 @dataclass(slots=True, eq=False)
 class PendingRequest:
     conversation: Conversation
-    request: Request
+    request: CoapRequest
     on_answer: OnAnswer
     token: bytes = b""
     identifier: messages.RequestId = None
@@ -90,7 +90,7 @@ class Requests:
         return len(self._exchanges)
 
     def start(
-        self, conversation: Conversation, request: Request, on_answer: OnAnswer, now: float
+        self, conversation: Conversation, request: CoapRequest, on_answer: OnAnswer, now: float
     ) -> PendingRequest:
         exchange = PendingRequest(conversation, request, on_answer)
         self._send(exchange, now)
@@ -149,12 +149,12 @@ class Requests:
             exchange.on_answer(_answer(opened, bytes(opened.payload)))
             return
 
-        def assembled(answer: Answer | ThingUnreachable) -> None:
-            if isinstance(answer, Answer):  # else this state is lost; the observation goes on
+        def assembled(answer: CoapAnswer | ThingUnreachable) -> None:
+            if isinstance(answer, CoapAnswer):  # else this state is lost; the observation goes on
                 exchange.on_answer(answer)
 
         path = exchange.request.path
-        rest = PendingRequest(exchange.conversation, Request(codes.GET, path), assembled)
+        rest = PendingRequest(exchange.conversation, CoapRequest(codes.GET, path), assembled)
         self._next_block(rest, opened, now)
 
     def _answered(self, exchange: PendingRequest, opened: Message, now: float) -> None:
@@ -232,9 +232,9 @@ def _continues(exchange: PendingRequest, opened: Message) -> bool:
     return bool(opened.opt.block2.start == len(before or b""))
 
 
-def _answer(opened: Message, body: bytes) -> Answer:
+def _answer(opened: Message, body: bytes) -> CoapAnswer:
     form = opened.opt.content_format
-    return Answer(opened.code, None if form is None else int(form), body)
+    return CoapAnswer(opened.code, None if form is None else int(form), body)
 
 
 class Served(Protocol):
@@ -249,7 +249,7 @@ class Events(Protocol):
 
 
 @dataclass
-class Counts:
+class EndpointCounts:
     datagrams: int = 0
     refused: int = 0
     over_budget: int = 0
@@ -258,7 +258,7 @@ class Counts:
     octets: dict[str, int] = field(default_factory=dict)
 
 
-class Endpoint:
+class CoapEndpoint:
     """One border router; `rand`: a random number from 0 up to 1."""
 
     def __init__(
@@ -276,11 +276,11 @@ class Endpoint:
         self._random = random
         self.timers = messages.Timers()
         self.conversations = Conversations(self._ended)
-        self.counts = Counts()
+        self.counts = EndpointCounts()
         self._transmissions = messages.Transmissions(send, self.timers, rand)
         self.requests = Requests(self._transmissions, self.timers, random)
         self._handshakes = Handshakes(own, self._find_key, self._is_taken, random)
-        self._challenges = messages.Challenges(random(16))
+        self._challenges = messages.ContextChallenges(random(16))
         self._handshake_budget = Unauthenticated(HANDSHAKES)
         self._derivation_budget = Unauthenticated(DERIVATIONS)
         self._decoy = messages.OscoreContext(random(16), b"", b"\0", b"\1")
@@ -355,7 +355,7 @@ class Endpoint:
 
     def _finish(
         self, own_id: bytes, message_3: bytes, address: messages.Address, now: float
-    ) -> Authenticated:
+    ) -> HandshakeCompleted:
         found = self._handshakes.finish(own_id, message_3, now)
         served = self._served.by_key(found.key.kid)
         if served is None:

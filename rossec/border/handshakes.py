@@ -41,7 +41,7 @@ FindKey = Callable[[bytes], ThingKey | None]
 
 
 @dataclass(frozen=True, slots=True)
-class Authenticated:
+class HandshakeCompleted:
     key: ThingKey
     context: OscoreContext
     message_4: bytes
@@ -117,7 +117,7 @@ class Handshakes:
         self._answered[source, message_1] = own_id
         return message_2
 
-    def finish(self, own_id: bytes, message_3: bytes, now: float) -> Authenticated:
+    def finish(self, own_id: bytes, message_3: bytes, now: float) -> HandshakeCompleted:
         self.expire(now)
         pending = self._drop(own_id)
         try:  # one byte string and nothing after it: lakers does not look
@@ -140,7 +140,7 @@ class Handshakes:
             context = OscoreContext(secret, salt, pending.peer_id, own_id)
         except DatagramRefused as error:
             raise ThingUnauthenticated(str(error)) from None
-        return Authenticated(key, context, message_4)
+        return HandshakeCompleted(key, context, message_4)
 
     def expire(self, now: float) -> None:
         while self._pending and next(iter(self._pending.values())).until <= now:

@@ -276,7 +276,7 @@ def is_in(context: OscoreContext, kid_context: bytes | None) -> bool:
 
 
 @dataclass(frozen=True)
-class Challenges:
+class ContextChallenges:
     """Makes and recognizes R2, for contexts of a thing with a secret of its own (RFC 8613 Appendix B.2).
 
     Neither side writes sequence numbers to a disk. After a restart of either, both contribute a random

@@ -24,14 +24,14 @@ from rossec.channel.negotiation import (
     UNAUTHENTICATED,
     Authenticated,
     Closed,
+    ConnectionRenewals,
     ConnectionState,
     Event,
     GrantsPresented,
     IdentityRenewed,
     Negotiation,
     Preamble,
-    RenewalRefused,
-    Renewals,
+    PresentedRenewalRefused,
     Row,
     UnitReceived,
 )
@@ -107,7 +107,7 @@ class Connection(Generic[PeerT]):
         self._peer: PeerT | None = None
         self._session: Session | None = None
         self._sealing = False
-        self._renewals: Renewals[PeerT] | None = None
+        self._renewals: ConnectionRenewals[PeerT] | None = None
         self._own_chain: Sequence[bytes] = ()
         self.streams: OpenStreams | None = None
         self.state = ConnectionState.OPENING
@@ -445,7 +445,7 @@ class Connection(Generic[PeerT]):
                 self._peer = renewals.identity(data, self._peer, self._now)
                 self._events.append(IdentityRenewed(self._peer))
             except HintedError as error:
-                self._events.append(RenewalRefused(error.bare()))
+                self._events.append(PresentedRenewalRefused(error.bare()))
         return ConnectionState.OPEN
 
     def _on_grants(self, head: bytes, body: memoryview) -> ConnectionState:
@@ -455,7 +455,7 @@ class Connection(Generic[PeerT]):
         self._events.append(GrantsPresented(data))
         return ConnectionState.OPEN
 
-    def _renewal(self, head: bytes, body: memoryview) -> tuple[Renewals[PeerT], bytes]:
+    def _renewal(self, head: bytes, body: memoryview) -> tuple[ConnectionRenewals[PeerT], bytes]:
         data = self._open_session().open_renewal(head, body)
         if self._renewals is None:
             raise ProtocolViolation("a renewal where none is taken")

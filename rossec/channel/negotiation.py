@@ -125,7 +125,7 @@ class IdentityRenewed(Generic[PeerT]):
 
 
 @dataclass(frozen=True, slots=True)
-class RenewalRefused:
+class PresentedRenewalRefused:
     reason: HintedError
 
 
@@ -136,11 +136,11 @@ class GrantsPresented:
     data: bytes
 
 
-Renewal: TypeAlias = IdentityRenewed[PeerT] | RenewalRefused | GrantsPresented
+Renewal: TypeAlias = IdentityRenewed[PeerT] | PresentedRenewalRefused | GrantsPresented
 Event: TypeAlias = Authenticated[PeerT] | UnitReceived | Closed | Renewal[PeerT]
 
 
-class Renewals(Generic[PeerT]):
+class ConnectionRenewals(Generic[PeerT]):
     """Of one connection between sides that both take renewals; grants pass unread.
 
     A renewed certificate is verified as one in the handshake is, and must be of the same key and name: who
@@ -254,11 +254,11 @@ class Negotiation(Generic[PeerT]):
         epochs = Epochs(edhoc.suite, edhoc.exporter, initiator=isinstance(edhoc, Initiator))
         return Session(epochs, limits, now)
 
-    def renewals(self, now: int) -> Renewals[PeerT] | None:
+    def renewals(self, now: int) -> ConnectionRenewals[PeerT] | None:
         config, edhoc = self._edhoc.config, self._edhoc
         if config.renews is None or not edhoc.peer_renews:
             return None
-        return Renewals(config.verify, config.renews, edhoc.sent, now)
+        return ConnectionRenewals(config.verify, config.renews, edhoc.sent, now)
 
     def forget(self) -> None:
         self._edhoc.forget()

@@ -15,7 +15,7 @@ from ca.enrollment import qr
 from rossec.cli.console.serve import check_libraries
 from rossec.cli.shared import context
 from rossec.console.listening import listen
-from rossec.console.options import PORT, Options, read_options
+from rossec.console.options import PORT, ConsoleOptions, read_options
 from rossec.demo import steps
 from rossec.demo.environment import DemoEnvironment, Run, StepPrinter
 from rossec.demo.steps import FRIDGE, begin_story, show_code
@@ -72,10 +72,10 @@ async def _run(directory: Path, run: Run, play: Callable[[DemoEnvironment], Awai
         await demo.stop_all()
 
 
-def show_console_demo(called: click.Context, options: Options) -> None:
+def show_console_demo(called: click.Context, options: ConsoleOptions) -> None:
     """Run the demo's home with a console until it is interrupted; nothing is left."""
     check_libraries()
-    if options != Options(port=options.port):
+    if options != ConsoleOptions(port=options.port):
         raise ConfigurationError("--demo is for localhost", "leave the other options, but --port")
     for sock in listen(read_options(options, "localhost")):
         sock.close()

@@ -156,7 +156,7 @@ def console(
     if context.invoked_subcommand is not None:
         return
     from rossec.cli.console.serve import serve  # noqa: PLC0415 - when it runs
-    from rossec.console.options import Options  # noqa: PLC0415
+    from rossec.console.options import ConsoleOptions as Options  # noqa: PLC0415
 
     found = Options(**options)  # type: ignore[arg-type]  # click has checked each
     if is_demo:

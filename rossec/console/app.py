@@ -23,9 +23,9 @@ from ca.errors import HintedError
 from rossec.console import rendering
 from rossec.console.context import ConsoleContext
 from rossec.console.pages import adding, decisions, passkeys, today, visibility
-from rossec.console.rendering import PREFIX, Access, Match, Page, PageTable, for_looking, render
+from rossec.console.rendering import PREFIX, Match, Page, PageAccess, PageTable, for_looking, render
 from rossec.console.server.serving import PLACE, check_peer
-from rossec.console.sessions import COOKIE, Session, owner_of
+from rossec.console.sessions import COOKIE, LoginSession, owner_of
 from rossec.console.words import Names
 from rossec.errors import HttpRefused, KeyServiceFailed, PeerUserRefused
 from rossec.peer_limits import printable
@@ -119,7 +119,7 @@ def broken_rule(facts: Facts, allowed: Allowed, match: Match | None) -> GuardRul
         "path": match is not None,
         "method": page is not None,
         "origin": facts.method in SAFE or (is_own and facts.site in {"", "same-origin"}),
-        "session": page is not None and (page.access is Access.PUBLIC or facts.has_session),
+        "session": page is not None and (page.access is PageAccess.PUBLIC or facts.has_session),
         "size": page is not None and facts.length is not None and facts.length <= page.max_body,
     }
     return next((rule for rule in RULES if not holds[rule.name]), None)
@@ -130,7 +130,7 @@ def wants_json(headers: Mapping[str, str]) -> bool:
     return headers.get("accept", "").split(",")[0].strip() in {"application/json", "text/event-stream"}
 
 
-class Guard:
+class RequestGuard:
     """The application behind it gets only requests that broke no rule."""
 
     def __init__(
@@ -180,10 +180,10 @@ class Guard:
             return
         await self._app(scope, _replay(body, receive), send)
 
-    async def _counts(self, session: Session | None, match: Match | None) -> bool:
+    async def _counts(self, session: LoginSession | None, match: Match | None) -> bool:
         # Whether the phone that began a session was not removed; if it was, the session ends.
         page = None if match is None else match.page
-        if session is None or page is None or page.access is Access.PUBLIC or page.path == LOG_OUT:
+        if session is None or page is None or page.access is PageAccess.PUBLIC or page.path == LOG_OUT:
             return True
         counts = await self._context.phones.counts(session)
         if not counts:
@@ -208,7 +208,7 @@ class Guard:
         response.headers["Connection"] = "close"
         await response(scope, receive, send)
 
-    def _session(self, headers: Headers) -> Session | None:
+    def _session(self, headers: Headers) -> LoginSession | None:
         now = self._context.elapsed()
         found = self._context.sessions.find(_cookie(headers), now)
         if found is not None and is_by_person(headers):
@@ -328,15 +328,15 @@ def create_app(context: ConsoleContext, pages: tuple[Page, ...] = ROUTES) -> ASG
         pages = for_looking(pages)
     routes = [Route(page.path, _endpoint(page, context), methods=page.methods) for page in pages]
     app = Starlette(routes=routes)
-    return Guard(app, context, pages, lambda request, error: show_error(request, context, error))
+    return RequestGuard(app, context, pages, lambda request, error: show_error(request, context, error))
 
 
 def _endpoint(page: Page, context: ConsoleContext) -> Callable[[Request], Awaitable[Response]]:
     async def answer(request: Request) -> Response:
         try:
-            if page.access is Access.SESSION and request.method == "GET":
+            if page.access is PageAccess.SESSION and request.method == "GET":
                 request.state.number = await context.news.ask()
-            if page.access is Access.SESSION and not wants_json(request.headers):
+            if page.access is PageAccess.SESSION and not wants_json(request.headers):
                 with suppress(HintedError):  # a service that does not say what the policy calls things
                     request.state.names = Names.of(await context.service.policy_names())
             return await page.handler(request, context)

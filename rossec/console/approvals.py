@@ -23,20 +23,20 @@ from grants.vocabulary.contents import rank
 from rossec import clock
 from rossec.authority.console import messages
 from rossec.authority.console.messages import (
+    ApprovalOutcome,
     AskedRight,
     FactView,
     GrantQuestion,
     IdentityRequestView,
-    Outcome,
     QuestionAnswer,
 )
 from rossec.console import samples, words
 from rossec.console.enrollments import Enrollment
-from rossec.console.matrix import Access, Cell
+from rossec.console.matrix import Cell, TopicAccess
 from rossec.console.pictures import looks as pictures
 from rossec.console.pictures.place import has_place
 from rossec.console.samples import Preview
-from rossec.console.sentences import Part, wanted
+from rossec.console.sentences import SentencePart, wanted
 from rossec.errors import FormRefused, HttpRefused
 from rossec.peer_limits import SharedTable, printable
 
@@ -99,7 +99,7 @@ _RELOAD: Final = "load the page anew, and decide again"
 Form = Mapping[str, str]
 
 
-class Act(NamedTuple):
+class ProposedAct(NamedTuple):
     kind: str
     arguments: list[Value]
     next: str
@@ -109,7 +109,7 @@ class Act(NamedTuple):
 class RunningEnrollments(Protocol):
     def get(self, number: str) -> Enrollment: ...
 
-    def approved(self, number: str, outcome: Outcome) -> None: ...
+    def approved(self, number: str, outcome: ApprovalOutcome) -> None: ...
 
 
 class RequestSource(Protocol):
@@ -118,7 +118,7 @@ class RequestSource(Protocol):
     async def questions(self) -> tuple[GrantQuestion, ...]: ...
 
 
-class Sources(Protocol):
+class ApprovalSources(Protocol):
     @property
     def enrollments(self) -> RunningEnrollments: ...
 
@@ -129,10 +129,10 @@ class Sources(Protocol):
     def service(self) -> RequestSource: ...
 
 
-Reader = Callable[[Sources, Form], Awaitable[Act]]
+Reader = Callable[[ApprovalSources, Form], Awaitable[ProposedAct]]
 
 
-async def read(sources: Sources, kind: str, form: Form) -> Act:
+async def read(sources: ApprovalSources, kind: str, form: Form) -> ProposedAct:
     if kind not in READERS:
         raise FormRefused(f"nothing of the kind {kind!a} can be approved", _RELOAD)
     expected, reader = READERS[kind]
@@ -141,7 +141,7 @@ async def read(sources: Sources, kind: str, form: Form) -> Act:
     return await reader(sources, form)
 
 
-def carried_out(sources: Sources, act: Act, outcome: Outcome, session: bytes) -> str:
+def carried_out(sources: ApprovalSources, act: ProposedAct, outcome: ApprovalOutcome, session: bytes) -> str:
     if act.kind == "enroll" and act.subject:
         sources.enrollments.approved(act.subject, outcome)
     if act.kind == "invitation":
@@ -149,7 +149,7 @@ def carried_out(sources: Sources, act: Act, outcome: Outcome, session: bytes) ->
     return act.next.format(id=base64.urlsafe_b64encode(outcome.id).rstrip(b"=").decode())
 
 
-async def _enroll(sources: Sources, form: Form) -> Act:
+async def _enroll(sources: ApprovalSources, form: Form) -> ProposedAct:
     arguments: list[Value]
     if "enrollment" in form:
         number = form["enrollment"]
@@ -158,17 +158,17 @@ async def _enroll(sources: Sources, form: Form) -> Act:
         request = found.core.request
         replaces = _replaces(form, request.name, is_other_key=found.is_other_key)
         arguments = [found.core.csr, found.source, request.wildcard, IDENTITY_LIFETIME, replaces]
-        return Act("enroll", arguments, f"/add/{number}", subject=number)
+        return ProposedAct("enroll", arguments, f"/add/{number}", subject=number)
     wanted = _octets(form, "request")
     for each in await sources.service.identity_requests():
         if each.id == wanted:
             replaces = _replaces(form, each.name, is_other_key=each.is_other_key)
             arguments = [each.csr, each.source, each.anonymous, IDENTITY_LIFETIME, replaces]
-            return Act("enroll", arguments, "/approved/{id}")
+            return ProposedAct("enroll", arguments, "/approved/{id}")
     raise FormRefused("this request was answered already, or has expired", "see what still waits")
 
 
-async def _grant(sources: Sources, form: Form) -> Act:
+async def _grant(sources: ApprovalSources, form: Form) -> ProposedAct:
     question, coarse = _octets(form, "question"), form["coarse"]
     if form["duration"] not in GRANT_DURATIONS:
         raise FormRefused("this is not one of the durations", _RELOAD)
@@ -184,44 +184,44 @@ async def _grant(sources: Sources, form: Form) -> Act:
         seconds = _SECONDS[form["duration"]]
     if seconds > most:
         raise FormRefused(f"the policy allows {words.duration(most)} at most", "choose a shorter time")
-    return Act("grant", [question, coarse, seconds], "/approved/{id}")
+    return ProposedAct("grant", [question, coarse, seconds], "/approved/{id}")
 
 
-async def _delegate(_: Sources, form: Form) -> Act:
+async def _delegate(_: ApprovalSources, form: Form) -> ProposedAct:
     days, ticket = _number(form, "days", 366), _choice(form, "ticket", TICKETS)
-    return Act("delegate", [days * DAY, ticket], "/approved/{id}")
+    return ProposedAct("delegate", [days * DAY, ticket], "/approved/{id}")
 
 
-async def _intermediate(_: Sources, form: Form) -> Act:
+async def _intermediate(_: ApprovalSources, form: Form) -> ProposedAct:
     may_enroll = _choice(form, "may", {"renew": 0, "enroll": 1}) == 1
     lifetime = _number(form, "days", 366) * DAY
     arguments: list[Value] = [certificate_request(form["csr"]), may_enroll, lifetime]
-    return Act("intermediate", arguments, "/approved/{id}")
+    return ProposedAct("intermediate", arguments, "/approved/{id}")
 
 
 def _of_octets(kind: str, field: str, following: str) -> Reader:
-    async def act(_: Sources, form: Form) -> Act:
-        return Act(kind, [_octets(form, field)], following)
+    async def act(_: ApprovalSources, form: Form) -> ProposedAct:
+        return ProposedAct(kind, [_octets(form, field)], following)
 
     return act
 
 
-async def _invitation(_: Sources, form: Form) -> Act:
+async def _invitation(_: ApprovalSources, form: Form) -> ProposedAct:
     pattern, anonymous = check_pattern(form["pattern"]), "anonymous" in form
     if anonymous and form["anonymous"] != "on":
         raise FormRefused("this is not a tick", _RELOAD)
     if anonymous and "*" not in pattern:
         check_wildcard(check_name(pattern))
     uses, seconds = _number(form, "uses", MAX_USES), _choice(form, "lasts", INVITATION_DURATIONS)
-    return Act("invitation", [pattern, uses, seconds, anonymous], "/invited/{id}")
+    return ProposedAct("invitation", [pattern, uses, seconds, anonymous], "/invited/{id}")
 
 
-async def _revoke_master(_: Sources, form: Form) -> Act:
+async def _revoke_master(_: ApprovalSources, form: Form) -> ProposedAct:
     master = form["master"]
     if not is_master_name(master):
         raise FormRefused("this is no master", _RELOAD)
     check_typed(form, master)
-    return Act("revoke-master", [reason(form), master], f"/revoked/0/0?node={master}")
+    return ProposedAct("revoke-master", [reason(form), master], f"/revoked/0/0?node={master}")
 
 
 READERS: Final[Mapping[str, tuple[tuple[frozenset[str], ...], Reader]]] = {
@@ -304,14 +304,14 @@ class PendingActs:
     """Acts that are shown to a phone and not approved yet, with the session that asked."""
 
     def __init__(self) -> None:
-        self._acts: SharedTable[bytes, tuple[bytes, Act]] = SharedTable(MAX_PENDING)
+        self._acts: SharedTable[bytes, tuple[bytes, ProposedAct]] = SharedTable(MAX_PENDING)
 
-    def add(self, statement: bytes, session: bytes, act: Act, owner: str = "") -> None:
+    def add(self, statement: bytes, session: bytes, act: ProposedAct, owner: str = "") -> None:
         who = owner or messages.of_looker(session)
         if self._acts.add(statement, (session, act), who, messages.rank(who)) is None:
             raise HttpRefused("too much waits for a phone", "approve that, or wait", status=429)
 
-    def get(self, statement: bytes, session: bytes) -> Act:
+    def get(self, statement: bytes, session: bytes) -> ProposedAct:
         found = self._acts.get(statement)
         if found is None or found[0] != session:
             raise HttpRefused("this was not asked here", "load the page again", status=404)
@@ -321,7 +321,7 @@ class PendingActs:
         self._acts.pop(statement)
 
 
-class Way(NamedTuple):
+class ApprovalWay(NamedTuple):
     """A way to approve: through the filter `coarse` (empty: none); one line for each right.
 
     `exact` is what each line leaves out; `is_narrowest`: no other way shows less.
@@ -329,12 +329,12 @@ class Way(NamedTuple):
 
     coarse: str
     label: str
-    lines: tuple[tuple[Part, ...], ...]
+    lines: tuple[tuple[SentencePart, ...], ...]
     exact: tuple[str, ...]
     is_narrowest: bool
 
 
-class Duration(NamedTuple):
+class OfferedDuration(NamedTuple):
     value: str
     label: str
     detail: str
@@ -350,29 +350,33 @@ class Looks(NamedTuple):
     minutes: int = 1
 
 
-def sentence(question: GrantQuestion, facts: Iterable[FactView]) -> tuple[Part, ...]:
+def sentence(question: GrantQuestion, facts: Iterable[FactView]) -> tuple[SentencePart, ...]:
     senders: dict[str, set[str]] = {}
     for fact in facts:
         if fact.kind == "publisher":
             senders.setdefault(fact.name, set()).add(fact.node)
-    parts = [Part(words.name(question.node), is_name=True), Part("wants to")]
+    parts = [SentencePart(words.name(question.node), is_name=True), SentencePart("wants to")]
     shown = question.rights[:_MOST]
     for place, right in enumerate(shown):
-        parts += [Part("and to")] if place else []
+        parts += [SentencePart("and to")] if place else []
         known = sorted(senders.get(right.pattern, ()))
-        topic = Part(words.topic(right.pattern), is_name=True)
+        topic = SentencePart(words.topic(right.pattern), is_name=True)
         if drives(right):
-            parts += [Part("drive: send commands to"), topic]
+            parts += [SentencePart("drive: send commands to"), topic]
         elif right.right == Right.SUBSCRIBE and has_place(right.type) and len(known) == 1:
-            parts += [Part("see where"), Part(words.name(known[0]), is_name=True), Part("is")]
+            parts += [
+                SentencePart("see where"),
+                SentencePart(words.name(known[0]), is_name=True),
+                SentencePart("is"),
+            ]
         else:
-            parts += [Part(wanted(right.right)), topic]
+            parts += [SentencePart(wanted(right.right)), topic]
     if len(question.rights) > len(shown):
-        parts.append(Part(f"and {len(question.rights) - len(shown)} more things"))
+        parts.append(SentencePart(f"and {len(question.rights) - len(shown)} more things"))
     return tuple(parts)
 
 
-def ways(given: Sequence[tuple[str, Sequence[AskedRight]]], most: int = 6) -> list[Way]:
+def ways(given: Sequence[tuple[str, Sequence[AskedRight]]], most: int = 6) -> list[ApprovalWay]:
     """What the node would get, in words; the narrowest first, as it asks last.
 
     Of more than `most` those that show least, and what it asks for.
@@ -380,7 +384,7 @@ def ways(given: Sequence[tuple[str, Sequence[AskedRight]]], most: int = 6) -> li
     narrow = sorted(given, key=lambda each: strictness(each[1]), reverse=True)
     shown = [*[each for each in narrow if each[0]][: most - 1], *(each for each in given if not each[0])]
     return [
-        Way(
+        ApprovalWay(
             coarse,
             LABELS.get(coarse, f"Coarser: {printable(coarse, 80)}"),
             tuple(_line(right) for right in rights),
@@ -443,26 +447,26 @@ def looks(
     return found[:MAX_PICTURES]
 
 
-def durations(question: GrantQuestion, now: int) -> list[Duration]:
+def durations(question: GrantQuestion, now: int) -> list[OfferedDuration]:
     """The four buttons; none promises more than the policy gives."""
     most, today = question.lifetime, clock.seconds_left_today(now)
     allowed = words.duration(most)
     too_long = f"the policy allows {allowed}"
     return [
-        Duration("today", "Today", words.duration(min(today, most)), True),
-        Duration("week", "For a week", "" if most >= 7 * DAY else too_long, most >= 7 * DAY),
-        Duration("month", "For a month", "" if most >= 30 * DAY else too_long, most >= 30 * DAY),
-        Duration("open", "Until I end it", f"at most {allowed}, says the policy", True),
+        OfferedDuration("today", "Today", words.duration(min(today, most)), True),
+        OfferedDuration("week", "For a week", "" if most >= 7 * DAY else too_long, most >= 7 * DAY),
+        OfferedDuration("month", "For a month", "" if most >= 30 * DAY else too_long, most >= 30 * DAY),
+        OfferedDuration("open", "Until I end it", f"at most {allowed}, says the policy", True),
     ]
 
 
-def answer(given: QuestionAnswer) -> tuple[Part, ...]:
+def answer(given: QuestionAnswer) -> tuple[SentencePart, ...]:
     """`/lamp may not see /robot/camera`."""
     verb = "may" if given.answer == "granted" else "may not"
     return (
-        Part(words.name(given.node), is_name=True),
-        Part(f"{verb} {wanted(given.right)}"),
-        Part(words.topic(given.pattern), is_name=True),
+        SentencePart(words.name(given.node), is_name=True),
+        SentencePart(f"{verb} {wanted(given.right)}"),
+        SentencePart(words.topic(given.pattern), is_name=True),
     )
 
 
@@ -472,12 +476,12 @@ def drives(right: AskedRight) -> bool:
     return right.right == Right.PUBLISH and is_driving
 
 
-def _line(right: AskedRight) -> tuple[Part, ...]:
+def _line(right: AskedRight) -> tuple[SentencePart, ...]:
     said = words.plain(_restrictions(right))
     return (
-        Part(wanted(right.right)),
-        Part(words.topic(right.pattern), is_name=True),
-        Part(f"({said})" if said else "(all of it)"),
+        SentencePart(wanted(right.right)),
+        SentencePart(words.topic(right.pattern), is_name=True),
+        SentencePart(f"({said})" if said else "(all of it)"),
     )
 
 
@@ -502,7 +506,7 @@ def _looks(
         if restrictions in ways_seen:  # two filters that do the same here
             continue
         ways_seen.add(restrictions)
-        access = Access.COARSE if restrictions else Access.ALL
+        access = TopicAccess.COARSE if restrictions else TopicAccess.ALL
         text = words.plain(restrictions)
         cell = Cell(node, right.pattern, access, text, restrictions=restrictions)
         drawn += [(name, look) for look in pictures.compare(recorded, [cell]).looks]

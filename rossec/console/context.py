@@ -17,8 +17,8 @@ from rossec.console.approvals import MadeCodes, PendingActs
 from rossec.console.enrollments import Enrollments
 from rossec.console.matrix import Endings
 from rossec.console.samples import Preview
-from rossec.console.server.control import Settings
-from rossec.console.sessions import FailureLimit, KnownPhones, Sessions, Turns
+from rossec.console.server.control import WebSettings
+from rossec.console.sessions import FailureLimit, KnownPhones, LoginTurns, Sessions
 from rossec.errors import HttpRefused
 from rossec.host.runner import TaskSet
 
@@ -137,7 +137,7 @@ class ConsoleContext:
     def __init__(
         self,
         service: ConsoleClient,
-        settings: Settings,
+        settings: WebSettings,
         scanner: Scanner | None = None,
         preview: Preview | None = None,
         clock: Callable[[], int] = clock.now,
@@ -152,6 +152,6 @@ class ConsoleContext:
         self.failures = FailureLimit()
         self.pending = PendingActs()
         self.made_codes = MadeCodes()
-        self.turns = Turns()
+        self.turns = LoginTurns()
         self.endings = Endings()
         self.enrollments = Enrollments(service, settings.domain, clock, self.news.changed)

@@ -20,7 +20,7 @@ from ca.enrollment import NONCE_SIZE, WINDOW, qr
 from ca.enrollment.sides import AuthorityEnrollment, AuthorityState
 from ca.errors import CodeRefused, EnrollmentExpired, EnrollmentOver, HintedError, RequestSwapped
 from rossec.authority.console import messages
-from rossec.authority.console.messages import IdentityRequestView, NodeView, Outcome
+from rossec.authority.console.messages import ApprovalOutcome, IdentityRequestView, NodeView
 from rossec.enrollment.enroll import deliver, fetch
 from rossec.errors import EnrollmentUnknown, KeyServiceFailed, TooManyEnrollments
 from rossec.host import addresses
@@ -50,7 +50,7 @@ class Stage(Enum):
 OVER: Final = frozenset({Stage.ENROLLED, Stage.REJECTED, Stage.DIFFERED, Stage.SWAPPED, Stage.FAILED})
 
 
-class Known(Enum):
+class RecordedName(Enum):
     """What the record says of the name that is asked for."""
 
     NEW = "new"
@@ -73,7 +73,7 @@ class EnrollmentService(Protocol):
 
     async def revoke_node(self, name: str, reason: str) -> tuple[int, int]: ...
 
-    async def outcome(self, statement: bytes, /) -> Outcome: ...
+    async def outcome(self, statement: bytes, /) -> ApprovalOutcome: ...
 
 
 class Enrollment:
@@ -96,7 +96,7 @@ class Enrollment:
     ) -> None:
         self.core = core
         self.stage = Stage.FETCHING
-        self.known = Known.NEW
+        self.known = RecordedName.NEW
         self.error: HintedError | None = None
         self._destination = destination
         self._service = service
@@ -116,7 +116,7 @@ class Enrollment:
     @property
     def is_other_key(self) -> bool:
         # Whether the name has another key by now, which would be revoked.
-        return self.known is Known.OTHER_KEY
+        return self.known is RecordedName.OTHER_KEY
 
     @property
     def deadline(self) -> int:
@@ -147,10 +147,10 @@ class Enrollment:
         except HintedError as error:
             self.fail(error)
 
-    def approve(self, outcome: Outcome) -> None:
+    def approve(self, outcome: ApprovalOutcome) -> None:
         self._move(Stage.WAITING if outcome.state == WAITING else Stage.DELIVERING)
 
-    async def deliver(self, outcome: Outcome) -> None:
+    async def deliver(self, outcome: ApprovalOutcome) -> None:
         try:
             self.core.approve(self._clock())
             bundle = await self._signed(outcome)
@@ -186,7 +186,7 @@ class Enrollment:
         self.check_has_digits()
         self.core.state = AuthorityState.OVER
         self._move(Stage.DIFFERED)
-        if self.known is Known.SAME_KEY:
+        if self.known is RecordedName.SAME_KEY:
             return
         try:
             await self._service.revoke_node(self.core.request.name, DIFFERED)
@@ -199,7 +199,7 @@ class Enrollment:
         self.error = error.bare()
         self._move(Stage.SWAPPED if isinstance(error, RequestSwapped) else Stage.FAILED)
 
-    async def _signed(self, outcome: Outcome) -> bytes:
+    async def _signed(self, outcome: ApprovalOutcome) -> bytes:
         while outcome.state == WAITING:
             self._end_if_late()
             await asyncio.sleep(POLL)
@@ -226,12 +226,14 @@ class Enrollment:
         self._changed()
 
 
-def _known(nodes: tuple[NodeView, ...], core: AuthorityEnrollment, now: int) -> Known:
+def _known(nodes: tuple[NodeView, ...], core: AuthorityEnrollment, now: int) -> RecordedName:
     request = core.request
     named = [each for each in nodes if each.name == request.name and not each.revoked_at]
     if any(each.key != request.thumbprint and each.not_after > now for each in named):
-        return Known.OTHER_KEY
-    return Known.SAME_KEY if any(each.key == request.thumbprint for each in named) else Known.NEW
+        return RecordedName.OTHER_KEY
+    return (
+        RecordedName.SAME_KEY if any(each.key == request.thumbprint for each in named) else RecordedName.NEW
+    )
 
 
 MAX_RUNNING: Final = 8
@@ -304,7 +306,7 @@ class Enrollments:
     def get(self, number: str) -> Enrollment:
         return self._place(number).found
 
-    def approved(self, number: str, outcome: Outcome) -> None:
+    def approved(self, number: str, outcome: ApprovalOutcome) -> None:
         place = self._place(number)
         if place.found.stage is Stage.COMPARED:
             place.found.approve(outcome)

@@ -15,7 +15,7 @@ from typing import Final
 
 from rossec import files
 from rossec.authority.console.messages import ADDRESS, LOCK
-from rossec.console.options import Endpoint
+from rossec.console.options import ConsoleEndpoint
 from rossec.errors import ConfigurationError
 from rossec.host.local_sockets import listen_at, process_lock
 
@@ -51,7 +51,7 @@ def read_address(directory: Path) -> str:
     return files.read_own(directory / NAME, _MAX, _NONE).decode(errors="replace")
 
 
-def listen(endpoint: Endpoint) -> list[socket.socket]:
+def listen(endpoint: ConsoleEndpoint) -> list[socket.socket]:
     """Sockets that listen where `endpoint` says; a host without IPv6 has one less."""
     if endpoint.unix_path is not None:
         return [listen_for_proxy(endpoint.unix_path, shared=endpoint.proxy_user is not None)]

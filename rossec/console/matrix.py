@@ -21,7 +21,7 @@ from grants.model import FilterRule, Grant, Permission, Restriction, Right, merg
 from grants.policy.model import Vocabulary
 from grants.policy.privacy import WHOLE, ReceiverAccess, leaf_paths, sees
 from grants.vocabulary.assess import filters_of
-from rossec.authority.console.messages import FactView, GrantView, ListStanding, NodeView
+from rossec.authority.console.messages import FactView, GrantView, ListProgress, NodeView
 from rossec.console import words
 from rossec.errors import MessageError
 from rossec.peer_limits import printable
@@ -61,7 +61,7 @@ class Endings:
     def heard(self) -> Heard:
         return self._heard
 
-    def note(self, standing: ListStanding, asked_at: int) -> None:
+    def note(self, standing: ListProgress, asked_at: int) -> None:
         if not (standing.is_signed and standing.is_at_master):
             return
         every, cut = self._heard
@@ -72,7 +72,7 @@ class Endings:
         self._heard = Heard(every, cut)
 
 
-class Access(StrEnum):
+class TopicAccess(StrEnum):
     """How much a receiver sees of a topic."""
 
     ALL = "all"
@@ -82,10 +82,10 @@ class Access(StrEnum):
     NOTHING = "nothing"
 
 
-SEEING: Final = frozenset({Access.ALL, Access.COARSE, Access.ENDING})
+SEEING: Final = frozenset({TopicAccess.ALL, TopicAccess.COARSE, TopicAccess.ENDING})
 
 
-class HeldGrant(NamedTuple):
+class ShownGrant(NamedTuple):
     """A grant and whether it is in force: `ended_at` is 0 if it is, `reason` why it is not.
 
     `is_ending`: it was revoked, and somebody may not have heard of that: it may still be used.
@@ -112,7 +112,7 @@ class Cell(NamedTuple):
 
     receiver: str
     topic: str
-    access: Access
+    access: TopicAccess
     words: str = ""
     term: str = ""
     grants: tuple[bytes, ...] = ()
@@ -122,7 +122,7 @@ class Cell(NamedTuple):
     @property
     def label(self) -> str:
         """The state in words; only conditions and a rate make no message coarse."""
-        if self.access is Access.COARSE and not any(each.filters for each in self.restrictions):
+        if self.access is TopicAccess.COARSE and not any(each.filters for each in self.restrictions):
             return "at times"
         return {"all": "all of it"}.get(self.access, str(self.access))
 
@@ -163,7 +163,7 @@ class Matrix(NamedTuple):
         """The same, with the rows and receivers first in which most is seen."""
         order = sorted(
             range(len(self.receivers)),
-            key=lambda at: (-sum(row.cells[at].access is not Access.NOTHING for row in self.rows), at),
+            key=lambda at: (-sum(row.cells[at].access is not TopicAccess.NOTHING for row in self.rows), at),
         )
         rows = [row._replace(cells=tuple(row.cells[at] for at in order)) for row in self.rows]
         rows.sort(key=lambda row: (row.is_pattern, -len(row.seen_by()), row.topic))
@@ -172,14 +172,14 @@ class Matrix(NamedTuple):
 
 def held_grants(
     nodes: Iterable[NodeView], grants: Iterable[GrantView], now: int, heard: Heard
-) -> tuple[HeldGrant, ...]:
+) -> tuple[ShownGrant, ...]:
     """Every grant with its end, newest first; `heard`: what every node knows to have ended."""
     keys = {node.key: node for node in nodes}
     found = [_held(view, peek(view.data), keys, now, heard) for view in grants]
     return tuple(sorted(found, key=lambda held: (-held.view.at, held.view.id)))
 
 
-def _held(view: GrantView, grant: Grant, keys: dict[bytes, NodeView], now: int, heard: Heard) -> HeldGrant:
+def _held(view: GrantView, grant: Grant, keys: dict[bytes, NodeView], now: int, heard: Heard) -> ShownGrant:
     holder = keys.get(grant.holder)
     until = max(grant.expires, view.cap)
     keeps = any(
@@ -188,16 +188,16 @@ def _held(view: GrantView, grant: Grant, keys: dict[bytes, NodeView], now: int, 
     for ended in (view, holder):
         if ended is not None and ended.revoked_at:
             is_ending = until > now and not heard.has(ended.revoked_at, keeps=keeps)
-            return HeldGrant(view, grant, ended.revoked_at, ended.reason, is_ending)
+            return ShownGrant(view, grant, ended.revoked_at, ended.reason, is_ending)
     if until <= now:
-        return HeldGrant(view, grant, until, "its time was over")
+        return ShownGrant(view, grant, until, "its time was over")
     if holder is None:
-        return HeldGrant(view, grant, view.at or 1, "the node has another key now")
-    return HeldGrant(view, grant, 0, "")
+        return ShownGrant(view, grant, view.at or 1, "the node has another key now")
+    return ShownGrant(view, grant, 0, "")
 
 
 def build(
-    held: Sequence[HeldGrant],
+    held: Sequence[ShownGrant],
     facts: Sequence[FactView],
     now: int,
     type_of: Callable[[str], str] = lambda _: "",
@@ -230,7 +230,7 @@ def build(
     return Matrix(tuple(receivers), tuple(rows))
 
 
-def publishers_of(topic: str, held: Iterable[HeldGrant], facts: Iterable[FactView]) -> tuple[str, ...]:
+def publishers_of(topic: str, held: Iterable[ShownGrant], facts: Iterable[FactView]) -> tuple[str, ...]:
     running = {fact.node for fact in facts if (fact.kind, fact.name) == ("publisher", topic)}
     granted = {
         each.grant.subject
@@ -247,7 +247,7 @@ def permissions_on(grant: Grant, right: Right, topic: str) -> list[Permission]:
     ]
 
 
-def _topics(held: Iterable[HeldGrant], facts: Iterable[FactView]) -> set[str]:
+def _topics(held: Iterable[ShownGrant], facts: Iterable[FactView]) -> set[str]:
     running = {fact.name for fact in facts if fact.kind in ("publisher", "subscriber")}
     return running | {
         permission.pattern
@@ -262,10 +262,10 @@ def _is_pattern(topic: str) -> bool:
     return "*" in topic or TAIL in topic
 
 
-def _cell(receiver: str, topic: str, held: list[HeldGrant], publishers: tuple[str, ...], now: int) -> Cell:
+def _cell(receiver: str, topic: str, held: list[ShownGrant], publishers: tuple[str, ...], now: int) -> Cell:
     covering = [(each, permissions_on(each.grant, Right.SUBSCRIBE, topic)) for each in held]
     ways = [(each, found) for each, found in covering if found]
-    cell = Cell(receiver, topic, Access.NOTHING, sends=receiver in publishers)
+    cell = Cell(receiver, topic, TopicAccess.NOTHING, sends=receiver in publishers)
     if not ways:
         return cell
     possible = [(each, merge(one.restriction for one in found)) for each, found in ways if not each.is_over]
@@ -275,7 +275,7 @@ def _cell(receiver: str, topic: str, held: list[HeldGrant], publishers: tuple[st
     if ending and all(_strictness(ending[0][1]) < _strictness(given) for _, given in living):
         last, restrictions = ending[0]
         return cell._replace(
-            access=Access.ENDING,
+            access=TopicAccess.ENDING,
             words=printable(last.reason, 200),
             term=f"was ended {words.ago(last.ended_at, now)}; it may see it until every node has heard",
             grants=(last.view.id,),
@@ -284,7 +284,7 @@ def _cell(receiver: str, topic: str, held: list[HeldGrant], publishers: tuple[st
     if not living:
         last = max((each for each, _ in ways), key=lambda each: each.ended_at)
         return cell._replace(
-            access=Access.ENDED,
+            access=TopicAccess.ENDED,
             words=printable(last.reason, 200),
             term=f"ended {words.ago(last.ended_at, now)}",
             grants=(last.view.id,),
@@ -297,7 +297,7 @@ def _cell(receiver: str, topic: str, held: list[HeldGrant], publishers: tuple[st
     if now < widest.grant.not_before:
         term = f"begins in {words.duration(widest.grant.not_before - now)}"
     return cell._replace(
-        access=Access.COARSE if restrictions else Access.ALL,
+        access=TopicAccess.COARSE if restrictions else TopicAccess.ALL,
         words=", or ".join(texts) if restrictions else "",
         term=term,
         grants=tuple(each.view.id for each, _ in living),
@@ -385,7 +385,7 @@ def _typed(accesses: Iterable[ReceiverAccess]) -> list[ReceiverAccess]:
 
 
 def held_accesses(
-    held: Iterable[HeldGrant], types: Mapping[str, str], type_of: Callable[[str], str] = lambda _: ""
+    held: Iterable[ShownGrant], types: Mapping[str, str], type_of: Callable[[str], str] = lambda _: ""
 ) -> list[ReceiverAccess]:
     """What is granted now, of every grant in force or ending.
 

@@ -39,7 +39,7 @@ class Tls(StrEnum):
 
 
 @dataclass(frozen=True)
-class Options:
+class ConsoleOptions:
     """The options of `rossec console`, as they were given."""
 
     lan: bool = False
@@ -56,7 +56,7 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Endpoint:
+class ConsoleEndpoint:
     """What follows from the options.
 
     Attributes:
@@ -93,7 +93,7 @@ class Endpoint:
         return self.tls is Tls.FILES
 
 
-def read_options(options: Options, hostname: str) -> Endpoint:
+def read_options(options: ConsoleOptions, hostname: str) -> ConsoleEndpoint:
     _check_pairs(options)
     if options.unix_path is not None:
         return _behind_proxy(options, options.unix_path)
@@ -102,7 +102,7 @@ def read_options(options: Options, hostname: str) -> Endpoint:
         raise ConfigurationError(f"{port} is not a port", "give one from 1 to 65535")
     if not options.lan and options.tls_certificate is None:
         host = _with_port(LOCALHOST, "http", port)
-        return Endpoint(f"http://{host}", LOCALHOST, _LOOPBACK, port, read_only=options.read_only)
+        return ConsoleEndpoint(f"http://{host}", LOCALHOST, _LOOPBACK, port, read_only=options.read_only)
     if options.name is not None:
         name = check_name(options.name)
     else:  # `<hostname>.local`, as mDNS announces it (RFC 6762 section 3)
@@ -116,7 +116,7 @@ def read_options(options: Options, hostname: str) -> Endpoint:
         raise ConfigurationError(
             "no other device can reach localhost", "give the name of this host: --name NAME.local"
         )
-    return Endpoint(
+    return ConsoleEndpoint(
         origin=f"https://{_with_port(name, 'https', port)}",
         name=name,
         addresses=_EVERY,
@@ -145,7 +145,7 @@ def check_name(name: str) -> str:
     return found
 
 
-def check_origin(endpoint: Endpoint, recorded: Collection[str], *, rename: bool) -> None:
+def check_origin(endpoint: ConsoleEndpoint, recorded: Collection[str], *, rename: bool) -> None:
     """Check that the passkeys that exist, made at the origins `recorded`, can approve here."""
     if rename or not recorded or endpoint.origin in recorded:
         return
@@ -156,7 +156,7 @@ def check_origin(endpoint: Endpoint, recorded: Collection[str], *, rename: bool)
     )
 
 
-def _check_pairs(options: Options) -> None:
+def _check_pairs(options: ConsoleOptions) -> None:
     # Raise for options that do not go together.
     has_files = options.tls_certificate is not None or options.tls_key is not None
     ways = [options.lan, has_files, options.unix_path is not None]
@@ -198,7 +198,7 @@ def _check_pairs(options: Options) -> None:
             raise ConfigurationError(message, hint)
 
 
-def _behind_proxy(options: Options, path: Path) -> Endpoint:
+def _behind_proxy(options: ConsoleOptions, path: Path) -> ConsoleEndpoint:
     # The origin is the proxy's; headers that a proxy adds are never read.
     origin = options.origin or ""
     try:
@@ -216,7 +216,7 @@ def _behind_proxy(options: Options, path: Path) -> Endpoint:
             "let the proxy serve https, and give --origin https://NAME",
         )
     host = _with_port(name, scheme, port or _DEFAULT_PORTS[scheme])
-    return Endpoint(
+    return ConsoleEndpoint(
         f"{scheme}://{host}", name, unix_path=path, proxy_user=options.proxy_user, read_only=options.read_only
     )
 

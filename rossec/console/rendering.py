@@ -37,13 +37,13 @@ MAX_BODY: Final = 16 * 1024
 MAX_FRAME: Final = 256 * 1024  # a picture from a camera
 
 
-class Access(Enum):
+class PageAccess(Enum):
     PUBLIC = "public"
     SESSION = "session"
 
 
-PUBLIC: Final = Access.PUBLIC
-SESSION: Final = Access.SESSION
+PUBLIC: Final = PageAccess.PUBLIC
+SESSION: Final = PageAccess.SESSION
 
 
 class Page(NamedTuple):
@@ -55,7 +55,7 @@ class Page(NamedTuple):
     path: str
     methods: tuple[str, ...]
     handler: Handler
-    access: Access = SESSION
+    access: PageAccess = SESSION
     max_body: int = MAX_BODY
     looks: bool = False
 
@@ -211,18 +211,18 @@ TEMPLATE_FOLDER: Final = Path(__file__).parent / "templates"
 _NAMES: ContextVar[Names] = ContextVar("names", default=NONE)
 
 
-class Place(NamedTuple):
+class PagePlace(NamedTuple):
     path: str
     label: str
 
 
 NAVIGATION: Final = (
-    Place("/", "Today"),
-    Place("/who", "Who sees what"),
-    Place("/add", "Add a node"),
-    Place("/way", "Data flow"),
-    Place("/log", "What happened"),
-    Place("/phones", "Your phone"),
+    PagePlace("/", "Today"),
+    PagePlace("/who", "Who sees what"),
+    PagePlace("/add", "Add a node"),
+    PagePlace("/way", "Data flow"),
+    PagePlace("/log", "What happened"),
+    PagePlace("/phones", "Your phone"),
 )
 
 

@@ -39,7 +39,7 @@ class Recorded(NamedTuple):
     is_made_up: bool = False
 
 
-class Sample(NamedTuple):
+class SyntheticSample(NamedTuple):
     """A message as a receiver gets it: its fields by name, messages in it as mappings."""
 
     at: float
@@ -53,7 +53,7 @@ class SeenTopic(NamedTuple):
     topic: str
     type: str
     sent: int
-    samples: tuple[Sample, ...]
+    samples: tuple[SyntheticSample, ...]
     is_made_up: bool = False
 
 
@@ -79,7 +79,7 @@ def see(recorded: Recorded, receiver: str, restrictions: Iterable[Restriction]) 
     for at, message in recorded.messages:
         pieces = guard(message, int(at))
         if pieces is not None:
-            samples.append(Sample(at, as_mapping(kind.deserialize(b"".join(pieces)))))
+            samples.append(SyntheticSample(at, as_mapping(kind.deserialize(b"".join(pieces)))))
     return SeenTopic(
         receiver, recorded.topic, recorded.type, len(recorded.messages), tuple(samples), recorded.is_made_up
     )

@@ -32,7 +32,7 @@ _TEXT_SIZE: Final = 43  # of 32 bytes as base64url
 
 
 @dataclass
-class Session:
+class LoginSession:
     """A login. `phone`: the passkey's name; empty: by a code, to look.
 
     `passkey` is its credential id, as soon as that is known (`known_phones`). `seen` is the number
@@ -52,7 +52,7 @@ class Sessions:
 
     def __init__(self, lifetime: int, idle: int) -> None:
         self._lifetime, self._idle = lifetime, idle
-        self._sessions: SharedTable[bytes, Session] = SharedTable(MAX_SESSIONS)
+        self._sessions: SharedTable[bytes, LoginSession] = SharedTable(MAX_SESSIONS)
 
     def __len__(self) -> int:
         return len(self._sessions)
@@ -61,11 +61,14 @@ class Sessions:
         # Begin a session with `secret`, 32 random bytes; returns the value of its cookie.
         digest = sha256(secret).digest()
         owner = messages.of_phone(phone) if phone else messages.LOOKER
-        if self._sessions.add(digest, Session(digest, phone, now, now), owner, messages.rank(owner)) is None:
+        if (
+            self._sessions.add(digest, LoginSession(digest, phone, now, now), owner, messages.rank(owner))
+            is None
+        ):
             raise HttpRefused("too many are logged in", "log out elsewhere, or use a phone", status=429)
         return base64.urlsafe_b64encode(secret).rstrip(b"=").decode()
 
-    def find(self, cookie: str, now: float) -> Session | None:
+    def find(self, cookie: str, now: float) -> LoginSession | None:
         if len(cookie) != _TEXT_SIZE or not cookie.isascii():
             return None
         try:
@@ -76,7 +79,7 @@ class Sessions:
         session = self._sessions.get(sha256(secret).digest())
         return session if session is not None and self.is_valid(session, now) else None
 
-    def is_valid(self, session: Session, now: float) -> bool:
+    def is_valid(self, session: LoginSession, now: float) -> bool:
         if self._sessions.get(session.id) is not session:
             return False
         since_begin, since_use = now - session.began, now - session.used
@@ -85,10 +88,10 @@ class Sessions:
         self.end(session)
         return False
 
-    def use(self, session: Session, now: float) -> None:
+    def use(self, session: LoginSession, now: float) -> None:
         session.used = now
 
-    def end(self, session: Session) -> None:
+    def end(self, session: LoginSession) -> None:
         self._sessions.pop(session.id)
 
     def end_of_phone(self, phone: str) -> None:
@@ -96,7 +99,7 @@ class Sessions:
             self.end(session)
 
 
-def owner_of(session: Session) -> str:
+def owner_of(session: LoginSession) -> str:
     """Who has what a session begins: the phone, with all its sessions, or one session to look."""
     return messages.of_phone(session.phone) if session.phone else messages.of_looker(session.id)
 
@@ -117,7 +120,7 @@ class KnownPhones:
         self._asked = float("-inf")
         self._known: tuple[PhoneView, ...] = ()
 
-    async def counts(self, session: Session) -> bool:
+    async def counts(self, session: LoginSession) -> bool:
         is_fresh = self._elapsed() - self._asked < KEPT
         if not session.phone or (is_fresh and self._is_known(session)):
             return True
@@ -126,7 +129,7 @@ class KnownPhones:
         self._asked = asked
         return self._is_known(session)
 
-    def _is_known(self, session: Session) -> bool:
+    def _is_known(self, session: LoginSession) -> bool:
         for each in self._known:
             if each.name == session.phone and not each.ended:  # one at most
                 session.passkey = session.passkey or each.id
@@ -160,7 +163,7 @@ class FailureLimit:
             self._failures.popitem(last=False)
 
 
-class Turns:
+class LoginTurns:
     """How many questions of one source wait for the authority's service before a login.
 
     Anybody on the network may ask for a challenge, and all such questions take turns at the service. A source

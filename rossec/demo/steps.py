@@ -311,12 +311,12 @@ async def revoke_lamp(demo: DemoEnvironment, doctor: DemoProcess) -> None:
     )
 
 
-class WaitingNode(NamedTuple):
+class EnrollingNode(NamedTuple):
     code: str
     environment: DemoEnvironment
 
 
-async def show_code(demo: DemoEnvironment) -> WaitingNode:
+async def show_code(demo: DemoEnvironment) -> EnrollingNode:
     """Start a node that shows its code; the caller stops its environment."""
     other = DemoEnvironment(demo.root / "fridge", demo.printer, {"ROS_IP": "127.0.0.1"}, demo.run)
     other.root.mkdir(mode=0o700)
@@ -324,7 +324,7 @@ async def show_code(demo: DemoEnvironment) -> WaitingNode:
         "rossec", "node", "enroll", FRIDGE, "--address", "127.0.0.1", "--json", name="fridge"
     )
     try:
-        return WaitingNode(await node.logged(r"^ROSSEC:.*\S"), other)
+        return EnrollingNode(await node.logged(r"^ROSSEC:.*\S"), other)
     except DemoFailed:
         await other.stop_all()
         raise

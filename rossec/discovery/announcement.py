@@ -85,7 +85,7 @@ def sign(signer: Signer, chain: tuple[bytes, ...], announcement: Announcement) -
 
 
 @dataclass(frozen=True)
-class Claim:
+class MasterClaim:
     data: bytes
     announcement: Announcement
     chain: tuple[bytes, ...]
@@ -109,14 +109,14 @@ class Claim:
         return self.announcement
 
 
-def read_claim(data: bytes, now: int) -> Claim:
+def read_claim(data: bytes, now: int) -> MasterClaim:
     try:
         announcement, chain = _read(PROFILE.peek(data, limit=MAX_SIZE))
     except CAError as error:
         raise _foreign(error) from error
     if announcement.issued > now + SKEW or announcement.issued + announcement.max_age < now:
         raise AnnouncementRefused("an announcement of another time", "check both clocks")
-    return Claim(data, announcement, tuple(chain))
+    return MasterClaim(data, announcement, tuple(chain))
 
 
 def _foreign(error: CAError) -> AnnouncementRefused:
@@ -316,7 +316,7 @@ class Candidates:
     def best(self, now: int, clock: float) -> Candidate | None:
         return next((one for one in self.ranked(now, clock) if one.rtt is not None), None)
 
-    def _identity(self, claim: Claim, source: DatagramSource, now: int, clock: float) -> Identity:
+    def _identity(self, claim: MasterClaim, source: DatagramSource, now: int, clock: float) -> Identity:
         identity, until = self._chains.get(claim.chain, (None, 0.0))
         if identity is not None and clock < until:
             self._budget.spend(source, 1, clock, known_chain=True)

@@ -26,7 +26,7 @@ from ca.enrollment.join import (
     LiveIdentity,
     NameAnswer,
     NodeJoin,
-    Refused,
+    RefusedMessage,
     RefuseReason,
     write,
 )
@@ -49,7 +49,7 @@ RETRY_DELAY: Final = 0.5  # seconds, then twice as long each time, and up to as 
 _DECISION: Final = 45.0  # seconds for the answer
 _TRIES: Final = 5
 _CAPS: Final = HalfOpen(per_address=32, total=256)
-_BUSY: Final = Refused(RefuseReason.BUSY)
+_BUSY: Final = RefusedMessage(RefuseReason.BUSY)
 _T = TypeVar("_T")
 _Asked = TypeVar("_Asked", JoinRequest, JoinClaim)
 _Answer = TypeVar("_Answer", JoinAnswer, NameAnswer)
@@ -58,7 +58,7 @@ _S = AuthorityJoinState
 
 
 async def no_names(_: JoinClaim) -> NameAnswer:
-    return Refused(RefuseReason.REFUSED)
+    return RefusedMessage(RefuseReason.REFUSED)
 
 
 class JoinServer:
@@ -104,7 +104,7 @@ class JoinServer:
                 sessions.send(writer, core.answer(await self._decided(self._admit, core.request)))
         except EnrollmentRefused as error:
             self._on_refusal(printable(f"{address}: {error}"))
-            sessions.send(writer, write(Refused(RefuseReason.REFUSED)))
+            sessions.send(writer, write(RefusedMessage(RefuseReason.REFUSED)))
         except (OSError, EOFError, TimeoutError):
             pass  # the node may connect again
 
@@ -119,7 +119,7 @@ class JoinServer:
 
     async def _decided(
         self, decide: Callable[[_Asked], Awaitable[_Answer]], asked: _Asked
-    ) -> _Answer | Refused:
+    ) -> _Answer | RefusedMessage:
         try:
             async with asyncio.timeout(DECISION), self._turns.turn(asked.invitation):
                 return await decide(asked)

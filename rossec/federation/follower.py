@@ -39,15 +39,15 @@ from rossec.federation.site_state import (
     METHOD,
     SILENCE,
     DoorFacts,
-    Effect,
-    Event,
-    Phase,
     SiteChange,
     SiteCursor,
+    SiteEffect,
+    SiteEvent,
+    SitePhase,
     SiteState,
     site_status,
 )
-from rossec.master.state.forwarded_ports import MASTER, MAX_DOORS, Doors, Target
+from rossec.master.state.forwarded_ports import MASTER, MAX_DOORS, ForwardedPorts, Target
 from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.rpc.calls import RpcClient
 from rossec.peer_limits import printable
@@ -65,7 +65,7 @@ class SiteDoors:
     `on_door`: called when the master's door was opened.
     """
 
-    def __init__(self, doors: Doors, settings: SiteSettings, on_door: Callable[[], None]) -> None:
+    def __init__(self, doors: ForwardedPorts, settings: SiteSettings, on_door: Callable[[], None]) -> None:
         self._doors = doors
         self._settings = settings
         self._on_door = on_door
@@ -233,17 +233,17 @@ class FollowedSite:
 
     async def run(self) -> None:
         while True:
-            self._take(Event.DUE)
+            self._take(SiteEvent.DUE)
             try:
                 await self._follow()
             except (SiteRefused, IdentityRefused) as error:
-                self._report(Event.REFUSED, error)
+                self._report(SiteEvent.REFUSED, error)
             except Failures as error:
-                self._report(Event.FAILED, error)
+                self._report(SiteEvent.FAILED, error)
             except Exception as error:  # noqa: BLE001 - no answer may end that it is followed
                 _log.exception("following site %s failed", self.settings.label)
-                self._report(Event.FAILED, error)
-            if self.state.phase not in (Phase.FOLLOWING, Phase.LISTENING):
+                self._report(SiteEvent.FAILED, error)
+            if self.state.phase not in (SitePhase.FOLLOWING, SitePhase.LISTENING):
                 self._woken.clear()
                 with contextlib.suppress(TimeoutError):
                     longest = LONGEST_PAUSE if self._foreign is None else LONGEST_FOREIGN
@@ -252,14 +252,14 @@ class FollowedSite:
 
     def tick(self) -> None:
         if self.state.has_expired(time.monotonic()):
-            self._take(Event.EXPIRED)
+            self._take(SiteEvent.EXPIRED)
             _audit.warning("site %s is lost: its facts are dropped", self.settings.label)
 
     def wake(self) -> None:
         self._woken.set()
 
     def remove(self) -> None:
-        self._take(Event.REMOVED)
+        self._take(SiteEvent.REMOVED)
         if self._doors is not None:
             self._doors.close()
 
@@ -267,7 +267,7 @@ class FollowedSite:
         # The connection on which it is followed waits for an answer, so another one is made.
         self._lists_changed.set()
         self._mirroring.judge()
-        if self.settings.domain or self.state.phase is not Phase.FOLLOWING:
+        if self.settings.domain or self.state.phase is not SitePhase.FOLLOWING:
             return
         with contextlib.suppress(*Failures):  # else with the next answer
             async with self.connections.open() as (client, peer):
@@ -287,7 +287,7 @@ class FollowedSite:
     async def _follow(self) -> None:
         was_followed = self.state.failures == 0 and self._cursor.instance != ""
         async with self.connections.open() as (client, peer):
-            self._take(Event.CONNECTED)
+            self._take(SiteEvent.CONNECTED)
             self._cursor.reconnected()
             if not was_followed:
                 if self._foreign is not None:
@@ -301,7 +301,7 @@ class FollowedSite:
             except GraphHidden as error:
                 if self._foreign is None or self._foreign.may_see(peer.certified_name):
                     raise SiteRefused(str(error), error.hint) from error  # tried again
-                self._report(Event.HIDDEN, error)
+                self._report(SiteEvent.HIDDEN, error)
                 check = partial(self.connections.check_trust, peer)
                 await self._foreign.listen(client, peer, self._lists_changed, check)
 
@@ -335,7 +335,7 @@ class FollowedSite:
         imports, changes = self._own.state.imports, self._own.state.demand_changes
         events = [self._lists_changed, *([] if self._doors is None else [self._doors.changed])]
         while not asking.done():
-            if self.state.phase is Phase.FOLLOWING and imports.demand.version != demand:
+            if self.state.phase is SitePhase.FOLLOWING and imports.demand.version != demand:
                 return False
             if self._lists_changed.is_set():
                 self._lists_changed.clear()
@@ -372,9 +372,9 @@ class FollowedSite:
         except ImportRefused as error:
             raise SiteRefused(f"facts of {self.settings.label}: {error}", error.hint) from error
         await self._apply(change)
-        if self.state.phase is not Phase.FOLLOWING:
+        if self.state.phase is not SitePhase.FOLLOWING:
             _audit.info("site %s is followed", self.settings.label)
-        self._take(Event.ANSWERED)
+        self._take(SiteEvent.ANSWERED)
         self.error = self.hint = ""
 
     async def _apply(self, change: SiteChange) -> None:
@@ -387,11 +387,11 @@ class FollowedSite:
             raise SiteRefused(f"facts of {self.settings.label}: {error}", error.hint) from error
         self._deliver(events)
 
-    def _report(self, event: Event, error: BaseException) -> None:
+    def _report(self, event: SiteEvent, error: BaseException) -> None:
         text = printable(str(error)) or type(error).__name__
         if text != self.error:
             _log.warning("site %s: %s", self.settings.label, text)
-        if event is not Event.FAILED and text != self.error:
+        if event is not SiteEvent.FAILED and text != self.error:
             _audit.warning("site %s is not followed: %s", self.settings.label, text)
         self.error, self.hint = text, printable(self._advice(error))
         self._take(event)
@@ -404,18 +404,18 @@ class FollowedSite:
             return f"does {self.settings.domain} trust this domain? there: rossec domain list"
         return error.hint if isinstance(error, HintedError) else ""
 
-    def _take(self, event: Event) -> None:
+    def _take(self, event: SiteEvent) -> None:
         label = self.settings.label
         match self.state.take(event, time.monotonic()):
-            case Effect.NONE:
+            case SiteEffect.NONE:
                 pass
-            case Effect.MARK:
+            case SiteEffect.MARK:
                 self._own.state.imports.lose(label)
-            case Effect.EXPIRE:
+            case SiteEffect.EXPIRE:
                 self._begin_again()
                 self._own.state.imports.expire(label)
                 self._own.state.notify()
-            case Effect.DROP:
+            case SiteEffect.DROP:
                 self._begin_again()
                 self._deliver(self._own.state.imports.drop(label))
                 self._mirroring.drop()

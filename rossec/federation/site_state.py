@@ -27,7 +27,7 @@ LONGEST_PAUSE: Final = 30.0
 _SPREAD: Final = 0.2  # or all masters of a site would return at the same moment
 
 
-class Phase(Enum):
+class SitePhase(Enum):
     IDLE = "idle"
     DIALLING = "dialling"
     GREETING = "greeting"
@@ -36,7 +36,7 @@ class Phase(Enum):
     LOST = "lost"
 
 
-class Event(Enum):
+class SiteEvent(Enum):
     DUE = "it is time to dial"
     CONNECTED = "there is a connection"
     ANSWERED = "the site has answered, and the answer is taken over"
@@ -47,29 +47,29 @@ class Event(Enum):
     REMOVED = "it is followed no longer"
 
 
-class Effect(Enum):
+class SiteEffect(Enum):
     NONE = "nothing"
     MARK = "they are marked as lost"
     EXPIRE = "they go, and connections with the site's nodes stay"
     DROP = "they go, and subscribers here leave the site's publishers"
 
 
-_CONNECTING: Final = (Phase.DIALLING, Phase.GREETING)
-_OPEN: Final = (*_CONNECTING, Phase.FOLLOWING, Phase.LISTENING)
+_CONNECTING: Final = (SitePhase.DIALLING, SitePhase.GREETING)
+_OPEN: Final = (*_CONNECTING, SitePhase.FOLLOWING, SitePhase.LISTENING)
 TABLE: Final = {
-    (Phase.IDLE, Event.DUE): (Phase.DIALLING, Effect.NONE),
-    (Phase.LOST, Event.DUE): (Phase.DIALLING, Effect.NONE),
-    (Phase.FOLLOWING, Event.DUE): (Phase.DIALLING, Effect.NONE),  # local nodes want more
-    (Phase.DIALLING, Event.CONNECTED): (Phase.GREETING, Effect.NONE),
-    (Phase.GREETING, Event.ANSWERED): (Phase.FOLLOWING, Effect.NONE),
-    (Phase.FOLLOWING, Event.ANSWERED): (Phase.FOLLOWING, Effect.NONE),
-    (Phase.GREETING, Event.HIDDEN): (Phase.LISTENING, Effect.DROP),
-    (Phase.FOLLOWING, Event.HIDDEN): (Phase.LISTENING, Effect.DROP),
-    (Phase.LISTENING, Event.DUE): (Phase.DIALLING, Effect.NONE),  # it may show more now
-    **{(at, Event.FAILED): (Phase.LOST, Effect.MARK) for at in _OPEN},
-    **{(at, Event.REFUSED): (Phase.IDLE, Effect.DROP) for at in _OPEN},
-    **{(at, Event.EXPIRED): (at, Effect.EXPIRE) for at in (*_CONNECTING, Phase.LOST)},
-    **{(at, Event.REMOVED): (Phase.IDLE, Effect.DROP) for at in Phase},
+    (SitePhase.IDLE, SiteEvent.DUE): (SitePhase.DIALLING, SiteEffect.NONE),
+    (SitePhase.LOST, SiteEvent.DUE): (SitePhase.DIALLING, SiteEffect.NONE),
+    (SitePhase.FOLLOWING, SiteEvent.DUE): (SitePhase.DIALLING, SiteEffect.NONE),  # local nodes want more
+    (SitePhase.DIALLING, SiteEvent.CONNECTED): (SitePhase.GREETING, SiteEffect.NONE),
+    (SitePhase.GREETING, SiteEvent.ANSWERED): (SitePhase.FOLLOWING, SiteEffect.NONE),
+    (SitePhase.FOLLOWING, SiteEvent.ANSWERED): (SitePhase.FOLLOWING, SiteEffect.NONE),
+    (SitePhase.GREETING, SiteEvent.HIDDEN): (SitePhase.LISTENING, SiteEffect.DROP),
+    (SitePhase.FOLLOWING, SiteEvent.HIDDEN): (SitePhase.LISTENING, SiteEffect.DROP),
+    (SitePhase.LISTENING, SiteEvent.DUE): (SitePhase.DIALLING, SiteEffect.NONE),  # it may show more now
+    **{(at, SiteEvent.FAILED): (SitePhase.LOST, SiteEffect.MARK) for at in _OPEN},
+    **{(at, SiteEvent.REFUSED): (SitePhase.IDLE, SiteEffect.DROP) for at in _OPEN},
+    **{(at, SiteEvent.EXPIRED): (at, SiteEffect.EXPIRE) for at in (*_CONNECTING, SitePhase.LOST)},
+    **{(at, SiteEvent.REMOVED): (SitePhase.IDLE, SiteEffect.DROP) for at in SitePhase},
 }
 
 
@@ -84,24 +84,24 @@ class SiteState:
     """
 
     def __init__(self) -> None:
-        self.phase = Phase.IDLE
+        self.phase = SitePhase.IDLE
         self.lost_since: float | None = None
         self.failures = 0
         self._has_facts = False
 
-    def take(self, event: Event, clock: float) -> Effect:
+    def take(self, event: SiteEvent, clock: float) -> SiteEffect:
         found = TABLE.get((self.phase, event))
         if found is None:
             raise FederationError(f"a site that is {self.phase.value}, and: {event.value}")
         self.phase, effect = found
-        if event in (Event.FAILED, Event.REFUSED):
+        if event in (SiteEvent.FAILED, SiteEvent.REFUSED):
             self.failures += 1
-        if event is Event.ANSWERED:
+        if event is SiteEvent.ANSWERED:
             self.lost_since, self.failures, self._has_facts = None, 0, True
-        elif effect in (Effect.EXPIRE, Effect.DROP):
+        elif effect in (SiteEffect.EXPIRE, SiteEffect.DROP):
             self.lost_since, self._has_facts = None, False
-            self.failures = 0 if event is Event.HIDDEN else self.failures
-        elif event is Event.FAILED and self._has_facts and self.lost_since is None:
+            self.failures = 0 if event is SiteEvent.HIDDEN else self.failures
+        elif event is SiteEvent.FAILED and self._has_facts and self.lost_since is None:
             self.lost_since = clock
         return effect
 

@@ -25,12 +25,12 @@ from rossec.gateway.rules import (
     BATCH,
     MAX_TOPICS,
     Action,
-    Candidate,
+    GatewayPhase,
     Observed,
-    Phase,
-    Sources,
+    SourceCandidate,
     Thinning,
     TopicRule,
+    TopicSources,
     TopicState,
     TypeChanged,
     chosen,
@@ -56,7 +56,7 @@ MAX_SKIPPED: Final = 100  # of those that the status names
 MAX_LOGGED: Final = 5  # topics at a time
 
 
-class Subscription(Protocol):
+class GatewaySubscription(Protocol):
     async def close(self) -> None: ...
 
 
@@ -65,7 +65,9 @@ class RawTopics(Protocol):
         self, topic: str, type_name: str, on_demand: Any, *, queue_size: int
     ) -> RawPublisher: ...
     async def unpublish(self, publisher: Publisher) -> None: ...
-    async def subscribe_raw(self, topic: str, receiver: RawReceiver, *, wishes: Wishes) -> Subscription: ...
+    async def subscribe_raw(
+        self, topic: str, receiver: RawReceiver, *, wishes: Wishes
+    ) -> GatewaySubscription: ...
 
 
 class ServedTopic:
@@ -76,17 +78,17 @@ class ServedTopic:
     again by itself.
     """
 
-    def __init__(self, candidate: Candidate, topics: RawTopics) -> None:
+    def __init__(self, candidate: SourceCandidate, topics: RawTopics) -> None:
         self.candidate: Final = candidate
         self.problem = ""  # why nothing comes
         self.messages = self.octets = 0  # that were forwarded
         self.registered_at: float | None = None  # by the monotonic clock
         self._topics = topics
         self._state = TopicState()
-        self._sources = Sources()
+        self._sources = TopicSources()
         self._thinned: dict[RawSource, Thinning] = {}
         self._publisher: RawPublisher | None = None
-        self._subscription: Subscription | None = None
+        self._subscription: GatewaySubscription | None = None
         self._wishes = candidate.rule.wishes
         self._thins_here = False
         self._subscribes_again = False
@@ -94,7 +96,7 @@ class ServedTopic:
         self._wake = asyncio.Event()
 
     @property
-    def phase(self) -> Phase:
+    def phase(self) -> GatewayPhase:
         return self._state.phase
 
     @property
@@ -307,8 +309,8 @@ class Gateway:
             self._running[alias] = _Running(topic, task)
         await self._restore_lost(now)
 
-    async def _wanted(self, now: float) -> list[Candidate]:
-        able, skipped = list[Candidate](), dict[str, Obstacle]()
+    async def _wanted(self, now: float) -> list[SourceCandidate]:
+        able, skipped = list[SourceCandidate](), dict[str, Obstacle]()
         for count, (alias, each) in enumerate(self._observed.candidates.items(), 1):
             obstacle = self._obstacle(each, now)
             if obstacle is not None:
@@ -331,7 +333,7 @@ class Gateway:
             _log.warning("and %d more: rossec gateway status", len(new) - MAX_LOGGED)
         return found
 
-    def _obstacle(self, candidate: Candidate, now: float) -> Obstacle | None:
+    def _obstacle(self, candidate: SourceCandidate, now: float) -> Obstacle | None:
         if missing := self._missing.get(candidate.alias):
             return missing
         others = self._observed.servers.get(candidate.served, frozenset()) - {self._node.name}
@@ -351,7 +353,7 @@ class Gateway:
                 await asyncio.sleep(0)
         self._judged_for, self._missing = known, missing
 
-    def _missing_right(self, candidate: Candidate) -> Obstacle | None:
+    def _missing_right(self, candidate: SourceCandidate) -> Obstacle | None:
         access, now, name = self._node.access, clock.now(), self._node.name
         label, origin = candidate.rule.label, origin_of(candidate.alias)
         if not access.covers(Right.SUBSCRIBE, candidate.alias, now):

@@ -90,7 +90,7 @@ def covering(rules: Sequence[TopicRule], alias: str) -> TopicRule | None:
     return next((each for each in of_label if pattern_covers(each.pattern, name)), None)
 
 
-class Candidate(NamedTuple):
+class SourceCandidate(NamedTuple):
     alias: str
     served: str
     rule: TopicRule
@@ -100,7 +100,7 @@ class Candidate(NamedTuple):
 class Observed(NamedTuple):
     """What the graph says of topics to serve."""
 
-    candidates: Mapping[str, Candidate]  # by alias
+    candidates: Mapping[str, SourceCandidate]  # by alias
     servers: Mapping[str, frozenset[str]]  # the gateways that are registered, by served name
 
 
@@ -117,12 +117,14 @@ def observing(facts: Iterable[Fact], rules: Sequence[TopicRule]) -> Generator[No
             published.add(name)
         if not count % BATCH:
             yield
-    candidates = dict[str, Candidate]()
+    candidates = dict[str, SourceCandidate]()
     for count, alias in enumerate(sorted(published), 1):
         rule = covering(rules, alias)
         if rule is not None:
             with suppress(NameRefused):  # it would be longer than a name
-                candidates[alias] = Candidate(alias, served_name(alias), rule, types.get(alias, ANY_TYPE))
+                candidates[alias] = SourceCandidate(
+                    alias, served_name(alias), rule, types.get(alias, ANY_TYPE)
+                )
         if not count % BATCH:
             yield
     return Observed(candidates, servers)
@@ -137,16 +139,16 @@ def _is_of_its_origin(topic: str, node: str) -> bool:
 
 
 def chosen(
-    candidates: Iterable[Candidate], serving: Collection[str], most: int = MAX_TOPICS
-) -> list[Candidate]:
+    candidates: Iterable[SourceCandidate], serving: Collection[str], most: int = MAX_TOPICS
+) -> list[SourceCandidate]:
     """What there is room for, shared between the origins: one with many topics takes none from others.
 
     Within an origin what is served already comes first, so that a new topic replaces none.
     """
-    by_label: dict[str, list[Candidate]] = {}
+    by_label: dict[str, list[SourceCandidate]] = {}
     for each in candidates:
         by_label.setdefault(each.rule.label, []).append(each)
-    taken, left = list[Candidate](), most
+    taken, left = list[SourceCandidate](), most
     queues = sorted(by_label.values(), key=len)
     for number, queue in enumerate(queues):
         share = left // (len(queues) - number)
@@ -160,7 +162,7 @@ class TypeChanged(ConnectionHeaderRefused):
     """The topic has another type at its origin than was said here."""
 
 
-class Sources:
+class TopicSources:
     """The publishers of one topic at its origin.
 
     A topic has one type, and the definition of the first publisher counts. While a publisher of that
@@ -207,14 +209,14 @@ def _digest(kind: Definition) -> bytes | str:
         return kind.definition
 
 
-class Phase(Enum):
+class GatewayPhase(Enum):
     IDLE = "idle"  # nobody is subscribed here
     SUBSCRIBED = "subscribed"
     LINGERING = "lingering"  # subscribed at the origin, and nobody here
     PAUSED = "paused"  # the master refused the subscription: tried again later
 
 
-class Event(Enum):
+class GatewayEvent(Enum):
     WANTED = "somebody here is subscribed"
     UNWANTED = "nobody here is subscribed any more"
     DUE = "the time is over"
@@ -228,16 +230,16 @@ class Action(Enum):
 
 
 TABLE: Final = {
-    (Phase.IDLE, Event.WANTED): (Phase.SUBSCRIBED, Action.SUBSCRIBE),
-    (Phase.SUBSCRIBED, Event.UNWANTED): (Phase.LINGERING, Action.NOTHING),
-    (Phase.SUBSCRIBED, Event.FAILED): (Phase.PAUSED, Action.LEAVE),
-    (Phase.LINGERING, Event.WANTED): (Phase.SUBSCRIBED, Action.NOTHING),
-    (Phase.LINGERING, Event.DUE): (Phase.IDLE, Action.LEAVE),
-    (Phase.LINGERING, Event.FAILED): (Phase.IDLE, Action.LEAVE),
-    (Phase.PAUSED, Event.DUE): (Phase.SUBSCRIBED, Action.SUBSCRIBE),
-    (Phase.PAUSED, Event.UNWANTED): (Phase.IDLE, Action.NOTHING),
+    (GatewayPhase.IDLE, GatewayEvent.WANTED): (GatewayPhase.SUBSCRIBED, Action.SUBSCRIBE),
+    (GatewayPhase.SUBSCRIBED, GatewayEvent.UNWANTED): (GatewayPhase.LINGERING, Action.NOTHING),
+    (GatewayPhase.SUBSCRIBED, GatewayEvent.FAILED): (GatewayPhase.PAUSED, Action.LEAVE),
+    (GatewayPhase.LINGERING, GatewayEvent.WANTED): (GatewayPhase.SUBSCRIBED, Action.NOTHING),
+    (GatewayPhase.LINGERING, GatewayEvent.DUE): (GatewayPhase.IDLE, Action.LEAVE),
+    (GatewayPhase.LINGERING, GatewayEvent.FAILED): (GatewayPhase.IDLE, Action.LEAVE),
+    (GatewayPhase.PAUSED, GatewayEvent.DUE): (GatewayPhase.SUBSCRIBED, Action.SUBSCRIBE),
+    (GatewayPhase.PAUSED, GatewayEvent.UNWANTED): (GatewayPhase.IDLE, Action.NOTHING),
 }
-_WANTED_IN: Final = frozenset({Phase.SUBSCRIBED, Phase.PAUSED})
+_WANTED_IN: Final = frozenset({GatewayPhase.SUBSCRIBED, GatewayPhase.PAUSED})
 
 
 class TopicState:
@@ -248,32 +250,32 @@ class TopicState:
     """
 
     def __init__(self) -> None:
-        self.phase = Phase.IDLE
+        self.phase = GatewayPhase.IDLE
         self.due: float | None = None  # when to call `step` at the latest; None: when something changes
         self._pause = FIRST_PAUSE
 
     def step(self, now: float, *, wanted: bool) -> Action:
         if wanted and self.phase not in _WANTED_IN:
-            return self._enter(Event.WANTED, now)
+            return self._enter(GatewayEvent.WANTED, now)
         if not wanted and self.phase in _WANTED_IN:
-            return self._enter(Event.UNWANTED, now)
+            return self._enter(GatewayEvent.UNWANTED, now)
         if self.due is not None and now >= self.due:
-            return self._enter(Event.DUE, now)
+            return self._enter(GatewayEvent.DUE, now)
         return Action.NOTHING
 
     def failed(self, now: float) -> Action:
-        action = self._enter(Event.FAILED, now)
+        action = self._enter(GatewayEvent.FAILED, now)
         self._pause = min(2 * self._pause, LONGEST_PAUSE)
         return action
 
     def connected(self) -> None:
         self._pause = FIRST_PAUSE
 
-    def _enter(self, event: Event, now: float) -> Action:
+    def _enter(self, event: GatewayEvent, now: float) -> Action:
         if (self.phase, event) not in TABLE:
             raise GatewayError(f"a topic that is {self.phase.value}, and then: {event.value}")
         self.phase, action = TABLE[self.phase, event]
-        waits = {Phase.LINGERING: LINGER, Phase.PAUSED: self._pause}.get(self.phase)
+        waits = {GatewayPhase.LINGERING: LINGER, GatewayPhase.PAUSED: self._pause}.get(self.phase)
         self.due = None if waits is None else now + waits
         return action
 

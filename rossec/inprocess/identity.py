@@ -132,7 +132,7 @@ def now() -> int:
     return clock.now()
 
 
-class PlainStream:
+class PlainSocketStream:
     """What is used of a `SecureSocket`; the peer is not authenticated."""
 
     peer = None
@@ -253,7 +253,7 @@ class Connector:
 class Renewing:
     """What is renewed on a connection of rospy's; on a plain one there is nothing to renew."""
 
-    _stream: Stream | PlainStream | None = None
+    _stream: Stream | PlainSocketStream | None = None
 
     def on_renewal(self, callback: Callable[[Renewal[Identity]], None]) -> None:
         if isinstance(self._stream, SecureSocket):

@@ -117,7 +117,7 @@ class Registrations:
         return address in self._nodes
 
 
-class Reporter:
+class CallReporter:
     """Warnings for the developer: one for each cause, not for each retry.
 
     Lines are limited per ten seconds, and per subject: no peer can suppress the lines about others.
@@ -191,7 +191,7 @@ class Reporter:
 
 
 class LogBridge(logging.Handler):
-    def __init__(self, reporter: Reporter) -> None:
+    def __init__(self, reporter: CallReporter) -> None:
         super().__init__(logging.WARNING)
         self._reporter = reporter
 
@@ -340,7 +340,7 @@ class BackgroundLoop:
 
 
 class SecuredProcess:
-    def __init__(self, reporter: Reporter, plain: PlainPeers = PlainPeers()) -> None:  # noqa: B008 - constant
+    def __init__(self, reporter: CallReporter, plain: PlainPeers = PlainPeers()) -> None:  # noqa: B008 - constant
         self.reporter = reporter
         self.plain = plain
         self.own_addresses = OwnAddresses()

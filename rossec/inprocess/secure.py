@@ -24,7 +24,7 @@ from rossec.home import NodeHome
 from rossec.host.addresses import warn_of_own_address
 from rossec.inprocess.identity import LocalIdentity
 from rossec.inprocess.options import Options, PlainPeers, file_of, read
-from rossec.inprocess.process import LogBridge, Reporter, SecuredProcess
+from rossec.inprocess.process import CallReporter, LogBridge, SecuredProcess
 from rossec.peer_limits import printable
 from rossec.ros.names import own_address, parse_uri
 
@@ -38,7 +38,7 @@ class _Secured:
         self.hooks.rospy_version()
         self.hooks.check_in_time()
         self._rospy = importlib.import_module("rospy")
-        self.reporter = Reporter(lambda line: self._rospy.logwarn("%s", line))
+        self.reporter = CallReporter(lambda line: self._rospy.logwarn("%s", line))
         self.process = SecuredProcess(self.reporter, PlainPeers(options.allow_plain))
         self._stock_start: Callable[..., Any] = self._rospy.impl.init.start_node
         self.table = self.hooks.hooks(self.process, self.start_node)

@@ -24,7 +24,7 @@ from rossec import clock
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import Bytes
 from rossec.errors import ChannelClosed, ChannelError, ConfigurationError, PlainPeer
-from rossec.inprocess.identity import CONNECT_TIMEOUT, Connector, PlainStream, Renewing, Stream, peek
+from rossec.inprocess.identity import CONNECT_TIMEOUT, Connector, PlainSocketStream, Renewing, Stream, peek
 from rossec.inprocess.options import PlainConnection, PlainPeers
 from rossec.net.threads.secure_socket import SecureSocket
 from rossec.participant.authorized import AuthorizedConnection
@@ -206,7 +206,7 @@ class RosSocket(Renewing):
     def __init__(self, owner: SocketOwner, sock: socket.socket, stream: Stream | None = None) -> None:
         self._owner = owner
         self._socket = sock
-        self._stream: Stream | PlainStream | None = stream
+        self._stream: Stream | PlainSocketStream | None = stream
         self.connection: Admitted | None = None  # after the peer is admitted
         self.aborted = False  # its right has ended; what had arrived before is discarded
         self.closed_locally = False  # later failures are not reported
@@ -216,7 +216,7 @@ class RosSocket(Renewing):
         self._pump_at = 0.0
 
     @property
-    def stream(self) -> Stream | PlainStream:
+    def stream(self) -> Stream | PlainSocketStream:
         # The connection: secure, unless `allow_plain` names it.
         if self._stream is None:
             raise ChannelClosed("the socket is not connected")
@@ -229,7 +229,7 @@ class RosSocket(Renewing):
         return self.stream.peer
 
     def handshake(self) -> Identity:
-        if isinstance(self.stream, PlainStream):
+        if isinstance(self.stream, PlainSocketStream):
             raise ChannelClosed("a plain connection is not authenticated")
         return self.stream.do_handshake()
 
@@ -243,14 +243,14 @@ class RosSocket(Renewing):
 
     @property
     def is_plain(self) -> bool:
-        return isinstance(self._stream, PlainStream)
+        return isinstance(self._stream, PlainSocketStream)
 
     def peek(self) -> bytes:
         return peek(self._socket)
 
     def switch_to_plain(self) -> None:
         if isinstance(self._stream, SecureSocket):
-            self._stream = PlainStream(self._stream.detach())
+            self._stream = PlainSocketStream(self._stream.detach())
 
     # -- becoming a connection
 
@@ -268,7 +268,7 @@ class RosSocket(Renewing):
                 raise self._owner.connect_error(address, error) from error
             # Checked with the header, which names the topic or service; nothing is sent before.
             self._socket = socket.create_connection(address, CONNECT_TIMEOUT)
-            self._stream = PlainStream(self._socket)
+            self._stream = PlainSocketStream(self._socket)
         except ChannelError as error:
             if self.closed_locally:
                 raise ConnectionAbortedError(errno.ECONNABORTED, "closed") from error
@@ -366,7 +366,7 @@ class RosSocket(Renewing):
                 self._stream.run_timers()
                 self._pump_soon(self._stream)
 
-    def _pump_soon(self, stream: Stream | PlainStream) -> None:
+    def _pump_soon(self, stream: Stream | PlainSocketStream) -> None:
         if stream.awaits_peer:
             self._pump_at = 0.0
 

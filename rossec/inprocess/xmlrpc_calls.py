@@ -35,7 +35,7 @@ from rossec.errors import (
     PlainPeer,
     XmlRpcRefused,
 )
-from rossec.inprocess.identity import CONNECT_TIMEOUT, PlainStream, Stream, now, peek
+from rossec.inprocess.identity import CONNECT_TIMEOUT, PlainSocketStream, Stream, now, peek
 from rossec.inprocess.process import REFUSED, REGISTRATIONS, SecuredProcess
 from rossec.inprocess.sockets import bracketed
 from rossec.net.limits import UNSHOWN_BODY
@@ -74,7 +74,7 @@ _MULTICALL: Final = "system.multicall"
 _WITH_SERVICE_URI: Final = ("registerService", "unregisterService")
 
 
-class PresentedGrants:
+class CallGrants:
     grants: bytes | None = None
 
 
@@ -110,7 +110,7 @@ class XmlRpcServer:
             stream.close()
 
     def _serve(self, server: Any, stream: Stream, peer: Identity) -> None:
-        calls, presented = CallServer(), PresentedGrants()
+        calls, presented = CallServer(), CallGrants()
         end = None if self._is_master(peer) else time.monotonic() + slave_api.DEADLINE
         try:
             while not calls.closing:
@@ -122,7 +122,7 @@ class XmlRpcServer:
                 stream.sendall(calls.refuse(error.status))
 
     def _answer_plain(self, request: socket.socket, address: str) -> None:
-        stream, calls = PlainStream(request), CallServer(compact=False)
+        stream, calls = PlainSocketStream(request), CallServer(compact=False)
         with suppress(HintedError, OSError):
             call = calls.load(_next_request(calls, stream, time.monotonic() + REQUEST_DEADLINE))
             match call.method, call.params:
@@ -141,7 +141,7 @@ class XmlRpcServer:
         calls: CallServer,
         request: bytes | Oversized,
         peer: Identity,
-        presented: PresentedGrants,
+        presented: CallGrants,
     ) -> bytes:
         try:
             call = _load(calls, request, master=self._is_master(peer))
@@ -152,7 +152,7 @@ class XmlRpcServer:
             return calls.respond(Fault(FAULT_CODE, str(error)))
 
     def _value(
-        self, server: Any, method: str, params: Params, peer: Identity, presented: PresentedGrants
+        self, server: Any, method: str, params: Params, peer: Identity, presented: CallGrants
     ) -> object:
         try:
             try:
@@ -183,7 +183,7 @@ class XmlRpcServer:
     def _is_master(self, peer: Identity) -> bool:
         return self._process.local_identity.access.is_master(peer)
 
-    def _is_authorized(self, method: str, peer: Identity, presented: PresentedGrants) -> bool:
+    def _is_authorized(self, method: str, peer: Identity, presented: CallGrants) -> bool:
         if presented.grants is None or method not in SLAVE_CALLS or self._is_master(peer):
             return False
         local_identity = self._process.local_identity
@@ -228,7 +228,9 @@ def in_steps(steps: Generator[None, None, ResultT], turn: Lock) -> ResultT:
             time.sleep(_PAUSE)
 
 
-def _next_request(calls: CallServer, stream: Stream | PlainStream, end: float | None) -> bytes | Oversized:
+def _next_request(
+    calls: CallServer, stream: Stream | PlainSocketStream, end: float | None
+) -> bytes | Oversized:
     request = calls.take()
     while request is None:
         waiting = end
@@ -239,7 +241,7 @@ def _next_request(calls: CallServer, stream: Stream | PlainStream, end: float | 
     return request
 
 
-def receive_some(stream: Stream | PlainStream, end: float | None) -> bytes:
+def receive_some(stream: Stream | PlainSocketStream, end: float | None) -> bytes:
     stream.settimeout(None if end is None else max(0.001, end - time.monotonic()))
     data = stream.receive_unit()
     if not data:
@@ -410,7 +412,7 @@ class XmlRpcClient:
             if not self._process.allows_plain(str(params[1]), sock.getpeername()[0]):
                 raise PlainPeer("the peer is a plain ROS node", "secure it, or see allow_plain")
             calls = CallClient(_host(address), compact=False)
-            return _exchange(PlainStream(sock), calls, "requestTopic", named)
+            return _exchange(PlainSocketStream(sock), calls, "requestTopic", named)
 
 
 def _named(method: str, params: Params, caller: str, peer: Identity | None = None) -> Params:
@@ -436,7 +438,7 @@ def _host(address: tuple[str, int]) -> str:
     return f"[{host}]" if ":" in host else host
 
 
-def _exchange(stream: Stream | PlainStream, calls: CallClient, method: str, params: Params) -> object:
+def _exchange(stream: Stream | PlainSocketStream, calls: CallClient, method: str, params: Params) -> object:
     # A hostile server answers with megabytes: parsing them shares the interpreter with the threads that
     # publish. All such answers together have one share.
     request = calls.request(method, params)

@@ -16,7 +16,7 @@ from xml.parsers import expat
 from xml.sax.saxutils import escape, quoteattr
 
 from rossec.errors import MetadataRefused, RossecError
-from rossec.naming.requests import Kind, check_document
+from rossec.naming.requests import NameKind, check_document
 
 NAMESPACE: Final = "urn:schemas-tum-de:vmi:ns"
 WHAT: Final = "a launch file"
@@ -27,9 +27,9 @@ _FROM: Final = re.compile(r"[~/]?[A-Za-z][A-Za-z0-9_]*(?:/[A-Za-z][A-Za-z0-9_]*)
 _TAG: Final = re.compile(rb"<[^\s/>]+")
 _ATTRIBUTE: Final = re.compile(rb"""\s+([^\s=<>/"']+)\s*=\s*("[^"]*"|'[^']*')""")
 _TAG_END: Final = re.compile(rb"\s*(/?)>")
-_ENTRIES: Final = frozenset({Kind.TOPIC.value, Kind.SERVICE.value})
+_ENTRIES: Final = frozenset({NameKind.TOPIC.value, NameKind.SERVICE.value})
 _SUBSTITUTION: Final = "$("
-Query = tuple[Kind, str]
+Query = tuple[NameKind, str]
 NameOf = Callable[[bytes, Sequence[Query]], Sequence[str]]
 """The names for the queries by some metadata, in order; raises a `RossecError` if there is none."""
 _BEFORE: Final = re.compile(rb"[ \t]*\Z")
@@ -37,7 +37,7 @@ _AFTER: Final = re.compile(rb"[ \t]*(?:\r?\n|\Z)")
 _BETWEEN: Final = re.compile(rb"[ \t]*")
 
 
-class Span(NamedTuple):
+class ByteSpan(NamedTuple):
     """Bytes `start` to `end` of the file."""
 
     start: int
@@ -46,9 +46,9 @@ class Span(NamedTuple):
 
 @dataclass
 class Tag:
-    span: Span
+    span: ByteSpan
     empty: bool
-    values: dict[str, Span]
+    values: dict[str, ByteSpan]
 
     @property
     def insertion(self) -> int:
@@ -56,13 +56,13 @@ class Tag:
 
 
 @dataclass
-class Element:
+class LaunchElement:
     name: str
     line: int
     attributes: dict[str, str]
-    whole: Span
+    whole: ByteSpan
     text: str = ""
-    children: list["Element"] = field(default_factory=list)
+    children: list["LaunchElement"] = field(default_factory=list)
 
     def write(self) -> str:
         inner = "".join(child.write() for child in self.children)
@@ -77,10 +77,10 @@ class LaunchNode:
     name: str
     line: int
     tag: Tag
-    elements: list[Element] = field(default_factory=list)
+    elements: list[LaunchElement] = field(default_factory=list)
     remaps: set[str] = field(default_factory=set)
 
-    def entries(self) -> list[tuple[Element, Kind, str, str]]:
+    def entries(self) -> list[tuple[LaunchElement, NameKind, str, str]]:
         return [_entry(found, self) for found in self.elements if found.name in _ENTRIES]
 
     def metadata(self) -> bytes:
@@ -92,7 +92,7 @@ class LaunchNode:
 class Include:
     file: str
     line: int
-    value: Span
+    value: ByteSpan
 
 
 @dataclass
@@ -123,7 +123,7 @@ class _Reader:
         self.nodes: list[LaunchNode] = []
         self.includes: list[Include] = []
         self._data = data
-        self._open: list[LaunchNode | Element | None] = []
+        self._open: list[LaunchNode | LaunchElement | None] = []
         self._starts: list[Tag] = []
         self._parser = parser = expat.ParserCreate(namespace_separator=_SEPARATOR)
         parser.StartElementHandler = self._start
@@ -142,14 +142,14 @@ class _Reader:
         namespace, _, local = name.rpartition(_SEPARATOR)
         if not self._open and local != _ROOT:
             refuse(line, f"{WHAT} is a <{_ROOT}>, not <{local}>")
-        made: LaunchNode | Element | None = None
+        made: LaunchNode | LaunchElement | None = None
         parent = self._open[-1] if self._open else None
         if namespace == NAMESPACE:
-            made = Element(local, line, dict(attributes), tag.span)
+            made = LaunchElement(local, line, dict(attributes), tag.span)
             if parent is None:
                 refuse(line, f"<{local}> of the metadata is not inside a <node>")
             (parent.elements if isinstance(parent, LaunchNode) else parent.children).append(made)
-        elif isinstance(parent, Element):
+        elif isinstance(parent, LaunchElement):
             refuse(line, f"<{local}> is inside metadata", "close the metadata before it")
         else:
             made = self._plain(local, line, tag, attributes, parent)
@@ -171,30 +171,30 @@ class _Reader:
 
     def _end(self, _: str) -> None:
         made, tag = self._open.pop(), self._starts.pop()
-        if isinstance(made, Element):
+        if isinstance(made, LaunchElement):
             at = self._parser.CurrentByteIndex
             end = tag.span.end if tag.empty else self._data.index(b">", at) + 1
-            made.whole = Span(tag.span.start, end)
+            made.whole = ByteSpan(tag.span.start, end)
 
     def _text(self, text: str) -> None:
         parent = self._open[-1] if self._open else None
-        if isinstance(parent, Element):
+        if isinstance(parent, LaunchElement):
             parent.text += text
 
     def _declared(self, *_: object) -> NoReturn:
         raise MetadataRefused(f"{WHAT} with a document type")
 
     def _tag(self) -> Tag:
-        start, values = self._parser.CurrentByteIndex, dict[str, Span]()
+        start, values = self._parser.CurrentByteIndex, dict[str, ByteSpan]()
         found = _TAG.match(self._data, start)
         at = start if found is None else found.end()
         while (found := _ATTRIBUTE.match(self._data, at)) is not None:
-            values[found[1].decode("utf-8", "replace")] = Span(found.start(2) + 1, found.end(2) - 1)
+            values[found[1].decode("utf-8", "replace")] = ByteSpan(found.start(2) + 1, found.end(2) - 1)
             at = found.end()
         end = _TAG_END.match(self._data, at)
         if end is None:
             refuse(self._parser.CurrentLineNumber, f"a tag of {WHAT} that cannot be read")
-        return Tag(Span(start, end.end()), end[1] == b"/", values)
+        return Tag(ByteSpan(start, end.end()), end[1] == b"/", values)
 
 
 def refuse(line: int, message: str, hint: str = "") -> NoReturn:
@@ -216,7 +216,7 @@ def _check(node: LaunchNode) -> None:
         _check_element(element)
 
 
-def _check_element(element: Element) -> None:
+def _check_element(element: LaunchElement) -> None:
     allowed = {"type"} if element.name in _ENTRIES else set()
     if set(element.attributes) - allowed:
         refuse(element.line, f"<{element.name}> of the metadata has an attribute it may not have")
@@ -233,7 +233,7 @@ def _check_element(element: Element) -> None:
 
 
 class NamedEntry(NamedTuple):
-    kind: Kind
+    kind: NameKind
     source: str
     name: str
 
@@ -264,7 +264,7 @@ def _named(node: LaunchNode, name_of: NameOf) -> NamedNode:
     for element, _, _, source in entries:
         if sources.count(source) > 1:
             refuse(element.line, f"{source} of {node.name!a} would get two names")
-    queries: list[Query] = [(Kind.NODE, ""), *((kind, which) for _, kind, which, _ in entries)]
+    queries: list[Query] = [(NameKind.NODE, ""), *((kind, which) for _, kind, which, _ in entries)]
     try:
         own, *others = name_of(node.metadata(), queries)
     except RossecError as error:
@@ -282,7 +282,7 @@ def _named(node: LaunchNode, name_of: NameOf) -> NamedNode:
 class Edit(NamedTuple):
     """The bytes of `span` become `text`."""
 
-    span: Span
+    span: ByteSpan
     text: bytes
 
 
@@ -293,11 +293,11 @@ def edits(data: bytes, launch: Launch, nodes: Sequence[NamedNode]) -> list[Edit]
         # A node gets `ns=`, and another `name=` if the rules gave one; a topic or service a `<remap>`.
         above, _, last = given.name.rpartition("/")
         at = node.tag.insertion
-        made.append(Edit(Span(at, at), b" ns=" + _quoted(above or "/")))
+        made.append(Edit(ByteSpan(at, at), b" ns=" + _quoted(above or "/")))
         if last != node.name:
             made.append(Edit(node.tag.values["name"], last.encode("ascii")))
         remaps = {id(entry[0]): new for entry, new in zip(node.entries(), given.entries, strict=True)}
-        gone: list[Span] = []
+        gone: list[ByteSpan] = []
         for element in node.elements:
             new = remaps.get(id(element))
             if new is None:
@@ -313,20 +313,20 @@ def _quoted(text: str) -> bytes:
     return quoteattr(text).encode("ascii")
 
 
-def _lines(data: bytes, span: Span) -> Span:
+def _lines(data: bytes, span: ByteSpan) -> ByteSpan:
     # A line that has nothing but metadata is left out.
     start = data.rfind(b"\n", 0, span.start) + 1
     after = _AFTER.match(data, span.end)
     if after is None or _BEFORE.fullmatch(data, start, span.start) is None:
         return span
-    return Span(start, after.end())
+    return ByteSpan(start, after.end())
 
 
-def _joined(data: bytes, spans: Sequence[Span]) -> list[Span]:
-    made: list[Span] = []
+def _joined(data: bytes, spans: Sequence[ByteSpan]) -> list[ByteSpan]:
+    made: list[ByteSpan] = []
     for span in spans:
         if made and _BETWEEN.fullmatch(data, made[-1].end, span.start):
-            made[-1] = Span(made[-1].start, span.end)
+            made[-1] = ByteSpan(made[-1].start, span.end)
         else:
             made.append(span)
     return made
@@ -342,7 +342,7 @@ def apply(data: bytes, changes: Sequence[Edit]) -> bytes:
     return b"".join([*parts, data[at:]])
 
 
-def _entry(element: Element, node: LaunchNode) -> tuple[Element, Kind, str, str]:
+def _entry(element: LaunchElement, node: LaunchNode) -> tuple[LaunchElement, NameKind, str, str]:
     name, source = element.child("name"), element.attributes.get("type", "")
     if not name:
         refuse(element.line, f"a {element.name} of {node.name!a} without <name>")
@@ -354,4 +354,4 @@ def _entry(element: Element, node: LaunchNode) -> tuple[Element, Kind, str, str]
         )
     if source in node.remaps:
         refuse(element.line, f"{source} of {node.name!a} is remapped already", "leave one out")
-    return element, Kind(element.name), name, source
+    return element, NameKind(element.name), name, source

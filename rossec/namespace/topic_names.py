@@ -17,7 +17,7 @@ from ca.certificates import Identity
 from ca.errors import HintedError
 from rossec import files
 from rossec.errors import ConfigurationError, NameUndefined, RossecError, ServiceFailed
-from rossec.naming.requests import Kind
+from rossec.naming.requests import NameKind
 from rossec.naming.rule_runner import RuleRunner
 from rossec.participant.service_types import ServiceType, register_service_type
 from rossec.peer_limits import printable
@@ -91,7 +91,7 @@ class TopicNames:
 
     async def _name(self, metadata: bytes, which: str) -> str:
         # The name of a topic, or else of a service: the request does not say which it is.
-        kinds = (Kind.TOPIC, Kind.SERVICE)
+        kinds = (NameKind.TOPIC, NameKind.SERVICE)
         results = await self._runner.names(metadata, [(kind, which) for kind in kinds])
         errors = [result for result in results if isinstance(result, RossecError)]
         for result in results:

@@ -22,7 +22,7 @@ from rossec.errors import RossecError, RulesExceeded, RulesNotConfined
 from rossec.host import sandbox
 from rossec.host.confinement import lower_limits
 from rossec.naming import requests
-from rossec.naming.requests import Kind, NameRequest
+from rossec.naming.requests import NameKind, NameRequest
 from rossec.naming.xslt import answer
 
 CPU: Final = 2  # seconds for a request
@@ -55,7 +55,7 @@ _WARM_UP: Final = NameRequest(
     b'<xsl:if test="$type=\'node\'"><name><xsl:value-of select="$a"/></name></xsl:if>'
     b"</xsl:template></xsl:stylesheet>",
     b"<node><name>c</name></node>",
-    ((Kind.NODE, ""), (Kind.TOPIC, "d")),
+    ((NameKind.NODE, ""), (NameKind.TOPIC, "d")),
 )
 
 

@@ -14,22 +14,23 @@ from xml.etree import ElementTree
 
 from rossec.errors import MetadataRefused, NameUndefined, ProposedNameRefused, RossecError, RulesNotConfined
 from rossec.naming import requests
-from rossec.naming.requests import Kind, Result, parse
+from rossec.naming.requests import NameKind, Result, parse
 from rossec.naming.rule_runner import RuleRunner
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
+
 _ALL: Final = 4  # up to so many elements all orders are tried
 _ROTATIONS: Final = 8
 _LABELS: Final = {ProposedNameRefused: "illegal", NameUndefined: "undefined", MetadataRefused: "metadata"}
 
-Covered = Callable[[str, Kind, str], bool]
+Covered = Callable[[str, NameKind, str], bool]
 """Whether the node with the first name may use what has the second one in any way."""
 
 
 @dataclass(frozen=True, order=True)
-class Finding:
+class MetadataFinding:
     """Something wrong, at a line of a file with metadata.
 
     `what` is `metadata`, `undefined`, `illegal`, `rules`, `collision`, `order` or `uncovered`.
@@ -45,10 +46,10 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Place:
+class MetadataPlace:
     file: str
     line: int
-    kind: Kind
+    kind: NameKind
     which: str
 
     @property
@@ -57,18 +58,18 @@ class Place:
 
 
 @dataclass
-class Report:
+class MetadataReport:
     """What was found, and every name: kind, name, and where it came from."""
 
-    findings: list[Finding] = field(default_factory=list)
-    names: dict[tuple[Kind, str], list[Place]] = field(default_factory=dict)
+    findings: list[MetadataFinding] = field(default_factory=list)
+    names: dict[tuple[NameKind, str], list[MetadataPlace]] = field(default_factory=dict)
 
 
 async def examine(
     rules: RuleRunner, documents: Iterable[tuple[str, bytes]], covered: Covered | None = None
-) -> Report:
+) -> MetadataReport:
     """Try `rules` on `documents`: names of files, and their content."""
-    report, names = Report(), defaultdict[tuple[Kind, str], list[Place]](list)
+    report, names = MetadataReport(), defaultdict[tuple[NameKind, str], list[MetadataPlace]](list)
     for file, document in documents:
         try:
             await _examine_one(rules, file, document, covered, names, report.findings)
@@ -76,11 +77,11 @@ async def examine(
             raise
         except RossecError as error:
             label = "metadata" if isinstance(error, MetadataRefused) else "rules"
-            report.findings.append(Finding(file, 1, label, str(error)))
+            report.findings.append(MetadataFinding(file, 1, label, str(error)))
     for (_, name), (first, *others) in names.items():
         for place in others:
             message = f"{place.label}: {name} is also {first.label} in {first.file}:{first.line}"
-            report.findings.append(Finding(place.file, place.line, "collision", message))
+            report.findings.append(MetadataFinding(place.file, place.line, "collision", message))
     report.names = dict(names)
     report.findings.sort()
     return report
@@ -91,29 +92,29 @@ async def _examine_one(
     file: str,
     document: bytes,
     covered: Covered | None,
-    names: dict[tuple[Kind, str], list[Place]],
-    findings: list[Finding],
+    names: dict[tuple[NameKind, str], list[MetadataPlace]],
+    findings: list[MetadataFinding],
 ) -> None:
     read = requests.read(document)
-    entries = [Place(file, entry.line, entry.kind, entry.name) for entry in read.entries]
-    places, queries = [Place(file, 1, Kind.NODE, ""), *entries], list(read.queries())
+    entries = [MetadataPlace(file, entry.line, entry.kind, entry.name) for entry in read.entries]
+    places, queries = [MetadataPlace(file, 1, NameKind.NODE, ""), *entries], list(read.queries())
     results = await rules.names(document, queries)
     node = results[0] if isinstance(results[0], str) else None
     for place, result in zip(places, results, strict=True):
         if isinstance(result, RossecError):
             label = _LABELS.get(type(result), "rules")
-            findings.append(Finding(file, place.line, label, f"{place.label}: {result}"))
+            findings.append(MetadataFinding(file, place.line, label, f"{place.label}: {result}"))
             continue
         names[place.kind, result].append(place)
         if covered is not None and node is not None and not covered(node, place.kind, result):
             message = f"{place.label}: no grant or rule covers {result} for {node}"
-            findings.append(Finding(file, place.line, "uncovered", message))
-    changed: dict[Place, Finding] = {}
+            findings.append(MetadataFinding(file, place.line, "uncovered", message))
+    changed: dict[MetadataPlace, MetadataFinding] = {}
     for other in orders(document):
         for place, first, second in zip(places, results, await rules.names(other, queries), strict=True):
             if _text(first) != _text(second) and place not in changed:
                 said = f"{_text(first)}, but in another order of the same metadata {_text(second)}"
-                changed[place] = Finding(file, place.line, "order", f"{place.label}: {said}")
+                changed[place] = MetadataFinding(file, place.line, "order", f"{place.label}: {said}")
     findings += changed.values()
 
 

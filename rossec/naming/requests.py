@@ -37,6 +37,7 @@ from rossec.errors import (
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
+
 MAX_INPUT: Final = 256 * 1024
 MAX_ENTRIES: Final = 256
 MAX_WHICH: Final = 255
@@ -65,7 +66,7 @@ _HINT: Final = "for example <node><name>lamp</name><topic><name>state</name></to
 _ODD: Final = "the process that applies rules answers in another form"
 
 
-class Kind(StrEnum):
+class NameKind(StrEnum):
     """What a name is asked for; the rules see it as `$type`."""
 
     NODE = "node"
@@ -77,7 +78,7 @@ class Kind(StrEnum):
 class Entry:
     """One topic or service, on a line of its document. What is not said is None."""
 
-    kind: Kind
+    kind: NameKind
     name: str
     function: str | None = None
     location: str | None = None
@@ -97,8 +98,8 @@ class Metadata:
     group: str | None = None
     entries: tuple[Entry, ...] = ()
 
-    def queries(self) -> Iterator[tuple[Kind, str]]:
-        yield Kind.NODE, ""
+    def queries(self) -> Iterator[tuple[NameKind, str]]:
+        yield NameKind.NODE, ""
         for entry in self.entries:
             yield entry.kind, entry.name
 
@@ -107,7 +108,7 @@ class Metadata:
 class NameRequest:
     rules: bytes
     metadata: bytes
-    queries: tuple[tuple[Kind, str], ...] = ()
+    queries: tuple[tuple[NameKind, str], ...] = ()
     thesis_defaults: bool = False
 
 
@@ -208,7 +209,7 @@ def _lines(data: bytes) -> list[int]:
 
 
 def _entry(element: "Element", line: int) -> Entry:
-    kind, name, mobile = Kind(element.tag), _text(element, "name"), _text(element, "mobile")
+    kind, name, mobile = NameKind(element.tag), _text(element, "name"), _text(element, "mobile")
     if name is None:
         raise MetadataRefused(f"line {line}: a {element.tag} without <name>", _HINT)
     check_query(kind, name)
@@ -228,8 +229,8 @@ def _text(element: "Element", tag: str) -> str | None:
     return (found[0].text or "").strip() or None
 
 
-def check_query(kind: Kind, which: str) -> tuple[Kind, str]:
-    if (kind is Kind.NODE) is not (which == ""):
+def check_query(kind: NameKind, which: str) -> tuple[NameKind, str]:
+    if (kind is NameKind.NODE) is not (which == ""):
         raise MetadataRefused(
             "a topic or service is asked for by its name in the metadata", "a node has none"
         )
@@ -266,10 +267,10 @@ def read_request(body: bytes) -> NameRequest:
             raise EncodingError("a request of another form")
 
 
-def _query(item: Value) -> tuple[Kind, str]:
+def _query(item: Value) -> tuple[NameKind, str]:
     match item:
-        case [str() as kind, str() as which] if kind in set(Kind):
-            return Kind(kind), which
+        case [str() as kind, str() as which] if kind in set(NameKind):
+            return NameKind(kind), which
         case _:
             raise EncodingError("a query of another form")
 

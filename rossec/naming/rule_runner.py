@@ -17,7 +17,7 @@ from typing import Final, Self
 from rossec.errors import NamesExtraMissing, ProposedNameRefused, RossecError, RulesExceeded, RulesNotConfined
 from rossec.host.workers import AskedWorker, worker_command
 from rossec.naming import requests
-from rossec.naming.requests import Kind, NameRequest, Result, check_proposed, check_query
+from rossec.naming.requests import NameKind, NameRequest, Result, check_proposed, check_query
 
 RULES: Final = "names.xsl"
 LIBRARY: Final = "lxml"
@@ -133,14 +133,14 @@ class RuleRunner:
     ) -> None:
         self.close()
 
-    async def name(self, metadata: bytes, kind: Kind = Kind.NODE, which: str = "") -> str:
+    async def name(self, metadata: bytes, kind: NameKind = NameKind.NODE, which: str = "") -> str:
         """The name of the node, or of its topic or service `which`."""
         (result,) = await self.names(metadata, [(kind, which)])
         if isinstance(result, RossecError):
             raise result
         return result
 
-    async def names(self, metadata: bytes, queries: Sequence[tuple[Kind, str]]) -> list[Result]:
+    async def names(self, metadata: bytes, queries: Sequence[tuple[NameKind, str]]) -> list[Result]:
         """The names for all `queries`, in their order; each a name, or the error instead."""
         requests.check_document(metadata)
         asked = tuple(check_query(*query) for query in queries)
@@ -163,7 +163,7 @@ class RuleRunner:
         except ProposedNameRefused as error:
             return error
 
-    async def _ask(self, document: bytes, queries: tuple[tuple[Kind, str], ...]) -> bytes:
+    async def _ask(self, document: bytes, queries: tuple[tuple[NameKind, str], ...]) -> bytes:
         request = NameRequest(self._rules, document, queries, self._thesis_defaults)
         async with self._process() as process:
             return await process.ask(requests.write_request(request), self._seconds)

@@ -14,7 +14,7 @@ from lxml import etree
 
 from rossec.errors import MetadataRefused, NameUndefined, RossecError, RulesExceeded, RulesRefused
 from rossec.naming import requests
-from rossec.naming.requests import Kind, NameRequest, Result
+from rossec.naming.requests import NameKind, NameRequest, Result
 
 XSLT: Final = "http://www.w3.org/1999/XSL/Transform"
 STRINGS: Final = "http://exslt.org/strings"
@@ -209,20 +209,20 @@ def _parse(data: bytes, refusal: type[RossecError], what: str) -> Any:
         raise refusal(f"line {error.lineno}: {what} that are no XML: {message}", "correct it there") from None
 
 
-def _result(sheet: Any, document: Any, kind: Kind, which: str) -> Result:
+def _result(sheet: Any, document: Any, kind: NameKind, which: str) -> Result:
     try:
         return _name(sheet, document, kind, which)
     except RossecError as error:
         return error
 
 
-def _name(sheet: Any, document: Any, kind: Kind, which: str) -> str:
+def _name(sheet: Any, document: Any, kind: NameKind, which: str) -> str:
     text = etree.XSLT.strparam
     try:
         root = sheet(document, type=text(kind.value), name=text(which)).getroot()
     except etree.XSLTApplyError as error:
         raise RulesRefused(f"{_where(error)}the rules failed: {_one_line(str(error))}") from None
-    asked = f"the {kind}" if kind is Kind.NODE else f"the {kind} {which!a}"
+    asked = f"the {kind}" if kind is NameKind.NODE else f"the {kind} {which!a}"
     if root is None:
         raise NameUndefined(f"the rules give no name for {asked}", "is it in the metadata?")
     if root.tag != NAME or len(root):

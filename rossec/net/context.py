@@ -35,7 +35,7 @@ from rossec.channel.records import ChannelLimits
 from rossec.net.limits import ACCEPTED, DIALLED, HalfOpen, HalfOpenCount
 
 
-class OpenStreams:
+class OpenConnections:
     # Thread-safe. Held weakly: a connection that has ended needs no entry.
     def __init__(self) -> None:
         self._lock = Lock()
@@ -72,7 +72,7 @@ class SecureContext(Generic[PeerT]):
     accept_limits: Mapping[WireProtocol, ChannelLimits] = field(default_factory=lambda: ACCEPTED)
     half_open: HalfOpenCount = field(default_factory=lambda: HalfOpenCount(HalfOpen()))  # all ports share it
     renews: Renews[PeerT] | None = None  # with it, renewed certificates and grants are taken
-    open_streams: OpenStreams = field(default_factory=OpenStreams)
+    open_streams: OpenConnections = field(default_factory=OpenConnections)
 
     def __post_init__(self) -> None:
         if isinstance(self.credentials, LiveCredentials) and self.renews is not None:

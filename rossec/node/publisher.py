@@ -98,7 +98,7 @@ class SubscriberQueue:
         return batch
 
 
-class WishQueue(SubscriberQueue):
+class DeliveryQueue(SubscriberQueue):
     """As `SubscriberQueue`, for a subscriber with `wishes`: thinned out, the newest only, deflated.
 
     What comes here has passed the guard. Messages are sent one by one. For the newest to be sent, a message
@@ -255,7 +255,7 @@ class Publisher:
         the answer is sent: a revocation received meanwhile closes it."""
         connection = AuthorizedConnection(stream, decision, guard, partial(self._rebuilt, wishes))
         queue = (
-            WishQueue(stream, self._queue_size, wishes, self._deflation)
+            DeliveryQueue(stream, self._queue_size, wishes, self._deflation)
             if wishes
             else SubscriberQueue(stream, self._queue_size)
         )

@@ -26,7 +26,7 @@ from rossec.net.aio.transport import BaseStream, TransportOwner
 from rossec.net.context import SecureContext
 from rossec.overlay.documents import Routers
 from rossec.overlay.link import ENDED, Link, LinkStats
-from rossec.overlay.link_frames import BOX, LINK_ID, Kind, kind_of, link_of, mailbox, refusal
+from rossec.overlay.link_frames import BOX, LINK_ID, LinkFrameKind, kind_of, link_of, mailbox, refusal
 from rossec.overlay.zenoh_carrier import Carrier
 
 STALLED: Final = 15.0  # seconds: half of what a link endures
@@ -325,9 +325,9 @@ class LinkListener(AcceptedStreams[PeerT]):
         transport = self._links.get(link_id)
         if transport is not None:
             transport.frame_received(frame)
-        elif kind_of(frame) in {Kind.OPEN, Kind.PROBE} and self._looks.refill(_now()) >= 1:
+        elif kind_of(frame) in {LinkFrameKind.OPEN, LinkFrameKind.PROBE} and self._looks.refill(_now()) >= 1:
             self._looks.tokens -= 1
-            if kind_of(frame) == Kind.OPEN:
+            if kind_of(frame) == LinkFrameKind.OPEN:
                 self._open(frame)
             elif (answer := refusal(frame)) is not None:
                 self._carrier.put(*answer)

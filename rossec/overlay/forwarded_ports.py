@@ -16,11 +16,11 @@ from typing import Final, NamedTuple, TypeAlias
 from ca.errors import HintedError
 from rossec.errors import LinkCrowded, RelayRefused
 from rossec.host.runner import TaskSet
-from rossec.master.state.forwarded_ports import Door, Target, Way
+from rossec.master.state.forwarded_ports import Door, PeerWay, Target
 from rossec.overlay.mux import StreamTarget
 from rossec.participant import delivery
 from rossec.sidecar.core.layers import Loopback
-from rossec.sidecar.loopback_port import Admission, LocalPort, PortPool
+from rossec.sidecar.loopback_port import LocalPort, PortAdmission, PortPool
 
 LIMIT: Final = 4096
 _log = logging.getLogger("rossec.overlay")
@@ -46,12 +46,12 @@ class OpenDoors:
         """Admitted: who it is, the far node finds out."""
 
 
-class Doors:
+class RelayPorts:
     """All doors of a relay; `on_given_up`: of one that had to make room for another one."""
 
     def __init__(
         self,
-        admission: Admission,
+        admission: PortAdmission,
         carry: Carry,
         on_given_up: Callable[[PeerTarget], None] = lambda _: None,
         limit: int = LIMIT,
@@ -129,10 +129,14 @@ class DoorTable:
     """Which masters want a door; `ways`: how each peer is reached, what is not there is no peer."""
 
     def __init__(
-        self, admission: Admission, carry: Carry, ways: Callable[[], Mapping[str, Way]], limit: int = LIMIT
+        self,
+        admission: PortAdmission,
+        carry: Carry,
+        ways: Callable[[], Mapping[str, PeerWay]],
+        limit: int = LIMIT,
     ) -> None:
         self.ways: Final = ways
-        self._ports = Doors(admission, carry, self._given_up, limit)
+        self._ports = RelayPorts(admission, carry, self._given_up, limit)
         self._wanted: dict[Target, set[str]] = {}
         self._dropped: dict[str, set[Target]] = {}  # by master
 

@@ -13,7 +13,7 @@ from typing import Final, Self
 from rossec.channel.records import Bytes
 from rossec.errors import LinkEnded
 from rossec.overlay import link_frames as frames
-from rossec.overlay.link_frames import HEAD, MAX_FRAME, OPEN_SIZE, Frame, Kind
+from rossec.overlay.link_frames import HEAD, MAX_FRAME, OPEN_SIZE, LinkFrame, LinkFrameKind
 from rossec.overlay.link_halves import FIRST_WINDOW, KEEPALIVE, LINGER, SILENCE, Receiver, Sender
 
 AMPLIFICATION: Final = 3
@@ -78,7 +78,7 @@ class Link:
     @classmethod
     def accept(cls, frame: bytes, now: float) -> Self:
         opened = frames.read(frame)
-        if opened.kind != Kind.OPEN or opened.offset != 0 or opened.received != 0:
+        if opened.kind != LinkFrameKind.OPEN or opened.offset != 0 or opened.received != 0:
             raise LinkEnded("a link that does not begin with its OPEN")
         reply_key, _ = frames.split_return_address(opened.body)
         return cls(opened.link, reply_key, now, opener=False)
@@ -93,16 +93,16 @@ class Link:
             self._octets_in += len(frame)
             return self._take(read, now)
         except LinkEnded:
-            told = frame[:1] == bytes((Kind.RESET,))  # a reset is not answered
+            told = frame[:1] == bytes((LinkFrameKind.RESET,))  # a reset is not answered
             last = self.reset()
             self._out = [] if told else [last]
             raise
 
-    def _take(self, frame: Frame, now: float) -> list[Bytes]:
+    def _take(self, frame: LinkFrame, now: float) -> list[Bytes]:
         kind = frame.kind
         if frame.link != self.link_id:
             raise LinkEnded("a frame of another link")
-        if kind == Kind.RESET:
+        if kind == LinkFrameKind.RESET:
             raise LinkEnded("the other side reset the link")
         if self.state is LinkState.IDLE:
             raise LinkEnded("an answer to a link that was not opened")
@@ -110,16 +110,16 @@ class Link:
             self._move("answer")
         progress = self._sender.received(frame.received, frame.limit, now)
         found: list[Bytes] = []
-        if kind == Kind.DATA:
+        if kind == LinkFrameKind.DATA:
             found = self._receiver.data(frame.offset, frame.body, now)
-        elif kind == Kind.ACK:
+        elif kind == LinkFrameKind.ACK:
             self._sender.seen(frame.offset, frames.read_ranges(frame), now)
-        elif kind == Kind.OPEN:
+        elif kind == LinkFrameKind.OPEN:
             reply_key, body = frames.split_return_address(frame.body)
             if self._opener or frame.offset != 0 or reply_key != self.reply_key:
                 raise LinkEnded("another OPEN for a link that is open")
             found = self._receiver.data(0, body, now)
-        elif kind == Kind.PROBE:
+        elif kind == LinkFrameKind.PROBE:
             self._receiver.probed(frame.offset, now)
         else:
             self._receiver.end(frame.offset, now)
@@ -146,17 +146,17 @@ class Link:
             first = memoryview(data)[:FIRST_WINDOW]
             self._move("write")
             self._began = now
-            self._transmit(Kind.OPEN, [address, first], len(first), now)
+            self._transmit(LinkFrameKind.OPEN, [address, first], len(first), now)
             self._sender.queue(memoryview(data)[FIRST_WINDOW:])
         elif self.state is LinkState.RUNNING:
             if self._sender.fits(size) and HEAD + size <= self._allowance():
-                self._transmit(Kind.DATA, [data], size, now)
+                self._transmit(LinkFrameKind.DATA, [data], size, now)
             else:
                 self._sender.queue(data)
         elif self.state is LinkState.OPENING:
             self._sender.queue(data)
 
-    def _transmit(self, kind: Kind, pieces: list[Bytes], size: int, now: float) -> None:
+    def _transmit(self, kind: LinkFrameKind, pieces: list[Bytes], size: int, now: float) -> None:
         sender = self._sender
         frame = frames.joined(self._head(kind, sender.next), pieces)
         sender.sent(frame, size, now)
@@ -165,9 +165,9 @@ class Link:
             self.silent_since = now
             self._probe_at = now + sender.round_trip.wait
 
-    def _head(self, kind: Kind, offset: int) -> bytes:
+    def _head(self, kind: LinkFrameKind, offset: int) -> bytes:
         receiver = self._receiver
-        receiver.told(ack=kind is Kind.ACK)
+        receiver.told(ack=kind is LinkFrameKind.ACK)
         return frames.head(kind, self.link_id, offset, receiver.expected, receiver.limit)
 
     def _put(self, frame: bytes) -> None:
@@ -204,11 +204,11 @@ class Link:
             pieces = sender.cut(self._allowance() - HEAD)
             if not pieces:
                 return
-            self._transmit(Kind.DATA, pieces, sum(map(len, pieces)), now)
+            self._transmit(LinkFrameKind.DATA, pieces, sum(map(len, pieces)), now)
         draining = self.state is LinkState.DRAINING and self._end_offset is None
         if draining and self._allowance() >= HEAD:
             self._end_offset = sender.next
-            self._transmit(Kind.END, [], 1, now)
+            self._transmit(LinkFrameKind.END, [], 1, now)
 
     def _acknowledge(self, now: float) -> None:
         receiver = self._receiver
@@ -216,7 +216,7 @@ class Link:
             return
         body = frames.pack_ranges(receiver.ranges())
         if HEAD + len(body) <= self._allowance():
-            self._put(self._head(Kind.ACK, max(receiver.seen, receiver.expected)) + body)
+            self._put(self._head(LinkFrameKind.ACK, max(receiver.seen, receiver.expected)) + body)
         else:
             receiver.told(ack=True)  # the peer asks again
 
@@ -237,7 +237,7 @@ class Link:
 
     def reset(self) -> bytes:
         # End the link at once; returns the frame that says so.
-        frame = frames.head(Kind.RESET, self.link_id, 0, self._receiver.expected, 0)
+        frame = frames.head(LinkFrameKind.RESET, self.link_id, 0, self._receiver.expected, 0)
         self._over(LinkState.RESET)
         self._out = []
         return frame
@@ -313,7 +313,7 @@ class Link:
             padded = 0 if self._validated else OPEN_SIZE - HEAD
             body = frames.return_address(self.reply_key, padded)
         if HEAD + len(body) <= self._allowance():
-            self._put(self._head(Kind.PROBE, self._sender.next) + body)
+            self._put(self._head(LinkFrameKind.PROBE, self._sender.next) + body)
 
     # -- measured
 

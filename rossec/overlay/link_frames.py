@@ -49,7 +49,7 @@ def mailbox(seat: str, box: bytes) -> str:
     return key
 
 
-class Kind(IntEnum):
+class LinkFrameKind(IntEnum):
     OPEN = 1  # the first of a link, with where to answer
     DATA = 2
     ACK = 3  # offset: how far the peer's frames were seen to go; body: what came beyond `received`
@@ -59,17 +59,17 @@ class Kind(IntEnum):
 
 
 _LENGTHS: Final[dict[int, tuple[int, int]]] = {
-    Kind.OPEN: (OPEN_SIZE - HEAD, MAX_BODY),
-    Kind.DATA: (1, MAX_BODY),
-    Kind.ACK: (0, MAX_RANGES * _RANGE.size),
-    Kind.RESET: (0, 0),
-    Kind.END: (0, 0),
-    Kind.PROBE: (0, OPEN_SIZE),
+    LinkFrameKind.OPEN: (OPEN_SIZE - HEAD, MAX_BODY),
+    LinkFrameKind.DATA: (1, MAX_BODY),
+    LinkFrameKind.ACK: (0, MAX_RANGES * _RANGE.size),
+    LinkFrameKind.RESET: (0, 0),
+    LinkFrameKind.END: (0, 0),
+    LinkFrameKind.PROBE: (0, OPEN_SIZE),
 }
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class LinkFrame:
     kind: int
     link: bytes
     offset: int
@@ -78,7 +78,7 @@ class Frame:
     body: memoryview
 
 
-def head(kind: Kind, link: bytes, offset: int, received: int, limit: int) -> bytes:
+def head(kind: LinkFrameKind, link: bytes, offset: int, received: int, limit: int) -> bytes:
     return _HEAD.pack(kind, link, offset, received, limit)
 
 
@@ -91,7 +91,7 @@ def kind_of(data: bytes) -> int:
     return data[0]
 
 
-def read(data: bytes) -> Frame:
+def read(data: bytes) -> LinkFrame:
     if not HEAD <= len(data) <= MAX_FRAME:
         raise LinkEnded("a frame of a forbidden length")
     kind, link, offset, received, limit = _HEAD.unpack_from(data)
@@ -100,7 +100,7 @@ def read(data: bytes) -> Frame:
         raise LinkEnded("a frame of an unknown kind, or of a length that its kind cannot have")
     if offset > _LAST or limit > _LAST or received > _LAST:
         raise LinkEnded("a frame with an offset that no link reaches")
-    return Frame(kind, link, offset, received, limit, memoryview(data)[HEAD:])
+    return LinkFrame(kind, link, offset, received, limit, memoryview(data)[HEAD:])
 
 
 def return_address(reply_key: str, size: int) -> bytes:
@@ -126,7 +126,7 @@ def pack_ranges(ranges: list[tuple[int, int]]) -> bytes:
     return b"".join(_RANGE.pack(first, end) for first, end in ranges[:MAX_RANGES])
 
 
-def read_ranges(frame: Frame) -> list[tuple[int, int]]:
+def read_ranges(frame: LinkFrame) -> list[tuple[int, int]]:
     if len(frame.body) % _RANGE.size:
         raise LinkEnded("an acknowledgement with half a range")
     ranges = list(_RANGE.iter_unpack(frame.body))
@@ -148,11 +148,11 @@ def refusal(frame: bytes) -> tuple[str, bytes] | None:
     So a relay that was started again ends at once what it knows nothing of. None: nothing, as for
     every other frame of an unknown link.
     """
-    if kind_of(frame) != Kind.PROBE:
+    if kind_of(frame) != LinkFrameKind.PROBE:
         return None
     try:
         probe = read(frame)
         reply_key, _ = split_return_address(probe.body)
     except LinkEnded:
         return None
-    return reply_key, head(Kind.RESET, probe.link, 0, 0, 0)
+    return reply_key, head(LinkFrameKind.RESET, probe.link, 0, 0, 0)

@@ -32,7 +32,7 @@ from rossec.errors import (
 )
 from rossec.home import NodeHome
 from rossec.host.runner import TaskSet
-from rossec.master.state.forwarded_ports import Door, Target, Way
+from rossec.master.state.forwarded_ports import Door, PeerWay, Target
 from rossec.master.state.registry import is_connectable
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
 from rossec.net.rpc.calls import CallFailed, RpcClient
@@ -184,11 +184,11 @@ class RelayMember:
             self._ended.set_exception(error)
 
 
-class DoorTable(Protocol):
+class MasterPorts(Protocol):
     async def open(self, target: Target, master: str) -> Door: ...
     def release(self, target: Target, master: str) -> None: ...
     def take_dropped(self, master: str) -> Collection[Target]: ...  # what it wants, of peers that went
-    def ways(self) -> Mapping[str, Way]: ...
+    def ways(self) -> Mapping[str, PeerWay]: ...
 
 
 class MasterLink:
@@ -207,7 +207,7 @@ class MasterLink:
         relay: str,
         instance: str,
         dial: Dial,
-        doors: DoorTable,
+        doors: MasterPorts,
         on_masters: Callable[[Mapping[str, str]], None],
     ) -> None:
         self.name: Final = name
@@ -322,7 +322,7 @@ class MasterLink:
 class OwnMasters:
     """The links of a relay to masters of its own domain; `instance`: random, of this run of it."""
 
-    def __init__(self, member: RelayMember, instance: str, doors: DoorTable) -> None:
+    def __init__(self, member: RelayMember, instance: str, doors: MasterPorts) -> None:
         self._member = member
         self._instance = instance
         self._doors = doors

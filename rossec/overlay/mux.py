@@ -258,7 +258,7 @@ class Role(Enum):
     CALLED = auto()
 
 
-class Phase(Enum):
+class StreamPhase(Enum):
     OPEN = auto()
     ENDED_HERE = auto()  # this side sends nothing more
     ENDED_THERE = auto()
@@ -269,28 +269,28 @@ class Side(Enum):
     THERE = auto()
 
 
-_AFTER_END: Final[dict[tuple[Phase, Side], Phase | None]] = {  # None: the stream is over
-    (Phase.OPEN, Side.HERE): Phase.ENDED_HERE,
-    (Phase.OPEN, Side.THERE): Phase.ENDED_THERE,
-    (Phase.ENDED_HERE, Side.THERE): None,
-    (Phase.ENDED_THERE, Side.HERE): None,
+_AFTER_END: Final[dict[tuple[StreamPhase, Side], StreamPhase | None]] = {  # None: the stream is over
+    (StreamPhase.OPEN, Side.HERE): StreamPhase.ENDED_HERE,
+    (StreamPhase.OPEN, Side.THERE): StreamPhase.ENDED_THERE,
+    (StreamPhase.ENDED_HERE, Side.THERE): None,
+    (StreamPhase.ENDED_THERE, Side.HERE): None,
 }
 
 
 @dataclass(frozen=True, slots=True)
-class Opened:
+class StreamOpened:
     stream: int
     target: StreamTarget
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class OpeningRefused:
     stream: int
     target: StreamTarget
     reply: bytes
 
 
-Event: TypeAlias = Opened | Refused | Data | Credit | End | Reset
+Event: TypeAlias = StreamOpened | OpeningRefused | Data | Credit | End | Reset
 """`Credit`: the stream may send again; the others are the peer's."""
 
 
@@ -299,7 +299,7 @@ class _Stream:
     target: StreamTarget
     opened: float
     window: ReceiveWindow
-    phase: Phase = Phase.OPEN
+    phase: StreamPhase = StreamPhase.OPEN
     may_send: int = FIRST
     asked: bool = False  # the caller spoke last
     answers: int = 0
@@ -369,7 +369,7 @@ class Mux:
 
     def credit(self, stream: int) -> int:
         found = self._streams.get(stream)
-        if found is None or found.phase is Phase.ENDED_HERE:
+        if found is None or found.phase is StreamPhase.ENDED_HERE:
             return 0
         return found.may_send
 
@@ -383,14 +383,14 @@ class Mux:
 
     def took(self, stream: int, count: int, now: float = 0.0, round_trip_s: float = 0.0) -> bytes:
         found = self._streams.get(stream)
-        if found is None or found.phase is Phase.ENDED_THERE:
+        if found is None or found.phase is StreamPhase.ENDED_THERE:
             return b""
         credit = found.window.took(count, now, round_trip_s)
         return credit_unit(stream, credit) if credit else b""
 
     def end(self, stream: int) -> bytes:
         found = self._streams.get(stream)
-        if found is None or found.phase is Phase.ENDED_HERE:
+        if found is None or found.phase is StreamPhase.ENDED_HERE:
             return b""
         self._end(stream, found, Side.HERE)
         return end_unit(stream)
@@ -415,8 +415,8 @@ class Mux:
             raise StreamRefused(f"stream {unit.stream} is opened, which is not its turn")
         if self.crowded(unit.target, now):
             self._next += 1
-            return Refused(unit.stream, unit.target, reset_unit(unit.stream))
-        return Opened(self._add(unit.target, now), unit.target)
+            return OpeningRefused(unit.stream, unit.target, reset_unit(unit.stream))
+        return StreamOpened(self._add(unit.target, now), unit.target)
 
     def _heard(self, unit: Data | Credit | End | Reset) -> Event | None:
         found = self._streams.get(unit.stream)
@@ -427,7 +427,7 @@ class Mux:
         match unit:
             case Data():
                 length = len(unit.payload)
-                if found.phase is Phase.ENDED_THERE:
+                if found.phase is StreamPhase.ENDED_THERE:
                     raise StreamRefused(f"bytes in stream {unit.stream} after its end")
                 if length > found.window.allowed:
                     raise StreamRefused(f"{length} bytes in stream {unit.stream} beyond its credit")

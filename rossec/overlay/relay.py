@@ -29,7 +29,7 @@ from rossec.errors import (
     StreamRefused,
 )
 from rossec.host.runner import TaskSet
-from rossec.master.state.forwarded_ports import Way
+from rossec.master.state.forwarded_ports import PeerWay
 from rossec.net.aio import SecureStream
 from rossec.overlay.documents import Peer, Peers
 from rossec.overlay.endpoint import idle_round_trip
@@ -38,11 +38,11 @@ from rossec.overlay.link_frames import mailbox
 from rossec.overlay.masters import OwnMasters, RelayMember
 from rossec.overlay.mux import Role, StreamTarget
 from rossec.overlay.streams import Dial, Pump, Streams
-from rossec.overlay.targets import Peer as RemoteRelay
+from rossec.overlay.targets import LinkPeer as RemoteRelay
 from rossec.overlay.targets import Targets, TopicPorts
 from rossec.participant import delivery
 from rossec.peer_limits import printable
-from rossec.sidecar.loopback_port import Admission
+from rossec.sidecar.loopback_port import PortAdmission
 
 IDLE_FOR: Final = 300.0  # seconds without a stream, after which a link is closed
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 5.0  # seconds between two attempts
@@ -64,7 +64,7 @@ _audit = logging.getLogger("rossec.audit")
 _Serve: TypeAlias = Callable[[SecureStream[Identity]], Awaitable[None]]
 
 
-class LinkState(Enum):
+class PeerLinkState(Enum):
     IDLE = "idle"
     DIALLING = "dialling"
     LINKED = "linked"
@@ -93,12 +93,12 @@ class PeerLink:
         self._not_before = 0.0
 
     @property
-    def state(self) -> LinkState:
+    def state(self) -> PeerLinkState:
         if self._dialling is not None:
-            return LinkState.DIALLING
+            return PeerLinkState.DIALLING
         if self._streams is not None:
-            return LinkState.LINKED
-        return LinkState.FAILED if self.error else LinkState.IDLE
+            return PeerLinkState.LINKED
+        return PeerLinkState.FAILED if self.error else PeerLinkState.IDLE
 
     @property
     def carried(self) -> int:
@@ -201,7 +201,11 @@ class Relay:
     """One relay, from `run` to its end; `admission`: where forwarded ports are, and for whom."""
 
     def __init__(
-        self, member: RelayMember, network: LinkNetwork, admission: Admission, read_peers: Callable[[], Peers]
+        self,
+        member: RelayMember,
+        network: LinkNetwork,
+        admission: PortAdmission,
+        read_peers: Callable[[], Peers],
     ) -> None:
         self._member = member
         self._network = network
@@ -289,18 +293,18 @@ class Relay:
         for stream, _ in self._called.pop(label, []):
             stream.abort("the peer is removed")
 
-    def ways(self) -> Mapping[str, Way]:
+    def ways(self) -> Mapping[str, PeerWay]:
         return {label: self._way(link) for label, link in self._links.items()}
 
-    def _way(self, link: PeerLink) -> Way:
+    def _way(self, link: PeerLink) -> PeerWay:
         called = self._called.get(link.peer.label, [])
         streams = [link.stream, *(stream for stream, _ in reversed(called))]
         found = next((stream for stream in streams if stream is not None), None)
         rtt, repeated = (0.0, 0) if found is None else measured(found)
         carried = link.carried + sum(len(each) for _, each in called)
-        is_idle = link.state is LinkState.IDLE
-        state = LinkState.LINKED if is_idle and called else link.state
-        return Way(state.value, rtt, repeated, self._network.router, carried)
+        is_idle = link.state is PeerLinkState.IDLE
+        state = PeerLinkState.LINKED if is_idle and called else link.state
+        return PeerWay(state.value, rtt, repeated, self._network.router, carried)
 
     # -- links
 

@@ -310,11 +310,13 @@ class Streams:
             self._wake_openers()
         return True
 
-    def _handle(self, event: mux.Opened | mux.Refused | mux.Data | mux.Credit | mux.End | mux.Reset) -> None:
+    def _handle(
+        self, event: mux.StreamOpened | mux.OpeningRefused | mux.Data | mux.Credit | mux.End | mux.Reset
+    ) -> None:
         match event:
-            case mux.Opened(number, target):
+            case mux.StreamOpened(number, target):
                 self._tasks.spawn(self._connect(number, self._add(number), target), str(target))
-            case mux.Refused(_, target, reply):
+            case mux.OpeningRefused(_, target, reply):
                 delivery.warn(_log, delivery.REFUSED, str(target), self._peer, _CROWDED)
                 self._write(reply)
             case mux.Data(stream, payload) if pump := self._pumps.get(stream):

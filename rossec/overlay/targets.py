@@ -125,7 +125,7 @@ class TopicPorts:
                 raise RelayRefused(f"{shown(name)} does not say where its topics are")
 
 
-class Peer(NamedTuple):
+class LinkPeer(NamedTuple):
     """The relay at the other end of a link."""
 
     domain: str  # the label of its foreign domain; empty: the own one
@@ -143,10 +143,10 @@ class Targets:
         self._resolve = resolve
         self._node_ports = node_ports
 
-    def dial_for(self, peer: Peer) -> Callable[[StreamTarget, Pump], Awaitable[socket.socket]]:
+    def dial_for(self, peer: LinkPeer) -> Callable[[StreamTarget, Pump], Awaitable[socket.socket]]:
         return partial(self._dial, peer)
 
-    async def _dial(self, peer: Peer, target: StreamTarget, pump: Pump) -> socket.socket:
+    async def _dial(self, peer: LinkPeer, target: StreamTarget, pump: Pump) -> socket.socket:
         protocol = await pump.first_bytes(_protocol)
         if protocol not in _PROTOCOLS[target.kind]:
             raise RelayRefused(f"a caller of the {target.kind} {target.name} in {protocol.value}")

@@ -36,7 +36,7 @@ _TURN_BYTES: Final = 1024 * 1024  # delivered, then other work of the loop has i
 _TURN_OVERHEAD: Final = 16 * 1024  # bytes that are opened in the time a message costs
 
 
-class SendQueue:
+class CarrierQueue:
     """Messages on their way to the session: at once, unless that would stop the loop.
 
     A put takes microseconds, until the uplink is full: then Zenoh waits 50 ms for room before it drops
@@ -99,7 +99,7 @@ def open_session(settings: Mapping[str, object]) -> "zenoh.Session":
         raise OverlayUnavailable(f"Zenoh cannot begin: {reason}") from error
 
 
-class Subscription:
+class CarrierSubscription:
     def __init__(self, carrier: "Carrier", key: str, callback: Callable[[bytes], None]) -> None:
         self._carrier = carrier
         self._callback: Callable[[bytes], None] | None = callback
@@ -131,9 +131,9 @@ class Carrier:
         self._failure = zenoh.ZError
         self._loop = asyncio.get_running_loop()
         self._session = session
-        self._queue = SendQueue(self._put)
-        self._subscriptions: set[Subscription] = set()
-        self._arrived: deque[tuple[Subscription, bytes]] = deque()
+        self._queue = CarrierQueue(self._put)
+        self._subscriptions: set[CarrierSubscription] = set()
+        self._arrived: deque[tuple[CarrierSubscription, bytes]] = deque()
         self._lock = Lock()
         self._woken = False
         self._reopening: asyncio.Task[None] | None = None
@@ -165,28 +165,28 @@ class Carrier:
 
     # -- receiving
 
-    def subscribe(self, key: str, callback: Callable[[bytes], None]) -> Subscription:
+    def subscribe(self, key: str, callback: Callable[[bytes], None]) -> CarrierSubscription:
         """Call back on the loop with each message that arrives in this mailbox."""
-        subscription = Subscription(self, key, callback)
+        subscription = CarrierSubscription(self, key, callback)
         self._declare(subscription)
         self._subscriptions.add(subscription)
         return subscription
 
-    def _declare(self, subscription: Subscription) -> None:
+    def _declare(self, subscription: CarrierSubscription) -> None:
         receive = self._receiver(subscription)
         try:
             subscription.subscriber = self._session.declare_subscriber(subscription.key, receive)
         except self._failure as error:
             raise OverlayUnavailable("the session with the routers is closed") from error
 
-    def forget(self, subscription: Subscription) -> None:
+    def forget(self, subscription: CarrierSubscription) -> None:
         self._subscriptions.discard(subscription)
         subscriber, subscription.subscriber = subscription.subscriber, None
         if subscriber is not None:
             with suppress(self._failure):  # of a session that is gone
                 subscriber.undeclare()  # type: ignore[no-untyped-call]
 
-    def _receiver(self, subscription: Subscription) -> "Callable[[zenoh.Sample], None]":
+    def _receiver(self, subscription: CarrierSubscription) -> "Callable[[zenoh.Sample], None]":
         def receive(sample: "zenoh.Sample") -> None:
             if str(sample.key_expr) != subscription.key:
                 return  # put to a pattern: whoever did does not know this mailbox
@@ -205,7 +205,7 @@ class Carrier:
 
     def _deliver(self) -> None:
         self.heard_at = self._loop.time()
-        taken: list[tuple[Subscription, bytes]] = []
+        taken: list[tuple[CarrierSubscription, bytes]] = []
         size = 0
         with self._lock:
             while self._arrived and size < _TURN_BYTES:

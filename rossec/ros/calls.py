@@ -22,8 +22,8 @@ from rossec.ros.compact_values import (
     MALFORMED,
     NULL,
     UINT,
+    CompactReader,
     Pieces,
-    Reader,
     encoded_number,
     encoded_text,
     put,
@@ -157,7 +157,7 @@ def compact_call_steps(data: bytes, turn: int, *, limit: int = BODY_LIMIT) -> Ge
     return Call(method, (*params,))
 
 
-def _begin(reader: Reader, turn: int) -> tuple[int, str]:
+def _begin(reader: CompactReader, turn: int) -> tuple[int, str]:
     size = reader.head(ARRAY)
     if size < _PARTS or reader.head(UINT) != _CALL:
         raise CompactRefused("a unit that is not a call")
@@ -190,7 +190,7 @@ def compact_answer_steps(
     return value
 
 
-def _answer_shape(reader: Reader, turn: int) -> tuple[int, int, int]:
+def _answer_shape(reader: CompactReader, turn: int) -> tuple[int, int, int]:
     # What it is, how many items it has, and how deep they are nested.
     size = reader.head(ARRAY)
     _check_turn(reader, turn)
@@ -253,23 +253,23 @@ def _is_triple(value: Sequence[object]) -> bool:
     return len(value) == 3 and type(value[0]) is int and type(value[1]) is str
 
 
-def _reader(data: bytes, limit: int) -> Reader:
+def _reader(data: bytes, limit: int) -> CompactReader:
     if len(data) > limit:
         raise CompactRefused(f"a unit of {len(data)} bytes where at most {limit} are allowed")
-    return Reader(data, limit)
+    return CompactReader(data, limit)
 
 
-def _check_turn(reader: Reader, turn: int) -> None:
+def _check_turn(reader: CompactReader, turn: int) -> None:
     if reader.head(UINT) != turn:
         raise CompactRefused("a unit out of its turn")
 
 
-def _check_end(reader: Reader) -> None:
+def _check_end(reader: CompactReader) -> None:
     if not reader.at_end:
         raise CompactRefused("a unit with bytes after its end, or without some before")
 
 
-def _method(reader: Reader) -> str:
+def _method(reader: CompactReader) -> str:
     (method,) = reader.items(1)
     if type(method) is int and 0 <= method < len(METHODS):
         return METHODS[method]

@@ -191,7 +191,7 @@ class _Open:
             self.found[self.name] = value
 
 
-class Reader:
+class CompactReader:
     """Reads the values of one unit, from byte `at` on.
 
     Raises (every method):
@@ -363,15 +363,15 @@ class Reader:
 
 
 # Its own table, by the type in the three highest bits; called with the depth that is left.
-_READERS: Final[tuple[Callable[[Reader, int], object], ...]] = (
+_READERS: Final[tuple[Callable[[CompactReader, int], object], ...]] = (
     lambda reader, _: _int32(reader.head(UINT)),
     lambda reader, _: ~_int32(reader.head(NEGATIVE)),
     lambda reader, _: reader._take(reader.head(BYTES)),  # noqa: SLF001
-    Reader._text,  # noqa: SLF001
+    CompactReader._text,  # noqa: SLF001
     lambda reader, depth: reader.items(reader.head(ARRAY), _inside(depth)),
-    Reader._map,  # noqa: SLF001
-    Reader._refuse,  # noqa: SLF001
-    Reader._simple,  # noqa: SLF001
+    CompactReader._map,  # noqa: SLF001
+    CompactReader._refuse,  # noqa: SLF001
+    CompactReader._simple,  # noqa: SLF001
 )
 
 

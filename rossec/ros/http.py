@@ -52,7 +52,7 @@ class Oversized:
     length: int
 
 
-class Reader:
+class HttpReader:
     # Bytes in, whole messages out, one at a time.
 
     def __init__(self, limit: int) -> None:
@@ -158,7 +158,7 @@ class _Head(NamedTuple):
 
 class HttpServer:
     def __init__(self, *, limit: int = BODY_LIMIT) -> None:
-        self._reader = Reader(limit)
+        self._reader = HttpReader(limit)
         self._answering = False
         self._last = False  # the current request asks to close the connection
         self.is_offered = False  # the current request may be answered with `SWITCH`
@@ -244,7 +244,7 @@ _cached_request_head = lru_cache(256)(_request_head)
 
 class HttpClient:
     def __init__(self, host: str, *, path: str = "/", limit: int = BODY_LIMIT) -> None:
-        self._reader = Reader(limit)
+        self._reader = HttpReader(limit)
         self._first = f"POST {path} HTTP/1.1\r\nHost: {host}".encode("ascii")
         self._offers = False
         self.switched: bytes | None = None

@@ -33,7 +33,7 @@ from rossec.ros.tcpros import MESSAGE_LIMIT
 from rossec.sidecar import pump
 from rossec.sidecar.core import node_connections
 from rossec.sidecar.core.guards import ProgramMemories, ReplaceableGuard, Replacing
-from rossec.sidecar.core.layers import AgentState, Endpoint
+from rossec.sidecar.core.layers import AgentState, ListeningAddress
 from rossec.sidecar.core.node_connections import AdmittedConnection
 from rossec.sidecar.executor import AgentServices, CommandExecutor
 from rossec.sidecar.loopback_port import LoopbackPort, PlainStream, PortPool
@@ -172,15 +172,15 @@ class Egress:
         self._tasks = TaskSet()
         self._refusals = RefusalLog()
         self._memories: ProgramMemories[CommandExecutor] = ProgramMemories(memory_scope(agent.identity.name))
-        self._followed: FollowedPublishers[Endpoint] = FollowedPublishers(agent.is_listed)
+        self._followed: FollowedPublishers[ListeningAddress] = FollowedPublishers(agent.is_listed)
         self.ports = PortPool(self._close_port)
 
-    def open(self, remote: Endpoint) -> int:
+    def open(self, remote: ListeningAddress) -> int:
         listener = self._port_for(remote)
         listener.open()
         return listener.port
 
-    def refuse(self, remote: Endpoint) -> int:
+    def refuse(self, remote: ListeningAddress) -> int:
         listener = self._port_for(remote)
         listener.suspend()
         return listener.port
@@ -191,7 +191,7 @@ class Egress:
             await listener.close()
         await self._tasks.close()
 
-    def _port_for(self, remote: Endpoint) -> LoopbackPort:
+    def _port_for(self, remote: ListeningAddress) -> LoopbackPort:
         serve = self._serve_tcpros if remote.protocol is WireProtocol.TCPROS else self._serve_slave_api
 
         async def handler(program: PlainStream) -> None:
@@ -200,11 +200,11 @@ class Egress:
         callers = self._services.callers
         return self.ports.get_or_open(remote, lambda: LoopbackPort(callers, handler))
 
-    def _close_port(self, _: Endpoint, listener: LoopbackPort) -> None:
+    def _close_port(self, _: ListeningAddress, listener: LoopbackPort) -> None:
         self._agent.endpoints.remove_egress(listener.port)
         self._tasks.spawn(listener.close(), f"loopback port {listener.port}")
 
-    async def _serve_slave_api(self, remote: Endpoint, program: PlainStream) -> None:
+    async def _serve_slave_api(self, remote: ListeningAddress, program: PlainStream) -> None:
         executor = CommandExecutor(self._services)
 
         async def dispatch(method: str, params: tuple[object, ...], _: str) -> object:
@@ -218,7 +218,7 @@ class Egress:
         finally:
             await executor.close()
 
-    async def _serve_tcpros(self, remote: Endpoint, program: PlainStream) -> None:
+    async def _serve_tcpros(self, remote: ListeningAddress, program: PlainStream) -> None:
         executor = CommandExecutor(self._services)
         fields: Mapping[str, bytes] = {}
         began = time.monotonic()

@@ -47,15 +47,15 @@ class AgentServices(Protocol):
     def name(self) -> str: ...
     @property
     def callers(self) -> Callers: ...
-    def open_ingress(self, local: layers.Endpoint) -> int: ...
-    def suspend_ingress(self, local: layers.Endpoint) -> None: ...
-    def leads_to(self, local: layers.Endpoint, listeners: list[Holder]) -> bool: ...
-    def open_egress(self, remote: layers.Endpoint) -> int: ...
-    def refuse_egress(self, remote: layers.Endpoint) -> int: ...
-    def cache_client(self, remote: layers.Endpoint, client: SlaveApiClient) -> None: ...
-    def cached_client(self, remote: layers.Endpoint) -> SlaveApiClient | None: ...
-    async def dial(self, remote: layers.Endpoint) -> SecureStream[Identity]: ...
-    def note_unreachable(self, remote: layers.Endpoint, error: PeerUnreachable) -> None: ...
+    def open_ingress(self, local: layers.ListeningAddress) -> int: ...
+    def suspend_ingress(self, local: layers.ListeningAddress) -> None: ...
+    def leads_to(self, local: layers.ListeningAddress, listeners: list[Holder]) -> bool: ...
+    def open_egress(self, remote: layers.ListeningAddress) -> int: ...
+    def refuse_egress(self, remote: layers.ListeningAddress) -> int: ...
+    def cache_client(self, remote: layers.ListeningAddress, client: SlaveApiClient) -> None: ...
+    def cached_client(self, remote: layers.ListeningAddress) -> SlaveApiClient | None: ...
+    async def dial(self, remote: layers.ListeningAddress) -> SecureStream[Identity]: ...
+    def note_unreachable(self, remote: layers.ListeningAddress, error: PeerUnreachable) -> None: ...
     def check_peer(self, peer: Identity) -> None: ...
     async def call_master(self, method: str, params: tuple[object, ...]) -> object: ...
     def proof(self, right: Right, name: str) -> bytes: ...
@@ -105,9 +105,9 @@ class CommandExecutor:
     async def _execute(self, command: layers.Command) -> layers.Event:
         match command:
             case layers.OpenIngress(local):
-                return layers.Opened(self._services.open_ingress(local))
+                return layers.PortOpened(self._services.open_ingress(local))
             case layers.OpenEgress(remote, probe):
-                return layers.Opened(
+                return layers.PortOpened(
                     await self._probe_egress(remote) if probe else self._services.open_egress(remote)
                 )
             case layers.Suspend(local):
@@ -157,7 +157,7 @@ class CommandExecutor:
         self.program = await self._connect_program(request.local)
         return await self._exchange_headers(self.program, None, request.fields)
 
-    async def _stream_to(self, remote: layers.Endpoint) -> SecureStream[Identity]:
+    async def _stream_to(self, remote: layers.ListeningAddress) -> SecureStream[Identity]:
         if self.stream is None:
             try:
                 self.stream = await self._services.dial(remote)
@@ -173,14 +173,14 @@ class CommandExecutor:
         answer, self.after_header = await split_header(end)
         return layers.HeaderArrived(answer, peer, clock.now())
 
-    async def _rpc_to_program(self, local: layers.Endpoint) -> RpcClient:
+    async def _rpc_to_program(self, local: layers.ListeningAddress) -> RpcClient:
         if self._program_rpc is None or self._program_rpc.closed:
             self._program_rpc = RpcClient(
                 await self._connect_program(local), host=self._services.callers.loopback.host, compact=False
             )
         return self._program_rpc
 
-    async def _connect_program(self, local: layers.Endpoint) -> PlainStream:
+    async def _connect_program(self, local: layers.ListeningAddress) -> PlainStream:
         callers = self._services.callers
         holders = await callers.check_listener(local.port)
         if not self._services.leads_to(local, holders):
@@ -193,7 +193,7 @@ class CommandExecutor:
             raise
         return PlainStream(sock)
 
-    async def _probe_egress(self, remote: layers.Endpoint) -> int:
+    async def _probe_egress(self, remote: layers.ListeningAddress) -> int:
         # Open a port only if the peer answers; its connection is cached for the next caller.
         try:
             async with asyncio.timeout(DEADLINE):
@@ -204,14 +204,14 @@ class CommandExecutor:
         self._services.cache_client(remote, client)
         return self._services.open_egress(remote)
 
-    def _no_answer(self, remote: layers.Endpoint) -> int:
+    def _no_answer(self, remote: layers.ListeningAddress) -> int:
         # The port of a peer that does not answer: it refuses callers, as that of a dead node.
         # One behind a door may be out of reach for a while, and programs that were refused never try again:
         # they are admitted and hung up on.
         services = self._services
         return services.open_egress(remote) if remote.door else services.refuse_egress(remote)
 
-    async def _client_of_peer(self, remote: layers.Endpoint, right: Right | None) -> SlaveApiClient:
+    async def _client_of_peer(self, remote: layers.ListeningAddress, right: Right | None) -> SlaveApiClient:
         if self._peer_client is None or not self._peer_client.usable:
             self._peer_client = self._services.cached_client(remote)
         if self._peer_client is None or not self._peer_client.usable:
@@ -221,7 +221,7 @@ class CommandExecutor:
             await self._present_grants(self._peer_client, right)
         return self._peer_client
 
-    async def _connect_peer(self, remote: layers.Endpoint) -> SlaveApiClient:
+    async def _connect_peer(self, remote: layers.ListeningAddress) -> SlaveApiClient:
         try:
             stream = await self._services.dial(remote)
         except PeerUnreachable as error:

@@ -35,7 +35,7 @@ from rossec.ros.xmlrpc import BODY_LIMIT
 from rossec.sidecar import pump
 from rossec.sidecar.core import node_connections
 from rossec.sidecar.core.guards import CopyTracker, ProgramMemories, Replacing
-from rossec.sidecar.core.layers import AgentState, Endpoint
+from rossec.sidecar.core.layers import AgentState, ListeningAddress
 from rossec.sidecar.core.node_connections import AdmittedConnection
 from rossec.sidecar.executor import AgentServices, CommandExecutor
 from rossec.sidecar.loopback_port import PlainStream, PortPool, bind_free_port
@@ -62,7 +62,7 @@ class PeerConnector:
         self._access = access
 
     async def dial(
-        self, remote: Endpoint, *, allow_stale: bool = False, own_identity: bool = False
+        self, remote: ListeningAddress, *, allow_stale: bool = False, own_identity: bool = False
     ) -> SecureStream[Identity]:
         stream = await connect(
             remote.host, remote.port, self._context, remote.protocol, to_itself=own_identity
@@ -103,10 +103,10 @@ class Ingress:
         self._copies = CopyTracker()
         self._memories = ProgramMemories(memory_scope(agent.identity.name), self._is_dead)
         self.ports = PortPool(self._close_port, self._is_dead)
-        self._listeners: dict[Endpoint, list[Holder]] = {}  # of each port, when it was opened
+        self._listeners: dict[ListeningAddress, list[Holder]] = {}  # of each port, when it was opened
         self._ended: PortPool[int, SecureServer[Identity]] = PortPool(self._close_ended, limit=_ENDED)
 
-    def open(self, local: Endpoint) -> int:
+    def open(self, local: ListeningAddress) -> int:
         listeners = self._services.callers.listeners(local.port)
         if not self.leads_to(local, listeners):
             for each in [each for each in self._listeners if each.port == local.port]:
@@ -117,11 +117,11 @@ class Ingress:
         server.resume()
         return server.port
 
-    def leads_to(self, local: Endpoint, listeners: list[Holder]) -> bool:
+    def leads_to(self, local: ListeningAddress, listeners: list[Holder]) -> bool:
         # Also if there is no such port, or nothing listened when it was opened.
         return not listeners or self._listeners.get(local, listeners) == listeners
 
-    def _retire(self, local: Endpoint) -> None:
+    def _retire(self, local: ListeningAddress) -> None:
         del self._listeners[local]
         server = self.ports.remove(local)
         if server is not None:
@@ -129,7 +129,7 @@ class Ingress:
             self._agent.endpoints.remove_ingress(local, server.port)
             self._ended.get_or_open(server.port, lambda: server)
 
-    def suspend(self, local: Endpoint) -> None:
+    def suspend(self, local: ListeningAddress) -> None:
         server = self.ports.get(local)
         if server is not None:
             server.suspend()
@@ -139,7 +139,7 @@ class Ingress:
             await server.close()
         await self._tasks.close()
 
-    def _listen(self, local: Endpoint) -> SecureServer[Identity]:
+    def _listen(self, local: ListeningAddress) -> SecureServer[Identity]:
         serve = self._serve_tcpros if local.protocol is WireProtocol.TCPROS else self._serve_slave_api
 
         async def handler(stream: SecureStream[Identity]) -> None:
@@ -149,7 +149,7 @@ class Ingress:
         host = self._agent.endpoints.host
         return self._connector.listen(self._connections.bounded(handler), host, local.protocol)
 
-    def _close_port(self, local: Endpoint, server: SecureServer[Identity]) -> None:
+    def _close_port(self, local: ListeningAddress, server: SecureServer[Identity]) -> None:
         self._agent.endpoints.remove_ingress(local, server.port)
         self._agent.forget(local)
         self._listeners.pop(local, None)
@@ -158,13 +158,13 @@ class Ingress:
     def _close_ended(self, port: int, server: SecureServer[Identity]) -> None:
         self._tasks.spawn(server.close(), f"network port {port}")
 
-    def _is_dead(self, local: Endpoint) -> bool:
+    def _is_dead(self, local: ListeningAddress) -> bool:
         listeners = self._services.callers.listeners(local.port)
         return not listeners or not self.leads_to(local, listeners)
 
     # --- XML-RPC
 
-    async def _serve_slave_api(self, local: Endpoint, stream: SecureStream[Identity]) -> None:
+    async def _serve_slave_api(self, local: ListeningAddress, stream: SecureStream[Identity]) -> None:
         presented: list[bytes] = []
         executor = CommandExecutor(self._services)
 
@@ -198,7 +198,7 @@ class Ingress:
 
     # --- TCPROS
 
-    async def _serve_tcpros(self, local: Endpoint, stream: SecureStream[Identity]) -> None:
+    async def _serve_tcpros(self, local: ListeningAddress, stream: SecureStream[Identity]) -> None:
         executor = CommandExecutor(self._services)
         try:
             try:

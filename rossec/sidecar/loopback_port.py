@@ -115,7 +115,7 @@ class PlainStream(BaseStream):
 Handler = Callable[[PlainStream], Awaitable[None]]
 
 
-class Admission(Protocol):
+class PortAdmission(Protocol):
     """Where a port is, and who may connect: `Callers`, for programs of this host."""
 
     @property
@@ -127,7 +127,7 @@ class LocalPort:
     """One port; suspended until `open`. `attend` serves an admitted connection and owns it."""
 
     def __init__(
-        self, callers: Admission, attend: Callable[[socket.socket], Awaitable[None]], port: int = 0
+        self, callers: PortAdmission, attend: Callable[[socket.socket], Awaitable[None]], port: int = 0
     ) -> None:
         self._callers = callers
         self._attend = attend
@@ -205,7 +205,7 @@ class LocalPort:
 
 
 class LoopbackPort(LocalPort):
-    def __init__(self, callers: Admission, handler: Handler, port: int = 0) -> None:
+    def __init__(self, callers: PortAdmission, handler: Handler, port: int = 0) -> None:
         async def attend(sock: socket.socket) -> None:
             stream = PlainStream(sock)
             try:

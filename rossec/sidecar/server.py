@@ -36,7 +36,7 @@ from rossec.ros.names import MASTER, Settings, is_loopback
 from rossec.ros.xmlrpc import Fault
 from rossec.sidecar.callers import Callers
 from rossec.sidecar.core import master_calls
-from rossec.sidecar.core.layers import AgentState, Endpoint, EndpointMap, Layer
+from rossec.sidecar.core.layers import AgentState, EndpointMap, Layer, ListeningAddress
 from rossec.sidecar.core.master_calls import MULTICALL, ResubscribeQueue, rule_of
 from rossec.sidecar.egress import Egress, RefusalLog
 from rossec.sidecar.executor import AgentServices, SlaveApiClient, run_layer
@@ -60,22 +60,22 @@ class ConnectionCache:
     """
 
     def __init__(self) -> None:
-        self._clients: dict[Endpoint, SlaveApiClient] = {}
+        self._clients: dict[ListeningAddress, SlaveApiClient] = {}
         self._tasks = TaskSet()
 
-    def put(self, remote: Endpoint, client: SlaveApiClient) -> None:
+    def put(self, remote: ListeningAddress, client: SlaveApiClient) -> None:
         old = self._clients.pop(remote, None)
         self._clients[remote] = client
         self._tasks.spawn(self._close_later(remote, client, old), "a cached connection")
 
-    def take(self, remote: Endpoint) -> SlaveApiClient | None:
+    def take(self, remote: ListeningAddress) -> SlaveApiClient | None:
         return self._clients.pop(remote, None)
 
     async def close(self) -> None:
         await self._tasks.close()
 
     async def _close_later(
-        self, remote: Endpoint, client: SlaveApiClient, old: SlaveApiClient | None
+        self, remote: ListeningAddress, client: SlaveApiClient, old: SlaveApiClient | None
     ) -> None:
         if old is not None:
             await old.rpc.close()
@@ -200,11 +200,11 @@ class Agent:
 
     # --- agent services
 
-    async def dial(self, remote: Endpoint) -> SecureStream[Identity]:
+    async def dial(self, remote: ListeningAddress) -> SecureStream[Identity]:
         own_identity = self.state.endpoints.program_at(remote) is not None
         return await self._connector.dial(remote, own_identity=own_identity)
 
-    def note_unreachable(self, remote: Endpoint, error: PeerUnreachable) -> None:
+    def note_unreachable(self, remote: ListeningAddress, error: PeerUnreachable) -> None:
         self._refusals.unreachable(remote.uri, error)
 
     def check_peer(self, peer: Identity) -> None:
@@ -242,7 +242,7 @@ class Agent:
 
     async def dial_master(self) -> SecureStream[Identity]:
         host, port = self._settings.master_host, self._settings.master_port
-        return await self._connector.dial(Endpoint(WireProtocol.HTTP, host, port), allow_stale=True)
+        return await self._connector.dial(ListeningAddress(WireProtocol.HTTP, host, port), allow_stale=True)
 
     async def dial_watch(self) -> SecureStream[Identity]:
         return await self.dial_master()
@@ -312,7 +312,7 @@ class Sidecar:
 
     @property
     def uri(self) -> str:
-        return Endpoint(WireProtocol.HTTP, self._callers.loopback.host, self._master.port).uri
+        return ListeningAddress(WireProtocol.HTTP, self._callers.loopback.host, self._master.port).uri
 
     def start(self) -> None:
         self._master.open()

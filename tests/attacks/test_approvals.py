@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from ca.approvals.passkeys import Approval
-from ca.approvals.statement import Grant
+from ca.approvals.statement import GrantStatement
 from ca.errors import (
     ApprovalOutdated,
     ApprovalRefused,
@@ -62,7 +62,7 @@ def store(shell: Shell, device: Passkey) -> Iterator[Store]:
 
 def grant(store: Store, id: bytes = b"i" * 16, payload: bytes = SHOWN) -> Approval:  # noqa: A002
     """A statement, without any assertion."""
-    what = Grant(b"r" * 16, hashlib.sha256(payload).digest())
+    what = GrantStatement(b"r" * 16, hashlib.sha256(payload).digest())
     nothing = Assertion(b"", b"", b"", b"")
     return Approval.of(state(what, id=id, store=store, made=NOW), payload, nothing, NOW)  # type: ignore[arg-type]  # the same fields
 

@@ -18,7 +18,7 @@ from rossec.authority.keyservice import messages
 from rossec.authority.keyservice import messages as inner_messages
 from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.authority.keyservice.inner_channel import InnerChannel
-from rossec.authority.keyservice.messages import InnerRequest, Request
+from rossec.authority.keyservice.messages import InnerRequest, ServiceRequest
 from rossec.authority.keyservice.process import FrontEndOptions, FrontEndProcess
 from rossec.errors import (
     AuthorityLocked,
@@ -73,7 +73,7 @@ def test_bytes_that_are_no_statement_are_not_signed(home: AuthorityHome, service
     client = found(home)
     for message in (b"challenge", b"", bytes(64 * 1024), *seen):
         with pytest.raises(SigningRefused):
-            client.ask(Request("sign", (message,)))
+            client.ask(ServiceRequest("sign", (message,)))
     assert sum("refused to sign" in line for line in service.audit) == 4
     client.close()
 
@@ -170,7 +170,7 @@ def test_the_face_is_not_answered_at_the_socket_of_commands(home: AuthorityHome)
         service.operations.unlock(PASSPHRASE, 0, "a test")
         client = found(home)
         with pytest.raises(KeyServiceFailed):
-            client.ask(Request("status"))
+            client.ask(ServiceRequest("status"))
         client.close()
 
 

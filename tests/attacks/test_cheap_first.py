@@ -8,7 +8,7 @@ from typing import Final
 import pytest
 
 from ca.enrollment.invitation import JoinRequest
-from ca.enrollment.join import Refused, RefuseReason, read
+from ca.enrollment.join import RefusedMessage, RefuseReason, read
 from ca.errors import RevocationRefused, RollbackRefused
 from ca.revocation.lists import RevocationTree, TreeEntries, sign_tree
 from ca.revocation.merkle import Tree
@@ -142,7 +142,7 @@ def test_a_request_of_a_stranger_reads_no_revocations(
         for name in ("revocations", "revoked_entries", "unrevoked_grants", "count_revoked"):
             patched.setattr(Store, name, never, raising=False)
         answer, joined = working.work.join(forged)
-    assert read(answer) == Refused(RefuseReason.REFUSED)
+    assert read(answer) == RefusedMessage(RefuseReason.REFUSED)
     assert joined is None
     assert working.work.join(request.to_bytes())[1] == "/fleet/a"
 

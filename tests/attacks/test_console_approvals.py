@@ -22,7 +22,7 @@ from ca.errors import (
 from grants import document
 from rossec.authority.backup import back_up, restore
 from rossec.authority.console.grant_requests import Questions
-from rossec.authority.console.messages import GrantQuestion, Outcome, Prepared, many
+from rossec.authority.console.messages import ApprovalOutcome, GrantQuestion, Prepared, many
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.requests import GrantRequestStore
@@ -271,7 +271,7 @@ def test_a_phone_that_was_removed_approves_nothing_not_even_what_waits(acts: Act
         sent(acts, other, signed)
     acts.unlock()
     acts.approving.carry_out_waiting()
-    assert acts.outcome(waits.id) == Outcome(waits.id, "failed", "its phone was removed: stolen", b"")
+    assert acts.outcome(waits.id) == ApprovalOutcome(waits.id, "failed", "its phone was removed: stolen", b"")
     with acts.store() as store:
         assert not store.identities.by_name("/lamp")
 

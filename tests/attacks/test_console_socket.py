@@ -11,15 +11,15 @@ from pathlib import Path
 import pytest
 
 from ca.errors import HintedError, OtherChallenge
-from rossec.authority.console.access import Access
+from rossec.authority.console.access import ConsoleAccess
 from rossec.authority.console.client import ConsoleClient
 from rossec.authority.console.messages import (
     MAX_REQUEST,
     OPERATIONS,
     SOCKET,
-    Assertion,
     LoginChallenge,
-    Registration,
+    PasskeyAssertion,
+    PasskeyRegistration,
     from_value,
 )
 from rossec.authority.console.phone_codes import MAX_FAILURES
@@ -121,13 +121,13 @@ async def test_what_a_session_knows_adds_no_phone(service: ServiceProcess) -> No
         asked = await client.new_passkey(ORIGIN, RP_ID)
         answer = phone.register(asked.challenge)
         with pytest.raises(PhoneCodeRefused):
-            await client.add_passkey(Registration(asked.id, code, "Eve's", *answer))
+            await client.add_passkey(PasskeyRegistration(asked.id, code, "Eve's", *answer))
     asked = await client.new_passkey(ORIGIN, RP_ID)
-    proposed = Registration(asked.id, link, "Eve's", *phone.register(asked.challenge))
+    proposed = PasskeyRegistration(asked.id, link, "Eve's", *phone.register(asked.challenge))
     proposal = await client.propose_passkey(proposed)
     assert await client.phones() == (), "it waits for a phone that is there"
     with pytest.raises(HintedError):
-        await client.approve(proposal.id, Assertion(*phone.sign(asked.challenge)))
+        await client.approve(proposal.id, PasskeyAssertion(*phone.sign(asked.challenge)))
     assert await client.phones() == ()
     await client.close()
 
@@ -198,7 +198,7 @@ def test_a_program_in_the_place_of_the_service_is_not_believed() -> None:
 @pytest.mark.attack("console-codes")
 def test_a_code_is_used_once_whoever_is_first(tmp_path: Path) -> None:
     site = ConsoleWork(tmp_path)
-    access = Access(site.work, site.audit.append, site.elapsed)
+    access = ConsoleAccess(site.work, site.audit.append, site.elapsed)
     code = access.phone_code("a person")
     ask(access, "redeem", code)
     with pytest.raises(PhoneCodeRefused):
@@ -209,7 +209,7 @@ def test_a_code_is_used_once_whoever_is_first(tmp_path: Path) -> None:
 @pytest.mark.attack("console-codes")
 def test_codes_cannot_be_tried_at_will_and_trying_keeps_nobody_out(tmp_path: Path) -> None:
     site = ConsoleWork(tmp_path)
-    access = Access(site.work, site.audit.append, site.elapsed)
+    access = ConsoleAccess(site.work, site.audit.append, site.elapsed)
     code = access.phone_code("a person")
     for number in range(MAX_FAILURES):
         with pytest.raises(PhoneCodeRefused, match="not valid"):
@@ -225,7 +225,7 @@ def test_codes_cannot_be_tried_at_will_and_trying_keeps_nobody_out(tmp_path: Pat
 def test_a_clock_that_stands_makes_no_code_last(tmp_path: Path) -> None:
     """The host's clock is stopped or set back; what ends codes and challenges is another one."""
     site = ConsoleWork(tmp_path)
-    access, phone = Access(site.work, site.audit.append, site.elapsed), Passkey()
+    access, phone = ConsoleAccess(site.work, site.audit.append, site.elapsed), Passkey()
     code = access.phone_code("a person")
     asked = from_value(LoginChallenge, ask(access, "new-passkey", ORIGIN, RP_ID))
     site.seconds += 130

@@ -16,7 +16,17 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtensionOID
 
 from ca.enrollment import qr, sides
-from ca.enrollment.messages import Acknowledgement, Delivery, Done, Message, Offer, frame, length, read, write
+from ca.enrollment.messages import (
+    Acknowledgement,
+    Delivery,
+    Done,
+    EnrollmentOffer,
+    Message,
+    frame,
+    length,
+    read,
+    write,
+)
 from ca.enrollment.sides import AuthorityEnrollment, AuthorityState, NodeState
 from ca.errors import (
     AcknowledgementRefused,
@@ -86,11 +96,11 @@ async def enrolled_through(
     return core
 
 
-def forged(csr: bytes, secret: bytes = b"") -> Offer:
+def forged(csr: bytes, secret: bytes = b"") -> EnrollmentOffer:
     """An offer of Mallory's authority for the robot's own request."""
     leaf, nonce = MALLORY.authority.issue(csr, now=clock(), serial=3), fresh()
     agreed = sides.transcript(csr, [leaf], MALLORY.root, nonce)
-    return Offer((leaf,), MALLORY.root, nonce, sides.tag(secret, agreed) if secret else b"")
+    return EnrollmentOffer((leaf,), MALLORY.root, nonce, sides.tag(secret, agreed) if secret else b"")
 
 
 def honest(message: Message) -> Message:
@@ -125,7 +135,7 @@ async def test_a_swapped_authority_without_the_code_is_refused() -> None:
     robot_ = Robot()
 
     def swap(message: Message) -> Message:
-        return forged(robot_.csr, bytes(16)) if isinstance(message, Offer) else message
+        return forged(robot_.csr, bytes(16)) if isinstance(message, EnrollmentOffer) else message
 
     with WaitingRobot(robot_) as robot:
         with pytest.raises(EnrollmentOver, match="the node refused the offer"):
@@ -141,7 +151,7 @@ async def test_a_swapped_authority_and_a_label() -> None:
     robot_ = Robot()
 
     def swap(message: Message) -> Message:
-        return forged(robot_.csr) if isinstance(message, Offer) else message
+        return forged(robot_.csr) if isinstance(message, EnrollmentOffer) else message
 
     with (
         WaitingRobot(robot_, label=True, person=lambda _: None) as robot,
@@ -167,7 +177,7 @@ async def test_a_swapped_authority_and_a_replayed_answer() -> None:
     assert [type(message) for message in kept] == [Acknowledgement, Done]
 
     def swap(message: Message) -> Message:
-        if isinstance(message, Offer):
+        if isinstance(message, EnrollmentOffer):
             return forged(robot_.csr)
         return kept[0] if isinstance(message, Acknowledgement) else message
 

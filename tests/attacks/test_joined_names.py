@@ -10,7 +10,7 @@ import pytest
 
 from ca.authority import Authority
 from ca.certificates import build_intermediate_request, from_pem
-from ca.enrollment.join import Waiting, WaitReason
+from ca.enrollment.join import WaitingMessage, WaitReason
 from ca.store.record import Store
 from rossec.authority import invitations
 from rossec.authority.renewals import sign_intermediate
@@ -18,7 +18,7 @@ from rossec.authority.signing import SigningAuthority
 from tests.support.joining import JoinSite, asked, issued
 from tests.support.pki import NOW, new_signer
 
-PERSON = Waiting(WaitReason.PERSON)
+PERSON = WaitingMessage(WaitReason.PERSON)
 
 
 @pytest.fixture

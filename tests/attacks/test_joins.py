@@ -21,9 +21,9 @@ from ca.enrollment.join import (
     JoinMessage,
     LiveIdentity,
     NodeJoin,
-    Refused,
+    RefusedMessage,
     RefuseReason,
-    Waiting,
+    WaitingMessage,
     WaitReason,
     read,
     write,
@@ -90,7 +90,7 @@ async def test_the_network_does_not_see_the_secret_and_cannot_use_what_it_sees(h
             sessions.send(writer, core.hello())
             await sessions.receive(reader)
             sessions.send(writer, write(change))
-            assert read(await sessions.receive(reader)) == Refused(REFUSED)
+            assert read(await sessions.receive(reader)) == RefusedMessage(REFUSED)
             writer.close()
     assert len(home.store.invitations.uses(code.id)) == 1
 
@@ -148,7 +148,7 @@ def test_the_last_use_is_taken_once_by_many_at_once(home: JoinSite) -> None:
     for thread in threads:
         thread.join()
     assert sum(isinstance(answer, Issued) for answer in answers) == 2
-    assert sum(answer == Refused(ENDED) for answer in answers) == 6
+    assert sum(answer == RefusedMessage(ENDED) for answer in answers) == 6
     assert len(home.store.invitations.uses(code.id)) == 2
     home.store.log.audit(home.site.anchor.public_key)
 
@@ -162,7 +162,7 @@ async def test_an_enrolled_node_that_plays_the_authority_gets_nothing(home: Join
 
     async def harvest(request: JoinRequest) -> JoinAnswer:
         harvested.append(request)
-        return Waiting(WaitReason.LOCKED)
+        return WaitingMessage(WaitReason.LOCKED)
 
     fake = JoinServer(lambda: LiveIdentity(own.signer, own.chain, home.root), harvest)
     async with home.serving(fake):
@@ -241,7 +241,7 @@ def test_the_name_of_a_node_is_not_taken_over(home: JoinSite, revoked: bool) -> 
     issued(home.join(code, "/fleet/a"))
     if revoked:
         home.authority.revoke_identity("/fleet/a", "stolen", NOW)
-    assert home.join(code, "/fleet/a") == Waiting(WaitReason.PERSON)
+    assert home.join(code, "/fleet/a") == WaitingMessage(WaitReason.PERSON)
     assert len(home.store.identities.by_name("/fleet/a")) == 1
 
 
@@ -251,7 +251,7 @@ def test_what_waits_for_a_person_is_bounded_for_a_code(home: JoinSite) -> None:
     issued(home.join(code, "/fleet/a"))
     answers = [home.join(code, "/fleet/a") for _ in range(invitations.MAX_WAITING + 5)]
     assert len(home.store.requests.open()) == invitations.MAX_WAITING
-    assert answers[-5:] == [Refused(RefuseReason.BUSY)] * 5
+    assert answers[-5:] == [RefusedMessage(RefuseReason.BUSY)] * 5
     issued(home.join(home.invite(), "/fleet/b"))
 
 

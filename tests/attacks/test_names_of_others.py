@@ -21,7 +21,7 @@ from ca.enrollment.join import (
     NameAnswer,
     Named,
     NodeJoin,
-    Refused,
+    RefusedMessage,
     RefuseReason,
     read,
     write,
@@ -66,7 +66,7 @@ class Authority:
 
     async def name(self, request: JoinClaim | JoinRequest) -> NameAnswer:
         pattern = invitations.allowed_pattern(self.home.store, request, NOW)
-        if isinstance(pattern, Refused):
+        if isinstance(pattern, RefusedMessage):
             return pattern
         return await self.names.answer(request.metadata, pattern)
 
@@ -75,7 +75,7 @@ class Authority:
         if request.metadata:
             named = await self.name(request)
             if named != Named(request.name):
-                return named if isinstance(named, Refused) else Refused(RefuseReason.NAME)
+                return named if isinstance(named, RefusedMessage) else RefusedMessage(RefuseReason.NAME)
         return await self.home.admit(request)
 
 
@@ -189,7 +189,7 @@ async def test_a_stranger_s_metadata_reach_no_rules(home: JoinSite) -> None:
             JoinClaim(bytes(32), claim.transcript, LAMP, claim.proof),
             JoinClaim(claim.invitation, bytes(32), LAMP, claim.proof),
         ):
-            assert await authority.name(forged) == Refused(RefuseReason.REFUSED)
+            assert await authority.name(forged) == RefusedMessage(RefuseReason.REFUSED)
         assert reached == []
         assert await authority.name(claim) == Named("/fleet/lamp")
 
@@ -291,7 +291,7 @@ async def test_slow_metadata_keep_no_other_node_from_joining(tmp_path: Path) -> 
         async with asyncio.timeout(40):
             assert isinstance(read(cast("bytes", await face.answers.get())), Issued)
             for answer in await asyncio.gather(*slow):
-                assert read(cast("bytes", answer)) == Refused(RefuseReason.METADATA)
+                assert read(cast("bytes", answer)) == RefusedMessage(RefuseReason.METADATA)
     finally:
         running.cancel()
         await asyncio.gather(running, return_exceptions=True)

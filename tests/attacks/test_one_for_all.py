@@ -15,7 +15,7 @@ from rossec.authority import policyfile
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile, read_policy
 from rossec.authority.service import AuthorityService
-from rossec.authority.session import MasterCall
+from rossec.authority.session import StatementCall
 from rossec.errors import NotDelivered
 from rossec.home import NodeHome
 from tests.support.consoleacts import POLICY as CONSOLE_POLICY
@@ -41,13 +41,13 @@ TAKEN = POLICY.replace("/camera]", "/map]")
 class Place:
     def __init__(self, root: Path) -> None:
         self.root = root
-        self.answer: Callable[[MasterCall], object] | None = None
+        self.answer: Callable[[StatementCall], object] | None = None
         AuthorityHome.create(root, "home", SECRET, NOW)
         self.service = AuthorityService(root, lambda: SECRET, self._deliver, lambda: NOW)
         self.nodes = {name: self._enroll(name) for name in ("/greedy", "/viewer")}
         self.write(POLICY)
 
-    def _deliver(self, call: MasterCall) -> object:
+    def _deliver(self, call: StatementCall) -> object:
         if self.answer is not None:
             return self.answer(call)
         raise NotDelivered(f"no master for {call.what}")
@@ -154,7 +154,7 @@ def test_a_node_whose_disk_is_full_keeps_no_other_from_its_grants(place: Place) 
     assert len(place.nodes["/viewer"].grants()) == len(place.grants("/viewer"))
 
 
-def _deposited(call: MasterCall, master: list[bytes]) -> object:
+def _deposited(call: StatementCall, master: list[bytes]) -> object:
     (items, *_) = call.statement
     assert isinstance(items, list)
     if call.method == "rossec.deliveryStates":

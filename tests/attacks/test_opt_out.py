@@ -11,7 +11,7 @@ from grants import document
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import read_policy
 from rossec.authority.service import AuthorityService
-from rossec.authority.session import MasterCall
+from rossec.authority.session import StatementCall
 from rossec.errors import NotDelivered
 from rossec.home import NodeHome
 
@@ -30,7 +30,7 @@ rules:
 """
 
 
-def deliver(call: MasterCall) -> object:
+def deliver(call: StatementCall) -> object:
     raise NotDelivered(f"no master for {call.what}")
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from ca.certificates import Identity
 from rossec.host.addresses import source_for
-from rossec.master.state.forwarded_ports import Door, Report, Target, Way
+from rossec.master.state.forwarded_ports import Door, PeerWay, RelayReport, Target
 from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.rpc.calls import RpcClient
 from rossec.ros.names import parse_uri
@@ -94,7 +94,7 @@ async def test_m8_the_same_calls_of_who_is_near_are_answered(world: VisitWorld) 
 async def test_m8_a_door_is_registered_by_nobody(world: VisitWorld) -> None:
     doors, target = world.server.state.doors, Target("ward", "node", "/bed")
     doors.want("ward", [target])
-    report = Report("one", 0, {target: Door("10.0.0.7", 7001)}, {"ward": Way("up", 1.0, 0, "", 0)})
+    report = RelayReport("one", 0, {target: Door("10.0.0.7", 7001)}, {"ward": PeerWay("up", 1.0, 0, "", 0)})
     doors.hear("/relay", report, world.server.state.now())
     async with caller(world, world.robot) as client:
         found = await client.call("registerPublisher", world.robot.name, "/pose", T, "http://10.0.0.7:7001/")

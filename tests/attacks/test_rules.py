@@ -18,7 +18,7 @@ import pytest
 
 from rossec.errors import MetadataRefused, NameUndefined, ProposedNameRefused, RulesExceeded, RulesRefused
 from rossec.naming import child, requests
-from rossec.naming.requests import MAX_INPUT, Kind
+from rossec.naming.requests import MAX_INPUT, NameKind
 from rossec.naming.rule_runner import RuleProcess, RuleRunner
 from tests.rossec.naming.stylesheets import PHONE, RULES, request, sheet
 from tests.support.witness import until
@@ -254,7 +254,7 @@ async def test_a_name_that_others_trust_does_not_leave(value: str) -> None:
     document = f"<node><topic><name>a</name><location>{value}</location></topic></node>".encode()
     async with RuleRunner(RULES) as runner:
         with pytest.raises(ProposedNameRefused, match="which is reserved"):
-            await runner.name(document, Kind.TOPIC, "a")
+            await runner.name(document, NameKind.TOPIC, "a")
 
 
 @pytest.mark.attack("rules-names")
@@ -262,7 +262,7 @@ async def test_a_name_that_others_trust_does_not_leave(value: str) -> None:
 async def test_what_is_asked_for_is_text_and_no_expression(which: str) -> None:
     async with RuleRunner(RULES) as runner:
         with pytest.raises((NameUndefined, MetadataRefused)):
-            await runner.name(PHONE, Kind.TOPIC, which)
+            await runner.name(PHONE, NameKind.TOPIC, which)
 
 
 def taken_over(monkeypatch: pytest.MonkeyPatch, action: Callable[[], object]) -> requests.Result | bytes:

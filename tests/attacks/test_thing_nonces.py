@@ -16,7 +16,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from ca.things.constrained_nodes import ThingKey
 from rossec.border import messages
 from rossec.border.conversations import Conversation
-from rossec.border.endpoint import Answer, Endpoint, Request, Requests
+from rossec.border.endpoint import CoapAnswer, CoapEndpoint, CoapRequest, Requests
 from rossec.border.handshakes import StaticKey
 from rossec.border.messages import (
     NONCE_SIZE,
@@ -43,7 +43,7 @@ class Site:
         self.registrations = 0
         self.mid = 0
         key = StaticKey(ec.generate_private_key(ec.SECP256R1()))
-        self.endpoint = Endpoint(
+        self.endpoint = CoapEndpoint(
             key, self, self, lambda data, _: self.sent.append(data), os.urandom, lambda: 0.0
         )
         self.context: OscoreContext
@@ -57,7 +57,7 @@ class Site:
 
     def registered(self, conversation: Conversation) -> None:
         self.registrations += 1
-        request = Request(codes.GET, (".well-known", "core"))
+        request = CoapRequest(codes.GET, (".well-known", "core"))
         self.endpoint.requests.start(conversation, request, lambda _: None, self.now)
 
     def left(self, name: str) -> None:
@@ -142,7 +142,7 @@ class Observed:
 
     def __init__(self) -> None:
         timers = Timers()
-        self.answers: list[Answer | ThingUnreachable] = []
+        self.answers: list[CoapAnswer | ThingUnreachable] = []
         self.sent: list[bytes] = []
         send = Transmissions(lambda data, _: self.sent.append(data), timers, lambda: 0.0)
         self.requests = Requests(send, timers, os.urandom)
@@ -151,7 +151,7 @@ class Observed:
         self.observe()
 
     def observe(self) -> None:
-        request = Request(codes.GET, ("t",), observe=True)
+        request = CoapRequest(codes.GET, ("t",), observe=True)
         self.requests.start(self.conversation, request, self.answers.append, 0.0)
         self.request = messages.read(self.sent[-1])
         _, self.identifier = self.lamp.open(messages.read(self.sent[-1]))
@@ -197,7 +197,7 @@ def test_an_old_state_that_says_it_is_no_notification() -> None:
                 observed.receive(again)
     observed.receive(observed.notification(b"new"))
     last = observed.answers[-1]
-    assert isinstance(last, Answer)
+    assert isinstance(last, CoapAnswer)
     assert (last.body, len(observed.answers)) == (b"new", 5)
 
 
@@ -209,4 +209,4 @@ def test_a_state_whose_blocks_do_not_fit_does_not_end_its_observation() -> None:
         observed.receive(observed.notification(b"x" * 5, block2=BlockOption.BlockwiseTuple(0, True, 6)))
     assert (observed.answers, len(observed.requests)) == ([], 1)
     observed.receive(observed.notification(b"fits"))
-    assert isinstance(observed.answers[0], Answer)
+    assert isinstance(observed.answers[0], CoapAnswer)

@@ -21,9 +21,9 @@ from ca.enrollment.join import (
     LiveIdentity,
     NodeJoin,
     NodeJoinState,
-    Refused,
+    RefusedMessage,
     RefuseReason,
-    Waiting,
+    WaitingMessage,
     WaitReason,
 )
 from ca.enrollment.messages import Delivery, write
@@ -42,7 +42,7 @@ from rossec.channel.edhoc.messages import (
 from rossec.channel.opening import WireProtocol, classify_answer, classify_caller, first_bytes, refusal
 from rossec.overlay import link_frames
 from rossec.overlay.link import Link
-from rossec.overlay.link_frames import Kind
+from rossec.overlay.link_frames import LinkFrameKind
 from tests.fuzz import compact_calls
 from tests.support.enrolling import ADDRESS, Robot, offered
 from tests.support.linknet import REPLY, frame, opened
@@ -178,7 +178,7 @@ def joins() -> list[bytes]:
     node.receive(welcome, SOME_TIME)
     sent = node.join(ROBOT.csr)
     face.receive(sent)
-    answers = Issued((LEAF,)), Waiting(WaitReason.LOCKED), Refused(RefuseReason.BUSY)
+    answers = Issued((LEAF,)), WaitingMessage(WaitReason.LOCKED), RefusedMessage(RefuseReason.BUSY)
     written = [join.write(answer) for answer in answers]
     return [node.hello(), welcome, sent, *written, face.request.to_bytes()]
 
@@ -214,7 +214,7 @@ def frames() -> list[bytes]:
     address = link_frames.return_address(REPLY, 560)
     ranges = link_frames.pack_ranges([(20, 30), (40, 50)])
     bodies = (address + b"first", b"bytes", ranges, b"", b"", address)
-    return [frame(kind, 50 * (kind != 1), body) for kind, body in zip(Kind, bodies, strict=True)]
+    return [frame(kind, 50 * (kind != 1), body) for kind, body in zip(LinkFrameKind, bodies, strict=True)]
 
 
 def _link(data: bytes) -> None:

@@ -14,7 +14,7 @@ from ca.errors import HintedError
 from rossec.authority.policyfile import parse_policy
 from rossec.errors import RossecError
 from rossec.naming import examine, requests, rule_runner, xslt
-from rossec.naming.requests import Kind, NameRequest, check_proposed
+from rossec.naming.requests import NameKind, NameRequest, check_proposed
 from rossec.ros import xmlrpc
 from tests.fuzz.mutants import mutants
 from tests.rossec.namespace.launch_texts import FIGURES, simple, transform
@@ -117,7 +117,7 @@ def test_every_type_in_every_place_of_a_policy(path: Path) -> None:
 
 RULES: Final = rule_runner.shipped_rules()
 PHONE: Final = rule_runner.shipped_example("phone.xml")
-QUERIES: Final = ((Kind.NODE, ""), (Kind.TOPIC, "temperature"))
+QUERIES: Final = ((NameKind.NODE, ""), (NameKind.TOPIC, "temperature"))
 
 
 def broken(text: bytes, every: int) -> Iterator[bytes]:
@@ -144,7 +144,7 @@ def test_rules_with_bytes_broken_at_many_places() -> None:
             requests.read_names(xslt.answer(NameRequest(text, PHONE, QUERIES)), len(QUERIES))
 
 
-def checked(metadata: bytes, queries: Sequence[tuple[Kind, str]]) -> list[str]:
+def checked(metadata: bytes, queries: Sequence[tuple[NameKind, str]]) -> list[str]:
     return [check_proposed(name) for name in simple(metadata, queries)]
 
 

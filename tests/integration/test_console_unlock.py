@@ -12,7 +12,7 @@ import pytest
 
 from ca.errors import HintedError
 from rossec.authority.console.client import ConsoleClient
-from rossec.authority.console.messages import SOCKET, Assertion, Outcome, Registration
+from rossec.authority.console.messages import SOCKET, ApprovalOutcome, PasskeyAssertion, PasskeyRegistration
 from tests.support.passkeys import Passkey
 from tests.support.ports import free_port
 from tests.support.serviceprocess import ServiceProcess
@@ -46,14 +46,14 @@ class Home:
         with_key.close()
         challenge = await self.client.new_passkey(self.phone.origin, self.phone.rp_id)
         made = self.phone.register(challenge.challenge)
-        await self.client.add_passkey(Registration(challenge.id, code, "Ann's phone", *made))
+        await self.client.add_passkey(PasskeyRegistration(challenge.id, code, "Ann's phone", *made))
 
-    async def approve(self, kind: str, *arguments: int | str | bytes) -> Outcome:
+    async def approve(self, kind: str, *arguments: int | str | bytes) -> ApprovalOutcome:
         prepared = await self.client.prepare(kind, [*arguments])
         signed = self.phone.sign(prepared.challenge)
-        return await self.client.approve(prepared.id, Assertion(*signed))
+        return await self.client.approve(prepared.id, PasskeyAssertion(*signed))
 
-    async def enroll(self, name: str) -> Outcome:
+    async def enroll(self, name: str) -> ApprovalOutcome:
         await asyncio.to_thread(self.service.run, "node", "request", name)
         csr = (self.service.root / "nodes" / name[1:] / "node.csr").read_bytes()
         return await self.approve("enroll", csr, "a test", False, 30 * DAY, False)

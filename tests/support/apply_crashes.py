@@ -21,7 +21,7 @@ from grants import document
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import read_policy
 from rossec.authority.service import AuthorityService
-from rossec.authority.session import MasterCall
+from rossec.authority.session import StatementCall
 from rossec.authority.signing import SigningAuthority
 from rossec.home import NodeHome
 from tests.support.killing import run_killed
@@ -42,7 +42,7 @@ class Master:
     def __init__(self, root: Path) -> None:
         self.path = root / "delivered"  # by name: the grants, and the list
 
-    def __call__(self, call: MasterCall) -> object:
+    def __call__(self, call: StatementCall) -> object:
         self.path.mkdir(exist_ok=True)
         (items, *_) = call.statement
         if call.method == "rossec.updateRevocations":

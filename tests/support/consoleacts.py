@@ -20,17 +20,17 @@ from ca.svid import build_request
 from grants.model import Right
 from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec.authority.approvals import ApprovalQueue
-from rossec.authority.console.access import Access
+from rossec.authority.console.access import ConsoleAccess
 from rossec.authority.console.approving import Approving, Of
 from rossec.authority.console.grant_requests import Removals
-from rossec.authority.console.messages import Outcome, Prepared, from_value
+from rossec.authority.console.messages import ApprovalOutcome, Prepared, from_value
 from rossec.authority.console.serving import acts_of
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.operations import KeyOperations
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.policyfile import PolicyFile
-from rossec.authority.session import MasterCall
+from rossec.authority.session import StatementCall
 from rossec.errors import KeyServiceRefused, NotDelivered
 from rossec.ros.names import MASTER
 from tests.support.approving import registered
@@ -64,7 +64,7 @@ class Acts:
         self.root, self.now, self.elapsed = root, NOW, 0.0
         self.home = AuthorityHome.at(root)
         self.audit: list[str] = []
-        self.calls: list[MasterCall] = []
+        self.calls: list[StatementCall] = []
         self.woken = 0
         self.reachable = True
         self.disk_is_full = False
@@ -80,7 +80,7 @@ class Acts:
     def start(self) -> None:
         """As a service that was restarted: what was in memory is gone."""
         self.work = AuthorityWork(self.root, self.operations, self.deliver, None, lambda: self.now)
-        self.access = Access(self.work, self.write_audit, lambda: self.elapsed)
+        self.access = ConsoleAccess(self.work, self.write_audit, lambda: self.elapsed)
         of = Of(self.work, self.write_audit, self.wake, self.access.counter)
         acts = acts_of(self.work, self.access, lambda: JOIN_ADDRESS, lambda: self.elapsed)
         self.approving = Approving(of, acts, lambda: self.elapsed)
@@ -118,7 +118,7 @@ class Acts:
     def store(self) -> "closing[Store]":
         return closing(self.home.store())
 
-    def deliver(self, call: MasterCall) -> object:
+    def deliver(self, call: StatementCall) -> object:
         if not self.reachable:
             raise NotDelivered("no master", call.hint)
         self.calls.append(call)
@@ -128,21 +128,21 @@ class Acts:
     def prepare(self, kind: str, *arguments: Value) -> Prepared:
         return from_value(Prepared, self.approving.prepare(kind, [*arguments]))
 
-    def touch(self, prepared: Prepared, phone: Passkey | None = None, **flaws: Any) -> Outcome:
+    def touch(self, prepared: Prepared, phone: Passkey | None = None, **flaws: Any) -> ApprovalOutcome:
         """Approve what was prepared; flaws as of `Passkey.sign`."""
         signed = (phone or self.phone).sign(prepared.challenge, **flaws)
-        return from_value(Outcome, self.approving.approve(prepared.id, *signed))
+        return from_value(ApprovalOutcome, self.approving.approve(prepared.id, *signed))
 
-    def approve(self, kind: str, *arguments: Value) -> Outcome:
+    def approve(self, kind: str, *arguments: Value) -> ApprovalOutcome:
         return self.touch(self.prepare(kind, *arguments))
 
-    def outcome(self, number: bytes) -> Outcome:
-        return from_value(Outcome, self.approving.outcome(number))
+    def outcome(self, number: bytes) -> ApprovalOutcome:
+        return from_value(ApprovalOutcome, self.approving.outcome(number))
 
     def csr(self, name: str = "/lamp") -> bytes:
         return build_request(new_signer(), "home", name)
 
-    def enroll(self, name: str = "/lamp", **changes: Any) -> Outcome:
+    def enroll(self, name: str = "/lamp", **changes: Any) -> ApprovalOutcome:
         return self.touch(self.asks(name, **changes))
 
     def asks(

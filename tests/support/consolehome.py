@@ -18,8 +18,8 @@ from rossec.authority.console.messages import (
     NodeView,
     Status,
 )
-from rossec.console.matrix import Heard, HeldGrant, Matrix, build, held_grants
-from rossec.console.sentences import Known
+from rossec.console.matrix import Heard, Matrix, ShownGrant, build, held_grants
+from rossec.console.sentences import KnownIds
 from tests.support import consoleservice
 
 NOW: Final = 1_800_000_000
@@ -104,7 +104,7 @@ class FakeHome:
         self.events.insert(0, EventView(len(self.events), at, what, subject, detail))
 
     @property
-    def held(self) -> tuple[HeldGrant, ...]:
+    def held(self) -> tuple[ShownGrant, ...]:
         return held_grants(self.nodes, self.grants, NOW, self.heard)
 
     @property
@@ -112,8 +112,8 @@ class FakeHome:
         return build(self.held, self.facts, NOW)
 
     @property
-    def known(self) -> Known:
-        return Known.of(self.held, self.nodes, self.questions)
+    def known(self) -> KnownIds:
+        return KnownIds.of(self.held, self.nodes, self.questions)
 
 
 def demo() -> FakeHome:

@@ -10,7 +10,7 @@ from rossec.authority.console.client import ConsoleClient
 from rossec.authority.console.messages import checked
 from rossec.console.app import create_app
 from rossec.console.context import ConsoleContext
-from rossec.console.server.control import Settings
+from rossec.console.server.control import WebSettings
 from rossec.console.sessions import COOKIE, COOKIE_SIZE
 from tests.support.consoleservice import FakeHome
 
@@ -36,14 +36,14 @@ class Browser(TestClient):
     """
 
     def __init__(
-        self, home: FakeHome | None = None, settings: Settings | None = None, **context: Any
+        self, home: FakeHome | None = None, settings: WebSettings | None = None, **context: Any
     ) -> None:
         self.home = home or FakeHome()
         self.now = int(time.time())
         self.elapsed: float | None = None
         self.context = ConsoleContext(
             MemoryClient(self.home),
-            settings or Settings("home", (ORIGIN,)),
+            settings or WebSettings("home", (ORIGIN,)),
             clock=lambda: self.now,
             elapsed=lambda: self.now if self.elapsed is None else self.elapsed,
             **context,

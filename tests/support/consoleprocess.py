@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from rossec.console.server.control import Settings
+from rossec.console.server.control import WebSettings
 from rossec.console.server.supervisor import PreviewProcess, WebOptions, WebProcess
 from tests.support.consoleservice import FakeHome, fake_service
 
@@ -45,7 +45,7 @@ async def running_web(
     with fake_service(directory / "console.sock") as home, listening() as sock:
         port = sock.getsockname()[1]
         origin = f"http://localhost:{port}"
-        found = Settings("home", (origin,), users=users, **settings)  # type: ignore[arg-type]
+        found = WebSettings("home", (origin,), users=users, **settings)  # type: ignore[arg-type]
         options = WebOptions(found, directory / "console.sock")
         web = WebProcess(options, [sock], UNMEASURED, preview=preview)
         task = asyncio.ensure_future(web.run())

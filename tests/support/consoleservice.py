@@ -24,6 +24,7 @@ from grants.document import grant_id, peek, scope_of, sign
 from grants.model import Draft, FilterRule, Permission, Restriction, Right
 from rossec.authority.console import messages
 from rossec.authority.console.messages import (
+    ApprovalOutcome,
     ApprovalView,
     AskedRight,
     DenialView,
@@ -33,10 +34,9 @@ from rossec.authority.console.messages import (
     GrantView,
     IdentityRequestView,
     InvitationView,
-    ListStanding,
+    ListProgress,
     LoginChallenge,
     NodeView,
-    Outcome,
     PhoneView,
     PolicyName,
     PolicyRight,
@@ -72,7 +72,7 @@ class FakeHome:
         self.asked: list[tuple[str, tuple[Value, ...]]] = []
         self.codes: set[str] = set()
         self.prepared: dict[bytes, tuple[str, list[Value]]] = {}
-        self.outcomes: dict[bytes, Outcome] = {}
+        self.outcomes: dict[bytes, ApprovalOutcome] = {}
         nodes = {name: self.site.enroll(name) for name in ("/robot", "/doctor", "/heating", "/map")}
         self.nodes = [
             NodeView(name, each.thumbprint, self.now - DAY, self.now + 30 * DAY, False, 0, "")
@@ -158,7 +158,7 @@ class FakeHome:
         ]
         gives = (PolicyRight("/map", int(Right.SUBSCRIBE), "/robot/pose", "", "7d"),)
         self.policy = PolicyView("/home/anna/ca/policy.yaml", b"\x08" * 32, gives, (), 3, ())
-        self.standing = ListStanding(1, 4, True, True, 3, 3)
+        self.standing = ListProgress(1, 4, True, True, 3, 3)
         self.names: list[PolicyName] = []
         self.answers: dict[bytes, list[QuestionAnswer]] = {}
 
@@ -274,13 +274,13 @@ class FakeHome:
             b"",
         )
 
-    def _do_approve(self, number: bytes, *_: bytes) -> Outcome:
+    def _do_approve(self, number: bytes, *_: bytes) -> ApprovalOutcome:
         kind, arguments = self.prepared.pop(number, ("", []))
         if not kind:
             raise KeyServiceRefused("this was approved before, or its time is over", "try again")
         state = "waiting" if self.remaining is None else "done"
         data = {"enroll": b"-----BEGIN CERTIFICATE-----\n", "invitation": b"ROSSEC-JOIN:X"}
-        outcome = Outcome(number, state, kind, data.get(kind, b""))
+        outcome = ApprovalOutcome(number, state, kind, data.get(kind, b""))
         self.outcomes[number] = outcome
         code = _KINDS.index(kind) + 1 if kind in _KINDS else 9
         self.approvals.insert(0, ApprovalView(number, code, kind, "Anna's phone", self.now, state, ""))
@@ -289,7 +289,7 @@ class FakeHome:
         self.number += 1
         return outcome
 
-    def _do_outcome(self, number: bytes) -> Outcome:
+    def _do_outcome(self, number: bytes) -> ApprovalOutcome:
         if number not in self.outcomes:
             raise KeyServiceRefused("there is no such approval")
         return self.outcomes[number]

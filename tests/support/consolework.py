@@ -14,7 +14,7 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.requests import put_in_inbox
-from rossec.authority.session import MasterCall
+from rossec.authority.session import StatementCall
 from rossec.errors import NotDelivered
 from rossec.home import NodeHome
 from tests.support.commands import PASSPHRASE
@@ -35,7 +35,7 @@ class ConsoleWork:
         self.root, self.now, self.seconds = root, NOW, 1000.0
         self.home = AuthorityHome.create(root, "home", PASSPHRASE, NOW)
         self.audit: list[str] = []
-        self.called: list[MasterCall] = []
+        self.called: list[StatementCall] = []
         self.answers: list[object] = []  # of a master; without any there is none
         self.operations = operations_of(self.home, self.audit.append)
         self.work = AuthorityWork(root, self.operations, self._deliver, now=lambda: self.now)
@@ -88,7 +88,7 @@ class ConsoleWork:
         put_in_inbox(self.home.path, asked, data)
         return asked.id
 
-    def _deliver(self, call: MasterCall) -> object:
+    def _deliver(self, call: StatementCall) -> object:
         self.called.append(call)
         if self.answers:
             return self.answers.pop(0)

@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 from unittest import mock
 
-from ca.approvals.statement import Kind
+from ca.approvals.statement import StatementKind
 from ca.authority import Authority, create_root
 from ca.certificates import from_pem, sign_renewal
 from ca.domains.trust import verify_domains
@@ -109,7 +109,7 @@ def approve(authority: SigningAuthority, _: Path) -> None:
     if not store.passkeys.all():
         store.passkeys.add(approving.registered(PHONE))
     if not store.approvals.all():
-        statement = approving.state(approving.WHATS[Kind.DELEGATE], store=store)
+        statement = approving.state(approving.WHATS[StatementKind.DELEGATE], store=store)
         with store.transaction():
             store.approvals.add(approving.touch(statement, device=PHONE))
             store.log_event("delegation", "/master", "", NOW)

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from ca.certificates import to_pem
 from ca.enrollment.invitation import InvitationCode, JoinRequest, sign_proof
-from ca.enrollment.join import Issued, JoinAnswer, Waiting, WaitReason
+from ca.enrollment.join import Issued, JoinAnswer, WaitingMessage, WaitReason
 from ca.store.identities import InvitationRow
 from ca.svid import check_request
 from rossec.authority.invitations import end, find, join
@@ -53,7 +53,7 @@ def node_joins(directory: Path, name: str) -> None:
     if isinstance(found, Issued):
         home.install(to_pem(*found.chain, CERTIFICATE), NOW)
     else:
-        assert found == Waiting(WaitReason.PERSON)
+        assert found == WaitingMessage(WaitReason.PERSON)
 
 
 def ends(directory: Path) -> None:

@@ -18,7 +18,7 @@ from ca.enrollment.join import (
     LiveIdentity,
     NameAnswer,
     NodeJoin,
-    Refused,
+    RefusedMessage,
     RefuseReason,
 )
 from ca.keys.signing import KeySigner
@@ -156,7 +156,7 @@ class JoinPort:
 
             async def name(claim: JoinClaim) -> NameAnswer:
                 pattern = allowed_pattern(authority.store, claim, int(time.time()))
-                if isinstance(pattern, Refused):
+                if isinstance(pattern, RefusedMessage):
                     return pattern
                 return await names.answer(claim.metadata, pattern)
 
@@ -182,5 +182,5 @@ def issued(answer: JoinAnswer) -> bytes:
 
 def refusal(answer: JoinAnswer) -> RefuseReason:
     """The reason in an answer."""
-    assert isinstance(answer, Refused), answer
+    assert isinstance(answer, RefusedMessage), answer
     return answer.reason

@@ -14,7 +14,7 @@ from typing import Any
 from ca.certificates import Identity
 from rossec.errors import RelayRefused, RossecError
 from rossec.host.addresses import source_for
-from rossec.master.state.forwarded_ports import Door, Target, Way
+from rossec.master.state.forwarded_ports import Door, PeerWay, Target
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
 from rossec.overlay.masters import MasterLink
 from rossec.ros.names import parse_uri
@@ -69,8 +69,8 @@ class StraightRelay:
     def take_dropped(self, master: str) -> tuple[Target, ...]:
         return ()
 
-    def ways(self) -> Mapping[str, Way]:
-        return dict.fromkeys(self.peers, Way("up", 1.5, 0, "none", len(self._tasks) - 1))
+    def ways(self) -> Mapping[str, PeerWay]:
+        return dict.fromkeys(self.peers, PeerWay("up", 1.5, 0, "none", len(self._tasks) - 1))
 
     async def reach(self, domain: str, kind: str, name: str) -> Any:
         """Connect for another relay; `domain` is what that one's is called here."""

@@ -12,13 +12,13 @@ from typing import Any, Final
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.approvals.passkeys import Challenge, Purpose
-from ca.approvals.statement import Grant
+from ca.approvals.statement import GrantStatement
 from tests.support.approving import NOW, WHATS, state
 from tests.support.passkeys import ORIGIN, RP_ID, Passkey
 
 FILE: Final = Path(__file__).parent / "approvals" / "approvals.json"
 PAYLOAD: Final = b"what will be signed"
-GRANT: Final = state(Grant(b"r" * 16, sha256(PAYLOAD).digest()))
+GRANT: Final = state(GrantStatement(b"r" * 16, sha256(PAYLOAD).digest()))
 CREATION: Final = Challenge(Purpose.PASSKEY, bytes(range(16)), "home", ORIGIN, RP_ID, NOW, NOW + 300)
 
 

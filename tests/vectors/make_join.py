@@ -15,15 +15,15 @@ from ca.authority import Authority, create_root
 from ca.enrollment import invitation
 from ca.enrollment.invitation import InvitationCode, JoinClaim, JoinRequest
 from ca.enrollment.join import (
-    Claim,
+    ClaimMessage,
     Hello,
     Issued,
     Join,
     JoinMessage,
     Named,
-    Refused,
+    RefusedMessage,
     RefuseReason,
-    Waiting,
+    WaitingMessage,
     WaitReason,
     Welcome,
     write,
@@ -62,9 +62,9 @@ def vectors() -> dict[str, Any]:
         "welcome": Welcome(OWN_NONCE, (own,), root, live),
         "join": Join(NAME, csr, proof),
         "issued": Issued((leaf,)),
-        "waiting": Waiting(WaitReason.PERSON),
-        "refused": Refused(RefuseReason.ENDED),
-        "claim": Claim(METADATA, claim),
+        "waiting": WaitingMessage(WaitReason.PERSON),
+        "refused": RefusedMessage(RefuseReason.ENDED),
+        "claim": ClaimMessage(METADATA, claim),
         "named": Named(NAME),
         "named_join": Join(NAME, csr, named_proof, METADATA),
     }

@@ -15,11 +15,11 @@ from ca.errors import OtherOrigin, PasskeyUnknown
 from ca.store.record import Store
 from rossec import clock
 from rossec.authority.console.messages import LoginChallenge, PhoneView, check_page, to_value
-from rossec.authority.console.phone_codes import Challenges, Codes, CodeUse, Proposals
+from rossec.authority.console.phone_codes import Codes, CodeUse, LoginChallenges, Proposals
 from rossec.authority.keyservice.work import AuthorityWork
 
 
-class Access:
+class ConsoleAccess:
     """The operations of who looks.
 
     `audit`: writes a line. Raises `HintedError` if it cannot. `elapsed`: seconds of a clock that
@@ -33,7 +33,7 @@ class Access:
         self._work = work
         self._audit = audit
         self._codes = Codes(elapsed)
-        self._challenges = Challenges(elapsed)
+        self._challenges = LoginChallenges(elapsed)
         self._counters: dict[bytes, int] = {}  # by credential id, of logins, as the times
         self._logins: dict[bytes, int] = {}
 

@@ -19,14 +19,14 @@ from typing import Final
 
 from ca.approvals.passkeys import Passkey, to_approve
 from ca.approvals.statement import (
-    Delegate,
+    DelegateStatement,
     Enroll,
-    Intermediate,
+    IntermediateStatement,
     Invitation,
-    Kind,
     NewPasskey,
     PolicyChange,
     RevokeMaster,
+    StatementKind,
 )
 from ca.authority import MAX_LIFETIME
 from ca.certificates import check_intermediate_request, to_pem
@@ -42,14 +42,14 @@ from grants.renewal import MAX_DELEGATION, MAX_TICKET, MIN_TICKET, open_delegati
 from rossec import clock
 from rossec.authority import renewals
 from rossec.authority.console.access import check_bound
-from rossec.authority.console.approving import Act, Approved, Arguments, Conclude, ToApprove, tried
+from rossec.authority.console.approving import Approved, ApprovedAct, Arguments, Conclude, ToApprove, tried
 from rossec.authority.console.grant_requests import checked_reason, keys_of
 from rossec.authority.console.phone_codes import Proposals
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import MAX_USES, check_invitation, make_invitation
 from rossec.authority.policyfile import PolicyFile, PolicyPlan, check_record, sign_each
 from rossec.authority.service import AuthorityService
-from rossec.authority.session import MasterCall
+from rossec.authority.session import StatementCall
 from rossec.authority.signing import OF_ALL, OWN_NODE, SigningAuthority
 from rossec.errors import ConfigurationError, KeyServiceRefused
 from rossec.peer_limits import printable
@@ -59,7 +59,7 @@ MAX_SOURCE: Final = 256  # characters
 _log = logging.getLogger("rossec.authority.service")
 
 
-class EnrollAct(Act):
+class EnrollAct(ApprovedAct):
     """An identity: CSR, where it came from, for anonymous nodes too, lifetime, replaces the key.
 
     `policy`: the file by which the node gets its first grants.
@@ -120,7 +120,7 @@ class EnrollAct(Act):
         return b"" if found is None else _bundle(service.home, found)
 
 
-class IntermediateAct(Act):
+class IntermediateAct(ApprovedAct):
     def prepare(self, service: AuthorityService, arguments: Arguments, _now: int, /) -> ToApprove:
         match arguments:
             case [bytes(csr), bool(enrolls), int(lifetime)]:
@@ -134,12 +134,12 @@ class IntermediateAct(Act):
         key = thumbprint(check_intermediate_request(csr, home.domain))
         with closing(home.store()) as store:
             store.identities.check_not_revoked("the intermediate", key)
-        return ToApprove(Intermediate(sha256(csr).digest(), enrolls, lifetime), csr)
+        return ToApprove(IntermediateStatement(sha256(csr).digest(), enrolls, lifetime), csr)
 
     def carry_out(
         self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
     ) -> None:
-        what, authority = approved.what(Intermediate), service.unlock()
+        what, authority = approved.what(IntermediateStatement), service.unlock()
         csr = approved.approval.payload
         with authority.store.transaction():
             name, _ = renewals.sign_intermediate(
@@ -194,7 +194,7 @@ MAX_CODES: Final = 32  # that can be shown again
 CODES_KEPT: Final = 600.0  # seconds
 
 
-class PasskeyAct(Act):
+class PasskeyAct(ApprovedAct):
     def __init__(self, proposals: Proposals) -> None:
         self._proposals = proposals
 
@@ -225,7 +225,7 @@ class PasskeyAct(Act):
         raise PasskeyUnknown("this phone does not wait any more", "propose it again")
 
 
-class InvitationAct(Act):
+class InvitationAct(ApprovedAct):
     """A join code: pattern, uses, seconds, for anonymous nodes too.
 
     `address`: where nodes reach the join port, `host:port`.
@@ -277,7 +277,7 @@ class InvitationAct(Act):
         return text.encode() if self._elapsed() < end else b""
 
 
-class RevokeMasterAct(Act):
+class RevokeMasterAct(ApprovedAct):
     def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
         match arguments:
             case [str(reason), str(master)] if is_master_name(master):
@@ -302,7 +302,7 @@ _AGAIN: Final = "look at the difference again, and approve that"
 _LATER: Final = "it is tried again"
 
 
-class PolicyAct(Act):
+class PolicyAct(ApprovedAct):
     def __init__(self, policy: Path) -> None:
         self._policy = policy
 
@@ -355,7 +355,7 @@ class PolicyAct(Act):
         return file
 
 
-class DelegateAct(Act):
+class DelegateAct(ApprovedAct):
     """Leave for the master to renew grants: for how long, and the longest time of a renewed grant.
 
     Its serial is the id of the approval: signed again after a crash, it is the same.
@@ -375,7 +375,7 @@ class DelegateAct(Act):
             )
         with closing(service.home.store()) as store:
             holder = store.valid_certificate(MASTER, now).thumbprint
-        return ToApprove(Delegate(holder, lifetime, max_ttl))
+        return ToApprove(DelegateStatement(holder, lifetime, max_ttl))
 
     def admit(self, store: Store, approved: Approved, /) -> str | None:
         _check_holder(store, approved, approved.approval.at)
@@ -384,13 +384,13 @@ class DelegateAct(Act):
     def carry_out(
         self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
     ) -> None:
-        what, authority = approved.what(Delegate), service.unlock()
+        what, authority = approved.what(DelegateStatement), service.unlock()
         _check_holder(authority.store, approved, now)
         data = authority.issue_delegation(
             what.holder, what.lifetime, what.max_ttl, approved.approval.at, serial=approved.id
         )
         node = service.home.node()
-        service.deliver(MasterCall(node, "rossec.updateDelegation", (data,), "the delegation", _LATER))
+        service.deliver(StatementCall(node, "rossec.updateDelegation", (data,), "the delegation", _LATER))
         given = open_delegation(data, authority.signer.public_key)
         service.home.confirm_delegation(given.id, now)
         conclude(authority.store, f"{MASTER} may renew grants")
@@ -401,7 +401,7 @@ def _last_approved(store: Store) -> bytes:
     found = [
         approval.subject
         for approval in store.approvals.all()
-        if approval.kind == Kind.POLICY
+        if approval.kind == StatementKind.POLICY
         and approval.id in ends
         and ends[approval.id].state == ApprovalState.DONE
     ]
@@ -447,6 +447,6 @@ def _done(signed: int, revoked: int, plan: PolicyPlan) -> str:
 
 
 def _check_holder(store: Store, approved: Approved, now: int) -> None:
-    what = approved.what(Delegate)
+    what = approved.what(DelegateStatement)
     if store.valid_certificate(MASTER, now).thumbprint != what.holder:
         raise StoreError(f"{MASTER} has another key now", "look at it again")

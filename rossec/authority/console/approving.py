@@ -19,7 +19,7 @@ from hashlib import sha256
 from typing import Final, NamedTuple, TypeVar
 
 from ca.approvals.passkeys import Approval, Assertion
-from ca.approvals.statement import ID_SIZE, LIFETIME, Kind, Statement, What
+from ca.approvals.statement import ID_SIZE, LIFETIME, Statement, StatementKind, What
 from ca.encoding import Value
 from ca.errors import (
     ApprovalOutdated,
@@ -34,7 +34,7 @@ from ca.store.record import Store
 from ca.store.values import DAY
 from rossec import clock
 from rossec.authority.console import messages
-from rossec.authority.console.messages import Outcome, Prepared, to_value
+from rossec.authority.console.messages import ApprovalOutcome, Prepared, to_value
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.service import AuthorityService
@@ -75,7 +75,7 @@ class Approved(NamedTuple):
         return f"approval {self.id.hex()[:8]}"
 
 
-class Act(ABC):
+class ApprovedAct(ABC):
     # Prepared: shown to the person, with all that it gives away; nothing is given. Admitted: in the
     # transaction that records the approval, so of two approvals of one thing one is refused. Carried out:
     # now or later.
@@ -130,8 +130,8 @@ class Statements:
     def __init__(self, elapsed: clock.Seconds | None = None) -> None:
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._lock = threading.Lock()
-        self._shown: dict[Kind, SharedTable[bytes, _Shown]] = {
-            kind: SharedTable(MAX_OF_KIND) for kind in Kind
+        self._shown: dict[StatementKind, SharedTable[bytes, _Shown]] = {
+            kind: SharedTable(MAX_OF_KIND) for kind in StatementKind
         }
 
     def add(self, shown: PreparedStatement, owner: str = "") -> None:
@@ -196,7 +196,7 @@ class LookersRequests:
 
 WAITS: Final = DAY  # seconds after the end of a statement in which it is carried out
 MAX_RESULT: Final = 500  # characters
-KINDS: Final = {name: Kind[name.upper().replace("-", "_")] for name in messages.PREPARED}
+KINDS: Final = {name: StatementKind[name.upper().replace("-", "_")] for name in messages.PREPARED}
 # It is carried out later: the reason is not in what was approved.
 _LATER: Final = (AuthorityLocked, NotDelivered, RecordUnusable, TokenRefused, KeyServiceRefused)
 _PREPARING: Final = "preparing an approval"
@@ -223,7 +223,9 @@ class Approving:
     clock that cannot be set.
     """
 
-    def __init__(self, of: Of, acts: Mapping[Kind, Act], elapsed: clock.Seconds | None = None) -> None:
+    def __init__(
+        self, of: Of, acts: Mapping[StatementKind, ApprovedAct], elapsed: clock.Seconds | None = None
+    ) -> None:
         self._of = of
         self._work = of.work
         self._acts = acts
@@ -237,7 +239,7 @@ class Approving:
         # Make a statement for `owner`, with all that it would give away.
         kind, given, at = KINDS[name], tuple(arguments), self._work.now()
         with self._work.service(_PREPARING) as service:
-            if kind is Kind.ENROLL:
+            if kind is StatementKind.ENROLL:
                 self._lookers.check(service.home, given, owner, at)
             wanted = self._acts[kind].prepare(service, given, at)
             with closing(service.home.store()) as store:
@@ -291,8 +293,8 @@ class Approving:
             data = b""
             if state is ApprovalState.DONE and approval.kind in self._acts:
                 approved = Approved(approval, approval.read())
-                data = self._acts[Kind(approval.kind)].made(service, approved)
-        return to_value(Outcome(number, str(state), "" if end is None else end.result, data))
+                data = self._acts[StatementKind(approval.kind)].made(service, approved)
+        return to_value(ApprovalOutcome(number, str(state), "" if end is None else end.result, data))
 
     def carry_out_waiting(self) -> None:
         with closing(self._work.home().store()) as store:

@@ -18,7 +18,7 @@ from ca.encoding import Value
 from rossec.authority.console import messages
 from rossec.authority.console.messages import OPERATIONS, Operations
 from rossec.authority.keyservice import messages as frames
-from rossec.authority.keyservice.messages import Request
+from rossec.authority.keyservice.messages import ServiceRequest
 from rossec.errors import KeyServiceFailed, PeerUserRefused
 from rossec.host.local_sockets import raw_socket, require_user
 
@@ -54,7 +54,7 @@ class ConsoleClient(Operations):
         await asyncio.sleep(0)
 
     async def ask(self, operation: str, *arguments: Value) -> Value:
-        data = frames.write_request(Request(operation, arguments))
+        data = frames.write_request(ServiceRequest(operation, arguments))
         lane = self._strangers if OPERATIONS[operation].of_strangers else nullcontext()
         async with lane, self._places:
             try:

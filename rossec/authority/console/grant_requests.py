@@ -17,7 +17,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from ca.approvals.statement import MAX_PAYLOAD, Grant, Kind
+from ca.approvals.statement import MAX_PAYLOAD, GrantStatement, StatementKind
 from ca.encoding import Value, decode, encode
 from ca.errors import HintedError, RequestClosed, StoreError
 from ca.keys.signing import thumbprint
@@ -40,7 +40,7 @@ from rossec.authority.approvals import (
     VerdictChange,
     verdict_change,
 )
-from rossec.authority.console.approving import Act, Approved, Arguments, Conclude, ToApprove
+from rossec.authority.console.approving import Approved, ApprovedAct, Arguments, Conclude, ToApprove
 from rossec.authority.console.messages import AskedRight, GrantQuestion, QuestionAnswer, given, to_value
 from rossec.authority.console.queries import bounded
 from rossec.authority.invitations import InvitationStatus
@@ -187,7 +187,7 @@ def _right(file: PolicyFile, verdict: Verdict) -> AskedRight:
 _MALFORMED: Final = "the payload of an approval is malformed", "restore a backup"
 
 
-class Answer(NamedTuple):
+class GrantAnswer(NamedTuple):
     # The payload: the digest of the policy file, the rights that are answered, each grant's claims and rules.
 
     policy: bytes
@@ -200,7 +200,7 @@ class Answer(NamedTuple):
         return encode([self.policy, rights, grants])
 
     @classmethod
-    def from_bytes(cls, data: bytes) -> "Answer":
+    def from_bytes(cls, data: bytes) -> "GrantAnswer":
         match decode(data, limit=MAX_PAYLOAD):
             case [bytes(policy), [*rights], [*grants]]:
                 return cls(policy, tuple(map(_grant_acts_right, rights)), tuple(map(_grant, grants)))
@@ -211,7 +211,7 @@ class Answer(NamedTuple):
         return [(_draft(body), rules) for body, rules in self.grants]
 
 
-class GrantAct(Act):
+class GrantAct(ApprovedAct):
     """Grants for a question: its id, a coarser filter, at most so many seconds (0: as asked)."""
 
     def __init__(self, policy: Path) -> None:
@@ -232,16 +232,16 @@ class GrantAct(Act):
             check_seconds(seconds, min(longest(each.verdict) for each in found))
             made = queue.drafts(service.home.domain, found, change)
         issuer = thumbprint(service.home.own_key())
-        answer = Answer(
+        answer = GrantAnswer(
             sha256(file.text.encode()).digest(),
             tuple((int(each.stored.requested.right), each.stored.requested.pattern) for each in found),
             tuple((encode(document.from_draft(draft, issuer)), rules) for draft, rules in made),
         )
         payload = answer.to_bytes()
-        return ToApprove(Grant(question, sha256(payload).digest()), payload)
+        return ToApprove(GrantStatement(question, sha256(payload).digest()), payload)
 
     def admit(self, store: Store, approved: Approved, /) -> str | None:
-        answer = Answer.from_bytes(approved.approval.payload)
+        answer = GrantAnswer.from_bytes(approved.approval.payload)
         self._check_policy(answer)
         table, question = GrantRequestStore(store.database), approved.approval.subject
         found = {
@@ -258,7 +258,7 @@ class GrantAct(Act):
     def carry_out(
         self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
     ) -> None:
-        answer, authority = Answer.from_bytes(approved.approval.payload), service.unlock()
+        answer, authority = GrantAnswer.from_bytes(approved.approval.payload), service.unlock()
         drafts, issuer = answer.drafts(), thumbprint(authority.signer.public_key)
         for (draft, _), (body, _) in zip(drafts, answer.grants, strict=True):
             if encode(document.from_draft(draft, issuer)) != body or now >= draft.expires:
@@ -276,10 +276,10 @@ class GrantAct(Act):
             service.grants.store(data)
 
     def made(self, _service: AuthorityService, approved: Approved, /) -> bytes:
-        bodies: list[Value] = [body for body, _ in Answer.from_bytes(approved.approval.payload).grants]
+        bodies: list[Value] = [body for body, _ in GrantAnswer.from_bytes(approved.approval.payload).grants]
         return encode(bodies)
 
-    def _check_policy(self, answer: Answer) -> None:
+    def _check_policy(self, answer: GrantAnswer) -> None:
         file = PolicyFile.read(self._policy, own=True)
         if sha256(file.text.encode()).digest() != answer.policy:
             raise ConfigurationError("the policy was changed meanwhile", "look at it again")
@@ -354,7 +354,7 @@ class Removals:
             if store.requests.find(digest) is None:
                 raise RequestClosed("there is no such request", "it may have expired")
             store.requests.deny(digest, at, why)
-            _end_about(store, Kind.ENROLL, digest, why, at)
+            _end_about(store, StatementKind.ENROLL, digest, why, at)
         return None
 
     def deny_question(self, request: bytes, reason: str) -> Value:
@@ -366,7 +366,7 @@ class Removals:
             for each in found:
                 table.answer(each, DENIED, why or "a person", at)
             parts = {request, *map(question_id, table.find(request))}
-            ended = [_end_about(store, Kind.GRANT, part, why, at) for part in sorted(parts)]
+            ended = [_end_about(store, StatementKind.GRANT, part, why, at) for part in sorted(parts)]
             if not found and not any(ended):
                 raise StoreError("this question was answered", "look at what happened to it")
         return None
@@ -400,7 +400,7 @@ class Removals:
             before = {row.digest for row in store.requests.open(at)}
             invitations.end(store, status, why, at)
             for digest in sorted(before - {row.digest for row in store.requests.open(at)}):
-                _end_about(store, Kind.ENROLL, digest, f"its join code was ended: {why}", at)
+                _end_about(store, StatementKind.ENROLL, digest, f"its join code was ended: {why}", at)
         return None
 
     def remove_phone(self, passkey: bytes, reason: str) -> Value:
@@ -465,7 +465,7 @@ def revoke(work: AuthorityWork, find: Find, reason: str, purpose: str) -> tuple[
     return UNSIGNED
 
 
-def _end_about(store: Store, kind: Kind, subject: bytes, reason: str, at: int) -> bool:
+def _end_about(store: Store, kind: StatementKind, subject: bytes, reason: str, at: int) -> bool:
     waiting = [
         approval
         for approval in store.approvals.about(kind, subject)

@@ -1,4 +1,3 @@
-# mypy: disable-error-code="empty-body"
 """What the console asks of the authority's service, and the records of the answers. Pure.
 
 `Operations` is all that it can ask; frames and refusals are those of `keyservice.messages`. Nothing
@@ -41,11 +40,14 @@ from grants import document
 from grants.errors import GrantError
 from grants.model import ID_SIZE, Permission
 from rossec.authority.keyservice import messages
-from rossec.authority.keyservice.messages import Request
+from rossec.authority.keyservice.messages import ServiceRequest
 from rossec.clock import format_duration, format_time
 from rossec.errors import KeyMessageRefused, KeyServiceRefused
 from rossec.files import Owned
 from rossec.peer_limits import printable
+
+# mypy: disable-error-code="empty-body"
+
 
 LOOKER: Final = "look"
 """Everybody who may only look, where they share one place."""
@@ -363,7 +365,7 @@ class PolicyName(NamedTuple):
     type: str
 
 
-class ListStanding(NamedTuple):
+class ListProgress(NamedTuple):
     """How far a revocation list has come."""
 
     epoch: int
@@ -384,7 +386,7 @@ class Prepared(NamedTuple):
     payload: bytes
 
 
-class Outcome(NamedTuple):
+class ApprovalOutcome(NamedTuple):
     """What came of an approval: as in `ApprovalView`; `data` is what it made."""
 
     id: bytes
@@ -410,7 +412,7 @@ class Proposal(NamedTuple):
     expires: int
 
 
-class Assertion(NamedTuple):
+class PasskeyAssertion(NamedTuple):
     """What a browser returns for a challenge: `navigator.credentials.get`."""
 
     credential: bytes
@@ -419,7 +421,7 @@ class Assertion(NamedTuple):
     signature: bytes
 
 
-class Registration(NamedTuple):
+class PasskeyRegistration(NamedTuple):
     """A new passkey with the code that allows it: `navigator.credentials.create`."""
 
     challenge_id: bytes
@@ -530,7 +532,7 @@ class Operations:
     def policy_names(self) -> tuple[PolicyName, ...]: ...  # titles and types
 
     @_operation()
-    def standing(self, epoch: int, seq: int) -> ListStanding: ...
+    def standing(self, epoch: int, seq: int) -> ListProgress: ...
 
     # Taking away: nothing, or the number of the list, (0, 0) while the key is locked.
 
@@ -562,10 +564,10 @@ class Operations:
         """Make a statement: arguments as in `PREPARED`, `owner` as `of_phone` and `of_looker` say."""
 
     @_operation(changes=True)
-    def approve(self, statement: bytes, assertion: Assertion) -> Outcome: ...
+    def approve(self, statement: bytes, assertion: PasskeyAssertion) -> ApprovalOutcome: ...
 
     @_operation()
-    def outcome(self, approval: bytes) -> Outcome: ...
+    def outcome(self, approval: bytes) -> ApprovalOutcome: ...
 
     # Who looks: the console's own sessions follow from these.
 
@@ -573,7 +575,7 @@ class Operations:
     def login_challenge(self, origin: str) -> LoginChallenge: ...
 
     @_operation(of_strangers=True)
-    def login(self, challenge: bytes, assertion: Assertion) -> str: ...  # the phone's name
+    def login(self, challenge: bytes, assertion: PasskeyAssertion) -> str: ...  # the phone's name
 
     @_operation(of_strangers=True)
     def redeem(self, code: str) -> None: ...  # a code from the terminal, used up by this: to look
@@ -582,10 +584,10 @@ class Operations:
     def new_passkey(self, origin: str, rp_id: str) -> LoginChallenge: ...
 
     @_operation(of_strangers=True)
-    def add_passkey(self, registration: Registration) -> PhoneView: ...  # by a code from the terminal
+    def add_passkey(self, registration: PasskeyRegistration) -> PhoneView: ...  # by a code from the terminal
 
     @_operation(of_strangers=True)
-    def propose_passkey(self, registration: Registration) -> Proposal: ...  # by a code of `phone_link`
+    def propose_passkey(self, registration: PasskeyRegistration) -> Proposal: ...  # by a code of `phone_link`
 
     @_operation()
     def phone_link(self, owner: str = "") -> str: ...  # a one-time code
@@ -594,10 +596,10 @@ class Operations:
 _ARGUMENTS: Final = {name: operation.arguments for name, operation in OPERATIONS.items()}
 
 
-def read_request(body: bytes) -> Request:
+def read_request(body: bytes) -> ServiceRequest:
     request = messages.read_request(body, _ARGUMENTS, MAX_REQUEST)
     match request:
-        case Request("prepare", (str() as kind, list() as arguments, str())) if tuple(
+        case ServiceRequest("prepare", (str() as kind, list() as arguments, str())) if tuple(
             map(type, arguments)
         ) != PREPARED.get(kind):
             raise KeyMessageRefused(f"{kind[:40]!a} is not prepared with such arguments", _HINT)
@@ -620,13 +622,13 @@ def sentence(statement: Statement, payload: bytes) -> str:
     match statement.what:
         case kinds.Enroll(name=name, replaces=replaces):
             text = f"identity of {name}" + ", with another key than before" * replaces
-        case kinds.Grant():
+        case kinds.GrantStatement():
             text = given(_bodies(payload))
         case kinds.PolicyChange():
             text = "the changed policy is in force"
-        case kinds.Delegate(lifetime=lifetime):
+        case kinds.DelegateStatement(lifetime=lifetime):
             text = f"the master may renew grants for {format_duration(lifetime)}"
-        case kinds.Intermediate(enrolls=enrolls):
+        case kinds.IntermediateStatement(enrolls=enrolls):
             new = "and enroll nodes" if enrolls else "for nodes known here"
             text = f"an intermediate authority may renew identities {new}"
         case kinds.NewPasskey(name=name):

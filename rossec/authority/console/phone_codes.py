@@ -31,7 +31,7 @@ MAX_USED: Final = 1024  # by passkeys of this authority, within `LIFETIME`; then
 _MAC: Final = 32  # bytes
 
 
-class Challenges:
+class LoginChallenges:
     # Anybody on the network can ask for one, so its id says what it is for and until when, under a key of
     # this process (HMAC-SHA-256, as the cookies of RFC 4987 3.6 and RFC 9147 5.1). Only those that were
     # used are kept.

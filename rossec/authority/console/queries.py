@@ -15,7 +15,7 @@ from contextlib import closing
 from typing import Any, Final, TypeVar
 
 from ca.approvals.passkeys import Approval
-from ca.approvals.statement import Kind
+from ca.approvals.statement import StatementKind
 from ca.encoding import Value, encode
 from ca.errors import HintedError, RevocationRefused
 from ca.revocation.trust_status import open_statement
@@ -23,8 +23,7 @@ from ca.store.log import ApprovalState
 from ca.store.record import CertificateRow, Store
 from grants import document
 from grants.errors import PolicyRefused
-from grants.policy.difference import Change
-from grants.policy.difference import Kind as ChangeKind
+from grants.policy.difference import Change, ChangeKind
 from grants.policy.source import MAX_SIZE
 from rossec import clock, files
 from rossec.authority import invitations
@@ -37,7 +36,7 @@ from rossec.authority.console.messages import (
     GrantView,
     IdentityRequestView,
     InvitationView,
-    ListStanding,
+    ListProgress,
     NodeView,
     PhoneView,
     PolicyName,
@@ -48,7 +47,7 @@ from rossec.authority.console.messages import (
 )
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.policyfile import PolicyFile
-from rossec.authority.session import MasterCall
+from rossec.authority.session import StatementCall
 from rossec.errors import AnswerMalformed, ConfigurationError, NotDelivered
 from rossec.participant.registrations import WATCH_GRAPH, GraphView
 
@@ -174,7 +173,7 @@ class RecordQueries:
     def phones(self) -> Value:
         with self._store() as store, store.database.read_transaction():
             known, ended = store.passkeys.all(), store.passkeys.ended()
-            used, by = store.approvals.last_used(), store.approvals.approvers(Kind.PASSKEY)
+            used, by = store.approvals.last_used(), store.approvals.approvers(StatementKind.PASSKEY)
         names = {each.id: each.name for each in known}
         views = []
         for each in known:
@@ -370,7 +369,7 @@ class MasterView:
     def __init__(
         self,
         work: AuthorityWork,
-        deliver: Callable[[MasterCall], object],
+        deliver: Callable[[StatementCall], object],
         elapsed: clock.Seconds | None = None,
         begin: Callable[[Callable[[], None]], None] | None = None,
         came_back: Callable[[], None] = lambda: None,
@@ -385,7 +384,7 @@ class MasterView:
         self._begun = self._heard = self._standing_asked = float("-inf")
         self._view = GraphView()
         self._denials: tuple[DenialView, ...] = ()
-        self._standing: ListStanding | None = None
+        self._standing: ListProgress | None = None
         self._changes = 0
 
     def look(self) -> int:
@@ -457,7 +456,7 @@ class MasterView:
             raise NotDelivered("the master's answer about denials is malformed", _HINT)
         return tuple(_denial(row, self._work.now()) for row in answer)
 
-    def _list_standing(self, epoch: int, seq: int) -> ListStanding:
+    def _list_standing(self, epoch: int, seq: int) -> ListProgress:
         home, now = self._work.home(), self._work.now()
         with closing(home.store()) as store:
             data = store.newest_list()
@@ -470,13 +469,13 @@ class MasterView:
         if wanted == (0, 0):
             wanted = newest if home.count_unlisted(now) == 0 else (0, 0)
         if wanted == (0, 0) or newest < wanted:
-            return ListStanding(epoch, seq, False, False, 0, 0)
+            return ListProgress(epoch, seq, False, False, 0, 0)
         return self._ask_standing(*wanted, is_published=data == self._work.published)
 
-    def _ask_standing(self, epoch: int, seq: int, *, is_published: bool) -> ListStanding:
+    def _ask_standing(self, epoch: int, seq: int, *, is_published: bool) -> ListProgress:
         # What the master says of a signed list; if it does not answer, what it took before.
         # Nodes that hold a newer one than was asked for hold this one too.
-        unknown = ListStanding(epoch, seq, True, is_published, 0, 0)
+        unknown = ListProgress(epoch, seq, True, is_published, 0, 0)
         try:
             answer = self._call(STANDING, (), "a question about a list", SHORT)
         except NotDelivered:
@@ -484,13 +483,13 @@ class MasterView:
         match answer:
             case {"list": str(number), "nodes": int(nodes), "holding": int(holding)} if 0 <= holding <= nodes:
                 is_there = _number(number) >= (epoch, seq)
-                return ListStanding(epoch, seq, True, is_there, nodes, holding if is_there else 0)
+                return ListProgress(epoch, seq, True, is_there, nodes, holding if is_there else 0)
             case _:
                 return unknown
 
     def _call(self, method: str, arguments: tuple[object, ...], what: str, within: float) -> object:
         node = self._work.home().node()
-        return self._deliver(MasterCall(node, method, arguments, what, _HINT, within=within, waits=True))
+        return self._deliver(StatementCall(node, method, arguments, what, _HINT, within=within, waits=True))
 
 
 def _facts(view: GraphView) -> Value:

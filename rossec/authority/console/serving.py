@@ -20,12 +20,12 @@ from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from ca.approvals.statement import Kind
+from ca.approvals.statement import StatementKind
 from ca.encoding import Value
 from ca.errors import HintedError
 from rossec import clock
 from rossec.authority.console import messages
-from rossec.authority.console.access import Access
+from rossec.authority.console.access import ConsoleAccess
 from rossec.authority.console.approved_acts import (
     DelegateAct,
     EnrollAct,
@@ -35,17 +35,17 @@ from rossec.authority.console.approved_acts import (
     PolicyAct,
     RevokeMasterAct,
 )
-from rossec.authority.console.approving import Act, Approving, Of
+from rossec.authority.console.approving import ApprovedAct, Approving, Of
 from rossec.authority.console.grant_requests import GrantAct, Questions, Removals
 from rossec.authority.console.messages import OPERATIONS, Status, checked, to_value
 from rossec.authority.console.queries import MasterView, PolicyNames, PolicyQuery, RecordQueries
 from rossec.authority.home import fingerprint
-from rossec.authority.keyservice.messages import Request
+from rossec.authority.keyservice.messages import ServiceRequest
 from rossec.authority.keyservice.network import NetworkWork, Scheduler
 from rossec.authority.keyservice.operations import HeldKey, KeyOperations
-from rossec.authority.keyservice.process import Caller, KeyServer, SocketRules
+from rossec.authority.keyservice.process import AuditedCaller, KeyServer, SocketRules
 from rossec.authority.keyservice.work import AuthorityWork
-from rossec.authority.session import MasterCall
+from rossec.authority.session import StatementCall
 from rossec.errors import ConfigurationError, KeyServiceRefused, NotDelivered, PeerUserRefused
 from rossec.host.local_sockets import UnixPeer
 from rossec.peer_limits import printable
@@ -186,7 +186,7 @@ class ConsoleService:
     def missing(self) -> frozenset[str]:
         return frozenset(OPERATIONS) - self._handlers.keys()
 
-    async def carry_out(self, request: Request, caller: Caller) -> Value:
+    async def carry_out(self, request: ServiceRequest, caller: AuditedCaller) -> Value:
         if request.operation not in self._handlers:
             raise KeyServiceRefused(
                 f"this service does not do {request.operation}", "restart it: rossec ca serve"
@@ -202,7 +202,7 @@ class ConsoleService:
             await asyncio.to_thread(thread.shutdown, cancel_futures=True)
 
 
-def _described(request: Request) -> str:
+def _described(request: ServiceRequest) -> str:
     about = request.arguments[0]
     shown = about.hex() if isinstance(about, bytes) else printable(str(about))
     return f"{request.operation} {shown}"
@@ -306,7 +306,7 @@ class Console:
         work = network.work if network else AuthorityWork(rossec_home, operations, _fail, policy)
         self.rounds = network.rounds if network else Scheduler(asyncio.to_thread)
         operations.on_unlock = self.rounds.wake
-        self.access = Access(work, operations.audit)
+        self.access = ConsoleAccess(work, operations.audit)
         self._network = network
         of = Of(work, operations.audit, self.rounds.wake, self.access.counter)
         self.approving = Approving(of, acts_of(work, self.access, join_address))
@@ -358,21 +358,24 @@ class Deliveries:
 
 
 def acts_of(
-    work: AuthorityWork, access: Access, join_address: Callable[[], str], elapsed: clock.Seconds | None = None
-) -> Mapping[Kind, Act]:
+    work: AuthorityWork,
+    access: ConsoleAccess,
+    join_address: Callable[[], str],
+    elapsed: clock.Seconds | None = None,
+) -> Mapping[StatementKind, ApprovedAct]:
     """What a phone can approve; `elapsed` counts seconds and cannot be set."""
     policy = work.policy_path()
     return {
-        Kind.ENROLL: EnrollAct(policy),
-        Kind.GRANT: GrantAct(policy),
-        Kind.POLICY: PolicyAct(policy),
-        Kind.DELEGATE: DelegateAct(),
-        Kind.INTERMEDIATE: IntermediateAct(),
-        Kind.PASSKEY: PasskeyAct(access.proposed),
-        Kind.INVITATION: InvitationAct(work.home(), join_address, elapsed),
-        Kind.REVOKE_MASTER: RevokeMasterAct(),
+        StatementKind.ENROLL: EnrollAct(policy),
+        StatementKind.GRANT: GrantAct(policy),
+        StatementKind.POLICY: PolicyAct(policy),
+        StatementKind.DELEGATE: DelegateAct(),
+        StatementKind.INTERMEDIATE: IntermediateAct(),
+        StatementKind.PASSKEY: PasskeyAct(access.proposed),
+        StatementKind.INVITATION: InvitationAct(work.home(), join_address, elapsed),
+        StatementKind.REVOKE_MASTER: RevokeMasterAct(),
     }
 
 
-def _fail(call: MasterCall) -> object:
+def _fail(call: StatementCall) -> object:
     raise NotDelivered(f"the master did not get {call.what}: this service calls none", call.hint)

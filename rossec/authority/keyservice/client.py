@@ -22,7 +22,7 @@ from ca.encoding import Value
 from rossec import files
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice import messages
-from rossec.authority.keyservice.messages import SOCKET, Request
+from rossec.authority.keyservice.messages import SOCKET, ServiceRequest
 from rossec.authority.keyservice.operations import UNLOCK_HINT
 from rossec.errors import AuthorityLocked, ConfigurationError, KeyServiceFailed, PeerUserRefused
 from rossec.host.local_sockets import MAX_PATH, process_lock, require_user
@@ -63,7 +63,7 @@ class KeyServiceClient:
         except OSError as error:
             raise KeyServiceFailed(f"{path}: {error.strerror or error}", _HINT) from error
 
-    def ask(self, request: Request) -> Value:
+    def ask(self, request: ServiceRequest) -> Value:
         data = messages.write_request(request)
         try:
             try:
@@ -78,18 +78,18 @@ class KeyServiceClient:
             ) from error
 
     def status(self) -> dict[str, Value]:
-        return _as_status(self.ask(Request(messages.STATUS)))
+        return _as_status(self.ask(ServiceRequest(messages.STATUS)))
 
     def unlock(self, passphrase: str, seconds: int) -> dict[str, Value]:
         """Unlock it for `seconds`; 0: while it runs. Returns as `status`."""
-        return _as_status(self.ask(Request(messages.UNLOCK, (seconds, passphrase))))
+        return _as_status(self.ask(ServiceRequest(messages.UNLOCK, (seconds, passphrase))))
 
     def lock(self) -> dict[str, Value]:
-        return _as_status(self.ask(Request(messages.LOCK)))
+        return _as_status(self.ask(ServiceRequest(messages.LOCK)))
 
     def phone_code(self) -> str:
         """A one-time code for the console: to look, or to add a phone."""
-        code = self.ask(Request(messages.PHONE_CODE))
+        code = self.ask(ServiceRequest(messages.PHONE_CODE))
         if not isinstance(code, str):
             raise KeyServiceFailed("the service gives no code", _HINT)
         return code
@@ -117,7 +117,7 @@ class RemoteSigner:
         return self._public_key
 
     def sign(self, message: bytes) -> bytes:
-        answer = self._client.ask(Request(messages.SIGN, (message,)))
+        answer = self._client.ask(ServiceRequest(messages.SIGN, (message,)))
         signature = answer if isinstance(answer, bytes) and len(answer) == 64 else bytes(64)
         r, s = int.from_bytes(signature[:32]), int.from_bytes(signature[32:])
         try:

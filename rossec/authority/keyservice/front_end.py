@@ -24,8 +24,8 @@ from ca.enrollment.join import (
     LiveIdentity,
     NameAnswer,
     Named,
-    Refused,
-    Waiting,
+    RefusedMessage,
+    WaitingMessage,
     read,
 )
 from ca.errors import EnrollmentMessageRefused, HintedError
@@ -98,13 +98,13 @@ class FrontEnd:
 
     async def _admit(self, request: JoinRequest) -> JoinAnswer:
         found = await self._ask(messages.JOIN, request.to_bytes())
-        if not isinstance(found, Issued | Waiting | Refused):
+        if not isinstance(found, Issued | WaitingMessage | RefusedMessage):
             raise EnrollmentMessageRefused(_ODD)
         return found
 
     async def _name(self, claim: JoinClaim) -> NameAnswer:
         found = await self._ask(messages.NAME, claim.to_bytes())
-        if not isinstance(found, Named | Refused):
+        if not isinstance(found, Named | RefusedMessage):
             raise EnrollmentMessageRefused(_ODD)
         return found
 

@@ -59,12 +59,12 @@ _STATEMENTS: Final[Mapping[str, Profile]] = {
 _HINT: Final = "the program that asked is of another version of rossec, or not rossec"
 
 
-class Authority(NamedTuple):
+class ServedAuthority(NamedTuple):
     subject: x509.Name
     domain: str
 
 
-def kind_of(message: bytes, authority: Authority) -> str:
+def kind_of(message: bytes, authority: ServedAuthority) -> str:
     if len(message) > MAX_MESSAGE:
         raise SigningRefused(f"{len(message)} bytes to sign are more than any statement", _HINT)
     for kind, profile in _STATEMENTS.items():
@@ -108,7 +108,7 @@ REFUSALS: Final[Mapping[str, type[HintedError]]] = {
 _MESSAGES_HINT: Final = "are the service and the command of one version of rossec?"
 
 
-class Request(NamedTuple):
+class ServiceRequest(NamedTuple):
     operation: str
     arguments: tuple[Value, ...] = ()
 
@@ -125,13 +125,13 @@ def frame_size(head: bytes, limit: int = MAX_FRAME) -> int:
     return size
 
 
-def write_request(request: Request) -> bytes:
+def write_request(request: ServiceRequest) -> bytes:
     return frame([VERSION, request.operation, *request.arguments])
 
 
 def read_request(
     body: bytes, operations: Mapping[str, tuple[type, ...]] = OPERATIONS, limit: int = MAX_FRAME
-) -> Request:
+) -> ServiceRequest:
     match _decode(body, limit):
         case [version, str() as operation, *arguments] if operation in operations:
             if (
@@ -139,7 +139,7 @@ def read_request(
                 and version == VERSION
                 and tuple(map(type, arguments)) == operations[operation]
             ):
-                return Request(operation, tuple(arguments))
+                return ServiceRequest(operation, tuple(arguments))
     raise KeyMessageRefused("a request that is not in the table of operations", _MESSAGES_HINT)
 
 

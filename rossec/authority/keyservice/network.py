@@ -18,13 +18,13 @@ from typing import Final, Protocol, Self, TypeVar
 
 from ca.encoding import Value
 from ca.enrollment.invitation import JoinClaim, JoinRequest
-from ca.enrollment.join import NameAnswer, Named, Refused, RefuseReason, write
+from ca.enrollment.join import NameAnswer, Named, RefusedMessage, RefuseReason, write
 from ca.errors import EncodingError, HintedError
 from ca.names import is_reserved, pattern_covers
 from rossec.authority.keyservice.operations import KeyOperations
 from rossec.authority.keyservice.process import FrontEndProcess
 from rossec.authority.keyservice.work import AuthorityWork
-from rossec.authority.session import MasterCall
+from rossec.authority.session import StatementCall
 from rossec.errors import ConfigurationError, NotDelivered, RossecError
 from rossec.host.runner import TaskSet
 from rossec.naming.rule_runner import RuleRunner
@@ -101,14 +101,14 @@ class JoinNames:
     async def answer(self, metadata: bytes, pattern: str) -> NameAnswer:
         # For the claim, and again for the request that follows it, since what is between may lie.
         if self._runner is None:
-            return Refused(RefuseReason.UNNAMED)
+            return RefusedMessage(RefuseReason.UNNAMED)
         try:
             name = await self._runner.name(metadata)
         except RossecError as error:
             _log.warning("a node that joins has no name: %s", printable(error))
-            return Refused(RefuseReason.METADATA)
+            return RefusedMessage(RefuseReason.METADATA)
         if is_reserved(name) or not pattern_covers(pattern, name):
-            return Refused(RefuseReason.NAME)
+            return RefusedMessage(RefuseReason.NAME)
         return Named(name)
 
 
@@ -204,7 +204,7 @@ class RenewalWatch:
 _WITHIN: Final = 30.0  # seconds for a call at the master that does not say
 SLOW: Final = 1.0  # seconds in which a master that runs, or does not, has answered
 PAUSE: Final = 45.0  # seconds without calls after one that failed slowly; less than a round
-_OTHER_NAME: Final = Refused(RefuseReason.NAME)
+_OTHER_NAME: Final = RefusedMessage(RefuseReason.NAME)
 _T = TypeVar("_T")
 
 
@@ -244,7 +244,7 @@ class NetworkWork:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._resume = 0.0
 
-    def deliver(self, call: MasterCall) -> Value:
+    def deliver(self, call: StatementCall) -> Value:
         """Call the master through the face; for the thread of the work."""
         if self._loop is None:
             raise NotDelivered(f"the master did not get {call.what}: not started", call.hint)
@@ -282,7 +282,7 @@ class NetworkWork:
     async def _named(self, asked: JoinClaim | JoinRequest) -> NameAnswer:
         # The name for the metadata in there, which are looked at by the process for rules only.
         pattern = await self._in_thread(self.work.allowed_pattern, asked)
-        if isinstance(pattern, Refused):
+        if isinstance(pattern, RefusedMessage):
             return pattern
         return await self._names.answer(asked.metadata, pattern)
 
@@ -292,7 +292,7 @@ class NetworkWork:
         if request.metadata and not await self._in_thread(self.work.was_issued, request):
             named = await self._named(request)
             if named != Named(request.name):
-                return write(named if isinstance(named, Refused) else _OTHER_NAME)
+                return write(named if isinstance(named, RefusedMessage) else _OTHER_NAME)
         answer, name = await self._in_thread(self.work.join, data)
         if name is not None:
             self._joined.append(name)

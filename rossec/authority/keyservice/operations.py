@@ -20,7 +20,13 @@ from ca.keys.private_keys import TokenSigner
 from ca.keys.signing import Signer
 from rossec import clock
 from rossec.authority.keyservice import messages
-from rossec.authority.keyservice.messages import MAX_PASSPHRASE, MAX_UNLOCKED, Authority, Request, kind_of
+from rossec.authority.keyservice.messages import (
+    MAX_PASSPHRASE,
+    MAX_UNLOCKED,
+    ServedAuthority,
+    ServiceRequest,
+    kind_of,
+)
 from rossec.errors import AuthorityLocked, KeyServiceRefused, SigningRefused
 
 UNLOCK_HINT: Final = "unlock it with: rossec ca unlock --for 15m"
@@ -129,7 +135,7 @@ class KeyOperations:
     def __init__(
         self,
         held: HeldKey,
-        authority: Authority,
+        authority: ServedAuthority,
         audit: Callable[[str], None],
         describe: Callable[[], dict[int | str, Value]] = dict,
     ) -> None:
@@ -139,13 +145,13 @@ class KeyOperations:
         self._describe = describe
         self.on_unlock: Callable[[], None] = _nothing  # there may be work that waited for the key
 
-    def carry_out(self, request: Request, caller: object) -> Value:
+    def carry_out(self, request: ServiceRequest, caller: object) -> Value:
         match request:
-            case Request(messages.STATUS):
+            case ServiceRequest(messages.STATUS):
                 return self.status()
-            case Request(messages.SIGN, (bytes() as message,)):
+            case ServiceRequest(messages.SIGN, (bytes() as message,)):
                 return self.sign(message, caller)
-            case Request(messages.UNLOCK, (int() as seconds, str() as passphrase)):
+            case ServiceRequest(messages.UNLOCK, (int() as seconds, str() as passphrase)):
                 return self.unlock(passphrase, seconds, caller)
             case _:
                 return self.lock(caller)

@@ -26,7 +26,7 @@ from rossec import clock
 from rossec.authority.home import AuthorityHome, fingerprint
 from rossec.authority.keyservice import messages
 from rossec.authority.keyservice.inner_channel import Handler, InnerChannel
-from rossec.authority.keyservice.messages import SOCKET, Request
+from rossec.authority.keyservice.messages import SOCKET, ServiceRequest
 from rossec.authority.keyservice.operations import HeldKey, KeyOperations
 from rossec.errors import ConfigurationError, KeyMessageRefused, KeyServiceRefused, PeerUserRefused
 from rossec.host.audit import AUDIT, AuditFile
@@ -38,7 +38,7 @@ _MAX_READ: Final = 4096  # bytes
 _MAX_SHOWN: Final = 300  # characters
 
 
-class Caller(NamedTuple):
+class AuditedCaller(NamedTuple):
     """A process that asks, as the audit names it."""
 
     user: int
@@ -51,14 +51,14 @@ class Caller(NamedTuple):
 
 # What the process says of itself: it can change it, or end and another one get its number. It is evidence
 # for a person who reads the audit, and decides nothing.
-def caller_of(peer: UnixPeer, proc: Path = Path("/proc")) -> Caller:
+def caller_of(peer: UnixPeer, proc: Path = Path("/proc")) -> AuditedCaller:
     try:
         with (proc / str(peer.process) / "cmdline").open("rb") as file:
             data = file.read(_MAX_READ)
     except OSError:
         data = b""
     words = data.rstrip(b"\0").replace(b"\0", b" ").decode(errors="replace")
-    return Caller(peer.user, peer.process, printable(words, _MAX_SHOWN) or "(unknown)")
+    return AuditedCaller(peer.user, peer.process, printable(words, _MAX_SHOWN) or "(unknown)")
 
 
 MAX_CALLERS: Final = 64
@@ -66,7 +66,7 @@ IDLE: Final = 120.0  # seconds between two requests of a caller
 DEADLINE: Final = 10.0  # seconds from the first byte of a request to its last, and for an answer
 _log = logging.getLogger("rossec.authority.service")
 
-CarryOut = Callable[[Request, Caller], Awaitable[Value]]
+CarryOut = Callable[[ServiceRequest, AuditedCaller], Awaitable[Value]]
 
 
 def admit_all(_: UnixPeer) -> None: ...
@@ -80,7 +80,7 @@ class SocketRules(NamedTuple):
     this process.
     """
 
-    read_request: Callable[[bytes], Request] = messages.read_request
+    read_request: Callable[[bytes], ServiceRequest] = messages.read_request
     max_request: int = messages.MAX_FRAME
     max_callers: int = MAX_CALLERS
     users: Collection[int] = ()
@@ -163,7 +163,7 @@ class KeyServer:
                 answer = messages.write_refusal(error)
             await _send(writer, answer)
 
-    def _admitted(self, writer: asyncio.StreamWriter) -> Caller:
+    def _admitted(self, writer: asyncio.StreamWriter) -> AuditedCaller:
         try:
             sock = raw_socket(writer.get_extra_info("socket"))
             require_user(sock, self._rules.users or {os.geteuid()})
@@ -202,7 +202,7 @@ def operations_of(
     def load(secret: str) -> Signer:
         return Authority(home.load_key(secret), anchor.certificate, own).signer
 
-    authority = messages.Authority(subject, anchor.domain)
+    authority = messages.ServedAuthority(subject, anchor.domain)
     describe = lambda: {**about, "join_port": join_port()}  # noqa: E731 - one expression
     return KeyOperations(HeldKey(load), authority, audit, describe)
 
@@ -232,7 +232,7 @@ class KeyServiceProcess:
         home: AuthorityHome,
         operations: KeyOperations,
         admit: Callable[[UnixPeer], None],
-        phone_code: Callable[[Caller], str] | None = None,
+        phone_code: Callable[[AuditedCaller], str] | None = None,
     ) -> None:
         self.operations = operations
         self._phone_code = phone_code
@@ -257,7 +257,7 @@ class KeyServiceProcess:
                 _log.error("%s", error)
             await asyncio.sleep(TICK)
 
-    async def _carry_out(self, request: Request, caller: Caller) -> Value:
+    async def _carry_out(self, request: ServiceRequest, caller: AuditedCaller) -> Value:
         if request.operation == messages.PHONE_CODE:
             if self._phone_code is None:
                 raise KeyServiceRefused("this service has no console", "restart: rossec ca serve")

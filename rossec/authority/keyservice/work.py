@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from ca.enrollment.invitation import JoinClaim, JoinRequest
-from ca.enrollment.join import Issued, Refused, RefuseReason, write
+from ca.enrollment.join import Issued, RefusedMessage, RefuseReason, write
 from ca.errors import HintedError, RecordUnusable, StoreError
 from grants.errors import PolicyRefused
 from rossec import clock
@@ -24,7 +24,7 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.operations import KeyOperations, OwnSigner
 from rossec.authority.policyfile import PolicyPlan
 from rossec.authority.service import AuthorityService
-from rossec.authority.session import MasterCall
+from rossec.authority.session import StatementCall
 from rossec.errors import (
     AuthorityLocked,
     ConfigurationError,
@@ -54,7 +54,7 @@ class AuthorityWork:
         self,
         rossec_home: Path,
         operations: KeyOperations,
-        deliver: Callable[[MasterCall], object],
+        deliver: Callable[[StatementCall], object],
         policy: Path | None = None,
         now: Callable[[], int] = clock.now,
     ) -> None:
@@ -86,7 +86,7 @@ class AuthorityWork:
         request = JoinRequest.from_bytes(data)
         with contextlib.closing(self.home().store()) as store:
             if not invitations.is_proved(store, request):  # before the authority is opened
-                return write(Refused(RefuseReason.REFUSED)), None
+                return write(RefusedMessage(RefuseReason.REFUSED)), None
         with self.service(JOIN_PURPOSE) as service:
             try:
                 answer = invitations.join(service.unlock(), request, self._now())
@@ -121,7 +121,7 @@ class AuthorityWork:
                 answers.append((hashlib.sha256(request).digest(), bundle, reason))
         return answers
 
-    def allowed_pattern(self, asked: JoinClaim | JoinRequest) -> str | Refused:
+    def allowed_pattern(self, asked: JoinClaim | JoinRequest) -> str | RefusedMessage:
         """The names that the invitation allows whose secret is proved, or why there is no answer."""
         with contextlib.closing(self.home().store()) as store:
             return invitations.allowed_pattern(store, asked, self._now())

@@ -8,7 +8,7 @@ from urllib.parse import quote, urlsplit
 import click
 
 from ca.approvals.passkeys import Approval, Passkey
-from ca.approvals.statement import Kind
+from ca.approvals.statement import StatementKind
 from ca.enrollment import qr
 from ca.store.log import ApprovalEnd, ApprovalState
 from ca.store.record import Store
@@ -149,7 +149,7 @@ def _approvals_summary(
     statement = approval.read()
     return {
         "id": approval.id.hex(),
-        "kind": Kind(approval.kind).name.lower().replace("_", "-"),
+        "kind": StatementKind(approval.kind).name.lower().replace("_", "-"),
         "what": sentence(statement, approval.payload),
         "phone": phone,
         "at": approval.at,

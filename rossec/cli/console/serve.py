@@ -14,7 +14,7 @@ from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.cli.console.phones import login_address, running_service, show_code
 from rossec.cli.shared.context import Environment, now
 from rossec.console.listening import only_console, write_address
-from rossec.console.options import HAND_OUT_PORT, Endpoint, Options, check_origin, read_options
+from rossec.console.options import HAND_OUT_PORT, ConsoleEndpoint, ConsoleOptions, check_origin, read_options
 from rossec.console.tls.certificates import DIRECTORY, TlsSetup, prepare_tls, renewed_from
 from rossec.console.tls.own_authority import as_json as described
 from rossec.console.tls.own_authority import describe
@@ -37,7 +37,9 @@ def check_libraries() -> None:
         )
 
 
-def serve(environment: Environment, options: Options, *, rename: bool, log: str, as_json: bool) -> None:
+def serve(
+    environment: Environment, options: ConsoleOptions, *, rename: bool, log: str, as_json: bool
+) -> None:
     """Run the console until it is interrupted; `log` is the form of its log."""
     check_libraries()
     from rossec.console.server.supervisor import WebOptions, settings_for, supervise  # noqa: PLC0415 - extra
@@ -77,7 +79,7 @@ def _origins_of_phones(home: AuthorityHome) -> set[str]:
 
 
 @contextmanager
-def _ending(home: AuthorityHome, environment: Environment, endpoint: Endpoint) -> Iterator[None]:
+def _ending(home: AuthorityHome, environment: Environment, endpoint: ConsoleEndpoint) -> Iterator[None]:
     with nullcontext() if endpoint.read_only else only_console(home.path):
         try:
             yield
@@ -86,7 +88,9 @@ def _ending(home: AuthorityHome, environment: Environment, endpoint: Endpoint) -
 
 
 @contextmanager
-def _handing_out(endpoint: Endpoint, setup: TlsSetup | None, environment: Environment) -> Iterator[None]:
+def _handing_out(
+    endpoint: ConsoleEndpoint, setup: TlsSetup | None, environment: Environment
+) -> Iterator[None]:
     if not endpoint.hand_out or setup is None or setup.authority is None:
         yield
         return
@@ -98,7 +102,7 @@ def _handing_out(endpoint: Endpoint, setup: TlsSetup | None, environment: Enviro
 
 
 def _say_ready(
-    client: KeyServiceClient, endpoint: Endpoint, setup: TlsSetup | None, *, as_json: bool
+    client: KeyServiceClient, endpoint: ConsoleEndpoint, setup: TlsSetup | None, *, as_json: bool
 ) -> None:
     address = login_address(endpoint.origin, client.phone_code())
     authority = None if setup is None else setup.authority

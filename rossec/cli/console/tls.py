@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.console.options import Options, check_name, read_options
+from rossec.console.options import ConsoleOptions, check_name, read_options
 from rossec.console.tls import certificates
 from rossec.console.tls.own_authority import as_json as described
 from rossec.console.tls.own_authority import describe
@@ -46,4 +46,4 @@ def _name(directory: Path, given: str | None) -> str:
     try:
         return certificates.open_authority(directory).name
     except ConfigurationError:  # none, or a damaged one
-        return read_options(Options(lan=True), socket.gethostname()).name
+        return read_options(ConsoleOptions(lan=True), socket.gethostname()).name

@@ -36,7 +36,7 @@ from rossec.namespace.launch_file import (
     scan,
 )
 from rossec.naming import rule_runner
-from rossec.naming.requests import MAX_INPUT, Kind
+from rossec.naming.requests import MAX_INPUT, NameKind
 from rossec.naming.rule_runner import RuleRunner
 from rossec.terminal import note, printable, record, say, say_block, say_json
 
@@ -208,11 +208,11 @@ def show_name(
     """
     if topic is not None and service is not None:
         raise click.UsageError("give --topic or --service, not both")
-    kind, which = Kind.NODE, ""
+    kind, which = NameKind.NODE, ""
     if topic is not None:
-        kind, which = Kind.TOPIC, topic
+        kind, which = NameKind.TOPIC, topic
     elif service is not None:
-        kind, which = Kind.SERVICE, service
+        kind, which = NameKind.SERVICE, service
     sheet, document = rules.read_rules(rules_path), rules.read_metadata(meta)
 
     async def ask() -> str:

@@ -24,12 +24,15 @@ from rossec.errors import ConfigurationError, ProposedNameRefused
 from rossec.host.runner import READY, STOPPING, notify, stop_on_signals, until_first_ends
 from rossec.namespace import topic_names
 from rossec.namespace.topic_names import CALLS, CHILDREN, DEADLINE, SECONDS, SERVICE, TopicNames
-from rossec.naming.examine import Report, examine
-from rossec.naming.requests import MAX_INPUT, Kind
+from rossec.naming.examine import MetadataReport, examine
+from rossec.naming.requests import MAX_INPUT, NameKind
 from rossec.naming.rule_runner import RuleRunner
 from rossec.terminal import note, printable, say, say_json
 
-RIGHTS: Final = {Kind.TOPIC: Right.PUBLISH | Right.SUBSCRIBE, Kind.SERVICE: Right.PROVIDE | Right.CALL}
+RIGHTS: Final = {
+    NameKind.TOPIC: Right.PUBLISH | Right.SUBSCRIBE,
+    NameKind.SERVICE: Right.PROVIDE | Right.CALL,
+}
 SUFFIX: Final = "*.grant"
 _NO_KEY: Final = bytes(32)
 METADATA_SUFFIX: Final = "*.xml"
@@ -84,7 +87,7 @@ def check(
         held = [] if grants_path is None else read_grants(grants_path)
         covered = Coverage(held, None if policy_path is None else PolicyFile.read(policy_path).policy)
 
-    async def examined() -> Report:
+    async def examined() -> MetadataReport:
         async with RuleRunner(files.read(rules, MAX_INPUT)) as runner:
             return await examine(runner, documents, covered)
 
@@ -136,9 +139,9 @@ class Coverage:
         pinned = {who.key for rule in rules for who in rule.who if who.key is not None}
         self._keys = (_NO_KEY, *sorted(pinned))
 
-    def __call__(self, node: str, kind: Kind, name: str) -> bool:
+    def __call__(self, node: str, kind: NameKind, name: str) -> bool:
         held = [grant for grant in self._grants if covers(grant.subject, node, wildcard=True)]
-        if kind is Kind.NODE:
+        if kind is NameKind.NODE:
             return bool(held) or any(map(self._has_rules, self._subjects(node)))
         return Reach.of(held).covers_any(RIGHTS[kind], name) or any(
             self._allows(subject, right, name) for subject in self._subjects(node) for right in RIGHTS[kind]

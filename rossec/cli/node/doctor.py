@@ -112,7 +112,7 @@ def _all(environment: Environment) -> tuple[list[NodeHome], list[str]]:
 
 
 @dataclass(frozen=True)
-class Finding:
+class DoctorFinding:
     node: str
     check: str
     ok: bool
@@ -120,7 +120,7 @@ class Finding:
     hint: str = ""
 
 
-def _examine(environment: Environment, home: NodeHome, *, offline: bool) -> Iterator[Finding]:
+def _examine(environment: Environment, home: NodeHome, *, offline: bool) -> Iterator[DoctorFinding]:
     for name, check in _checks(offline=offline).items():
         try:
             for found in check(environment, home):
@@ -481,10 +481,10 @@ def _nodes(state: object) -> list[str]:
             return []
 
 
-def _finding(home: NodeHome, check: str, found: Outcome) -> Finding:
+def _finding(home: NodeHome, check: str, found: Outcome) -> DoctorFinding:
     if isinstance(found, str):
-        return Finding(home.name, check, True, found)
-    return Finding(home.name, check, False, str(found), found.hint)
+        return DoctorFinding(home.name, check, True, found)
+    return DoctorFinding(home.name, check, False, str(found), found.hint)
 
 
 def _plain(environment: Environment) -> tuple[str, ...]:
@@ -496,7 +496,7 @@ def _plain(environment: Environment) -> tuple[str, ...]:
     return read(environment.variables, text).allow_plain
 
 
-def _say(findings: list[Finding], plain: list[str], *, several: bool) -> None:
+def _say(findings: list[DoctorFinding], plain: list[str], *, several: bool) -> None:
     causes: dict[tuple[bool, str, str], list[str]] = {}
     for finding in findings:
         causes.setdefault((finding.ok, finding.text, finding.hint), []).append(finding.node)

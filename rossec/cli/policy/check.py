@@ -8,8 +8,8 @@ import click
 from ca.names import shown
 from ca.revocation.lists import MAX_ENTRIES
 from grants.errors import PolicyRefused
-from grants.policy.assertion_check import Outcome, check_tests
-from grants.policy.difference import Change, Contradiction, Kind
+from grants.policy.assertion_check import TestOutcome, check_tests
+from grants.policy.difference import Change, ChangeKind, Contradiction
 from grants.policy.learn import beginning
 from grants.policy.lint import lint as advise
 from grants.policy.model import Effect, PolicyRule
@@ -221,7 +221,7 @@ def test(environment: Environment, file: Path | None, as_json: bool) -> None:
         say(f"assertions that hold: {len(outcomes)}" if outcomes else f"{path} has no tests")
 
 
-def _row(outcome: Outcome) -> dict[str, object]:
+def _row(outcome: TestOutcome) -> dict[str, object]:
     return {
         "line": outcome.line,
         "node": outcome.node,
@@ -236,11 +236,11 @@ def _row(outcome: Outcome) -> dict[str, object]:
 def lines(plan: PolicyPlan) -> Iterator[str]:
     changes = [change for node in plan.nodes for change in node.changes]
     yield from _by_nodes(
-        (shown(change.subject.name), _change(change)) for change in changes if change.kind != Kind.KEPT
+        (shown(change.subject.name), _change(change)) for change in changes if change.kind != ChangeKind.KEPT
     )
-    kept = {change.subject for change in changes if change.kind is Kind.KEPT}
+    kept = {change.subject for change in changes if change.kind is ChangeKind.KEPT}
     if kept:
-        rights = sum(change.kind is Kind.KEPT for change in changes)
+        rights = sum(change.kind is ChangeKind.KEPT for change in changes)
         yield f"= {count(rights, 'right')} of {count(len(kept), 'node')} as before"
     yield from _by_nodes(
         (shown(node.subject.name), _withheld(each)) for node in plan.nodes for each in node.withheld
@@ -269,11 +269,11 @@ def _change(change: Change) -> tuple[str, str]:
     what = f"{change.right.label} {change.pattern}"
     if change.rules and all(map(is_basics, change.rules)):
         what = "what every ROS program needs"
-    if change.kind is Kind.GONE:
+    if change.kind is ChangeKind.GONE:
         return "-", f"{what} ({_rules(change.rules) or _NONE})"
     restrictions = "; ".join(change.restrictions)
     rules = f"({_rules(change.rules)})"
-    if change.kind is Kind.NEW:
+    if change.kind is ChangeKind.NEW:
         return "+", f"{what}, {restrictions} {rules}"
     before = "; ".join(change.before)
     return "~", f"{change.kind}: {what}, {restrictions} {rules}; before: {before}"

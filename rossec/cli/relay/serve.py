@@ -27,7 +27,7 @@ from rossec.overlay.masters import RelayMember
 from rossec.overlay.relay import Relay
 from rossec.overlay.zenoh_carrier import Carrier
 from rossec.sidecar.callers import Callers
-from rossec.sidecar.loopback_port import Admission, find_loopback
+from rossec.sidecar.loopback_port import PortAdmission, find_loopback
 from rossec.terminal import note, printable, say, say_json
 
 AUDIT: Final = "audit.log"
@@ -102,7 +102,7 @@ async def _carrier(routers: Routers, stop: asyncio.Event) -> Carrier | None:
     return None
 
 
-def _admission(doors: str) -> Admission:
+def _admission(doors: str) -> PortAdmission:
     if not doors:
         return Callers({os.geteuid()}, loopback=find_loopback())
     try:

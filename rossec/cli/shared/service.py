@@ -15,7 +15,7 @@ from grants import document
 from rossec import files
 from rossec.authority.grant_operations import LATER, RefusedDeposit, SignedGrant
 from rossec.authority.service import AuthorityService
-from rossec.authority.session import MasterCall
+from rossec.authority.session import StatementCall
 from rossec.cli.shared import passphrase
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import master_as, master_at
@@ -60,7 +60,7 @@ def service_of(
     )
 
 
-def call_master(environment: Environment, master_uri: str | None, call: MasterCall) -> object:
+def call_master(environment: Environment, master_uri: str | None, call: StatementCall) -> object:
     """Call the master at `master_uri`, by default ROS_MASTER_URI, as the authority's own node.
 
     Returns the value of its answer.

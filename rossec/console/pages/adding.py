@@ -16,7 +16,7 @@ from ca.enrollment.sides import group_digits
 from ca.errors import CodeRefused, ConflictingOffer, HintedError
 from rossec.console.approvals import IDENTITY_LIFETIME, MAX_USES
 from rossec.console.context import ConsoleContext
-from rossec.console.enrollments import Known, Stage
+from rossec.console.enrollments import RecordedName, Stage
 from rossec.console.rendering import MAX_FRAME, Page, from_base64url, read_form, render, text_field
 from rossec.console.sessions import owner_of
 from rossec.errors import HttpRefused, ScannerBusy
@@ -71,7 +71,7 @@ async def show_one(request: Request, context: ConsoleContext) -> Response:
         digits=group_digits(found.core.digits),
         lifetime=IDENTITY_LIFETIME,
         is_conflict=isinstance(found.error, ConflictingOffer),
-        keeps_identity=found.known is Known.SAME_KEY,
+        keeps_identity=found.known is RecordedName.SAME_KEY,
         has_grants=any(each.node == name and not each.revoked_at for each in held),
     )
 

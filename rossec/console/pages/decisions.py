@@ -31,7 +31,7 @@ from rossec.console.rendering import (
     text_field,
     to_base64url,
 )
-from rossec.console.sentences import Part, permissions, wanted
+from rossec.console.sentences import SentencePart, permissions, wanted
 from rossec.errors import FormRefused, HttpRefused
 
 DENIED: Final = "denied at the console"
@@ -73,7 +73,7 @@ async def show_ask(request: Request, context: ConsoleContext) -> Response:
 
 async def _answered(request: Request, context: ConsoleContext, number: bytes) -> Response:
     # How it was answered, by the record; a service that does not say leaves it open.
-    told: list[tuple[QuestionAnswer, tuple[Part, ...]]] = []
+    told: list[tuple[QuestionAnswer, tuple[SentencePart, ...]]] = []
     with suppress(HintedError):
         answers = await context.service.question_answers(number)
         told = [(each, approvals.answer(each)) for each in answers]
@@ -124,13 +124,13 @@ async def check_request(request: Request, context: ConsoleContext) -> Response:
     return render(context, request, "intermediate.html", csr=text, key=thumbprint(key), problem=None)
 
 
-def sentence(right: PolicyRight, verb: str) -> tuple[Part, ...]:
+def sentence(right: PolicyRight, verb: str) -> tuple[SentencePart, ...]:
     detail = ", ".join(filter(None, (right.restriction, right.until)))
     return (
-        Part(words.name(right.node), is_name=True),
-        Part(f"{verb} {wanted(right.right)}"),
-        Part(words.topic(right.pattern), is_name=True),
-        *([Part(f"({detail})")] if detail else []),
+        SentencePart(words.name(right.node), is_name=True),
+        SentencePart(f"{verb} {wanted(right.right)}"),
+        SentencePart(words.topic(right.pattern), is_name=True),
+        *([SentencePart(f"({detail})")] if detail else []),
     )
 
 

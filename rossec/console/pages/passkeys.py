@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple, TypeVar
 from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 
-from ca.approvals.statement import MAX_PAYLOAD, Kind
+from ca.approvals.statement import MAX_PAYLOAD, StatementKind
 from ca.encoding import decode
 from ca.enrollment import qr
 from ca.enrollment.sides import group_digits
@@ -23,7 +23,7 @@ from ca.errors import EncodingError, HintedError
 from grants import document
 from grants.errors import GrantError
 from grants.model import ID_SIZE
-from rossec.authority.console.messages import Assertion, LoginChallenge, Prepared, Registration
+from rossec.authority.console.messages import LoginChallenge, PasskeyAssertion, PasskeyRegistration, Prepared
 from rossec.console import approvals, words
 from rossec.console.context import ConsoleContext
 from rossec.console.options import MAX_PHONE_NAME
@@ -38,7 +38,7 @@ from rossec.console.rendering import (
     text_field,
     to_base64url,
 )
-from rossec.console.sentences import Part, permission
+from rossec.console.sentences import SentencePart, permission
 from rossec.console.sessions import COOKIE, COOKIE_SIZE, owner_of
 from rossec.errors import HttpRefused, KeyServiceFailed
 
@@ -109,18 +109,18 @@ def challenge_fields(made: LoginChallenge | Prepared, now: int) -> dict[str, obj
     }
 
 
-def read_assertion(fields: dict[str, Any]) -> Assertion:
+def read_assertion(fields: dict[str, Any]) -> PasskeyAssertion:
     names = ("credential", "clientData", "authenticatorData", "signature")
-    return Assertion(*(bytes_field(fields, name) for name in names))
+    return PasskeyAssertion(*(bytes_field(fields, name) for name in names))
 
 
-def read_registration(fields: dict[str, Any]) -> Registration:
+def read_registration(fields: dict[str, Any]) -> PasskeyRegistration:
     name = text_field(fields, "name", MAX_PHONE_NAME).strip()
     if not name:
         raise HttpRefused("a phone needs a name", "for example: my phone", status=422)
     code = text_field(fields, "code").strip()
     data = (bytes_field(fields, "clientData"), bytes_field(fields, "attestation"))
-    return Registration(bytes_field(fields, "id"), code, name, *data)
+    return PasskeyRegistration(bytes_field(fields, "id"), code, name, *data)
 
 
 def check_pause(request: Request, context: ConsoleContext) -> None:
@@ -257,7 +257,7 @@ _RECENT: Final = 200
 
 class Given(NamedTuple):
     node: str
-    parts: tuple[Part, ...]
+    parts: tuple[SentencePart, ...]
     words: str
     until: int
 
@@ -268,8 +268,8 @@ async def show_approved(request: Request, context: ConsoleContext) -> Response:
     approvals = await context.service.approvals(_RECENT)
     approval = next((each for each in approvals if each.id == number), None)
     # Of what was made, a bundle for another host is carried there; a join code is for `/invited`.
-    is_carried = approval is not None and approval.kind == Kind.INTERMEDIATE
-    of_grant = approval is not None and approval.kind == Kind.GRANT
+    is_carried = approval is not None and approval.kind == StatementKind.INTERMEDIATE
+    of_grant = approval is not None and approval.kind == StatementKind.GRANT
     is_waiting = outcome.state == "waiting"
     locked = is_waiting and (await context.service.status()).locked
     return render(

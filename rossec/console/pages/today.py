@@ -17,12 +17,12 @@ from grants.model import Permission, Right
 from rossec.authority.console.messages import EventView, GrantQuestion
 from rossec.console import approvals
 from rossec.console.context import ConsoleContext
-from rossec.console.matrix import Access, Matrix, TopicRow
+from rossec.console.matrix import Matrix, TopicAccess, TopicRow
 from rossec.console.pages import visibility
 from rossec.console.pages.visibility import Overview
 from rossec.console.pictures import flow, place
 from rossec.console.rendering import Page, names_of, render, to_base64url
-from rossec.console.sentences import Known, Part, permissions, refusals, story
+from rossec.console.sentences import KnownIds, SentencePart, permissions, refusals, story
 
 ROWS: Final = 8
 RECEIVERS: Final = 4
@@ -32,17 +32,17 @@ _ENTRIES: Final = 60  # of the log, of which some have no sentence of their own
 _IN_PART: Final = "Some of the policy is not in force"
 
 
-class Waiting(NamedTuple):
+class WaitingQuestion(NamedTuple):
     """A question that waits: a sentence, its page, and since when."""
 
-    parts: tuple[Part, ...]
+    parts: tuple[SentencePart, ...]
     path: str
     at: int
     why: str = ""  # the node's own words
     acts: bool = False  # it would do something, not only see it
 
 
-class Counts(NamedTuple):
+class TodayCounts(NamedTuple):
     senders: int
     topics: int
     receivers: int
@@ -53,7 +53,7 @@ async def show_today(request: Request, context: ConsoleContext) -> Response:
     questions, without_policy = await visibility.questions(context)
     denied = await visibility.denials(context)
     events = await context.service.events(0, _ENTRIES)
-    known = Known.of(home.held, home.nodes, questions, home.ending)
+    known = KnownIds.of(home.held, home.nodes, questions, home.ending)
     told = [each for each in story(events, denied, known) if each.tone != "note"]
     seen = request.state.session.seen  # the last entry that this session saw in the log
     busy = home.matrix.busiest_first()
@@ -79,14 +79,16 @@ async def show_today(request: Request, context: ConsoleContext) -> Response:
     )
 
 
-async def _waiting(context: ConsoleContext, questions: Iterable[GrantQuestion]) -> list[Waiting]:
+async def _waiting(context: ConsoleContext, questions: Iterable[GrantQuestion]) -> list[WaitingQuestion]:
     found = [
-        Waiting(_asked(each), f"/ask/{to_base64url(each.id)}", each.at, each.why, approvals.acts(each.rights))
+        WaitingQuestion(
+            _asked(each), f"/ask/{to_base64url(each.id)}", each.at, each.why, approvals.acts(each.rights)
+        )
         for each in questions
     ]
     found += [
-        Waiting(
-            (Part(each.name, is_name=True), Part("asks to join")),
+        WaitingQuestion(
+            (SentencePart(each.name, is_name=True), SentencePart("asks to join")),
             f"/join/{to_base64url(each.id)}",
             each.arrived,
         )
@@ -94,7 +96,9 @@ async def _waiting(context: ConsoleContext, questions: Iterable[GrantQuestion]) 
         if each.state == "pending"
     ]
     found += [
-        Waiting((Part(each.name), Part("wants to approve, too")), "/phones", context.clock())
+        WaitingQuestion(
+            (SentencePart(each.name), SentencePart("wants to approve, too")), "/phones", context.clock()
+        )
         for each in await context.service.proposals()
     ]
     with suppress(HintedError):  # a policy that cannot be read is told on its own page
@@ -102,22 +106,22 @@ async def _waiting(context: ConsoleContext, questions: Iterable[GrantQuestion]) 
         if policy.mistakes or policy.gives or policy.takes or policy.refused:
             said = "The policy has changed" if policy.gives or policy.takes else _IN_PART
             said = "The policy has mistakes" if policy.mistakes else said
-            found.append(Waiting((Part(said),), "/policy", context.clock()))
+            found.append(WaitingQuestion((SentencePart(said),), "/policy", context.clock()))
     return sorted(found, key=lambda each: each.at)
 
 
-def _asked(question: GrantQuestion) -> tuple[Part, ...]:
+def _asked(question: GrantQuestion) -> tuple[SentencePart, ...]:
     rights = [Permission(each.pattern, Right(each.right)) for each in question.rights]
     drives = any(approvals.drives(each) for each in question.rights)
-    asks = Part("asks to drive, to" if drives else "asks to")
-    return Part(question.node, is_name=True), asks, *permissions(rights)
+    asks = SentencePart("asks to drive, to" if drives else "asks to")
+    return SentencePart(question.node, is_name=True), asks, *permissions(rights)
 
 
-def counts(matrix: Matrix) -> Counts:
+def counts(matrix: Matrix) -> TodayCounts:
     sent = [row for row in matrix.rows if row.publishers]
     senders = {name for row in sent for name in row.publishers}
     looking = {cell.receiver for row in matrix.rows for cell in row.seen_by()}
-    return Counts(len(senders), len(sent), len(looking))
+    return TodayCounts(len(senders), len(sent), len(looking))
 
 
 def silent(home: Overview) -> int:
@@ -129,7 +133,7 @@ def _looks(context: ConsoleContext, matrix: Matrix) -> dict[str, Any]:
     # `moving` is the node whose place it is, if it is one's.
     def contrast(row: TopicRow) -> tuple[bool, bool, int]:
         states = {cell.access for cell in row.seen_by()}
-        return states == {Access.ALL, Access.COARSE}, place.has_place(row.type), len(states)
+        return states == {TopicAccess.ALL, TopicAccess.COARSE}, place.has_place(row.type), len(states)
 
     for row in sorted(matrix.rows, key=contrast, reverse=True):
         found = visibility.comparison(context, row)
@@ -154,7 +158,7 @@ async def log(request: Request, context: ConsoleContext) -> Response:
     node = visibility.name_of(text[1:]) if text else ""
     home = await visibility.load(context, names_of(request))
     questions = (await visibility.questions(context))[0]
-    known = Known.of(home.held, home.nodes, questions, home.ending)
+    known = KnownIds.of(home.held, home.nodes, questions, home.ending)
     events, following = await _events(context, before, node, known)
     times = [event.at for event in events] or [0]
     first, end = min(times) if following else 0, max(times) if before else math.inf
@@ -186,7 +190,7 @@ async def log(request: Request, context: ConsoleContext) -> Response:
 
 
 async def _events(
-    context: ConsoleContext, before: int, node: str, known: Known
+    context: ConsoleContext, before: int, node: str, known: KnownIds
 ) -> tuple[list[EventView], int]:
     found: list[EventView] = []
     following = before

@@ -20,12 +20,12 @@ from rossec.authority.console.messages import DenialView, FactView, GrantQuestio
 from rossec.console import samples, words
 from rossec.console.context import ConsoleContext
 from rossec.console.matrix import (
-    Access,
     Cell,
     Heard,
-    HeldGrant,
     Matrix,
     ReportTopic,
+    ShownGrant,
+    TopicAccess,
     TopicRow,
     build,
     held_accesses,
@@ -34,7 +34,7 @@ from rossec.console.matrix import (
 )
 from rossec.console.pictures import looks
 from rossec.console.rendering import STATIC_FOLDER, Page, from_base64url, names_of, render, render_text
-from rossec.console.sentences import Known, Part, permission, permissions, story
+from rossec.console.sentences import KnownIds, SentencePart, permission, permissions, story
 from rossec.console.words import NONE, Names
 from rossec.errors import HttpRefused, KeyServiceFailed
 from rossec.participant.host_types import layout_of
@@ -52,7 +52,7 @@ class Overview(NamedTuple):
     """
 
     nodes: tuple[NodeView, ...]
-    held: tuple[HeldGrant, ...]
+    held: tuple[ShownGrant, ...]
     facts: tuple[FactView, ...]
     matrix: Matrix
     without_master: bool
@@ -206,7 +206,7 @@ async def show_who(request: Request, context: ConsoleContext) -> Response:
     )
 
 
-def other_rights(held: tuple[HeldGrant, ...]) -> list[OtherRight]:
+def other_rights(held: tuple[ShownGrant, ...]) -> list[OtherRight]:
     found = [
         OtherRight(
             each.grant.subject,
@@ -227,7 +227,7 @@ async def see(request: Request, context: ConsoleContext) -> Response:
     row = home.matrix.row(name)
     if row is None:
         raise HttpRefused(f"no grant and no node names {words.name(name)}", "see who sees what", status=404)
-    cells = sorted(row.cells, key=lambda cell: ([*Access].index(cell.access), cell.receiver))
+    cells = sorted(row.cells, key=lambda cell: ([*TopicAccess].index(cell.access), cell.receiver))
     return render_home(
         context,
         request,
@@ -250,7 +250,7 @@ _ENTRIES: Final = 200
 
 class GrantLine(NamedTuple):
     id: bytes
-    parts: tuple[Part, ...]
+    parts: tuple[SentencePart, ...]
     term: str
     ended: bool
     reason: str
@@ -258,7 +258,7 @@ class GrantLine(NamedTuple):
 
 
 class PermissionLine(NamedTuple):
-    parts: tuple[Part, ...]
+    parts: tuple[SentencePart, ...]
     words: str
     exact: tuple[str, ...]
 
@@ -275,7 +275,7 @@ async def show_node(request: Request, context: ConsoleContext) -> Response:
     seen = sees(home.matrix, name)
     sent = [row for row in home.matrix.rows if name in row.publishers]
     events = await context.service.events(0, _ENTRIES)
-    known = Known.of(home.held, home.nodes, ending=home.ending)
+    known = KnownIds.of(home.held, home.nodes, ending=home.ending)
     told = [each for each in story(events, await denials(context), known) if each.node == name]
     return render_home(
         context,
@@ -301,12 +301,12 @@ def sees(matrix: Matrix, name: str) -> list[tuple[TopicRow, Cell]]:
         (row, cell)
         for row in matrix.rows
         for cell in row.cells
-        if cell.receiver == name and cell.access is not Access.NOTHING
+        if cell.receiver == name and cell.access is not TopicAccess.NOTHING
     ]
-    return sorted(found, key=lambda item: (item[1].access is Access.ENDED, item[0].topic))
+    return sorted(found, key=lambda item: (item[1].access is TopicAccess.ENDED, item[0].topic))
 
 
-def grant_line(held: HeldGrant, now: int) -> GrantLine:
+def grant_line(held: ShownGrant, now: int) -> GrantLine:
     term = words.term(held.grant.expires, held.view.cap, now)
     if held.ended_at:
         term = f"ended {words.ago(held.ended_at, now)}"

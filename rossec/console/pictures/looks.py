@@ -18,9 +18,9 @@ from PIL import Image
 from grants.model import FilterRule
 from grants.vocabulary.assess import filters_of
 from rossec.console import words
-from rossec.console.matrix import SEEING, Access, Cell
+from rossec.console.matrix import SEEING, Cell, TopicAccess
 from rossec.console.pictures import place
-from rossec.console.pictures.svg import Element, Point, drawing, label, path
+from rossec.console.pictures.svg import Point, SvgElement, drawing, label, path
 from rossec.console.samples import Recorded, SeenTopic, try_see
 from rossec.peer_limits import printable
 
@@ -41,13 +41,13 @@ _ENCODINGS: Final = {
 }
 
 
-def draw_image(seen: SeenTopic) -> Element | None:
+def draw_image(seen: SeenTopic) -> SvgElement | None:
     """The last picture; None if there is none, or it cannot be read."""
     found = _picture(seen)
     if found is None:
         return None
     height = IMAGE_WIDTH * found.height / found.width
-    shown = Element.picture(
+    shown = SvgElement.picture(
         base64.b64encode(_png(found)).decode(), width=IMAGE_WIDTH, height=height, class_="photo"
     )
     return drawing(IMAGE_WIDTH, height, f"The picture that {seen.receiver} sees", shown, class_="camera")
@@ -99,19 +99,19 @@ def reach_of(seen: SeenTopic) -> float:
     return max((distance for _, distance in _rays(seen)), default=0.0)
 
 
-def draw_scan(seen: SeenTopic, reach: float) -> Element | None:
+def draw_scan(seen: SeenTopic, reach: float) -> SvgElement | None:
     """The last scan, with `reach` metres from the middle to the edge; None without a scan."""
     if not seen.samples:
         return None
     scale = _REACH / reach if reach > 0 else 0.0
     rings = [
-        Element("circle", cx=_MIDDLE, cy=_MIDDLE, r=_REACH * number / _RINGS, class_="grid ring")
+        SvgElement("circle", cx=_MIDDLE, cy=_MIDDLE, r=_REACH * number / _RINGS, class_="grid ring")
         for number in range(1, _RINGS + 1)
     ]
     hits = [_at(angle, distance * scale) for angle, distance in _rays(seen)]
-    dots = [Element("circle", cx=x, cy=y, r=1.6, class_="hit") for x, y in hits]
+    dots = [SvgElement("circle", cx=x, cy=y, r=1.6, class_="hit") for x, y in hits]
     text = [label(_MIDDLE, SCAN_SIZE - 2, f"{reach:.3g} m", "ruler-text", "middle")] if scale else []
-    here = Element("circle", cx=_MIDDLE, cy=_MIDDLE, r=4.5, class_="here")
+    here = SvgElement("circle", cx=_MIDDLE, cy=_MIDDLE, r=4.5, class_="here")
     outline = [path([*hits, hits[0]], "outline")] if len(hits) > 2 else []
     said = f"{len(hits)} rays that {seen.receiver} sees, from above"
     return drawing(SCAN_SIZE, SCAN_SIZE, said, *rings, *outline, *dots, here, *text, class_="laser")
@@ -169,7 +169,7 @@ def span_of(seen: Iterable[SeenTopic], field: str) -> Span | None:
     return Span(min(times), max(times), min(values), max(values))
 
 
-def draw_series(seen: SeenTopic, field: str, span: Span) -> Element | None:
+def draw_series(seen: SeenTopic, field: str, span: Span) -> SvgElement | None:
     """The values of `field` as a line; None if this receiver got none."""
     points = _points(seen, field)
     if not points:
@@ -177,9 +177,9 @@ def draw_series(seen: SeenTopic, field: str, span: Span) -> Element | None:
     every = max(1, math.ceil(len(points) / _MAX_POINTS))
     drawn = [_series_at(point, span) for point in points[::every]]
     parts = [
-        Element("rect", width=SERIES_WIDTH, height=SERIES_HEIGHT, class_="ground", rx=8.0),
+        SvgElement("rect", width=SERIES_WIDTH, height=SERIES_HEIGHT, class_="ground", rx=8.0),
         path([(drawn[0][0], drawn[0][1]), *drawn], "track shade5"),
-        Element("circle", cx=drawn[-1][0], cy=drawn[-1][1], r=4.0, class_="here"),
+        SvgElement("circle", cx=drawn[-1][0], cy=drawn[-1][1], r=4.0, class_="here"),
         label(_EDGE, _EDGE + 5, f"{span.high:.4g}", "ruler-text"),
         label(_EDGE, SERIES_HEIGHT - 5, f"{span.low:.4g}", "ruler-text"),
     ]
@@ -233,8 +233,8 @@ class Look(NamedTuple):
     receivers: tuple[str, ...]
     heading: str
     caption: str
-    access: Access
-    picture: Element | None
+    access: TopicAccess
+    picture: SvgElement | None
     fields: tuple[FieldLine, ...]
 
 
@@ -272,7 +272,7 @@ def compare(recorded: Recorded, cells: Iterable[Cell]) -> Comparison:
 
 
 class _Drawer(NamedTuple):
-    frame: place.Frame | None
+    frame: place.PlaceFrame | None
     reach: float
     field: str
     span: Span | None
@@ -315,7 +315,7 @@ def _look(drawer: _Drawer, group: Sequence[Cell], seen: SeenTopic | None) -> Loo
     return Look(receivers, heading, text, cell.access, picture, tuple(lines[:MAX_FIELDS]))
 
 
-def _looks_picture(drawer: _Drawer, cell: Cell, seen: SeenTopic) -> tuple[str, str, Element | None]:
+def _looks_picture(drawer: _Drawer, cell: Cell, seen: SeenTopic) -> tuple[str, str, SvgElement | None]:
     messages = words.count(len(seen.samples), "message")
     if drawer.frame is not None:
         return _place(drawer.frame, cell, seen, drawer.during)
@@ -330,7 +330,9 @@ def _looks_picture(drawer: _Drawer, cell: Cell, seen: SeenTopic) -> tuple[str, s
     return "sees these fields", messages, None
 
 
-def _place(frame: place.Frame, cell: Cell, seen: SeenTopic, during: str) -> tuple[str, str, Element | None]:
+def _place(
+    frame: place.PlaceFrame, cell: Cell, seen: SeenTopic, during: str
+) -> tuple[str, str, SvgElement | None]:
     cells = place.cells_of(cell.restrictions, frame.origin)
     picture = place.draw(seen, frame, max(cells, default=None))
     if picture is None:

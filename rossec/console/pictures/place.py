@@ -10,8 +10,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from grants.model import FilterRule, Restriction
-from rossec.console.pictures.svg import Element, Point, box, drawing, label, path
-from rossec.console.samples import Sample, SeenTopic
+from rossec.console.pictures.svg import Point, SvgElement, box, drawing, label, path
+from rossec.console.samples import SeenTopic, SyntheticSample
 
 WIDTH, HEIGHT = 300.0, 250.0
 _SHADES: Final = 5
@@ -35,7 +35,7 @@ _ON_EARTH: Final = "sensor_msgs/NavSatFix"
 Extent: TypeAlias = tuple[float, float]
 
 
-class Frame(NamedTuple):
+class PlaceFrame(NamedTuple):
     x: float
     y: float
     width: float
@@ -56,7 +56,7 @@ def has_place(type_name: str) -> bool:
     return type_name in _POSITION or type_name == _ON_EARTH
 
 
-def frame_of(seen: Iterable[SeenTopic], restrictions: Iterable[Restriction] = ()) -> Frame | None:
+def frame_of(seen: Iterable[SeenTopic], restrictions: Iterable[Restriction] = ()) -> PlaceFrame | None:
     """The frame for all of `seen`, with whole cells of `restrictions`; None: there is no place."""
     given = list(seen)
     origin = next(filter(None, (_origin(each) for each in given)), None)
@@ -67,14 +67,14 @@ def frame_of(seen: Iterable[SeenTopic], restrictions: Iterable[Restriction] = ()
     low_x, high_x = min(x for x, _ in points) - edge, max(x for x, _ in points) + edge
     low_y, high_y = min(y for _, y in points) - edge, max(y for _, y in points) + edge
     width = max(high_x - low_x, (high_y - low_y) * WIDTH / HEIGHT)
-    return Frame((low_x + high_x) / 2, (low_y + high_y) / 2, width, origin)
+    return PlaceFrame((low_x + high_x) / 2, (low_y + high_y) / 2, width, origin)
 
 
 def cells_of(restrictions: Iterable[Restriction], origin: Point | None = None) -> list[Extent]:
     return [cell for each in restrictions if (cell := _cell(each, origin)) is not None]
 
 
-def draw(seen: SeenTopic, frame: Frame, cell: Extent | None) -> Element | None:
+def draw(seen: SeenTopic, frame: PlaceFrame, cell: Extent | None) -> SvgElement | None:
     """One receiver's picture: squares if it gets cells, else the track; None: it gets no place."""
     points = _points(seen, frame.origin)
     if not points:
@@ -118,7 +118,7 @@ def _step(rule: FilterRule) -> float | None:
     return float(step) if rule.operator == "round" and isinstance(step, int | float) else None
 
 
-def _read(sample: Sample, path_: str) -> Any:
+def _read(sample: SyntheticSample, path_: str) -> Any:
     value: Any = sample.fields
     for step in path_.split("."):
         value = value[step]
@@ -162,18 +162,18 @@ def _is_near(point: Point) -> bool:
     return all(abs(value) < _FAR for value in point)
 
 
-def _paper(frame: Frame, cell: Extent | None) -> Element:
+def _paper(frame: PlaceFrame, cell: Extent | None) -> SvgElement:
     metres = _round_length(frame.width / 11)
     wide, high = cell or (metres, metres)
-    lines: list[Element] = [Element("rect", width=WIDTH, height=HEIGHT, class_="ground", rx=8.0)]
+    lines: list[SvgElement] = [SvgElement("rect", width=WIDTH, height=HEIGHT, class_="ground", rx=8.0)]
     reach = frame.width * HEIGHT / WIDTH / 2
     for x in _steps(frame.x - frame.width / 2, frame.x + frame.width / 2, wide, cell is not None):
         across = frame.at((x, 0.0))[0]
-        lines.append(Element("line", x1=across, y1=0.0, x2=across, y2=HEIGHT, class_="grid"))
+        lines.append(SvgElement("line", x1=across, y1=0.0, x2=across, y2=HEIGHT, class_="grid"))
     for y in _steps(frame.y - reach, frame.y + reach, high, cell is not None):
         up = frame.at((0.0, y))[1]
-        lines.append(Element("line", x1=0.0, y1=up, x2=WIDTH, y2=up, class_="grid"))
-    return Element("g", *lines)
+        lines.append(SvgElement("line", x1=0.0, y1=up, x2=WIDTH, y2=up, class_="grid"))
+    return SvgElement("g", *lines)
 
 
 def _steps(low: float, high: float, step: float, between: bool) -> list[float]:
@@ -185,11 +185,11 @@ def _steps(low: float, high: float, step: float, between: bool) -> list[float]:
     return [(number + offset) * step for number in range(first, last + 1)]
 
 
-def _ruler(frame: Frame) -> Element:
+def _ruler(frame: PlaceFrame) -> SvgElement:
     length = _round_length(frame.width / 4)
     left, right, y = WIDTH - 14 - length * frame.scale, WIDTH - 14, HEIGHT - 12
     said = f"{length:g} m" if length < 1000 else f"{length / 1000:g} km"
-    return Element(
+    return SvgElement(
         "g",
         path([(left, y - 5), (left, y), (right, y), (right, y - 5)], "ruler"),
         label((left + right) / 2, y - 6, said, "ruler-text", "middle"),
@@ -201,7 +201,7 @@ def _round_length(metres: float) -> float:
     return max(step * power for step in (1, 2, 5) if step * power <= metres)
 
 
-def _track(points: list[Point], frame: Frame) -> list[Element]:
+def _track(points: list[Point], frame: PlaceFrame) -> list[SvgElement]:
     # The track, the older the paler; pieces share their ends, so that no gap shows.
     thinned = points[:: max(1, len(points) // _MAX_POINTS)]
     drawn = [frame.at(point) for point in (*thinned, points[-1])]
@@ -215,9 +215,9 @@ def _track(points: list[Point], frame: Frame) -> list[Element]:
     ]
 
 
-def _arrow(seen: SeenTopic, last: Point, frame: Frame) -> list[Element]:
+def _arrow(seen: SeenTopic, last: Point, frame: PlaceFrame) -> list[SvgElement]:
     x, y = frame.at(last)
-    parts = [Element("circle", cx=x, cy=y, r=11.0, class_="halo")]
+    parts = [SvgElement("circle", cx=x, cy=y, r=11.0, class_="halo")]
     heading = _heading(seen)
     if heading is not None:
         tip = [
@@ -226,7 +226,7 @@ def _arrow(seen: SeenTopic, last: Point, frame: Frame) -> list[Element]:
         ]
         inside = [(min(max(a, 0.0), WIDTH), min(max(b, 0.0), HEIGHT)) for a, b in tip]
         parts.append(path(inside, "heading"))
-    return [*parts, Element("circle", cx=x, cy=y, r=4.5, class_="here")]
+    return [*parts, SvgElement("circle", cx=x, cy=y, r=4.5, class_="here")]
 
 
 def _heading(seen: SeenTopic) -> float | None:
@@ -240,7 +240,7 @@ def _heading(seen: SeenTopic) -> float | None:
     return 2 * math.atan2(z, w) if known else None
 
 
-def _squares(points: list[Point], frame: Frame, cell: Extent) -> list[Element]:
+def _squares(points: list[Point], frame: PlaceFrame, cell: Extent) -> list[SvgElement]:
     counts = Counter(points)
     most = max(counts.values())
     wide, high = cell[0] * frame.scale, cell[1] * frame.scale

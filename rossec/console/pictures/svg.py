@@ -22,11 +22,11 @@ _ATTRIBUTE: Final = re.compile(r"[a-zA-Z][a-zA-Z0-9-]*", re.ASCII)
 _FORBIDDEN: Final = ("style", "href", "src")  # `image` adds its own
 _PICTURE: Final = "data:image/png;base64,"
 
-Child: TypeAlias = "Element | str"
+Child: TypeAlias = "SvgElement | str"
 Point: TypeAlias = tuple[float, float]
 
 
-class Element:
+class SvgElement:
     __slots__ = ("_text",)
 
     def __init__(self, tag: str, *children: Child, **attributes: object) -> None:
@@ -43,7 +43,7 @@ class Element:
         return self._text
 
     @classmethod
-    def picture(cls, data: str, **attributes: object) -> "Element":
+    def picture(cls, data: str, **attributes: object) -> "SvgElement":
         if re.fullmatch(r"[A-Za-z0-9+/]+={0,2}", data) is None:
             raise ValueError("not base64")
         made = cls("image", **attributes)
@@ -60,7 +60,7 @@ def _attribute(name: str, value: object) -> str:
 
 
 def _child(child: Child) -> str:
-    return str(child) if isinstance(child, Element) else escape(printable(child, MAX_TEXT))
+    return str(child) if isinstance(child, SvgElement) else escape(printable(child, MAX_TEXT))
 
 
 def number(value: float) -> str:
@@ -70,11 +70,11 @@ def number(value: float) -> str:
     return "0" if text == "-0" else text
 
 
-def drawing(width: float, height: float, title: str, *children: Child, class_: str = "") -> Element:
+def drawing(width: float, height: float, title: str, *children: Child, class_: str = "") -> SvgElement:
     """A picture of this size; `title` is what it shows, for those who cannot see it."""
-    return Element(
+    return SvgElement(
         "svg",
-        Element("title", title),
+        SvgElement("title", title),
         *children,
         viewBox=f"0 0 {number(width)} {number(height)}",
         class_=f"picture {class_}".strip(),
@@ -83,16 +83,16 @@ def drawing(width: float, height: float, title: str, *children: Child, class_: s
     )
 
 
-def path(points: Iterable[Point], class_: str) -> Element:
+def path(points: Iterable[Point], class_: str) -> SvgElement:
     pairs = [f"{number(x)} {number(y)}" for x, y in points]
-    return Element("path", d=f"M{' L'.join(pairs)}", class_=class_)
+    return SvgElement("path", d=f"M{' L'.join(pairs)}", class_=class_)
 
 
-def curve(start: Point, end: Point, class_: str) -> Element:
+def curve(start: Point, end: Point, class_: str) -> SvgElement:
     (x, y), (to_x, to_y) = start, end
     middle = number((x + to_x) / 2)
     line = f"M{number(x)} {number(y)} C{middle} {number(y)} {middle} {number(to_y)}"
-    return Element("path", d=f"{line} {number(to_x)} {number(to_y)}", class_=class_)
+    return SvgElement("path", d=f"{line} {number(to_x)} {number(to_y)}", class_=class_)
 
 
 def along(start: Point, end: Point, at: float) -> Point:
@@ -105,12 +105,12 @@ def along(start: Point, end: Point, at: float) -> Point:
     )
 
 
-def box(left: float, top: float, width: float, height: float, rx: float, class_: str) -> Element:
-    return Element("rect", x=left, y=top, width=width, height=height, rx=rx, class_=class_)
+def box(left: float, top: float, width: float, height: float, rx: float, class_: str) -> SvgElement:
+    return SvgElement("rect", x=left, y=top, width=width, height=height, rx=rx, class_=class_)
 
 
-def label(x: float, y: float, text: str, class_: str = "", anchor: str = "start") -> Element:
-    return Element("text", text, x=x, y=y, class_=class_, text_anchor=anchor)
+def label(x: float, y: float, text: str, class_: str = "", anchor: str = "start") -> SvgElement:
+    return SvgElement("text", text, x=x, y=y, class_=class_, text_anchor=anchor)
 
 
 def cut(text: str, most: int) -> str:

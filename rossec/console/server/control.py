@@ -28,7 +28,7 @@ WORDS: Final[Mapping[str, tuple[type, ...]]] = {
 
 
 @dataclass(frozen=True)
-class Settings:
+class WebSettings:
     """Of one console.
 
     Args:
@@ -64,7 +64,7 @@ class Settings:
         return frozenset(urlsplit(origin).netloc for origin in self.origins)
 
 
-def write_settings(settings: Settings) -> str:
+def write_settings(settings: WebSettings) -> str:
     """Settings as text, for the web process's command line: nothing in them is secret."""
     fields = asdict(settings)
     fields["users"] = None if settings.users is None else sorted(settings.users)
@@ -72,12 +72,12 @@ def write_settings(settings: Settings) -> str:
     return json.dumps(fields)
 
 
-def read_settings(text: str) -> Settings:
+def read_settings(text: str) -> WebSettings:
     fields = json.loads(text)
     fields["origins"] = tuple(fields["origins"])
     fields["users"] = None if fields["users"] is None else frozenset(fields["users"])
     fields["proxy_users"] = frozenset(fields["proxy_users"])
-    return Settings(**fields)
+    return WebSettings(**fields)
 
 
 class ControlMessage(NamedTuple):

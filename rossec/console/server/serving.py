@@ -61,7 +61,7 @@ def check_peer(scope: Mapping[str, Any], users: frozenset[int] | None) -> None:
         raise PeerUserRefused("this console belongs to another user of this computer", _HINT)
 
 
-class Place:
+class ConnectionPlace:
     def __init__(self, slot: HalfOpenSlot, sessions: HalfOpenCount) -> None:
         self._slot = slot
         self._sessions = sessions
@@ -100,16 +100,16 @@ class ConnectionShares:
         counts = (self._strangers, self._sessions, self._other_users, self._proxies)
         return sum(map(len, counts))
 
-    def take(self, address: str, *, is_other_user: bool) -> Place | None:
+    def take(self, address: str, *, is_other_user: bool) -> ConnectionPlace | None:
         others = self._strangers if address else self._proxies
         count = self._other_users if is_other_user else others
         slot = count.admit(address)
-        return None if slot is None else Place(slot, self._sessions)
+        return None if slot is None else ConnectionPlace(slot, self._sessions)
 
 
 class BoundedProtocol(H11Protocol):
     _deadline: asyncio.TimerHandle | None = None
-    place: Place | None = None
+    place: ConnectionPlace | None = None
     has_begun = False
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
@@ -160,7 +160,7 @@ class BoundedProtocol(H11Protocol):
 
 
 class _Placed:
-    def __init__(self, app: Any, place: Place) -> None:
+    def __init__(self, app: Any, place: ConnectionPlace) -> None:
         self._app, self._place = app, place
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -235,7 +235,7 @@ class ConsoleServer:
             place.closed_by(partial(_shut_down, sock))
             self._beginning.spawn(self._begin(sock, place), name="a connection of the console")
 
-    def _place_for(self, sock: socket.socket, where: Any) -> Place | None:
+    def _place_for(self, sock: socket.socket, where: Any) -> ConnectionPlace | None:
         if sock.family == socket.AF_UNIX:  # a proxy
             try:
                 require_user(sock, self._proxy_users)
@@ -251,7 +251,7 @@ class ConsoleServer:
             is_other_user = True
         return self.places.take(where[0], is_other_user=is_other_user)
 
-    async def _begin(self, sock: socket.socket, place: Place) -> None:
+    async def _begin(self, sock: socket.socket, place: ConnectionPlace) -> None:
         loop = asyncio.get_running_loop()
         protocol = BoundedProtocol(self._config, self._state, {}, loop)
         protocol.place = place

@@ -22,12 +22,12 @@ from typing import Final, NamedTuple
 from rossec import clock
 from rossec.authority.keyservice.process import CREDENTIALS
 from rossec.console.listening import listen
-from rossec.console.options import Endpoint
+from rossec.console.options import ConsoleEndpoint
 from rossec.console.preview.receiver import NAME
 from rossec.console.scanning import frames
 from rossec.console.scanning.frames import Found, Unreadable
 from rossec.console.server import control
-from rossec.console.server.control import IDLE, LIFETIME, ON_THE_WALL, Settings, write_settings
+from rossec.console.server.control import IDLE, LIFETIME, ON_THE_WALL, WebSettings, write_settings
 from rossec.enrollment.scanner import CLOSER
 from rossec.errors import ConfigurationError, KeyMessageRefused
 from rossec.home import NodeHome
@@ -54,13 +54,13 @@ every newer one, for ever."""
 class WebOptions(NamedTuple):
     """What it serves; `service` is the path of the service's socket for the console."""
 
-    settings: Settings
+    settings: WebSettings
     service: Path
     log: str = "text"
 
 
 async def supervise(
-    endpoint: Endpoint,
+    endpoint: ConsoleEndpoint,
     options: WebOptions,
     environ: Mapping[str, str],
     ready: Callable[[], None],
@@ -86,7 +86,7 @@ async def supervise(
             endpoint.unix_path.unlink(missing_ok=True)
 
 
-def settings_for(endpoint: Endpoint, domain: str) -> Settings:
+def settings_for(endpoint: ConsoleEndpoint, domain: str) -> WebSettings:
     """The web process's settings: on localhost only this user's programs may connect."""
     own, proxies = frozenset({os.geteuid()}), frozenset[int]()
     if endpoint.unix_path is not None:
@@ -99,7 +99,7 @@ def settings_for(endpoint: Endpoint, domain: str) -> Settings:
                     f"there is no user {endpoint.proxy_user!a} on this host",
                     "--proxy-user is the user of the proxy",
                 ) from None
-    return Settings(
+    return WebSettings(
         domain,
         (endpoint.origin,),
         users=own if endpoint.is_local and not endpoint.unix_path else None,

@@ -24,7 +24,7 @@ from rossec.console.samples import PreviewMemory
 from rossec.console.scanning import frames
 from rossec.console.scanning.frames import Found, Unreadable
 from rossec.console.server import control
-from rossec.console.server.control import Settings, read_settings
+from rossec.console.server.control import WebSettings, read_settings
 from rossec.console.server.serving import ConsoleServer
 from rossec.errors import ConfigurationError, KeyMessageRefused, PictureRefused, ScannerBusy
 from rossec.host.runner import TaskSet, log_as_json
@@ -56,13 +56,13 @@ def main(arguments: list[str]) -> None:
         supervisor, scanner, *listening = (socket.socket(fileno=int(each)) for each in descriptors.split(","))
         context = make_context() if tls == "tls" else None
         preview = listening.pop(0) if pictures == "preview" else None
-        process = WebProcess(read_settings(settings), ConsoleClient(Path(service)), scanner, context, preview)
+        process = WebServer(read_settings(settings), ConsoleClient(Path(service)), scanner, context, preview)
         await process.run(supervisor, listening)
 
     run_confined(run)
 
 
-class WebProcess:
+class WebServer:
     """What runs in it.
 
     Args:
@@ -75,7 +75,7 @@ class WebProcess:
 
     def __init__(
         self,
-        settings: Settings,
+        settings: WebSettings,
         client: ConsoleClient,
         scanner: socket.socket,
         context: ssl.SSLContext | None = None,

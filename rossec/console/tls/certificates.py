@@ -30,7 +30,7 @@ from cryptography.hazmat.primitives.serialization import (
 
 from rossec import files
 from rossec.authority.console import messages
-from rossec.console.options import Endpoint, Tls
+from rossec.console.options import ConsoleEndpoint, Tls
 from rossec.console.tls.own_authority import Address, TlsAuthority
 from rossec.errors import ConfigurationError
 from rossec.host import addresses
@@ -240,7 +240,7 @@ class TlsSetup(NamedTuple):
     authority: TlsAuthority | None = None
 
 
-def prepare_tls(endpoint: Endpoint, directory: Path, now: int, *, rename: bool) -> TlsSetup | None:
+def prepare_tls(endpoint: ConsoleEndpoint, directory: Path, now: int, *, rename: bool) -> TlsSetup | None:
     """The certificates of `endpoint`; None: it does without.
 
     Args:

@@ -11,7 +11,7 @@ from typing import Final, TypeVar
 
 from ca.errors import NameRefused
 from ca.names import check_label, check_name, check_pattern
-from rossec.master.state.forwarded_ports import AT_ONCE, KINDS, MAX_PEERS, Door, Target, Way
+from rossec.master.state.forwarded_ports import AT_ONCE, KINDS, MAX_PEERS, Door, PeerWay, Target
 from rossec.master.state.registry import is_connectable, is_type_name
 from rossec.ros import names
 from rossec.ros.names import build_door
@@ -162,7 +162,7 @@ def doors(label: str) -> Check:
 
 
 def ways(label: str) -> Check:
-    def check(value: object, _caller: str) -> dict[str, Way]:
+    def check(value: object, _caller: str) -> dict[str, PeerWay]:
         if not isinstance(value, dict) or len(value) > MAX_PEERS:
             raise ArgumentRefused(f"ERROR: parameter [{label}] has at most {MAX_PEERS} peers")
         found = {peer: _way(peer, way) for peer, way in value.items()}
@@ -220,12 +220,12 @@ def _door(value: object) -> tuple[Target, Door] | None:
     return (Target(peer, what, target), Door(host, port)) if is_open and what in KINDS else None
 
 
-def _way(peer: object, value: object) -> Way | None:
+def _way(peer: object, value: object) -> PeerWay | None:
     try:
         check_label(peer if isinstance(peer, str) else "")
     except NameRefused:
         return None
-    if not isinstance(value, dict) or value.keys() != frozenset(Way._fields):
+    if not isinstance(value, dict) or value.keys() != frozenset(PeerWay._fields):
         return None
     state, router = value["state"], value["router"]
     if not all(isinstance(each, str) and len(each) <= _TEXT_LIMIT for each in (state, router)):
@@ -235,4 +235,4 @@ def _way(peer: object, value: object) -> Way | None:
     if not all(type(each) in (int, float) and 0 <= each <= _MAX_COUNT for each in counts):
         return None
     rtt_ms, retransmissions, streams = counts
-    return Way(state, float(rtt_ms), int(retransmissions), router, int(streams))
+    return PeerWay(state, float(rtt_ms), int(retransmissions), router, int(streams))

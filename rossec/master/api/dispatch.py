@@ -19,11 +19,11 @@ from rossec.master.api.graph_calls import GraphCalls, WatchCalls
 from rossec.master.api.methods import (
     Administered,
     CallDenied,
+    CallerPresentedGrants,
     CallOutcome,
     CallRequest,
     Denied,
     DomainsChanged,
-    GrantsPresented,
     MasterEvent,
     Method,
     Methods,
@@ -46,11 +46,11 @@ from rossec.master.api.statement_calls import (
     StatementCalls,
 )
 from rossec.master.rights.access_rules import RULES, AccessControl, Scope
-from rossec.master.rights.caller import AddressTaken, Caller, Peer, RecentDenials, Refused
+from rossec.master.rights.caller import AddressTaken, Caller, CertifiedPeer, RecentDenials, Refused
 from rossec.master.rights.held_grants import Deposits
 from rossec.master.rights.publisher_views import AliasPublishers
 from rossec.master.rights.statements import TrustState
-from rossec.master.state.forwarded_ports import Doors
+from rossec.master.state.forwarded_ports import ForwardedPorts
 from rossec.master.state.graph import Graph
 from rossec.master.state.imports import Imports
 from rossec.master.state.parameters import SIZE_LIMIT, Parameters, encoded_size
@@ -80,16 +80,16 @@ class MasterApi:
         parameter_bytes: int = SIZE_LIMIT,
         deposits: Deposits | None = None,
         denials: RecentDenials | None = None,
-        connected: Callable[[], Iterable[Peer]] = tuple,
+        connected: Callable[[], Iterable[CertifiedPeer]] = tuple,
         imports: Imports | None = None,
-        doors: Doors | None = None,
+        doors: ForwardedPorts | None = None,
         aliases: AliasPublishers | None = None,
     ) -> None:
         imports = Imports(registry) if imports is None else imports
         if aliases is None:
             aliases = AliasPublishers(Graph(registry, imports), statements.caller_of)
         graph, self._presence = aliases.graph, aliases.graph.presence
-        doors = Doors() if doors is None else doors
+        doors = ForwardedPorts() if doors is None else doors
         self._access_control = AccessControl(graph, name, doors.is_door)
         self.watch_calls = WatchCalls(graph, self._access_control, instance)
         self.site_calls = SiteCalls(registry, instance, statements.list_digests)
@@ -192,7 +192,7 @@ MULTICALL_ANSWER: Final = BODY_LIMIT // 4  # bytes, about
 MULTICALL_ONCE: Final = frozenset(method for method in RULES if method.startswith("rossec."))
 
 
-_RIGHTS_CHANGED: Final = (RevocationsChanged, DomainsChanged, GrantsPresented)
+_RIGHTS_CHANGED: Final = (RevocationsChanged, DomainsChanged, CallerPresentedGrants)
 BeginCall = Callable[[str, Sequence[object]], CallOutcome | Work]
 """Answers one call, or begins to, or raises `Fault`."""
 

@@ -32,7 +32,7 @@ class StopMaster:
 
 
 @dataclass(frozen=True)
-class GrantsPresented:
+class CallerPresentedGrants:
     """A caller has presented grants, of which some may be `refused`; its rights have changed."""
 
     name: str
@@ -105,7 +105,7 @@ MasterEvent = (
     | ParameterChanged
     | PersistParameter
     | StopMaster
-    | GrantsPresented
+    | CallerPresentedGrants
     | GrantsDeposited
     | RevocationsChanged
     | DomainsChanged
@@ -195,7 +195,7 @@ class CallOutcome(NamedTuple):
 Work: TypeAlias = Generator[None, None, CallOutcome]  # A call that may take many turns
 
 
-class Turns:
+class TurnClock:
     """Begins turns of `length` seconds by a monotonic clock."""
 
     def __init__(self, clock: Callable[[], float], length: float = TURN) -> None:

@@ -20,7 +20,7 @@ from rossec.master.api.graph_calls import Fact, GraphViews
 from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps, collected
 from rossec.master.rights.caller import Caller, Refused
 from rossec.master.rights.statements import TrustState
-from rossec.master.state.forwarded_ports import MASTER, NODE, Doors, Report
+from rossec.master.state.forwarded_ports import MASTER, NODE, ForwardedPorts, RelayReport
 from rossec.master.state.imports import MAX_WANTED
 from rossec.master.state.registry import ANY_TYPE, Endpoint, Kind, Registry, endpoint, is_loopback_host
 from rossec.ros.names import RELAY_DOORS, RELAY_TARGET
@@ -130,7 +130,9 @@ _ON_THIS_HOST: Final = (
 class RelayCalls:
     """Handlers for relays of the own domain (`access_rules` refuses all others); `uri`: of this master."""
 
-    def __init__(self, doors: Doors, registry: Registry, statements: TrustState, name: str, uri: str) -> None:
+    def __init__(
+        self, doors: ForwardedPorts, registry: Registry, statements: TrustState, name: str, uri: str
+    ) -> None:
         self._doors = doors
         self._registry = registry
         self._statements = statements
@@ -145,7 +147,7 @@ class RelayCalls:
         _, instance, seen, doors, ways = request.arguments
         if not (isinstance(seen, int) and isinstance(doors, dict) and isinstance(ways, dict)):
             raise TypeError("a relay's call whose arguments were not checked")
-        report = Report(str(instance), seen, doors, ways)
+        report = RelayReport(str(instance), seen, doors, ways)
         for door in report.doors.values():
             if is_loopback_host(door.host) and not request.is_local:
                 raise Refused(_UNREACHABLE)

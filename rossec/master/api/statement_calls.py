@@ -15,17 +15,17 @@ from rossec.master.api import arguments as arg
 from rossec.master.api.arguments import ArgumentRefused
 from rossec.master.api.methods import (
     Administered,
+    CallerPresentedGrants,
     CallRequest,
     DomainsChanged,
     GrantsDeposited,
-    GrantsPresented,
     Method,
     Methods,
     Reply,
     RevocationsChanged,
     Steps,
 )
-from rossec.master.rights.caller import Peer, RecentDenials, Refused, refusals_answered
+from rossec.master.rights.caller import CertifiedPeer, RecentDenials, Refused, refusals_answered
 from rossec.master.rights.held_grants import DeliveryState, Deposits
 from rossec.master.rights.renewals import OFFER_LIMIT, Settlement
 from rossec.master.rights.revocation_lists import RevocationQueries
@@ -88,14 +88,14 @@ class StatementCalls:
         # No error even if all are refused: a node whose grants have expired keeps its session and
         # presents new ones in it.
         status = f"grants presented, but refused: {refused}" if refused else "grants accepted"
-        event = GrantsPresented(request.caller.identity, tuple(reasons))
+        event = CallerPresentedGrants(request.caller.identity, tuple(reasons))
         return Reply(presented.held, status, events=(event,))
 
     def _renew(self, request: CallRequest) -> Reply:
         renewed = self._statements.renew(request.caller, request.binaries(1), request.now)
         refused = "; ".join(renewed.refused)
         status = f"grants renewed, but refused: {refused}" if refused else "grants renewed"
-        event = GrantsPresented(request.caller.identity, renewed.refused)
+        event = CallerPresentedGrants(request.caller.identity, renewed.refused)
         return Reply(list(renewed.tokens), status, events=(event,))
 
     def _update_delegation(self, request: CallRequest) -> Reply:
@@ -356,7 +356,7 @@ class AuthorityCalls:
     """
 
     def __init__(
-        self, statements: TrustState, denials: RecentDenials, connected: Callable[[], Iterable[Peer]]
+        self, statements: TrustState, denials: RecentDenials, connected: Callable[[], Iterable[CertifiedPeer]]
     ) -> None:
         self._statements = statements
         self._denials = denials

@@ -57,7 +57,7 @@ class AddressTaken(Refused):
         self.owner = owner
 
 
-class Peer(Protocol):
+class CertifiedPeer(Protocol):
     """A certified name, of a foreigner its alias, and the thumbprint of its key.
 
     A `ca.certificates.Identity` or a `NodeRef`.

@@ -23,7 +23,7 @@ from grants.decision import Decision, Reach, RevocationCheck, authorize, check_t
 from grants.errors import GrantError, GrantExpired, GrantNotHeld
 from grants.model import Grant, Right, check_time
 from grants.token import check_one_domain, unpack
-from rossec.master.rights.caller import Caller, DomainOf, OriginRights, Peer, no_domain
+from rossec.master.rights.caller import Caller, CertifiedPeer, DomainOf, OriginRights, no_domain
 from rossec.master.state.journals import DepositChange, GrantDeposited, GrantHeld
 
 
@@ -63,7 +63,7 @@ class Judge(NamedTuple):
     exported: Reach | None = None
 
 
-class Presented(NamedTuple):
+class VerifiedGrants(NamedTuple):
     held: int
     refused: tuple[str, ...]
 
@@ -89,7 +89,9 @@ class PresentedGrants:
     _valid_ids: tuple[bytes, ...] = ()
     _caller: Caller | None = None
 
-    def caller(self, peer: Peer, context: EvaluationContext, judge: Judge, *, wildcard: bool) -> Caller:
+    def caller(
+        self, peer: CertifiedPeer, context: EvaluationContext, judge: Judge, *, wildcard: bool
+    ) -> Caller:
         caller = self._caller
         if self._evaluated_for != (context, self.version):
             self._evaluate(context, judge)

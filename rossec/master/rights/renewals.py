@@ -37,7 +37,7 @@ from grants.token import pack, unpack
 _HINT: Final = "at the authority: rossec master delegate"
 
 
-class Delegate:
+class TicketSigner:
     """Signs tickets while the authority has delegated that; `persist` is called before it takes effect."""
 
     def __init__(
@@ -122,7 +122,7 @@ class RenewalAnswer(NamedTuple):
     status: str
 
 
-class Offer(NamedTuple):
+class RenewalOffer(NamedTuple):
     requests: list[bytes]
     waiting: int
 
@@ -196,14 +196,14 @@ class IdentityRenewals:
                 return RenewalAnswer(entry.bundle, "identity renewed")
         return self._place(holder, entry, renewal, request, now)
 
-    def offer(self, now: int, *, locked: bool) -> Offer:
+    def offer(self, now: int, *, locked: bool) -> RenewalOffer:
         self._seen_at, self._is_locked = now, locked
         self._prune(now)
         waiting = [each for each in self._entries.values() if not each.is_answered]
         due = [each for each in waiting if _is_due(each, now)][: 0 if locked else OFFER_LIMIT]
         for each in due:
             each.offered_at, each.offered = now, hashlib.sha256(each.request).digest()
-        return Offer([each.request for each in due], len(waiting))
+        return RenewalOffer([each.request for each in due], len(waiting))
 
     def settle(self, found: list[Settlement], now: int, check: RevocationCheck) -> int:
         # An answer to no request, or with another certificate than was asked for, is left out.

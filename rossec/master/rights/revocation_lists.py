@@ -29,7 +29,7 @@ from ca.revocation.lists import (
 from ca.revocation.trust_status import Revocations
 from grants.model import Grant
 from rossec.errors import QueryRefused
-from rossec.master.rights.caller import Peer
+from rossec.master.rights.caller import CertifiedPeer
 
 MAX_HELD_LISTS: Final = 16 * 1024  # nodes whose list is recorded
 SILENT_AFTER: Final = 35  # seconds; a node says every 10 s what it holds
@@ -45,19 +45,19 @@ class HeldLists:
     def __init__(self) -> None:
         self._held: dict[tuple[str, bytes], tuple[bytes, int]] = {}
 
-    def record(self, peer: Peer, digest: bytes, now: int) -> None:
+    def record(self, peer: CertifiedPeer, digest: bytes, now: int) -> None:
         key = peer.name, peer.thumbprint
         if len(self._held) >= MAX_HELD_LISTS and key not in self._held:
             self._held.clear()  # a wildcard identity has as many names as it wants
         self._held[key] = digest, now
 
-    def holds(self, peer: Peer, digest: bytes) -> bool:
+    def holds(self, peer: CertifiedPeer, digest: bytes) -> bool:
         return self._held.get((peer.name, peer.thumbprint), (None, 0))[0] == digest
 
     def keep_only(self, thumbprints: frozenset[bytes]) -> None:
         self._held = {key: held for key, held in self._held.items() if key[1] in thumbprints}
 
-    def standing(self, connected: Iterable[Peer], digest: bytes, now: int) -> ListStanding:
+    def standing(self, connected: Iterable[CertifiedPeer], digest: bytes, now: int) -> ListStanding:
         # Nodes of a wildcard identity count one by one, as long as they speak. An identity that is connected
         # and silent counts as one node that does not hold the list.
         speaking: dict[bytes, list[tuple[str, bool]]] = {}
@@ -106,11 +106,11 @@ class ListInForce:
             self._timestamp_cache = now, sign_timestamp(self._signer, self._timestamp(now))
         return self._revocations.data, self._timestamp_cache[1]
 
-    def revocations_for(self, peer: Peer, now: int) -> tuple[bytes, bytes]:
+    def revocations_for(self, peer: CertifiedPeer, now: int) -> tuple[bytes, bytes]:
         data, stamp = self.current(now)
         return (b"" if self.held_lists.holds(peer, digest(data)) else data), stamp
 
-    def standing(self, connected: Iterable[Peer], now: int) -> ListStanding:
+    def standing(self, connected: Iterable[CertifiedPeer], now: int) -> ListStanding:
         return self.held_lists.standing(connected, digest(self._revocations.data), now)
 
     @property

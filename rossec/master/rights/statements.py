@@ -23,7 +23,7 @@ from grants.errors import GrantError
 from grants.model import Grant, Right
 from grants.token import Verifier, peek
 from rossec.master.rights.access_rules import is_authority, may_subscribe
-from rossec.master.rights.caller import Caller, Peer
+from rossec.master.rights.caller import Caller, CertifiedPeer
 from rossec.master.rights.domain_trust import DomainTrust
 from rossec.master.rights.held_grants import (
     FAILURE_WINDOW,
@@ -31,12 +31,12 @@ from rossec.master.rights.held_grants import (
     NOT_EVALUATED,
     EvaluationContext,
     Judge,
-    Presented,
     PresentedGrants,
     Renewed,
+    VerifiedGrants,
     check_holder,
 )
-from rossec.master.rights.renewals import Delegate, IdentityRenewals, RenewalAnswer, Renewer
+from rossec.master.rights.renewals import IdentityRenewals, RenewalAnswer, Renewer, TicketSigner
 from rossec.master.rights.revocation_lists import ListInForce, entries_of, pertaining
 from rossec.master.state.registry import Event, Kind, NodeRef, Registry
 
@@ -53,14 +53,14 @@ class TrustState(ListInForce):
         signer: Signer,
         revocations: Revocations,
         persist: Callable[[bytes], None],
-        delegate: Delegate | None = None,
+        delegate: TicketSigner | None = None,
         persist_entries: Callable[[bytes], object] = lambda _data: None,
         renewer: Renewer | None = None,
         domains: DomainTrust | None = None,
     ) -> None:
         super().__init__(anchor, signer, revocations, persist, persist_entries)
         self.identities: Final = IdentityRenewals(anchor, renewer)
-        self._delegate = Delegate(anchor, signer) if delegate is None else delegate
+        self._delegate = TicketSigner(anchor, signer) if delegate is None else delegate
         self.domains: Final = domains or DomainTrust(Standing(Anchors(anchor), revocations))
         self._judge = Judge(anchor.domain, self._check_grant, self.domains.domain_of)
         self._held: dict[bytes, PresentedGrants] = {}
@@ -103,7 +103,7 @@ class TrustState(ListInForce):
         if domain != self._anchor.domain:
             self.domains.check_known(domain, entry, now)
 
-    def caller_of(self, peer: Peer, now: int) -> Caller | None:
+    def caller_of(self, peer: CertifiedPeer, now: int) -> Caller | None:
         # A name and key seen before; None: the key is revoked.
         if not is_alias(peer.name):
             keys = self._identity_keys.get(peer.thumbprint, (peer.thumbprint,))
@@ -121,7 +121,7 @@ class TrustState(ListInForce):
             held.drop_domains(ended or ())
         return ended is not None
 
-    def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Presented:
+    def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> VerifiedGrants:
         # A refused grant does not affect the others; one bound to another key is refused.
         self._confirm(now)
         held = self._held_by(caller)
@@ -140,7 +140,7 @@ class TrustState(ListInForce):
             except HintedError as error:
                 held.count_failure(now)
                 refused.append(str(error))
-        return Presented(len(held.grants), tuple(refused))
+        return VerifiedGrants(len(held.grants), tuple(refused))
 
     def has_presented(self, holder: bytes, grant_id: bytes) -> bool:
         held = self._held.get(holder)
@@ -214,11 +214,11 @@ class TrustState(ListInForce):
     def _is_revoked(self, keys: tuple[bytes, ...]) -> bool:
         return not self._revocations.entries.isdisjoint(keys)
 
-    def _caller(self, peer: Peer, now: int, judge: Judge, *, wildcard: bool = False) -> Caller:
+    def _caller(self, peer: CertifiedPeer, now: int, judge: Judge, *, wildcard: bool = False) -> Caller:
         self._confirm(now)
         return self._held_by(peer).caller(peer, self._context, judge, wildcard=wildcard)
 
-    def _held_by(self, peer: Peer) -> PresentedGrants:
+    def _held_by(self, peer: CertifiedPeer) -> PresentedGrants:
         # The grants of a key, until `keep_only` discards them.
         # One key may be certified in several domains, where it is another peer.
         if peer.name.startswith(REMOTE) and is_alias(peer.name):

@@ -15,7 +15,7 @@ from ca.certificates import Identity
 from ca.errors import HintedError
 from rossec.master.api.dispatch import MULTICALL, MasterApi, Multicall
 from rossec.master.api.graph_calls import WATCH, is_unchanged
-from rossec.master.api.methods import CallDenied, CallOutcome, TurnExpired, Turns, Work, advance
+from rossec.master.api.methods import CallDenied, CallOutcome, TurnClock, TurnExpired, Work, advance
 from rossec.master.api.site_calls import FOLLOW, UNCHANGED, is_idle
 from rossec.master.api.statement_calls import WATCH_GRANTS, has_no_renewal, is_empty
 from rossec.master.operation.config import MasterLimits
@@ -134,7 +134,7 @@ class PendingCall(NamedTuple):
 
 
 class CallAnswers:
-    def __init__(self, api: MasterApi, state: MasterState, effects: Effects, turns: Turns) -> None:
+    def __init__(self, api: MasterApi, state: MasterState, effects: Effects, turns: TurnClock) -> None:
         self._api = api
         self._state = state
         self._effects = effects

@@ -26,11 +26,11 @@ from rossec import files
 from rossec.master.api.methods import (
     Administered,
     CallDenied,
+    CallerPresentedGrants,
     CallOutcome,
     Denied,
     DomainsChanged,
     GrantsDeposited,
-    GrantsPresented,
     MasterEvent,
     ParameterChanged,
     PersistParameter,
@@ -38,12 +38,12 @@ from rossec.master.api.methods import (
     StopMaster,
 )
 from rossec.master.operation.admin import DENIALS
-from rossec.master.rights.caller import Peer, RecentDenials
+from rossec.master.rights.caller import CertifiedPeer, RecentDenials
 from rossec.master.rights.publisher_views import AliasPublishers
 from rossec.master.rights.statements import TrustState, enforce, enforcement_steps
 from rossec.master.server.saved_state import DepositFile, ParameterFile
 from rossec.master.server.updates import GrantChanges, GraphChanges, SitePolls, SlaveDialer, Updates
-from rossec.master.state.forwarded_ports import Doors
+from rossec.master.state.forwarded_ports import ForwardedPorts
 from rossec.master.state.graph import Graph
 from rossec.master.state.imported_facts import TypeContradicted
 from rossec.master.state.imports import Imports
@@ -156,7 +156,7 @@ _denials = logging.getLogger(DENIALS)
 
 _CONTRADICTED: Final = "%s is not imported from site %s: it is of type %s there, of %s here"
 STEPS_AT_ONCE: Final = 1024  # enforcement steps before the next call is answered
-_Recorded = PersistParameter | Denied | GrantsPresented | CallDenied | TypeContradicted
+_Recorded = PersistParameter | Denied | CallerPresentedGrants | CallDenied | TypeContradicted
 
 
 @dataclass
@@ -178,7 +178,7 @@ class MasterState:
     # demand_changes, renewal_changes: what local nodes want of other masters, of the authority
     demand_changes: GraphChanges = field(default_factory=GraphChanges)
     renewal_changes: GraphChanges = field(default_factory=GraphChanges)
-    doors: Doors = field(default_factory=Doors)
+    doors: ForwardedPorts = field(default_factory=ForwardedPorts)
     # relays that wait for what is wanted
     relay_polls: SitePolls = field(default_factory=partial(SitePolls, 0.0))
     imports: Imports = field(init=False)
@@ -228,7 +228,7 @@ class Effects:
         self._state.notify()
         return outcome.answer
 
-    def evict(self, node: NodeRef, found: Peer) -> None:
+    def evict(self, node: NodeRef, found: CertifiedPeer) -> None:
         """Remove a node that registered the address of another node, `found`.
 
         Otherwise a node could keep another out by registering its address first.
@@ -259,7 +259,7 @@ class Effects:
                 self._state.grant_changes.notify(holders)
             case Administered(by, what):
                 _audit.info("%s %s", by, printable(what))
-            case PersistParameter() | Denied() | GrantsPresented() | CallDenied() | TypeContradicted():
+            case PersistParameter() | Denied() | CallerPresentedGrants() | CallDenied() | TypeContradicted():
                 self._record(event)
             case StopMaster(reason):
                 _audit.warning("stopping: %s", printable(reason))
@@ -302,7 +302,7 @@ class Effects:
             case Denied(node, right, name):
                 self._state.recent_denials.add(self._state.now(), node, right, name)
                 self._on_denial(self._state.now(), node, right, name)
-            case GrantsPresented(name, refused):
+            case CallerPresentedGrants(name, refused):
                 self._state.notify_all()  # it may see more or less now
                 self.send_publishers(self._state.aliases.changes_for(name, self._state.now()))
                 if refused:

@@ -32,13 +32,13 @@ from rossec.clock import time as host_time
 from rossec.home import NodeHome
 from rossec.host.addresses import is_near
 from rossec.master.api.dispatch import CONNECTION_SECONDS, MasterApi, RevokedCalls, RevokedConnections
-from rossec.master.api.methods import StopMaster, Turns
+from rossec.master.api.methods import StopMaster, TurnClock
 from rossec.master.api.parameter_calls import ParameterCalls
 from rossec.master.operation.admin import DENIALS
 from rossec.master.operation.config import MasterLimits
 from rossec.master.rights.domain_trust import DomainTrust
 from rossec.master.rights.held_grants import verifier
-from rossec.master.rights.renewals import Delegate, Renewer
+from rossec.master.rights.renewals import Renewer, TicketSigner
 from rossec.master.rights.statements import TrustState
 from rossec.master.server.answers import Admission, CallAnswers
 from rossec.master.server.effects import Effects, MasterState, OnDenial, ignore_denial
@@ -97,14 +97,14 @@ class MasterServer:
         limits: MasterLimits = _LIMITS,
         suites: tuple[int, ...] = PRODUCTION,
         check_own_identity: Callable[[int], None] = lambda _: None,
-        turns: Turns | None = None,
+        turns: TurnClock | None = None,
         find_revocations: FindRevocations = no_authority,
         find_domains: FindDomains = no_domains,
     ) -> None:
         self._address = (host, port)
         self._advertise = advertise
         self._limits = limits
-        self._turns = Turns(time.monotonic) if turns is None else turns
+        self._turns = TurnClock(time.monotonic) if turns is None else turns
         channel_limits = ChannelLimits(
             unit=limits.body + HEADERS_LIMIT, handshake_seconds=limits.handshake_seconds
         )
@@ -348,7 +348,7 @@ def _trust(
     revocations = saved_revocations(home, anchor, now)
     if newest is not None:
         revocations.update(newest, now, saved_list.save)
-    delegate = Delegate(anchor, signer, home.save_delegation)
+    delegate = TicketSigner(anchor, signer, home.save_delegation)
     delegation = home.load_delegation()
     if delegation is not None:
         try:

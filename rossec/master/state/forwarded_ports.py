@@ -44,7 +44,7 @@ class Door(NamedTuple):
         return endpoint(build_door(*self))
 
 
-class Way(NamedTuple):
+class PeerWay(NamedTuple):
     """How a relay reaches a peer: what it says of its links, for people."""
 
     state: str  # of its link; a relay dials when a door is used first
@@ -54,13 +54,13 @@ class Way(NamedTuple):
     streams: int  # connections that the link carries
 
 
-class Report(NamedTuple):
+class RelayReport(NamedTuple):
     """A relay's call: its run, the version it has seen, doors opened since, and all its peers."""
 
     instance: str
     seen: int
     doors: Mapping[Target, Door]
-    ways: Mapping[str, Way]
+    ways: Mapping[str, PeerWay]
 
 
 class WantedChange(NamedTuple):
@@ -73,7 +73,7 @@ class WantedChange(NamedTuple):
 class _Relay:
     instance: str
     heard: int = 0
-    ways: Mapping[str, Way] = field(default_factory=dict)
+    ways: Mapping[str, PeerWay] = field(default_factory=dict)
     doors: dict[Target, Door] = field(default_factory=dict)
     places: dict[Endpoint, Target] = field(default_factory=dict)
 
@@ -93,7 +93,7 @@ class _Relay:
             self.places.pop(door.endpoint, None)
 
 
-class Doors:
+class ForwardedPorts:
     """What is wanted of all relays, and what they have opened."""
 
     def __init__(self, limit: int = MAX_DOORS) -> None:
@@ -150,7 +150,7 @@ class Doors:
     def is_door(self, place: Endpoint) -> bool:
         return any(place in relay.places for relay in self._relays.values())
 
-    def way(self, peer: str) -> tuple[str, Way] | None:
+    def way(self, peer: str) -> tuple[str, PeerWay] | None:
         name = self._serving.get(peer)
         return None if name is None else (name, self._relays[name].ways[peer])
 
@@ -161,7 +161,7 @@ class Doors:
         """Whether a newer run of this relay has polled, so that this one must not."""
         return self._superseded.get(relay) == instance
 
-    def hear(self, relay: str, report: Report, now: int) -> WantedChange:
+    def hear(self, relay: str, report: RelayReport, now: int) -> WantedChange:
         held = self._relays.get(relay)
         if held is None or held.instance != report.instance:
             if held is not None:

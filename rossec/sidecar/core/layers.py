@@ -36,7 +36,7 @@ LOOPBACK: Final = Loopback("127.0.0.1", "127.0.0.1")
 
 
 @dataclass(frozen=True)
-class Endpoint:
+class ListeningAddress:
     """A listening address, for XML-RPC (HTTP) or for topics and services (TCPROS)."""
 
     protocol: WireProtocol
@@ -54,15 +54,15 @@ class Endpoint:
         return f"{_SCHEMES[self.protocol]}://{host}:{self.port}{end}"
 
 
-def local_endpoint(protocol: WireProtocol, port: int) -> Endpoint:
-    return Endpoint(protocol, LOOPBACK.host, port)
+def local_endpoint(protocol: WireProtocol, port: int) -> ListeningAddress:
+    return ListeningAddress(protocol, LOOPBACK.host, port)
 
 
-def topic_endpoint(api: Endpoint) -> Endpoint:
-    return Endpoint(WireProtocol.TCPROS, api.host, api.port, via_slave_api=True)
+def topic_endpoint(api: ListeningAddress) -> ListeningAddress:
+    return ListeningAddress(WireProtocol.TCPROS, api.host, api.port, via_slave_api=True)
 
 
-def parse_endpoint(uri: object, protocol: WireProtocol) -> Endpoint | None:
+def parse_endpoint(uri: object, protocol: WireProtocol) -> ListeningAddress | None:
     """The endpoint that a URI names; None: invalid, or of another protocol."""
     head = f"{_SCHEMES[protocol]}://"
     if not isinstance(uri, str) or not uri.startswith(head):
@@ -71,7 +71,7 @@ def parse_endpoint(uri: object, protocol: WireProtocol) -> Endpoint | None:
         address = parse_uri("http://" + uri.removeprefix(head))
     except HintedError:
         return None
-    return Endpoint(protocol, *address, door=protocol is WireProtocol.HTTP and is_door(uri))
+    return ListeningAddress(protocol, *address, door=protocol is WireProtocol.HTTP and is_door(uri))
 
 
 class EndpointMap:
@@ -86,23 +86,23 @@ class EndpointMap:
     def __init__(self, host: str, loopback_host: str = LOOPBACK.host) -> None:
         self.host = host
         self._loopback_host = loopback_host
-        self._ingress: dict[Endpoint, Endpoint] = {}  # network -> loopback
-        self._egress: dict[int, Endpoint] = {}  # loopback port -> remote
-        self._own_uris: dict[Endpoint, str] = {}
-        self._apis: dict[Endpoint, Endpoint] = {}  # topics of a peer -> its slave API
+        self._ingress: dict[ListeningAddress, ListeningAddress] = {}  # network -> loopback
+        self._egress: dict[int, ListeningAddress] = {}  # loopback port -> remote
+        self._own_uris: dict[ListeningAddress, str] = {}
+        self._apis: dict[ListeningAddress, ListeningAddress] = {}  # topics of a peer -> its slave API
 
-    def add_ingress(self, local: Endpoint, port: int) -> Endpoint:
+    def add_ingress(self, local: ListeningAddress, port: int) -> ListeningAddress:
         """Map a network port to `local`; returns the endpoint for peers."""
-        network = Endpoint(local.protocol, self.host, port)
+        network = ListeningAddress(local.protocol, self.host, port)
         self._ingress[_casefolded(network)] = local
         return network
 
-    def add_egress(self, remote: Endpoint, port: int) -> Endpoint:
+    def add_egress(self, remote: ListeningAddress, port: int) -> ListeningAddress:
         self._egress[port] = remote
-        return Endpoint(remote.protocol, self._loopback_host, port)
+        return ListeningAddress(remote.protocol, self._loopback_host, port)
 
-    def remove_ingress(self, local: Endpoint, port: int) -> None:
-        self._ingress.pop(_casefolded(Endpoint(local.protocol, self.host, port)), None)
+    def remove_ingress(self, local: ListeningAddress, port: int) -> None:
+        self._ingress.pop(_casefolded(ListeningAddress(local.protocol, self.host, port)), None)
         self._own_uris.pop(local, None)
 
     def remove_egress(self, port: int) -> None:
@@ -111,34 +111,34 @@ class EndpointMap:
         if remote is not None:
             self._apis.pop(remote, None)
 
-    def set_api(self, topics: Endpoint, api: Endpoint) -> None:
+    def set_api(self, topics: ListeningAddress, api: ListeningAddress) -> None:
         self._apis[topics] = api
 
-    def api_of(self, topics: Endpoint) -> Endpoint | None:
+    def api_of(self, topics: ListeningAddress) -> ListeningAddress | None:
         return self._apis.get(topics)
 
-    def set_own_uri(self, local: Endpoint, uri: str) -> None:
+    def set_own_uri(self, local: ListeningAddress, uri: str) -> None:
         self._own_uris[local] = uri
 
-    def own_uri(self, local: Endpoint) -> str:
+    def own_uri(self, local: ListeningAddress) -> str:
         return self._own_uris.get(local, replace(local, host=self._loopback_host).uri)
 
-    def network_of(self, local: Endpoint) -> Endpoint:
+    def network_of(self, local: ListeningAddress) -> ListeningAddress:
         """Where peers reach `local`; without a port for it, an address that nothing registered."""
         for network, program in self._ingress.items():
             if program == local:
                 return network
         return replace(local, host=self.host)
 
-    def program_at(self, network: Endpoint) -> Endpoint | None:
+    def program_at(self, network: ListeningAddress) -> ListeningAddress | None:
         return self._ingress.get(_casefolded(network))
 
-    def peer_at(self, local: Endpoint) -> Endpoint | None:
+    def peer_at(self, local: ListeningAddress) -> ListeningAddress | None:
         remote = self._egress.get(local.port)
         return remote if remote is not None and remote.protocol is local.protocol else None
 
 
-def _casefolded(endpoint: Endpoint) -> Endpoint:
+def _casefolded(endpoint: ListeningAddress) -> ListeningAddress:
     return replace(endpoint, host=endpoint.host.lower())
 
 
@@ -146,7 +146,7 @@ def _casefolded(endpoint: Endpoint) -> Endpoint:
 class OpenIngress:
     """Open a network port for a program's endpoint; always the same port. -> Opened"""
 
-    local: Endpoint
+    local: ListeningAddress
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ class OpenEgress:
     kernel refuses callers, as for a dead node.
     """
 
-    remote: Endpoint
+    remote: ListeningAddress
     probe: bool = False
 
 
@@ -165,7 +165,7 @@ class OpenEgress:
 class Suspend:
     """The program at this endpoint has ended: refuse callers, keep the port. -> CommandDone"""
 
-    local: Endpoint
+    local: ListeningAddress
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,7 @@ class CallMaster:
 class CallProgram:
     """Call a program's slave API. -> Answered; NoAnswer"""
 
-    local: Endpoint
+    local: ListeningAddress
     method: str
     params: tuple[object, ...]
 
@@ -192,7 +192,7 @@ class CallPeer:
     -> Answered; RawResponse if not `parse`; NoAnswer
     """
 
-    remote: Endpoint
+    remote: ListeningAddress
     method: str
     params: tuple[object, ...]
     right: Right | None = None
@@ -206,21 +206,21 @@ class AuthenticatePeer:
     The next `CallPeer` or `ConnectPeer` there uses this connection. -> PeerAuthenticated, NoAnswer
     """
 
-    remote: Endpoint
+    remote: ListeningAddress
 
 
 @dataclass(frozen=True)
 class Probe:
     """Check whether the program still listens. -> CommandDone, NoAnswer"""
 
-    local: Endpoint
+    local: ListeningAddress
 
 
 @dataclass(frozen=True)
 class ConnectProgram:
     """Connect to a program for TCPROS and send this header. -> HeaderArrived, NoAnswer"""
 
-    local: Endpoint
+    local: ListeningAddress
     fields: Mapping[str, bytes]
 
 
@@ -228,7 +228,7 @@ class ConnectProgram:
 class ConnectPeer:
     """Connect to a peer for TCPROS and send this header. -> HeaderArrived, NoAnswer"""
 
-    remote: Endpoint
+    remote: ListeningAddress
     fields: Mapping[str, bytes]
 
 
@@ -237,7 +237,7 @@ Command = OpenIngress | OpenEgress | Suspend | Request
 
 
 @dataclass(frozen=True)
-class Opened:
+class PortOpened:
     port: int  # on the network for `OpenIngress`, on loopback for `OpenEgress`
 
 
@@ -275,7 +275,7 @@ class CommandDone:
     """The command was executed; it has no result."""
 
 
-Event = Opened | Answered | PeerAuthenticated | RawResponse | HeaderArrived | NoAnswer | CommandDone
+Event = PortOpened | Answered | PeerAuthenticated | RawResponse | HeaderArrived | NoAnswer | CommandDone
 
 Layer: TypeAlias = Generator[Command, Event, Outcome]
 
@@ -300,7 +300,7 @@ class AgentState:
     master_uri: str  # of the loopback master, as programs know it
     known_types: FindDefinition  # that this host knows
     publisher_grace: PublisherGrace  # of each topic that its programs subscribe to
-    programs: dict[Endpoint, Program] = field(default_factory=dict)  # by their slave APIs
+    programs: dict[ListeningAddress, Program] = field(default_factory=dict)  # by their slave APIs
 
     def name_for(self, caller: str) -> str:
         """The caller_id for peers: the program's own if the identity covers it, else the identity.
@@ -315,11 +315,11 @@ class AgentState:
     def covers(self, name: str) -> bool:
         return self.identity.covers(name)
 
-    def ingress_endpoint(self, local: Endpoint) -> Layer[Endpoint]:
+    def ingress_endpoint(self, local: ListeningAddress) -> Layer[ListeningAddress]:
         return self.endpoints.add_ingress(local, opened_port((yield OpenIngress(local))))
 
     def egress_uri(
-        self, remote: Endpoint, own_api: Endpoint | None = None, *, probe: bool = False
+        self, remote: ListeningAddress, own_api: ListeningAddress | None = None, *, probe: bool = False
     ) -> Layer[str]:
         """The URI at which a program reaches `remote`; its own URI is returned as it wrote it."""
         local = self.endpoints.program_at(remote)
@@ -332,11 +332,11 @@ class AgentState:
         valid = [uri for uri in uris if isinstance(uri, str)] if isinstance(uris, list) else []
         return self.publisher_grace.update(topic, valid) if isinstance(topic, str) else valid
 
-    def is_listed(self, topic: str, publisher: Endpoint) -> bool:
+    def is_listed(self, topic: str, publisher: ListeningAddress) -> bool:
         uris = self.publisher_grace.to_follow(topic)
         return any(parse_endpoint(uri, WireProtocol.HTTP) == publisher for uri in uris)
 
-    def egress_uris(self, uris: object, own_api: Endpoint | None) -> Layer[list[str]]:
+    def egress_uris(self, uris: object, own_api: ListeningAddress | None) -> Layer[list[str]]:
         """`egress_uri` for a list of slave API URIs; invalid ones are left out."""
         egress = []
         for uri in uris if isinstance(uris, list) else []:
@@ -345,13 +345,13 @@ class AgentState:
                 egress.append((yield from self.egress_uri(remote, own_api)))
         return egress
 
-    def forget(self, local: Endpoint) -> None:
+    def forget(self, local: ListeningAddress) -> None:
         """The program at `local` has ended: do not register it with a restarted master."""
         self.programs.pop(local, None)
 
 
 def opened_port(event: Event) -> int:
-    if not isinstance(event, Opened):
+    if not isinstance(event, PortOpened):
         raise UnexpectedEvent(f"no port but {type(event).__name__}")
     return event.port
 
@@ -366,6 +366,6 @@ def authenticated_peer(event: Event) -> Identity:
             raise UnexpectedEvent(f"no peer but {type(event).__name__}")
 
 
-def own_endpoint(uri: object) -> Endpoint | None:
+def own_endpoint(uri: object) -> ListeningAddress | None:
     api = parse_endpoint(uri, WireProtocol.HTTP)
     return None if api is None else local_endpoint(WireProtocol.HTTP, api.port)

@@ -26,9 +26,9 @@ from rossec.sidecar.core.layers import (
     Answered,
     CallMaster,
     CallProgram,
-    Endpoint,
     Event,
     Layer,
+    ListeningAddress,
     NoAnswer,
     Probe,
     Program,
@@ -231,7 +231,7 @@ def _params_for_master(
     return tuple(changed)
 
 
-def _address(agent: AgentState, method: str, given: Endpoint) -> Layer[str | None]:
+def _address(agent: AgentState, method: str, given: ListeningAddress) -> Layer[str | None]:
     # An egress port stands for a peer: `rosnode cleanup` sends the URI that `lookupNode` returned. No program
     # can register one as its own; the sidecar would call itself. Only who registers opens a port: who
     # unregisters may name that of a program that has ended, which another one has now.
@@ -242,7 +242,7 @@ def _address(agent: AgentState, method: str, given: Endpoint) -> Layer[str | Non
     return None if remote is not None else (yield from agent.ingress_endpoint(local)).uri
 
 
-def _own_api(rule: CallRule, params: tuple[object, ...]) -> Endpoint | None:
+def _own_api(rule: CallRule, params: tuple[object, ...]) -> ListeningAddress | None:
     if rule.api is None or rule.api >= len(params):
         return None
     return own_endpoint(params[rule.api])
@@ -267,7 +267,7 @@ def _record_registration(
 
 
 def _answer_for_program(
-    agent: AgentState, rule: CallRule, own_api: Endpoint | None, answer: list[object]
+    agent: AgentState, rule: CallRule, own_api: ListeningAddress | None, answer: list[object]
 ) -> Layer[list[object]]:
     code, status, value = answer
     match rule.result:
@@ -330,7 +330,7 @@ def _allowed(calls: Iterable[registrations.Call], holds: Holds) -> list[registra
 
 
 def _register_again(
-    agent: AgentState, own_api: Endpoint, method: str, params: tuple[object, ...]
+    agent: AgentState, own_api: ListeningAddress, method: str, params: tuple[object, ...]
 ) -> Layer[None]:
     event = yield CallMaster(method, params)
     program = agent.programs.get(own_api)
@@ -360,7 +360,7 @@ def drop_expired_publishers(agent: AgentState) -> Layer[None]:
 
 
 def _update_publishers(
-    agent: AgentState, own_api: Endpoint, topic: str, publishers: list[str]
+    agent: AgentState, own_api: ListeningAddress, topic: str, publishers: list[str]
 ) -> Layer[None]:
     uris = yield from agent.egress_uris(publishers, own_api)
     yield from _is_gone(
@@ -368,7 +368,7 @@ def _update_publishers(
     )
 
 
-def _is_gone(agent: AgentState, own_api: Endpoint, event: Event) -> Layer[bool]:
+def _is_gone(agent: AgentState, own_api: ListeningAddress, event: Event) -> Layer[bool]:
     if isinstance(event, NoAnswer) and event.dead:
         agent.forget(own_api)
         yield Suspend(own_api)

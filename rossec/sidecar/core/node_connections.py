@@ -33,10 +33,10 @@ from rossec.sidecar.core.layers import (
     CallProgram,
     ConnectPeer,
     ConnectProgram,
-    Endpoint,
     Event,
     HeaderArrived,
     Layer,
+    ListeningAddress,
     NoAnswer,
     Probe,
     RawResponse,
@@ -63,7 +63,7 @@ FindMemoryScope: TypeAlias = Callable[[str], MemoryScope]  # by the program's ca
 
 def handle_peer_call(
     agent: AgentState,
-    local: Endpoint,
+    local: ListeningAddress,
     peer: Identity,
     method: str,
     params: tuple[object, ...],
@@ -108,7 +108,7 @@ def _answer_at_once(peer: Identity, method: str, params: tuple[object, ...]) -> 
     return refused
 
 
-def _answer_with_port(agent: AgentState, local: Endpoint, method: str) -> Layer[object]:
+def _answer_with_port(agent: AgentState, local: ListeningAddress, method: str) -> Layer[object]:
     # The same for every topic: the program is asked once an authorized peer connects there (N5).
     yield from _require_alive(agent, local, (yield Probe(local)))
     ingress = yield from agent.ingress_endpoint(topic_endpoint(local))
@@ -131,7 +131,7 @@ def _refusal(answer: object) -> list[object]:
             return [-1, "rossec: an answer that is not [code, status, value]", 0]
 
 
-def _require_alive(agent: AgentState, local: Endpoint, event: Event) -> Layer[None]:
+def _require_alive(agent: AgentState, local: ListeningAddress, event: Event) -> Layer[None]:
     # Hang up if the program did not answer; suspend its port if it has ended.
     if isinstance(event, NoAnswer):
         if event.dead:
@@ -149,7 +149,7 @@ def _invalid_request_topic(params: tuple[object, ...]) -> list[object] | None:
 
 
 def _answer_for_peer(
-    agent: AgentState, local: Endpoint, method: str, status: object, value: object
+    agent: AgentState, local: ListeningAddress, method: str, status: object, value: object
 ) -> Layer[object]:
     match method, value:
         case "getUri", _:
@@ -162,7 +162,9 @@ def _answer_for_peer(
             return [1, status, value]
 
 
-def _program_bus_info(agent: AgentState, local: Endpoint, entries: list[object]) -> Layer[list[object]]:
+def _program_bus_info(
+    agent: AgentState, local: ListeningAddress, entries: list[object]
+) -> Layer[list[object]]:
     rewritten: list[object] = []
     for entry in entries:
         match entry:
@@ -178,7 +180,7 @@ def _program_bus_info(agent: AgentState, local: Endpoint, entries: list[object])
 
 
 def handle_program_call(
-    agent: AgentState, remote: Endpoint, method: str, params: tuple[object, ...]
+    agent: AgentState, remote: ListeningAddress, method: str, params: tuple[object, ...]
 ) -> Layer[object]:
     if method not in slave_api.OPEN | slave_api.MASTER_ONLY | slave_api.SLAVE_CALLS.keys():
         raise Fault(1, f"<class 'Exception'>:method \"{printable(method, 80)}\" is not supported")
@@ -209,7 +211,7 @@ def handle_program_call(
 
 
 def _request_for_peer(
-    agent: AgentState, remote: Endpoint, caller: str, topic: str
+    agent: AgentState, remote: ListeningAddress, caller: str, topic: str
 ) -> Layer[tuple[object, ...]]:
     if not is_alias(topic):
         return agent.name_for(caller), topic, [[slave_api.TCPROS]]
@@ -219,7 +221,7 @@ def _request_for_peer(
 
 
 def _answer_for_program(
-    agent: AgentState, remote: Endpoint, method: str, status: object, value: object
+    agent: AgentState, remote: ListeningAddress, method: str, status: object, value: object
 ) -> Layer[object]:
     match method, value:
         case "requestTopic", ["TCPROS", str() as host, int() as port] if (
@@ -242,14 +244,14 @@ def _answer_for_program(
             return [1, status, value]
 
 
-def _topics_of(remote: Endpoint, host: str, port: int) -> Endpoint:
+def _topics_of(remote: ListeningAddress, host: str, port: int) -> ListeningAddress:
     # From a peer behind a relay's door only that it offers TCPROS counts: the topic is at the door, too.
     if remote.door:
         host, port = remote.host, remote.port
-    return Endpoint(WireProtocol.TCPROS, host, port)
+    return ListeningAddress(WireProtocol.TCPROS, host, port)
 
 
-def _leads_back(agent: AgentState, remote: Endpoint, endpoint: Endpoint) -> bool:
+def _leads_back(agent: AgentState, remote: ListeningAddress, endpoint: ListeningAddress) -> bool:
     program_at = agent.endpoints.program_at
     return program_at(endpoint) is not None and program_at(remote) is None
 
@@ -294,7 +296,7 @@ class AdmittedConnection:
 
 def admit_peer(
     agent: AgentState,
-    local: Endpoint,
+    local: ListeningAddress,
     fields: Mapping[str, bytes],
     peer: Identity,
     filter_key: definitions.FilterKey,
@@ -338,8 +340,8 @@ def admit_peer(
 
 
 def _request_topic(
-    agent: AgentState, local: Endpoint, fields: Mapping[str, bytes], peer: Identity
-) -> Layer[Endpoint]:
+    agent: AgentState, local: ListeningAddress, fields: Mapping[str, bytes], peer: Identity
+) -> Layer[ListeningAddress]:
     topic = handshakes.requested_topic(fields)
     request = (handshakes.caller_here(peer, handshakes.text(fields, _CALLER)), topic, [[slave_api.TCPROS]])
     event = yield CallProgram(local_endpoint(WireProtocol.HTTP, local.port), REQUEST_TOPIC, request)
@@ -395,7 +397,7 @@ def _own_proof(agent: AgentState, request: Mapping[str, bytes], now: int) -> han
 
 def connect_to_peer(
     agent: AgentState,
-    remote: Endpoint,
+    remote: ListeningAddress,
     fields: Mapping[str, bytes],
     filter_key: definitions.FilterKey,
     memory_scope_of: FindMemoryScope,
@@ -442,7 +444,7 @@ def connect_to_peer(
 
 
 def _name_granted(
-    agent: AgentState, remote: Endpoint, fields: Mapping[str, bytes]
+    agent: AgentState, remote: ListeningAddress, fields: Mapping[str, bytes]
 ) -> Layer[tuple[str, bytes]]:
     # Of an alias both depend on who the peer is, which is known before it is sent anything.
     topic = handshakes.text(fields, "topic")

@@ -6,16 +6,16 @@ from ca.enrollment.join import (
     AUTHORITY_WITHOUT_MESSAGE,
     AuthorityJoin,
     AuthorityJoinState,
-    Claim,
+    ClaimMessage,
     Hello,
     Issued,
     Join,
     JoinMessage,
     LiveIdentity,
     Named,
-    Refused,
+    RefusedMessage,
     RefuseReason,
-    Waiting,
+    WaitingMessage,
     WaitReason,
     Welcome,
     read,
@@ -26,15 +26,15 @@ from tests.support.pki import new_signer
 
 ID, NONCE, OWN = bytes(32), b"1" * 16, b"2" * 16
 SIGNER = new_signer()
-BUSY = Refused(RefuseReason.BUSY)
+BUSY = RefusedMessage(RefuseReason.BUSY)
 MESSAGES: list[JoinMessage] = [
     Hello(ID, NONCE),
     Welcome(NONCE, (b"c",), b"r", b"s"),
     Join("/a", b"csr", b"proof"),
     Issued((b"c",)),
-    Waiting(WaitReason.LOCKED),
+    WaitingMessage(WaitReason.LOCKED),
     BUSY,
-    Claim(b"<node/>", b"proof"),
+    ClaimMessage(b"<node/>", b"proof"),
     Named("/a"),
 ]
 
@@ -126,7 +126,7 @@ def test_one_claim_a_session_and_a_refused_one_ends_it() -> None:
     with pytest.raises(EnrollmentMessageRefused, match="unexpected"):
         core.receive(write(MESSAGES[6]))
     core = session(MESSAGES[0], MESSAGES[6])
-    assert read(core.name(Refused(RefuseReason.UNNAMED))) == Refused(RefuseReason.UNNAMED)
+    assert read(core.name(RefusedMessage(RefuseReason.UNNAMED))) == RefusedMessage(RefuseReason.UNNAMED)
     with pytest.raises(EnrollmentMessageRefused, match="unexpected"):
         core.receive(write(MESSAGES[2]))
 

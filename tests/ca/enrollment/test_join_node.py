@@ -11,7 +11,7 @@ from ca.enrollment.join import (
     NODE_WITHOUT_MESSAGE,
     AuthorityJoin,
     AuthorityJoinState,
-    Claim,
+    ClaimMessage,
     Hello,
     Issued,
     Join,
@@ -20,9 +20,9 @@ from ca.enrollment.join import (
     Named,
     NodeJoin,
     NodeJoinState,
-    Refused,
+    RefusedMessage,
     RefuseReason,
-    Waiting,
+    WaitingMessage,
     WaitReason,
     Welcome,
     read,
@@ -177,7 +177,7 @@ def test_only_its_own_identity_is_taken(chain: tuple[bytes, ...], error: str) ->
 def test_waiting_is_raised(reason: WaitReason) -> None:
     node = proved()
     with pytest.raises(JoinWaiting) as caught:
-        node.receive(write(Waiting(reason)), NOW)
+        node.receive(write(WaitingMessage(reason)), NOW)
     assert "rossec node join" in caught.value.hint
     assert node.state is NodeJoinState.WAITING
 
@@ -188,7 +188,7 @@ def test_a_refusal_is_raised(reason: RefuseReason, early: bool) -> None:
     node = NodeJoin(CODE, fresh()) if early else proved()
     kind = JoinBusy if reason is RefuseReason.BUSY else JoinRefused
     with pytest.raises(kind) as caught:
-        node.receive(write(Refused(reason)), NOW)
+        node.receive(write(RefusedMessage(reason)), NOW)
     assert type(caught.value) is kind
     assert caught.value.hint
     assert node.state is NodeJoinState.OVER
@@ -199,9 +199,9 @@ MESSAGES: list[JoinMessage] = [
     Welcome(bytes(16), (b"c",), b"r", b"s"),
     Join("/a", b"", b""),
     Issued((b"c",)),
-    Waiting(WaitReason.LOCKED),
-    Refused(RefuseReason.BUSY),
-    Claim(b"<node/>", b""),
+    WaitingMessage(WaitReason.LOCKED),
+    RefusedMessage(RefuseReason.BUSY),
+    ClaimMessage(b"<node/>", b""),
     Named("/fleet/a"),
 ]
 METADATA = b"<node><name>a</name></node>"
@@ -259,7 +259,7 @@ def test_a_refused_claim_is_raised(reason: RefuseReason) -> None:
     node = claimed()
     kind = JoinBusy if reason is RefuseReason.BUSY else JoinRefused
     with pytest.raises(kind) as caught:
-        node.receive(write(Refused(reason)), NOW)
+        node.receive(write(RefusedMessage(reason)), NOW)
     assert type(caught.value) is kind
     assert node.state is NodeJoinState.OVER
 
@@ -286,7 +286,7 @@ def test_metadata_may_come_with_the_request_alone() -> None:
     authority.request.verify(CODE.key)
     assert authority.request.metadata == METADATA
     with pytest.raises(JoinRefused, match="another name"):
-        node.receive(authority.answer(Refused(RefuseReason.NAME)), NOW)
+        node.receive(authority.answer(RefusedMessage(RefuseReason.NAME)), NOW)
 
 
 @pytest.mark.parametrize("state", NodeJoinState)

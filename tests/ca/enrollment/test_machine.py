@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from ca.enrollment import qr, sides
-from ca.enrollment.messages import Offer, read, write
+from ca.enrollment.messages import EnrollmentOffer, read, write
 from ca.enrollment.sides import AuthorityEnrollment, AuthorityState, NodeEnrollment, NodeState, Pending
 from ca.errors import CAError
 from tests.support.enrolling import ADDRESS, Robot, fresh
@@ -105,7 +105,7 @@ class Enrollments(RuleBasedStateMachine):
         agreed = sides.transcript(ROBOT.csr, [FORGED], MALLORY.root, nonce)
         secret = qr.parse(self.node.code(ADDRESS)).secret
         tag = sides.tag(secret, agreed) if secret and self.thief else b""
-        self.deliver("node", write(Offer((FORGED,), MALLORY.root, nonce, tag)))
+        self.deliver("node", write(EnrollmentOffer((FORGED,), MALLORY.root, nonce, tag)))
 
     @rule(to=st.sampled_from(["node", "authority"]), pick=PICK)
     def mallory_plays_back(self, to: str, pick: int) -> None:
@@ -145,7 +145,7 @@ class Enrollments(RuleBasedStateMachine):
     def who_says_enrolled_means_what_a_node_confirmed(self) -> None:
         if self.authority.state is AuthorityState.ENROLLED:
             offer = read(self.offer)
-            assert isinstance(offer, Offer)
+            assert isinstance(offer, EnrollmentOffer)
             agreed = sides.transcript(ROBOT.csr, offer.chain, offer.root, offer.nonce)
             assert agreed in {pending.transcript for pending in self.trusted}
 

@@ -9,9 +9,9 @@ from ca.enrollment.messages import (
     Acknowledgement,
     Delivery,
     Done,
+    EnrollmentOffer,
     Fetch,
     Message,
-    Offer,
     Reason,
     frame,
     length,
@@ -20,12 +20,12 @@ from ca.enrollment.messages import (
 )
 from ca.errors import EnrollmentMessageRefused
 
-OFFER = Offer((b"leaf", b"intermediate"), b"root", bytes(16), bytes(32))
+OFFER = EnrollmentOffer((b"leaf", b"intermediate"), b"root", bytes(16), bytes(32))
 MESSAGES = [
     Fetch(),
     Delivery(b"csr"),
     OFFER,
-    Offer((b"leaf",), b"root", bytes(16), b""),
+    EnrollmentOffer((b"leaf",), b"root", bytes(16), b""),
     Acknowledgement(b"statement"),
     Done(b"statement"),
     *map(Abort, Reason),

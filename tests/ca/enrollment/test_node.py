@@ -1,7 +1,7 @@
 import pytest
 
 from ca.enrollment import qr, sides
-from ca.enrollment.messages import Abort, Acknowledgement, Done, Offer, Reason, read, write
+from ca.enrollment.messages import Abort, Acknowledgement, Done, EnrollmentOffer, Reason, read, write
 from ca.enrollment.sides import MAX_BAD_DIGITS, MAX_BAD_TAGS, NODE_TABLE, NodeEnrollment, NodeState
 from ca.errors import (
     ConflictingOffer,
@@ -113,8 +113,8 @@ def test_an_offer_after_the_enrollment() -> None:
     node.confirm(authority.digits, NOW)
     node.activated()
     changed = read(offer)
-    assert isinstance(changed, Offer)
-    other = write(Offer(changed.chain, changed.root, fresh(), changed.tag))
+    assert isinstance(changed, EnrollmentOffer)
+    other = write(EnrollmentOffer(changed.chain, changed.root, fresh(), changed.tag))
     with pytest.raises(EnrollmentOver, match="enrolled already"):
         node.receive(other, NOW)
     node.stop(EnrollmentOver("too late to stop"))
@@ -136,8 +136,8 @@ def test_five_bad_tags_lock_the_code() -> None:
 
 def forged(offer: bytes, tag: bytes = bytes(32)) -> bytes:
     message = read(offer)
-    assert isinstance(message, Offer)
-    return write(Offer(message.chain, message.root, fresh(), tag))
+    assert isinstance(message, EnrollmentOffer)
+    return write(EnrollmentOffer(message.chain, message.root, fresh(), tag))
 
 
 def test_bad_tags_do_not_disturb_an_offer_that_waits() -> None:
@@ -164,7 +164,7 @@ def test_an_offer_with_a_tag_is_not_for_a_label() -> None:
 
 
 def crafted(robot: Robot, chain: tuple[bytes, ...], root: bytes) -> bytes:
-    return write(Offer(chain, root, fresh(), b""))
+    return write(EnrollmentOffer(chain, root, fresh(), b""))
 
 
 def test_an_identity_for_somebody_else() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from ca.approvals.passkeys import Approval, to_approve
-from ca.approvals.statement import Grant, Kind
+from ca.approvals.statement import GrantStatement, StatementKind
 from ca.errors import LogDamaged
 from ca.store import database
 from ca.store.log import RESTORED, ApprovalState, replay_approvals
@@ -77,11 +77,11 @@ def by_another_key(store: Store) -> Approval:
 
 
 def about_another_log(store: Store) -> Approval:
-    return touch(state(WHATS[Kind.DELEGATE], store=store)._replace(log_root=bytes(32)), b"", DEVICE)
+    return touch(state(WHATS[StatementKind.DELEGATE], store=store)._replace(log_root=bytes(32)), b"", DEVICE)
 
 
 def about_the_future(store: Store) -> Approval:
-    statement = state(WHATS[Kind.DELEGATE], store=store)
+    statement = state(WHATS[StatementKind.DELEGATE], store=store)
     return touch(statement._replace(log_size=9), b"", DEVICE)
 
 
@@ -92,7 +92,7 @@ def from_before_a_restore(store: Store) -> Approval:
 
 
 def with_another_payload(store: Store) -> Approval:
-    what = Grant(b"r" * 16, hashlib.sha256(b"shown").digest())
+    what = GrantStatement(b"r" * 16, hashlib.sha256(b"shown").digest())
     return approve(store, what, b"wider", device=DEVICE)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from grants.filters.layout import Layout, parse
 from grants.model import Right
 from grants.policy.lint import lint
-from grants.policy.lint_findings import Finding, Suggestion
+from grants.policy.lint_findings import LintFinding, Suggestion
 from grants.policy.model import Policy
 from grants.policy.source import Mistakes, Part, YamlMapping, YamlScalar, read_source
 from tests.grants.policy.policies import definition, policy
@@ -57,7 +57,7 @@ def layout_of(kind: str) -> Layout:
     return parse(kind, definition(kind))
 
 
-def findings(text: str) -> list[Finding]:
+def findings(text: str) -> list[LintFinding]:
     return lint(policy(text), layout_of)
 
 

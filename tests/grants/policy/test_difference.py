@@ -15,7 +15,7 @@ from grants.policy.decision import Decider
 from grants.policy.difference import (
     MAX_GRANTS,
     MAX_PRESENTED,
-    Kind,
+    ChangeKind,
     Moment,
     NodeDifference,
     RecordedGrant,
@@ -86,7 +86,7 @@ def shown(found: NodeDifference) -> list[str]:
     return [
         f"{each.kind.sign} {each.right.label} {each.pattern}"
         for each in found.changes
-        if each.kind is not Kind.KEPT
+        if each.kind is not ChangeKind.KEPT
     ]
 
 
@@ -101,7 +101,7 @@ def test_each_set_of_rules_is_a_grant() -> None:
     assert found.ends == NOW + 7 * DAY
     again = compare(rules(A, B), *signed(found))
     assert (shown(again), again.sign, again.revoke) == ([], (), ())
-    assert [each.kind for each in again.changes] == [Kind.KEPT] * 3
+    assert [each.kind for each in again.changes] == [ChangeKind.KEPT] * 3
 
 
 def test_a_changed_rule_touches_no_grant_of_another() -> None:
@@ -129,7 +129,7 @@ def test_a_restriction_replaces_the_grant() -> None:
     (first,) = applied(rules(B.replace("call", "subscribe")))
     found = compare(rules(B.replace("call", "subscribe")[:-1] + ", limit: {rate: 1}}"), first)
     assert (shown(found), found.revoke) == (["~ subscribe /c"], (first.grant,))
-    assert found.changes[0].kind is Kind.NARROWER
+    assert found.changes[0].kind is ChangeKind.NARROWER
 
 
 def test_a_denial_takes_what_was_given() -> None:
@@ -205,7 +205,7 @@ def test_what_the_master_renews_ends_with_its_cap() -> None:
 def test_a_changed_validity_replaces_the_grant() -> None:
     given_ = applied(rules(A))
     found = compare(rules(A[:-1] + ", lifetime: 1d}"), *given_)
-    assert {each.kind for each in found.changes} == {Kind.NARROWER}
+    assert {each.kind for each in found.changes} == {ChangeKind.NARROWER}
     assert len(found.revoke) == 1
 
 
@@ -315,7 +315,7 @@ def test_a_second_difference_is_empty(before: Policy, after: Policy) -> None:
     force = applied(after, *applied(before))
     found = compare(after, *force)
     assert (found.sign, found.revoke, found.due) == ((), (), ())
-    assert {each.kind for each in found.changes} <= {Kind.KEPT}
+    assert {each.kind for each in found.changes} <= {ChangeKind.KEPT}
 
 
 @given(policies, policies)

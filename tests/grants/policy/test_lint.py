@@ -8,7 +8,7 @@ import pytest
 from grants.errors import GrantError, PolicyRefused
 from grants.filters.compile import PRESETS
 from grants.policy.lint import CHECKS, lint
-from grants.policy.lint_findings import ADVICE, Finding
+from grants.policy.lint_findings import ADVICE, LintFinding
 from grants.policy.model import SubjectPattern
 from grants.vocabulary.contents import LEVELS
 from tests.grants.policy.lint_cases import TYPES, applied, codes, findings, layout_of, text_of
@@ -58,7 +58,7 @@ def test_no_lifetime() -> None:
 
 
 @cache
-def with_suggestions() -> list[tuple[str, Finding]]:
+def with_suggestions() -> list[tuple[str, LintFinding]]:
     return [(of(leak), item) for leak in LEAKS for item in findings(of(leak)) if item.suggestions]
 
 

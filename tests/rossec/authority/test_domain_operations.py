@@ -17,7 +17,7 @@ from grants.model import Draft, Permission, Right
 from rossec.authority.domain_operations import find_row, living_grants
 from rossec.authority.home import AuthorityHome
 from rossec.authority.service import AuthorityService
-from rossec.authority.session import MasterCall
+from rossec.authority.session import StatementCall
 from rossec.errors import AuthorityLocked, ConfigurationError, NotDelivered
 from rossec.home import NodeHome
 from tests.rossec.participant.test_connections import table
@@ -35,7 +35,7 @@ class Office:
 
     def __init__(self, root: Path) -> None:
         self.now = NOW
-        self.calls: list[MasterCall] = []
+        self.calls: list[StatementCall] = []
         self.reachable = True
         self.root = root
         self.home = AuthorityHome.create(root, "home", SECRET, NOW)
@@ -46,7 +46,7 @@ class Office:
     def opened(self) -> AuthorityService:
         return AuthorityService(self.root, lambda: SECRET, self._deliver, lambda: self.now)
 
-    def _deliver(self, call: MasterCall) -> None:
+    def _deliver(self, call: StatementCall) -> None:
         if not self.reachable:
             raise NotDelivered("no master", call.hint)
         self.calls.append(call)

@@ -12,7 +12,7 @@ from grants.model import Draft, Permission, Right
 from rossec.authority import grant_operations as module
 from rossec.authority.grant_operations import RefusedDeposit, require_delivered
 from rossec.authority.service import AuthorityService
-from rossec.authority.session import MasterCall
+from rossec.authority.session import StatementCall
 from rossec.errors import NotDelivered
 from rossec.home import NodeHome
 from tests.rossec.authority.test_service import DAY, Office
@@ -32,7 +32,7 @@ class Delivering(Office):
     def opened(self) -> AuthorityService:
         return AuthorityService(self.root, self._passphrase, self.respond, lambda: self.now)
 
-    def respond(self, call: MasterCall) -> object:
+    def respond(self, call: StatementCall) -> object:
         self._deliver(call)
         if call.method == "rossec.revocationStanding":
             return self.said_of_its_list()

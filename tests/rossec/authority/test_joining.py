@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from ca.enrollment.invitation import sign_proof
-from ca.enrollment.join import Refused, RefuseReason, Waiting, WaitReason
+from ca.enrollment.join import RefusedMessage, RefuseReason, WaitingMessage, WaitReason
 from ca.errors import RecordUnusable
 from ca.store.values import RequestState
 from ca.svid import check_request
@@ -12,7 +12,7 @@ from rossec.authority.invitations import MAX_WAITING, allowed_pattern, join, joi
 from tests.support.joining import HOUR, JoinSite, asked, issued, refusal
 from tests.support.pki import NOW, new_signer
 
-LOCKED, PERSON = Waiting(WaitReason.LOCKED), Waiting(WaitReason.PERSON)
+LOCKED, PERSON = WaitingMessage(WaitReason.LOCKED), WaitingMessage(WaitReason.PERSON)
 
 
 @pytest.fixture
@@ -212,10 +212,10 @@ def test_metadata_are_looked_at_for_who_proves_an_invitation_that_is_open_or_was
     request = home.request(code, asked("/fleet/a"))
     assert allowed_pattern(store, request, NOW) == "/fleet/*"
     unproved = replace(request, metadata=b"<node/>")
-    assert allowed_pattern(store, unproved, NOW) == Refused(RefuseReason.REFUSED)
+    assert allowed_pattern(store, unproved, NOW) == RefusedMessage(RefuseReason.REFUSED)
     unknown = replace(request, invitation=bytes(32))
-    assert allowed_pattern(store, unknown, NOW) == Refused(RefuseReason.REFUSED)
+    assert allowed_pattern(store, unknown, NOW) == RefusedMessage(RefuseReason.REFUSED)
     late = NOW + 2 * HOUR
-    assert allowed_pattern(store, request, late) == Refused(RefuseReason.ENDED)
+    assert allowed_pattern(store, request, late) == RefusedMessage(RefuseReason.ENDED)
     join(home.authority, request, NOW)
     assert allowed_pattern(store, request, late) == "/fleet/*"

@@ -15,7 +15,7 @@ from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile, read_policy
 from rossec.authority.service import AuthorityService
-from rossec.authority.session import MasterCall
+from rossec.authority.session import StatementCall
 from rossec.errors import ConfigurationError, NotDelivered
 from rossec.home import NodeHome
 
@@ -60,7 +60,7 @@ class Office:
     def write(self, text: str) -> None:
         (self.root / "ca" / "policy.yaml").write_text(text)
 
-    def _deliver(self, call: MasterCall) -> object:
+    def _deliver(self, call: StatementCall) -> object:
         if not self.reachable:
             raise NotDelivered(f"no master for {call.what}", call.hint)
         if call.method == "rossec.revocationStanding":  # it has the newest list

@@ -22,7 +22,7 @@ from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec.authority.home import OWN_LIFETIME, AuthorityHome
 from rossec.authority.policyfile import PolicyFile
 from rossec.authority.service import AuthorityService
-from rossec.authority.session import MasterCall
+from rossec.authority.session import StatementCall
 from rossec.errors import AuthorityLocked, ConfigurationError, NotDelivered
 from rossec.home import NodeHome
 from rossec.ros.names import MASTER
@@ -49,7 +49,7 @@ class Office:
         self.now = NOW
         self.asked = 0
         self.secret = SECRET
-        self.calls: list[MasterCall] = []
+        self.calls: list[StatementCall] = []
         self.reachable = True
         self.home = AuthorityHome.create(root, "home", SECRET, NOW)
         self.service = self.opened()
@@ -62,7 +62,7 @@ class Office:
         self.asked += 1
         return self.secret
 
-    def _deliver(self, call: MasterCall) -> None:
+    def _deliver(self, call: StatementCall) -> None:
         if not self.reachable:
             raise NotDelivered("no master", call.hint)
         self.calls.append(call)

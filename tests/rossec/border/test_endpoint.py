@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from ca.things.constrained_nodes import ThingKey
 from rossec.border import messages
 from rossec.border.conversations import MESSAGE_BURST, SOURCE_BURST, Conversation
-from rossec.border.endpoint import HANDSHAKE_PATH, HANDSHAKES, Endpoint, Request
+from rossec.border.endpoint import HANDSHAKE_PATH, HANDSHAKES, CoapEndpoint, CoapRequest
 from rossec.border.handshakes import StaticKey
 from rossec.border.messages import (
     LIFETIME,
@@ -42,7 +42,7 @@ class Router:
         self.served = True
         self.now = 1000.0
         self.mid = 0
-        self.endpoint = Endpoint(
+        self.endpoint = CoapEndpoint(
             OWN, self, self, lambda data, to: self.sent.append((data, to)), os.urandom, lambda: 0.5
         )
 
@@ -259,7 +259,7 @@ def test_the_router_asks_a_thing_in_the_same_context(router: Router) -> None:
     conversation = router.endpoint.conversations.of(LAMP)
     assert conversation is not None
     answers: list[Any] = []
-    router.endpoint.requests.start(conversation, Request(codes.GET, ("t",)), answers.append, router.now)
+    router.endpoint.requests.start(conversation, CoapRequest(codes.GET, ("t",)), answers.append, router.now)
     sealed = router.answer
     opened, identifier = router.lamp.context.open(messages.read(router.sent[-1][0]))
     assert (opened.code, opened.opt.uri_path) == (codes.GET, ("t",))

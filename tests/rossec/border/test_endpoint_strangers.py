@@ -7,7 +7,7 @@ import pytest
 from aiocoap.numbers import codes
 
 from rossec.border import messages
-from rossec.border.endpoint import HANDSHAKE_PATH, Request
+from rossec.border.endpoint import HANDSHAKE_PATH, CoapRequest
 from rossec.border.messages import OscoreContext
 from tests.rossec.border.test_endpoint import ELSEWHERE, HERE, LAMP, SECRET, Router
 from tests.rossec.border.test_handshakes import Initiator
@@ -24,7 +24,9 @@ def test_forged_resets_end_no_request(router: Router) -> None:
     conversation = router.endpoint.conversations.of(LAMP)
     assert conversation is not None
     answers: list[Any] = []
-    router.endpoint.requests.start(conversation, Request(codes.POST, ("open",)), answers.append, router.now)
+    router.endpoint.requests.start(
+        conversation, CoapRequest(codes.POST, ("open",)), answers.append, router.now
+    )
     asked = router.sent[-1][0]
     for mid in range(0x10000):
         router.endpoint.receive(messages.empty(messages.RST, mid), HERE, router.now)

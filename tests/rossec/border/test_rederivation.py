@@ -10,7 +10,7 @@ from rossec.border.messages import (
     MAX_ID1,
     NONCE_SIZE,
     R2_SIZE,
-    Challenges,
+    ContextChallenges,
     OscoreContext,
     border_context,
     is_in,
@@ -47,7 +47,7 @@ def test_other_kid_contexts_are_refused(kid_context: bytes) -> None:
 
 
 def test_a_challenge_is_recognized_for_a_while() -> None:
-    challenges = Challenges(KEY)
+    challenges = ContextChallenges(KEY)
     value = challenges.make(KID, NOW, b"ab")
     assert len(value) == R2_SIZE
     made = int(NOW * 1000)
@@ -57,13 +57,13 @@ def test_a_challenge_is_recognized_for_a_while() -> None:
 
 
 def test_a_challenge_is_of_one_thing_and_one_process() -> None:
-    value = Challenges(KEY).make(KID, NOW, b"ab")
-    assert Challenges(KEY).issued(b"\x08", value, NOW) == 0
-    assert Challenges(bytes(16)).issued(KID, value, NOW) == 0
+    value = ContextChallenges(KEY).make(KID, NOW, b"ab")
+    assert ContextChallenges(KEY).issued(b"\x08", value, NOW) == 0
+    assert ContextChallenges(bytes(16)).issued(KID, value, NOW) == 0
     for at in range(R2_SIZE):
         changed = value[:at] + bytes([value[at] ^ 1]) + value[at + 1 :]
-        assert Challenges(KEY).issued(KID, changed, NOW) == 0
-    assert Challenges(KEY).issued(KID, b"", NOW) == 0
+        assert ContextChallenges(KEY).issued(KID, changed, NOW) == 0
+    assert ContextChallenges(KEY).issued(KID, b"", NOW) == 0
 
 
 def test_both_sides_derive_the_same_from_the_same() -> None:
@@ -78,7 +78,7 @@ def test_both_sides_derive_the_same_from_the_same() -> None:
 
 
 def test_a_challenge_is_answered_once_and_only_the_newest() -> None:
-    challenges = Challenges(KEY)
+    challenges = ContextChallenges(KEY)
     older, newer = (challenges.make(KID, NOW + each, b"ab") for each in (0, 1))
     assert not challenges.take(KID, newer, NOW + 2)  # no R3
     assert challenges.take(KID, newer + bytes(NONCE_SIZE), NOW + 2)

@@ -10,7 +10,7 @@ from aiocoap.optiontypes import BlockOption
 
 from rossec.border import endpoint, messages
 from rossec.border.conversations import MAX_BLOCK, MAX_BODY, MESSAGE_BURST, Conversation
-from rossec.border.endpoint import DEADLINE, Answer, Request, Requests
+from rossec.border.endpoint import DEADLINE, CoapAnswer, CoapRequest, Requests
 from rossec.border.messages import MAX_RETRANSMIT, OscoreContext, Timers, Transmissions
 from rossec.errors import DatagramRefused, ThingUnreachable
 
@@ -27,12 +27,12 @@ class Line:
         self.open = Requests(send, self.timers, os.urandom)
         self.thing = OscoreContext(bytes(16), b"", b"t", b"")
         self.conversation = Conversation("/things/lamp", OscoreContext(bytes(16), b"", b"", b"t"), THING)
-        self.answers: list[Answer | ThingUnreachable] = []
+        self.answers: list[CoapAnswer | ThingUnreachable] = []
         self.opened: dict[bytes, tuple[aiocoap.Message, aiocoap.Message, Any]] = {}
         self.now = 0.0
 
     def ask(self, code: Any = codes.GET, **options: Any) -> Any:
-        request = Request(code, ("t",), **options)
+        request = CoapRequest(code, ("t",), **options)
         return self.open.start(self.conversation, request, self.answers.append, self.now)
 
     def asked(self) -> tuple[aiocoap.Message, aiocoap.Message, Any]:
@@ -82,7 +82,7 @@ def test_a_request_and_its_answer(line: Line) -> None:
     assert (opened.code, opened.opt.uri_path, opened.payload) == (codes.PUT, ("t",), b"on")
     assert (int(opened.opt.content_format), sealed.mtype) == (60, messages.CON)
     line.take(line.seal(sealed, identifier, codes.CHANGED))
-    assert line.answers == [Answer(codes.CHANGED, None, b"")]
+    assert line.answers == [CoapAnswer(codes.CHANGED, None, b"")]
     assert (len(line.open), line.conversation.tokens, len(line.timers)) == (0, set(), 0)
 
 
@@ -137,7 +137,7 @@ def test_observed_states_in_their_order(line: Line) -> None:
         line.take(each)
     with pytest.raises(DatagramRefused):
         line.take(states[1])
-    assert [each.body for each in line.answers if isinstance(each, Answer)] == [b"1", b"3"]
+    assert [each.body for each in line.answers if isinstance(each, CoapAnswer)] == [b"1", b"3"]
     assert len(line.open) == 1
     line.open.cancel(exchange)
     assert line.open.find(states[0], THING) is None
@@ -165,7 +165,7 @@ def test_an_unprotected_answer_ends_nothing_and_is_asked_again(line: Line) -> No
         line.timers.run(endpoint.RETRY * 2**tries)
     assert len({bytes(messages.read(data).token) for data in line.sent}) == 1 + endpoint.RETRIES
     line.reply(b"20")
-    assert [each.body for each in line.answers if isinstance(each, Answer)] == [b"20"]
+    assert [each.body for each in line.answers if isinstance(each, CoapAnswer)] == [b"20"]
 
 
 def test_a_thing_that_learns_its_context_late_is_not_left_to_repetitions(line: Line) -> None:
@@ -185,7 +185,7 @@ def test_a_thing_that_learns_its_context_late_is_not_left_to_repetitions(line: L
         answered.add(mid)
         line.now += 0.25
         line.timers.run(line.now)
-    assert [each.body for each in line.answers if isinstance(each, Answer)] == [b"20"]
+    assert [each.body for each in line.answers if isinstance(each, CoapAnswer)] == [b"20"]
     assert line.now < 20
 
 
@@ -202,7 +202,7 @@ def test_an_answer_in_blocks(line: Line) -> None:
         assert wanted is None if number == 0 else wanted.block_number == number
         part = body[number * MAX_BLOCK : (number + 1) * MAX_BLOCK]
         line.reply(part, block2=block(number, number < 2))
-    assert line.answers == [Answer(codes.CONTENT, None, body)]
+    assert line.answers == [CoapAnswer(codes.CONTENT, None, body)]
 
 
 def test_a_body_in_blocks(line: Line) -> None:
@@ -214,7 +214,7 @@ def test_a_body_in_blocks(line: Line) -> None:
     second = line.asked()[1]
     assert (second.payload, second.opt.block1) == (body[MAX_BLOCK:], block(1, False))
     line.reply(b"done", codes.CHANGED)
-    assert line.answers == [Answer(codes.CHANGED, None, b"done")]
+    assert line.answers == [CoapAnswer(codes.CHANGED, None, b"done")]
 
 
 @pytest.mark.parametrize("flaw", ["a gap", "a short block", "too long", "more than there is"])
@@ -241,7 +241,7 @@ def test_an_observed_state_in_blocks(line: Line) -> None:
     line.ask(observe=True)
     line.reply(body[:MAX_BLOCK], observe=1, block2=block(0, True))
     line.reply(body[MAX_BLOCK:], block2=block(1, False))
-    assert line.answers == [Answer(codes.CONTENT, None, body)]
+    assert line.answers == [CoapAnswer(codes.CONTENT, None, body)]
     assert len(line.open) == 1
 
 

@@ -12,7 +12,7 @@ from ca.things.constrained_nodes import ThingKey
 from rossec.border import messages
 from rossec.border.border_router import Server
 from rossec.border.conversations import Conversation
-from rossec.border.endpoint import Answer, Request
+from rossec.border.endpoint import CoapAnswer, CoapRequest
 from rossec.border.handshakes import StaticKey
 from rossec.border.messages import OscoreContext
 from rossec.errors import ConfigurationError, ThingUnreachable
@@ -80,8 +80,8 @@ async def test_requests_are_sent_again_and_fail_when_the_conversation_ends(
     nobody, peer = Nobody(), Peer()
     server = Server(OWN, nobody, nobody, "::1", 0)
     await peer.start(server.address)
-    answers: list[Answer | ThingUnreachable] = []
-    request = Request(codes.GET, ("t",))
+    answers: list[CoapAnswer | ThingUnreachable] = []
+    request = CoapRequest(codes.GET, ("t",))
     assert server.request(LAMP, request, answers.append) is None
     address = peer.transport.get_extra_info("sockname")
     context = OscoreContext(os.urandom(16), b"", b"a", b"b")

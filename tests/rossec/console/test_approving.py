@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from ca.errors import EnrollmentOver, HintedError, NameRefused, PatternRefused
-from rossec.authority.console.messages import PREPARED, GrantQuestion, IdentityRequestView, Outcome
+from rossec.authority.console.messages import PREPARED, ApprovalOutcome, GrantQuestion, IdentityRequestView
 from rossec.console import approvals
-from rossec.console.approvals import DAY, Act, MadeCodes, carried_out, certificate_request, read
+from rossec.console.approvals import DAY, MadeCodes, ProposedAct, carried_out, certificate_request, read
 from rossec.console.enrollments import Enrollment
 from rossec.errors import EnrollmentUnknown, FormRefused
 
@@ -52,7 +52,7 @@ class Sources:
 
     def __init__(self, **enrollments: Adding) -> None:
         self.known = enrollments
-        self.heard: list[tuple[str, Outcome]] = []
+        self.heard: list[tuple[str, ApprovalOutcome]] = []
         self.enrollments: Any = self
         self.service: Any = self
         self.made_codes = MadeCodes()
@@ -64,7 +64,7 @@ class Sources:
         found: Any = self.known[number]
         return found  # type: ignore[no-any-return]
 
-    def approved(self, number: str, outcome: Outcome) -> None:
+    def approved(self, number: str, outcome: ApprovalOutcome) -> None:
         self.heard.append((number, outcome))
 
     async def identity_requests(self) -> tuple[IdentityRequestView, ...]:
@@ -221,18 +221,18 @@ def test_a_request_is_read_as_pem_or_as_its_base64() -> None:
 
 
 def test_the_page_after_an_approval_is_the_one_of_its_kind() -> None:
-    sources, outcome = Sources(), Outcome(b"\xab" * 16, "done", "", b"")
-    act = Act("enroll", [], "/add/e1", subject="e1")
+    sources, outcome = Sources(), ApprovalOutcome(b"\xab" * 16, "done", "", b"")
+    act = ProposedAct("enroll", [], "/add/e1", subject="e1")
     assert carried_out(sources, act, outcome, b"session") == "/add/e1"
     assert sources.heard == [("e1", outcome)]
-    assert carried_out(sources, Act("policy", [], "/approved/{id}"), outcome, b"session") == (
+    assert carried_out(sources, ProposedAct("policy", [], "/approved/{id}"), outcome, b"session") == (
         "/approved/q6urq6urq6urq6urq6urqw"
     )
     assert len(sources.heard) == 1
 
 
 def test_a_join_code_is_for_the_session_that_made_it() -> None:
-    sources, outcome = Sources(), Outcome(b"\xab" * 16, "done", "", b"code")
-    carried_out(sources, Act("invitation", [], "/invited/{id}"), outcome, b"session")
+    sources, outcome = Sources(), ApprovalOutcome(b"\xab" * 16, "done", "", b"code")
+    carried_out(sources, ProposedAct("invitation", [], "/invited/{id}"), outcome, b"session")
     assert not sources.made_codes.take(outcome.id, b"another")
     assert sources.made_codes.take(outcome.id, b"session")

@@ -8,7 +8,7 @@ from rossec.authority.console.messages import AskedRight, FactView, GrantQuestio
 from rossec.console import approvals, samples
 from rossec.console.approvals import DAY
 from rossec.console.samples import Recorded
-from rossec.console.sentences import Part
+from rossec.console.sentences import SentencePart
 from tests.support.consolehome import COARSE, POSE
 
 
@@ -20,7 +20,7 @@ def question(*rights: AskedRight, lifetime: int = 7 * DAY) -> GrantQuestion:
     return GrantQuestion(b"q", "/heating", b"k", "", 0, 9, lifetime, (), rights)
 
 
-def told(parts: tuple[Part, ...]) -> str:
+def told(parts: tuple[SentencePart, ...]) -> str:
     return " ".join(part.text for part in parts)
 
 

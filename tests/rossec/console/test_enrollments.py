@@ -8,18 +8,26 @@ import pytest
 from ca.enrollment import qr
 from ca.errors import CodeExpired, CodeRefused, EnrollmentOver
 from rossec.authority.console import messages
-from rossec.authority.console.messages import Outcome
-from rossec.console.enrollments import MAX_KEPT, MAX_RUNNING, WAITING, Enrollment, Enrollments, Known, Stage
+from rossec.authority.console.messages import ApprovalOutcome
+from rossec.console.enrollments import (
+    MAX_KEPT,
+    MAX_RUNNING,
+    WAITING,
+    Enrollment,
+    Enrollments,
+    RecordedName,
+    Stage,
+)
 from rossec.errors import ConfigurationError, EnrollmentUnknown, TooManyEnrollments
 from tests.rossec.console.test_enrollment import Service
 from tests.support.enrolling import NAME, Robot, WaitingRobot, clock
 
 
-def waiting() -> Outcome:
-    return Outcome(bytes(16), WAITING, "", b"")
+def waiting() -> ApprovalOutcome:
+    return ApprovalOutcome(bytes(16), WAITING, "", b"")
 
 
-SIGNED = Outcome(bytes(16), "failed", "the key is broken", b"")
+SIGNED = ApprovalOutcome(bytes(16), "failed", "the key is broken", b"")
 
 
 class Changes:
@@ -149,7 +157,7 @@ async def test_digits_that_differ_end_the_listening(table: Table, monkeypatch: p
     with pytest.raises(EnrollmentOver, match="no digits"):
         await enrollments.differ(number)
     assert len(enrollments._tasks) == 1, "nothing was ended"
-    found.known, found.stage = Known.SAME_KEY, Stage.DIGITS
+    found.known, found.stage = RecordedName.SAME_KEY, Stage.DIGITS
     await enrollments.differ(number)
     await asyncio.sleep(0)
     await asyncio.sleep(0)

@@ -14,7 +14,7 @@ import pytest
 
 from ca.certificates import TrustAnchor, from_pem
 from ca.enrollment import qr
-from rossec.console.enrollments import Enrollments, Known, Stage
+from rossec.console.enrollments import Enrollments, RecordedName, Stage
 from rossec.console.server.supervisor import ScannerSupervisor
 from rossec.console.server.web import ScannerClient
 from tests.rossec.console.test_enrollment import SITE, Adding, Service, node, waiting
@@ -86,7 +86,7 @@ async def test_a_node_is_added_from_the_picture_of_its_code(robot: Node) -> None
     number = enrollments.begin(text)
     found = enrollments.get(number)
     await changes.until(found, Stage.COMPARED)
-    assert (found.core.request.name, found.known) == ("/fridge", Known.NEW)
+    assert (found.core.request.name, found.known) == ("/fridge", RecordedName.NEW)
 
     service.answers = [waiting(), Adding.signed_for(found.core)]  # the key is unlocked meanwhile
     enrollments.approved(number, waiting())

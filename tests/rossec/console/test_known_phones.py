@@ -3,14 +3,14 @@
 import pytest
 
 from rossec.authority.console.messages import PhoneView
-from rossec.console.sessions import KEPT, KnownPhones, Session
+from rossec.console.sessions import KEPT, KnownPhones, LoginSession
 from rossec.errors import KeyServiceFailed
 
 ANN = PhoneView(b"1", "Ann's phone", 100, 0, "", "")
 
 
-def session() -> Session:
-    return Session(b"s", ANN.name, 100, 100)
+def session() -> LoginSession:
+    return LoginSession(b"s", ANN.name, 100, 100)
 
 
 class Service:
@@ -57,11 +57,11 @@ async def test_another_one_of_its_name_does_not_bring_its_session_back(service: 
 async def test_one_that_was_set_up_just_now_counts(service: Service) -> None:
     assert await service.known.counts(session())
     service.phones.append(PhoneView(b"2", "Ben's phone", 101, 0, "", ""))
-    assert await service.known.counts(Session(b"t", "Ben's phone", 101, 101))
+    assert await service.known.counts(LoginSession(b"t", "Ben's phone", 101, 101))
 
 
 async def test_a_session_by_a_code_has_no_phone(service: Service) -> None:
-    assert await service.known.counts(Session(b"t", "", 100, 100))
+    assert await service.known.counts(LoginSession(b"t", "", 100, 100))
     assert service.asked == 0
 
 

@@ -2,14 +2,21 @@ from pathlib import Path
 
 import pytest
 
-from rossec.console.options import Endpoint, Options, Tls, check_name, check_origin, read_options
+from rossec.console.options import (
+    ConsoleEndpoint,
+    ConsoleOptions,
+    Tls,
+    check_name,
+    check_origin,
+    read_options,
+)
 from rossec.errors import ConfigurationError
 
 CERTIFICATE, KEY, SOCKET = Path("/etc/tls.pem"), Path("/etc/tls.key"), Path("/run/c.sock")
 
 
-def read(**options: object) -> Endpoint:
-    return read_options(Options(**options), "Hall")  # type: ignore[arg-type]
+def read(**options: object) -> ConsoleEndpoint:
+    return read_options(ConsoleOptions(**options), "Hall")  # type: ignore[arg-type]
 
 
 def test_without_options_it_is_for_this_host() -> None:
@@ -27,12 +34,12 @@ def test_on_the_network_it_has_the_name_that_mdns_announces() -> None:
 
 
 def test_the_domain_of_the_host_is_not_part_of_that_name() -> None:
-    assert read_options(Options(lan=True), "hall.example.org").name == "hall.local"
+    assert read_options(ConsoleOptions(lan=True), "hall.example.org").name == "hall.local"
 
 
 def test_a_host_with_a_strange_name_is_asked_for_one() -> None:
     with pytest.raises(ConfigurationError, match="the name of this host") as caught:
-        read_options(Options(lan=True), "my_robot")
+        read_options(ConsoleOptions(lan=True), "my_robot")
     assert "--name" in caught.value.hint
 
 

@@ -7,7 +7,15 @@ from pathlib import Path
 import pytest
 
 from ca.enrollment.invitation import InvitationCode, JoinClaim, JoinRequest
-from ca.enrollment.join import JoinAnswer, NameAnswer, Named, Refused, RefuseReason, Waiting, WaitReason
+from ca.enrollment.join import (
+    JoinAnswer,
+    NameAnswer,
+    Named,
+    RefusedMessage,
+    RefuseReason,
+    WaitingMessage,
+    WaitReason,
+)
 from ca.errors import JoinBusy, JoinRefused, JoinWaiting, NotTheAuthority
 from rossec.enrollment import join
 from rossec.enrollment.join import JoinServer
@@ -15,7 +23,7 @@ from rossec.errors import ConfigurationError, PeerUnreachable
 from tests.support.joining import JoinSite, asked
 from tests.support.pki import NOW
 
-BUSY = Refused(RefuseReason.BUSY)
+BUSY = RefusedMessage(RefuseReason.BUSY)
 
 
 def clock() -> int:
@@ -74,9 +82,9 @@ async def test_an_authority_that_stays_busy(home: JoinSite) -> None:
 @pytest.mark.parametrize(
     ("answer", "error"),
     [
-        (Refused(RefuseReason.ENDED), JoinRefused),
-        (Waiting(WaitReason.LOCKED), JoinWaiting),
-        (Waiting(WaitReason.PERSON), JoinWaiting),
+        (RefusedMessage(RefuseReason.ENDED), JoinRefused),
+        (WaitingMessage(WaitReason.LOCKED), JoinWaiting),
+        (WaitingMessage(WaitReason.PERSON), JoinWaiting),
     ],
 )
 async def test_an_answer_is_not_asked_for_again(

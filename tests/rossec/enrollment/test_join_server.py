@@ -14,9 +14,9 @@ from ca.enrollment.join import (
     NameAnswer,
     Named,
     NodeJoin,
-    Refused,
+    RefusedMessage,
     RefuseReason,
-    Waiting,
+    WaitingMessage,
     WaitReason,
     Welcome,
     read,
@@ -30,7 +30,7 @@ from rossec.net.limits import HalfOpen
 from tests.support.joining import JoinSite, asked, fresh, issued
 from tests.support.pki import NOW
 
-LOCKED = Waiting(WaitReason.LOCKED)
+LOCKED = WaitingMessage(WaitReason.LOCKED)
 
 
 class Peer:
@@ -99,7 +99,7 @@ async def test_a_broken_session_is_told_nothing_and_reported(home: JoinSite, dat
     server = JoinServer(home.identity, home.admit, reported.append)
     async with home.serving(server), connected(server) as peer:
         peer.writer.write(data)
-        assert await peer.next() == Refused(RefuseReason.REFUSED)
+        assert await peer.next() == RefusedMessage(RefuseReason.REFUSED)
         assert await peer.is_closed()
     [line] = reported
     assert line.startswith("127.0.0.1: ")
@@ -110,7 +110,7 @@ async def test_a_second_hello_ends_the_session(home: JoinSite) -> None:
         for _ in range(2):
             peer.says(write(Hello(bytes(32), fresh())))
         assert isinstance(await peer.next(), Welcome)
-        assert await peer.next() == Refused(RefuseReason.REFUSED)
+        assert await peer.next() == RefusedMessage(RefuseReason.REFUSED)
 
 
 async def test_a_peer_that_is_silent_is_closed(home: JoinSite) -> None:
@@ -142,7 +142,7 @@ async def test_the_open_sessions_of_an_address_are_bounded(home: JoinSite) -> No
         async with connected(server) as second:
             assert await second.is_closed()
         first.says(write(LOCKED))
-        assert await first.next() == Refused(RefuseReason.REFUSED)
+        assert await first.next() == RefusedMessage(RefuseReason.REFUSED)
 
 
 class Gate:
@@ -191,7 +191,7 @@ async def test_a_decision_that_takes_too_long(home: JoinSite, monkeypatch: pytes
     server = JoinServer(home.identity, Gate().admit)
     async with home.serving(server), connected(server) as peer:
         await peer.proves(home.invite(), asked("/fleet/a"))
-        assert await peer.next() == Refused(RefuseReason.BUSY)
+        assert await peer.next() == RefusedMessage(RefuseReason.BUSY)
 
 
 async def failing(_: JoinRequest) -> JoinAnswer:
@@ -210,7 +210,7 @@ async def test_a_request_that_cannot_be_decided(
     async with home.serving(server), connected(server) as peer:
         await peer.proves(home.invite(), asked("/fleet/a"))
         if admit is failing:
-            assert await peer.next() == Refused(RefuseReason.BUSY)
+            assert await peer.next() == RefusedMessage(RefuseReason.BUSY)
         assert await peer.is_closed()
     assert [record.levelname for record in caplog.records] == ["ERROR"]
 
@@ -227,7 +227,7 @@ NODE = b"<node/>"
 
 
 async def named_a(claim: JoinClaim) -> NameAnswer:
-    return Named("/fleet/a") if claim.metadata == NODE else Refused(RefuseReason.METADATA)
+    return Named("/fleet/a") if claim.metadata == NODE else RefusedMessage(RefuseReason.METADATA)
 
 
 async def claimed(peer: Peer, code: InvitationCode, metadata: bytes = NODE) -> NodeJoin:
@@ -255,14 +255,14 @@ async def test_a_refused_claim_ends_the_session(home: JoinSite) -> None:
     server = JoinServer(home.identity, home.admit, name=named_a)
     async with home.serving(server), connected(server) as peer:
         await claimed(peer, home.invite(), b"<other/>")
-        assert await peer.next() == Refused(RefuseReason.METADATA)
+        assert await peer.next() == RefusedMessage(RefuseReason.METADATA)
         assert await peer.is_closed()
 
 
 async def test_who_gives_no_names_answers_as_one_of_an_earlier_version(home: JoinSite) -> None:
     async with home.serving() as server, connected(server) as peer:
         await claimed(peer, home.invite())
-        assert await peer.next() == Refused(RefuseReason.REFUSED)
+        assert await peer.next() == RefusedMessage(RefuseReason.REFUSED)
 
 
 async def test_a_claim_that_cannot_be_decided(home: JoinSite) -> None:
@@ -272,4 +272,4 @@ async def test_a_claim_that_cannot_be_decided(home: JoinSite) -> None:
     server = JoinServer(home.identity, home.admit, name=broken)
     async with home.serving(server), connected(server) as peer:
         await claimed(peer, home.invite())
-        assert await peer.next() == Refused(RefuseReason.BUSY)
+        assert await peer.next() == RefusedMessage(RefuseReason.BUSY)

@@ -9,7 +9,7 @@ import pytest
 from rossec.federation.follower import FollowedSite
 from rossec.federation.mesh import AnnouncedMasters, mesh_of
 from rossec.federation.settings import FILE, FederationConfig, SiteFile, SiteSettings
-from rossec.master.state.forwarded_ports import SILENCE, Report, Way
+from rossec.master.state.forwarded_ports import SILENCE, PeerWay, RelayReport
 from tests.support.masters import Master, masters
 from tests.support.site import Site
 from tests.support.witness import until
@@ -140,8 +140,8 @@ async def test_a_relay_that_fell_silent_is_forgotten(
     caplog.set_level(logging.WARNING, "rossec.audit")
     hall, _ = pair
     doors, now = hall.server.state.doors, hall.server.state.now()
-    way = {"office": Way("up", 1.0, 0, "", 0)}
-    doors.hear("/relay", Report("one", 0, {}, way), now - SILENCE - 1)
+    way = {"office": PeerWay("up", 1.0, 0, "", 0)}
+    doors.hear("/relay", RelayReport("one", 0, {}, way), now - SILENCE - 1)
     hall.follow()
     await until(lambda: doors.way("office") is None)
     assert "relay /relay is silent" in caplog.text

@@ -11,7 +11,7 @@ from rossec.federation import follower
 from rossec.federation.exchange import OwnMaster
 from rossec.federation.follower import SiteConnections, SiteDoors
 from rossec.federation.settings import SiteSettings
-from rossec.master.state.forwarded_ports import Door, Report, Target, Way
+from rossec.master.state.forwarded_ports import Door, PeerWay, RelayReport, Target
 from tests.support.masters import Master, masters
 from tests.support.relaying import StraightRelay, relayed
 from tests.support.site import Site
@@ -97,9 +97,9 @@ async def test_who_answers_at_a_door_is_checked(dialled: Dialled) -> None:
     target = Target("office", "master", "/master/office")
     connections, doors = dialled.connections(settings), dialled.own.state.doors
     doors.want("office", [target])
-    ways = {"office": Way("up", 0.0, 0, "", 0)}
+    ways = {"office": PeerWay("up", 0.0, 0, "", 0)}
     door = {target: Door("127.0.0.1", dialled.kitchen.server.port)}
-    doors.hear("/relay", Report("one", 0, door, ways), dialled.own.state.now())
+    doors.hear("/relay", RelayReport("one", 0, door, ways), dialled.own.state.now())
     with pytest.raises(SiteRefused, match="/master/kitchen answers via office, not /master/office"):
         async with connections.open():
             pass

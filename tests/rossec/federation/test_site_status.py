@@ -1,7 +1,7 @@
 """What is told of a site."""
 
 from rossec.federation.settings import SiteSettings
-from rossec.federation.site_state import NAMED, Event, SiteState, site_status
+from rossec.federation.site_state import NAMED, SiteEvent, SiteState, site_status
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import Registry
 
@@ -10,7 +10,7 @@ OFFICE = SiteSettings("office", "", "/master/office", parameters=("/robot/**",),
 
 def followed() -> SiteState:
     state = SiteState()
-    for event in (Event.DUE, Event.CONNECTED, Event.ANSWERED):
+    for event in (SiteEvent.DUE, SiteEvent.CONNECTED, SiteEvent.ANSWERED):
         state.take(event, 0.0)
     return state
 
@@ -35,7 +35,7 @@ def test_topics_and_how_long_it_is_lost() -> None:
     imports, state = Imports(Registry()), followed()
     facts = [("publisher", "/b", "/n"), ("subscriber", "/a", "/n"), ("service", "/s", "/n")]
     imports.apply(OFFICE.site, facts, [])
-    state.take(Event.FAILED, 2.0)
+    state.take(SiteEvent.FAILED, 2.0)
     found = site_status(OFFICE, state, imports, 5.04)
     assert (found["facts"], found["topics"], found["topics_count"]) == (3, ["/a", "/b"], 2)
     assert (found["state"], found["lost_s"]) == ("lost", 3.0)

@@ -15,7 +15,15 @@ from rossec.federation import follower
 from rossec.federation.follower import SiteDoors
 from rossec.federation.settings import SiteSettings
 from rossec.federation.site_state import SiteChange
-from rossec.master.state.forwarded_ports import MASTER, NODE, Door, Doors, Report, Target, Way
+from rossec.master.state.forwarded_ports import (
+    MASTER,
+    NODE,
+    Door,
+    ForwardedPorts,
+    PeerWay,
+    RelayReport,
+    Target,
+)
 from rossec.ros.names import is_door
 from tests.support.masters import Master, domain_list, masters
 from tests.support.relaying import StraightRelay, relayed
@@ -26,7 +34,7 @@ OFFICE = SiteSettings("office", "", "/master/office", via="office")
 AT = Door("127.0.0.1", 7001)
 MASTER_THERE = Target("office", MASTER, "/master/office")
 ROBOT = Target("office", NODE, "/robot")
-WAY = Way("up", 1.5, 2, "tls/r:7447", 3)
+WAY = PeerWay("up", 1.5, 2, "tls/r:7447", 3)
 FACTS = frozenset({("node", "/robot", "http://10.0.0.2:4711/"), ("publisher", "/pose", "/robot")})
 
 
@@ -168,7 +176,7 @@ class Doorless:
     """The doors of a site, with a relay that polls when it is told to."""
 
     def __init__(self, limit: int = 100) -> None:
-        self.doors = Doors(limit)
+        self.doors = ForwardedPorts(limit)
         self.woken = 0
         self.site = SiteDoors(self.doors, OFFICE, self._wake)
 
@@ -178,7 +186,7 @@ class Doorless:
     def report(self, instance: str = "one", **ports: int) -> None:
         known = {"master": MASTER_THERE, "robot": ROBOT}
         doors = {known[name]: Door("127.0.0.1", port) for name, port in ports.items()}
-        self.doors.hear("/relay", Report(instance, 0, doors, {"office": WAY}), 0)
+        self.doors.hear("/relay", RelayReport(instance, 0, doors, {"office": WAY}), 0)
 
 
 async def test_the_masters_door_is_waited_for() -> None:

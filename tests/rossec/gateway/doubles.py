@@ -5,7 +5,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from rossec.errors import AnswerRefused
-from rossec.gateway.rules import Candidate, TopicRule
+from rossec.gateway.rules import SourceCandidate, TopicRule
 from rossec.node.publisher import Publisher, RawPublisher
 from rossec.node.subscriber import RawReceiver, RawSource
 from rossec.participant.definitions import Definition
@@ -15,10 +15,10 @@ STRING = Definition("std_msgs/String", "992ce8a1687cec8c8bd883ec73ca41d1", "stri
 INT8 = Definition("std_msgs/Int8", "27ffa0c9c4b8fb8492252bcad9e5c57b", "int8 data\n")
 
 
-def candidate(name: str = "/pose", wishes: Wishes = NO_WISHES, label: str = "ada") -> Candidate:
+def candidate(name: str = "/pose", wishes: Wishes = NO_WISHES, label: str = "ada") -> SourceCandidate:
     """A topic of another domain, as a rule covers it."""
     alias, served = f"/remote/{label}{name}", f"/gateway/{label}{name}"
-    return Candidate(alias, served, TopicRule(label, "/**", wishes), STRING.name)
+    return SourceCandidate(alias, served, TopicRule(label, "/**", wishes), STRING.name)
 
 
 def source(kind: Definition = STRING, *, latching: bool = False) -> RawSource:

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rossec.gateway.rules import BATCH, Candidate, Observed, TopicRule, chosen, observing, rule
+from rossec.gateway.rules import BATCH, Observed, SourceCandidate, TopicRule, chosen, observing, rule
 from rossec.participant.delivery import Wishes
 from rossec.participant.registrations import Fact
 
@@ -40,10 +40,10 @@ def test_a_topic_of_its_origin_that_a_rule_covers_is_a_candidate() -> None:
     ]
     found = observed(facts, RULES).candidates
     assert found == {
-        "/remote/ada/robot/pose": Candidate(
+        "/remote/ada/robot/pose": SourceCandidate(
             "/remote/ada/robot/pose", "/gateway/ada/robot/pose", RULES[0], "std_msgs/String"
         ),
-        "/remote/ben/x": Candidate("/remote/ben/x", "/gateway/ben/x", RULES[1], "std_msgs/String"),
+        "/remote/ben/x": SourceCandidate("/remote/ben/x", "/gateway/ben/x", RULES[1], "std_msgs/String"),
     }
 
 
@@ -71,10 +71,11 @@ def test_a_topic_whose_served_name_would_be_too_long_is_left_out() -> None:
     assert observed([("publisher", name, "/remote/ben/n")], RULES).candidates == {}
 
 
-def some(label: str, count: int) -> list[Candidate]:
+def some(label: str, count: int) -> list[SourceCandidate]:
     given = TopicRule(label, "/**")
     return [
-        Candidate(f"/remote/{label}/t{n:04}", f"/gateway/{label}/t{n:04}", given, "*") for n in range(count)
+        SourceCandidate(f"/remote/{label}/t{n:04}", f"/gateway/{label}/t{n:04}", given, "*")
+        for n in range(count)
     ]
 
 

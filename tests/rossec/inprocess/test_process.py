@@ -15,7 +15,7 @@ from grants.model import Right
 from rossec.errors import ChannelClosed, ConfigurationError, PlainPeer
 from rossec.inprocess.identity import LocalIdentity
 from rossec.inprocess.options import PlainPeers
-from rossec.inprocess.process import Reporter, RosConnection, SecuredProcess
+from rossec.inprocess.process import CallReporter, RosConnection, SecuredProcess
 from rossec.participant.authorized import AuthorizedConnection
 from rossec.ros.names import parse_uri
 from tests.support.ports import free_port
@@ -28,7 +28,7 @@ class Lines:
 
     def __init__(self) -> None:
         self.said: list[str] = []
-        self.reporter = Reporter(self.said.append)
+        self.reporter = CallReporter(self.said.append)
 
     async def until(self, words: str) -> None:
         """Lines are written by a thread."""

@@ -9,8 +9,8 @@ from grants.errors import GrantError, GrantMissing
 from grants.model import Permission, Right
 from rossec.master.api.dispatch import MULTICALL, MasterApi, Multicall
 from rossec.master.api.methods import CallOutcome, MasterEvent, TurnExpired, Work, advance
-from rossec.master.rights.caller import Caller, Peer
-from rossec.master.rights.held_grants import Presented, Renewed
+from rossec.master.rights.caller import Caller, CertifiedPeer
+from rossec.master.rights.held_grants import Renewed, VerifiedGrants
 from rossec.master.rights.renewals import RenewalAnswer
 from rossec.master.rights.revocation_lists import HeldLists, ListStanding
 from rossec.master.rights.statements import TrustState
@@ -89,14 +89,14 @@ class FakeStatements(TrustState):
     presented: list[bytes] = field(default_factory=list)
     held_lists: HeldLists = field(default_factory=HeldLists)
 
-    def caller_of(self, peer: Peer, now: int) -> Caller | None:
+    def caller_of(self, peer: CertifiedPeer, now: int) -> Caller | None:
         known = self.callers.get(peer.name)
         return known if known is not None and known.thumbprint == peer.thumbprint else None
 
-    def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Presented:
+    def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> VerifiedGrants:
         good = [token for token in tokens if token != b"forged"]
         self.presented += good
-        return Presented(len(self.presented), ("forged",) * (len(tokens) - len(good)))
+        return VerifiedGrants(len(self.presented), ("forged",) * (len(tokens) - len(good)))
 
     def has_presented(self, holder: bytes, grant_id: bytes) -> bool:
         return grant_id in self.presented
@@ -141,10 +141,10 @@ class FakeStatements(TrustState):
     def list_number(self) -> tuple[int, int]:
         return 1, len(self.lists)
 
-    def standing(self, connected: Iterable[Peer], now: int) -> ListStanding:
+    def standing(self, connected: Iterable[CertifiedPeer], now: int) -> ListStanding:
         return self.held_lists.standing(connected, self.lists[-1], now)
 
-    def revocations_for(self, peer: Peer, now: int) -> tuple[bytes, bytes]:
+    def revocations_for(self, peer: CertifiedPeer, now: int) -> tuple[bytes, bytes]:
         data, stamp = self.current(now)
         return (b"" if self.held_lists.holds(peer, data) else data), stamp
 

@@ -19,7 +19,7 @@ from grants.model import Right
 from grants.token import unpack
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.rights.caller import VISIBILITY_RIGHTS
-from rossec.master.rights.renewals import Delegate
+from rossec.master.rights.renewals import TicketSigner
 from rossec.master.rights.statements import TrustState, enforce, enforcement_steps
 from rossec.master.state.registry import Kind, NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.participant.registrations import GraphView
@@ -61,7 +61,7 @@ class Master(RuleBasedStateMachine):
         self.registered_nodes: dict[str, EnrolledNode] = {name: self.site.enroll(name) for name in NODES}
         self.master = self.site.enroll("/master")
         signer = self.master.credentials.signer
-        delegate = Delegate(self.site.anchor, signer)
+        delegate = TicketSigner(self.site.anchor, signer)
         delegate.take(self.site.delegation(self.master, lifetime=1000 * HOUR))
         self.trust = TrustState(self.site.anchor, signer, self.site.revocations(), lambda _: None, delegate)
         self.registry = Registry()

@@ -10,7 +10,7 @@ import pytest
 from ca.certificates import Identity
 from grants.model import Right
 from rossec.errors import RossecError
-from rossec.master.api.methods import Turns
+from rossec.master.api.methods import TurnClock
 from rossec.master.rights.statements import TrustState
 from rossec.master.server.server import MasterServer
 from rossec.net.aio import SecureStream, WireProtocol, connect, serve
@@ -70,7 +70,7 @@ class World:
         )
         self.trust.update(self.site.revoke(), self.site.now)
 
-    async def start(self, turns: Turns | None = None) -> None:
+    async def start(self, turns: TurnClock | None = None) -> None:
         self.server = MasterServer(
             self.master.credentials,
             self.trust.domains.anchors.verify,

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rossec.errors import MetadataRefused, NameUndefined
-from rossec.naming.requests import Kind
+from rossec.naming.requests import NameKind
 from tests.rossec.namespace.launch_texts import launch, node, simple, topic, transform
 
 WORDS = st.text("abcdefghij", min_size=1, max_size=8)
@@ -25,7 +25,7 @@ def test_the_names_are_reported() -> None:
     _, (found,) = transform(launch(node("<ns:group>g</ns:group>", topic("light", "~out"))), simple)
     (entry,) = found.entries
     assert (found.line, found.name) == (2, "/g/lamp")
-    assert (entry.kind, entry.source, entry.name) == (Kind.TOPIC, "~out", "/g/lamp/light")
+    assert (entry.kind, entry.source, entry.name) == (NameKind.TOPIC, "~out", "/g/lamp/light")
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
@@ -54,8 +54,8 @@ def test_only_lines_without_anything_else_are_left_out(end: str) -> None:
 
 
 def test_another_name_of_the_node_is_put_in_its_place() -> None:
-    def renamed(metadata: bytes, queries: Sequence[tuple[Kind, str]]) -> list[str]:
-        return ["/top" if kind is Kind.NODE else "/t" for kind, _ in queries]
+    def renamed(metadata: bytes, queries: Sequence[tuple[NameKind, str]]) -> list[str]:
+        return ["/top" if kind is NameKind.NODE else "/t" for kind, _ in queries]
 
     found, _ = transform(launch(node("<ns:group/>")), renamed)
     assert found == launch(node(name="top", more=' ns="/"'))
@@ -78,7 +78,7 @@ def test_one_topic_with_two_names() -> None:
 
 
 def test_a_name_that_there_is_not() -> None:
-    def none(metadata: bytes, queries: Sequence[tuple[Kind, str]]) -> list[str]:
+    def none(metadata: bytes, queries: Sequence[tuple[NameKind, str]]) -> list[str]:
         raise NameUndefined("no name")
 
     with pytest.raises(NameUndefined, match="line 2: the node 'lamp': no name"):

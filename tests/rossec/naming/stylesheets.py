@@ -1,11 +1,11 @@
 """Rules for tests."""
 
 from rossec.naming import rule_runner
-from rossec.naming.requests import Kind, NameRequest
+from rossec.naming.requests import NameKind, NameRequest
 
 RULES = rule_runner.shipped_rules()
 PHONE = rule_runner.shipped_example("phone.xml")
-NODE = (Kind.NODE, "")
+NODE = (NameKind.NODE, "")
 
 
 def sheet(body: str, *, attributes: str = "", top: str = "") -> bytes:

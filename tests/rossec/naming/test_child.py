@@ -12,7 +12,7 @@ import pytest
 from rossec.errors import NameUndefined, RossecError, RulesExceeded, RulesNotConfined
 from rossec.host import sandbox
 from rossec.naming import child, requests
-from rossec.naming.requests import Kind, NameRequest
+from rossec.naming.requests import NameKind, NameRequest
 from rossec.naming.xslt import answer
 from tests.rossec.naming.stylesheets import NODE, PHONE, RULES, request
 
@@ -110,7 +110,7 @@ def test_no_memory_for_an_answer_is_told(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_a_name_that_is_not_there_is_an_error() -> None:
-    asked = NameRequest(RULES, PHONE, (NODE, (Kind.TOPIC, "none")))
+    asked = NameRequest(RULES, PHONE, (NODE, (NameKind.TOPIC, "none")))
     found = requests.read_names(bytes(child.ask(bytearray(requests.write_request(asked)))), 2)
     assert found[0] == NAME
     assert isinstance(found[1], NameUndefined)

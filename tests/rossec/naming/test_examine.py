@@ -6,8 +6,8 @@ import pytest
 
 from rossec.errors import RulesNotConfined
 from rossec.naming import requests
-from rossec.naming.examine import Covered, Finding, Report, examine
-from rossec.naming.requests import Kind
+from rossec.naming.examine import Covered, MetadataFinding, MetadataReport, examine
+from rossec.naming.requests import NameKind
 from rossec.naming.rule_runner import RuleProcess, RuleRunner
 from tests.rossec.naming.stylesheets import PHONE, RULES, gives, sheet
 
@@ -22,7 +22,7 @@ LAMP = b"""<node>
 
 async def examined(
     rules: bytes, *documents: bytes, covered: Covered | None = None
-) -> tuple[Report, list[tuple[str, int, str]]]:
+) -> tuple[MetadataReport, list[tuple[str, int, str]]]:
     async with RuleRunner(rules) as runner:
         named = [(f"{n}.xml", document) for n, document in enumerate(documents)]
         report = await examine(runner, named, covered)
@@ -102,11 +102,11 @@ async def test_an_order_in_which_there_is_no_name_is_found() -> None:
 
 
 async def test_names_that_nothing_covers_are_found() -> None:
-    asked: list[tuple[str, Kind, str]] = []
+    asked: list[tuple[str, NameKind, str]] = []
 
-    def covered(node: str, kind: Kind, name: str) -> bool:
+    def covered(node: str, kind: NameKind, name: str) -> bool:
         asked.append((node, kind, name))
-        return kind is not Kind.TOPIC or name.startswith("/smartphones")
+        return kind is not NameKind.TOPIC or name.startswith("/smartphones")
 
     report, found = await examined(RULES, PHONE, covered=covered)
     assert found == [("0.xml", 13, "uncovered")]
@@ -117,5 +117,5 @@ async def test_names_that_nothing_covers_are_found() -> None:
 
 
 def test_findings_are_sorted_by_file_and_line() -> None:
-    one, two = Finding("a", 2, "order", "x"), Finding("a", 10, "illegal", "x")
+    one, two = MetadataFinding("a", 2, "order", "x"), MetadataFinding("a", 10, "illegal", "x")
     assert sorted([two, one]) == [one, two]

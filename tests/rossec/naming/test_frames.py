@@ -15,9 +15,11 @@ from rossec.errors import (
     RulesRefused,
 )
 from rossec.naming import requests
-from rossec.naming.requests import MAX_ENTRIES, MAX_INPUT, MAX_WHICH, Kind, NameRequest
+from rossec.naming.requests import MAX_ENTRIES, MAX_INPUT, MAX_WHICH, NameKind, NameRequest
 
-REQUEST = NameRequest(b"rules", b"document", ((Kind.NODE, ""), (Kind.TOPIC, "a")), thesis_defaults=True)
+REQUEST = NameRequest(
+    b"rules", b"document", ((NameKind.NODE, ""), (NameKind.TOPIC, "a")), thesis_defaults=True
+)
 ERRORS = (RulesRefused, MetadataRefused, NameUndefined, RulesExceeded, RulesNotConfined)
 
 
@@ -26,7 +28,7 @@ def test_a_request_is_read_as_it_was_written() -> None:
 
 
 def test_the_largest_request_fits() -> None:
-    queries = ((Kind.SERVICE, "\U0001f600" * MAX_WHICH),) * (MAX_ENTRIES + 1)
+    queries = ((NameKind.SERVICE, "\U0001f600" * MAX_WHICH),) * (MAX_ENTRIES + 1)
     largest = NameRequest(b"r" * MAX_INPUT, b"d" * MAX_INPUT, queries)
     body = requests.write_request(largest)
     assert len(body) <= requests.MAX_REQUEST

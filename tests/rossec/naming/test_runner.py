@@ -19,7 +19,7 @@ from rossec.errors import (
     RulesRefused,
 )
 from rossec.naming import requests, rule_runner
-from rossec.naming.requests import MAX_INPUT, Kind
+from rossec.naming.requests import MAX_INPUT, NameKind
 from rossec.naming.rule_runner import RuleProcess, RuleRunner, require_extra
 from tests.rossec.naming.stylesheets import NODE, PHONE, RULES, gives, sheet
 from tests.support.witness import until
@@ -61,10 +61,12 @@ def program(text: str) -> RuleProcess:
 async def test_the_names_of_the_thesis() -> None:
     async with RuleRunner(RULES) as rules:
         assert await rules.name(PHONE) == NAME
-        assert await rules.name(PHONE, Kind.TOPIC, "accelerometer") == (
+        assert await rules.name(PHONE, NameKind.TOPIC, "accelerometer") == (
             "/smartphones/schneider/htc_desire/sensors/accelerometer"
         )
-        assert await rules.name(PHONE, Kind.TOPIC, "temperature") == ("/building1/room3/sensors/temperature")
+        assert await rules.name(PHONE, NameKind.TOPIC, "temperature") == (
+            "/building1/room3/sensors/temperature"
+        )
 
 
 async def test_a_process_is_kept_for_the_next_request_and_ended_at_the_end() -> None:
@@ -85,14 +87,14 @@ async def test_as_many_processes_as_allowed_answer_at_the_same_time() -> None:
 
 async def test_several_names_are_answered_in_order_each_with_its_error() -> None:
     async with RuleRunner(RULES) as rules:
-        asked = [(Kind.TOPIC, "none"), NODE, (Kind.SERVICE, "accelerometer")]
+        asked = [(NameKind.TOPIC, "none"), NODE, (NameKind.SERVICE, "accelerometer")]
         first, second, third = await rules.names(PHONE, asked)
         assert second == NAME
         assert isinstance(first, NameUndefined)
         assert isinstance(third, NameUndefined)
         assert await rules.names(PHONE, []) == []
         with pytest.raises(NameUndefined, match="no name for the topic 'none'"):
-            await rules.name(PHONE, Kind.TOPIC, "none")
+            await rules.name(PHONE, NameKind.TOPIC, "none")
 
 
 async def test_what_is_no_name_or_reserved_does_not_leave() -> None:
@@ -135,7 +137,7 @@ async def test_what_is_asked_is_checked_before() -> None:
             with pytest.raises(MetadataRefused):
                 await rules.name(document)
         with pytest.raises(MetadataRefused):
-            await rules.name(PHONE, Kind.TOPIC, "a\0b")
+            await rules.name(PHONE, NameKind.TOPIC, "a\0b")
 
 
 async def test_a_process_that_failed_is_replaced() -> None:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from ca.names import check_name
 from rossec.errors import RossecError
 from rossec.naming import requests
-from rossec.naming.requests import RESERVED, Kind
+from rossec.naming.requests import RESERVED, NameKind
 from rossec.naming.rule_runner import RuleRunner
 from tests.rossec.naming.stylesheets import NODE, RULES
 
@@ -29,7 +29,7 @@ def written(fields: list[tuple[str, str]], topics: list[tuple[str, str, str]]) -
 
 async def results(rules: RuleRunner, document: bytes, names: list[str]) -> list[requests.Result]:
     try:
-        return await rules.names(document, [NODE, *((Kind.TOPIC, name) for name in names)])
+        return await rules.names(document, [NODE, *((NameKind.TOPIC, name) for name in names)])
     except RossecError as error:
         return [error]
 

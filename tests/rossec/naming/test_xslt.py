@@ -6,7 +6,7 @@ import pytest
 
 from rossec.errors import MetadataRefused, NameUndefined, RossecError, RulesExceeded, RulesRefused
 from rossec.naming import requests, rule_runner, xslt
-from rossec.naming.requests import Kind, NameRequest
+from rossec.naming.requests import NameKind, NameRequest
 from tests.rossec.naming.stylesheets import NODE, PHONE, RULES, gives, request, sheet
 
 
@@ -16,14 +16,14 @@ def only(asked: NameRequest) -> requests.Result:
     return result
 
 
-def names(document: bytes, *queries: tuple[Kind, str], rules: bytes = RULES) -> list[requests.Result]:
+def names(document: bytes, *queries: tuple[NameKind, str], rules: bytes = RULES) -> list[requests.Result]:
     body = xslt.answer(NameRequest(rules, document, queries))
     return requests.read_names(body, len(queries))
 
 
 def test_the_names_of_the_thesis() -> None:
     """Figures 4.1, A.1 and A.3, and the node's name of section A.2.1."""
-    topics = ((Kind.TOPIC, "accelerometer"), (Kind.TOPIC, "temperature"))
+    topics = ((NameKind.TOPIC, "accelerometer"), (NameKind.TOPIC, "temperature"))
     assert names(PHONE, NODE, *topics) == [
         "/smartphones/schneider/htc_desire",
         "/smartphones/schneider/htc_desire/sensors/accelerometer",
@@ -37,20 +37,20 @@ def test_the_names_of_the_thesis() -> None:
         ("", NODE, "/unknown_group/unknown_node"),
         ("<group>g</group><name>n</name>", NODE, "/g/n"),
         ("<owner> </owner><group>g</group><name>n</name>", NODE, "/g/n"),
-        ("<topic><name>t</name></topic>", (Kind.TOPIC, "t"), "/unknown_location/t"),
+        ("<topic><name>t</name></topic>", (NameKind.TOPIC, "t"), "/unknown_location/t"),
         (
             "<topic><name>t</name><mobile>true</mobile><function>lamp</function></topic>",
-            (Kind.TOPIC, "t"),
+            (NameKind.TOPIC, "t"),
             "/unknown_group/unknown_node/lamps/t",
         ),
         (
             "<topic><name>t</name></topic><service><name>t</name><location>r</location></service>",
-            (Kind.SERVICE, "t"),
+            (NameKind.SERVICE, "t"),
             "/r/t",
         ),
     ],
 )
-def test_what_is_not_said_has_a_default(text: str, query: tuple[Kind, str], name: str) -> None:
+def test_what_is_not_said_has_a_default(text: str, query: tuple[NameKind, str], name: str) -> None:
     assert names(f"<node>{text}</node>".encode(), query) == [name]
 
 
@@ -67,9 +67,9 @@ def test_the_defaults_of_the_thesis_are_kept_where_they_are_asked_for() -> None:
 
 def test_a_value_is_text_and_never_an_expression() -> None:
     which = "' or '1'='1"
-    assert isinstance(names(PHONE, (Kind.TOPIC, which))[0], NameUndefined)
+    assert isinstance(names(PHONE, (NameKind.TOPIC, which))[0], NameUndefined)
     quoted = f'<node><topic><name>{which}"</name></topic></node>'.encode()
-    assert names(quoted, (Kind.TOPIC, which + '"')) == [f'/unknown_location/{which}"']
+    assert names(quoted, (NameKind.TOPIC, which + '"')) == [f'/unknown_location/{which}"']
 
 
 @pytest.mark.parametrize(

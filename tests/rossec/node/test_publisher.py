@@ -9,7 +9,7 @@ import pytest
 from grants.errors import MessageRefused
 from grants.filters import layout
 from rossec.errors import ChannelClosed, ConfigurationError, NodeShutdown
-from rossec.node.publisher import Publisher, WishQueue
+from rossec.node.publisher import DeliveryQueue, Publisher
 from rossec.participant.authorized import memory_scope
 from rossec.participant.delivery import Wishes
 from rossec.participant.handshakes import TopicEndpoint
@@ -239,7 +239,7 @@ async def test_a_subscriber_with_wishes_gets_them_after_its_guard() -> None:
     await settle()
     assert b"".join(plain.sent[1:]) == framed("one", "two", "three")
     assert b"".join(wishing.sent[1:]) == framed("one", "two")
-    (queue,) = (queue for queue in topic.links.values() if isinstance(queue, WishQueue))
+    (queue,) = (queue for queue in topic.links.values() if isinstance(queue, DeliveryQueue))
     assert (queue.withheld, queue.thinned) == (3, 1)
     for task in tasks:
         task.cancel()

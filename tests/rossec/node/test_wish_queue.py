@@ -11,7 +11,7 @@ import pytest
 
 from rossec.errors import ChannelClosed
 from rossec.node import publisher
-from rossec.node.publisher import Pieces, WishQueue
+from rossec.node.publisher import DeliveryQueue, Pieces
 from rossec.participant import delivery
 from rossec.participant.delivery import LARGE, SharedDeflation, Wishes, deflated
 from tests.support.witness import until
@@ -42,8 +42,8 @@ class Stream:
 
 
 @contextlib.asynccontextmanager
-async def running(stream: Any, wishes: Wishes, size: int = 10) -> AsyncIterator[WishQueue]:
-    queue = WishQueue(stream, size, wishes, SharedDeflation())
+async def running(stream: Any, wishes: Wishes, size: int = 10) -> AsyncIterator[DeliveryQueue]:
+    queue = DeliveryQueue(stream, size, wishes, SharedDeflation())
     task = asyncio.ensure_future(queue.run())
     try:
         yield queue

@@ -6,12 +6,12 @@ import socket
 import pytest
 
 from rossec.errors import RelayRefused
-from rossec.master.state.forwarded_ports import Target, Way
+from rossec.master.state.forwarded_ports import PeerWay, Target
 from rossec.overlay import forwarded_ports
 from rossec.overlay.forwarded_ports import DoorTable, OpenDoors
 
 ROBOT = Target("office", "node", "/robot")
-WAYS = {"office": Way("idle", 0, 0, "", 0)}
+WAYS = {"office": PeerWay("idle", 0, 0, "", 0)}
 
 
 async def carry(door: forwarded_ports.PeerTarget, sock: socket.socket) -> None:

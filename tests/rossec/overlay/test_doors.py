@@ -11,7 +11,7 @@ import pytest
 from rossec.errors import ConfigurationError, LinkCrowded, StreamRefused
 from rossec.net.aio.client import dial
 from rossec.overlay import forwarded_ports as module
-from rossec.overlay.forwarded_ports import Doors, OpenDoors, PeerTarget
+from rossec.overlay.forwarded_ports import OpenDoors, PeerTarget, RelayPorts
 from rossec.overlay.mux import NODE, SERVICE, StreamTarget
 from rossec.sidecar.callers import Callers
 
@@ -41,9 +41,9 @@ class Carrier:
 @contextlib.asynccontextmanager
 async def doors(
     carrier: Carrier, callers: Callers | OpenDoors | None = None, limit: int = 8
-) -> AsyncIterator[tuple[Doors, list[PeerTarget]]]:
+) -> AsyncIterator[tuple[RelayPorts, list[PeerTarget]]]:
     given_up: list[PeerTarget] = []
-    found = Doors(callers or Callers({os.getuid()}), carrier.carry, given_up.append, limit)
+    found = RelayPorts(callers or Callers({os.getuid()}), carrier.carry, given_up.append, limit)
     try:
         yield found, given_up
     finally:

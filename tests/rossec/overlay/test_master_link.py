@@ -9,7 +9,7 @@ import pytest
 from ca.certificates import Identity
 from rossec.errors import RelayRefused, StreamRefused
 from rossec.host.runner import TaskSet
-from rossec.master.state.forwarded_ports import Door, Target, Way
+from rossec.master.state.forwarded_ports import Door, PeerWay, Target
 from rossec.master.state.registry import NodeRef
 from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.rpc import calls as rpc_client
@@ -44,8 +44,8 @@ class Table:
         dropped, self.dropped = self.dropped, set()
         return dropped
 
-    def ways(self) -> Mapping[str, Way]:
-        return {"office": Way("up", 12.5, 3, "tls/r:7447", 2)}
+    def ways(self) -> Mapping[str, PeerWay]:
+        return {"office": PeerWay("up", 12.5, 3, "tls/r:7447", 2)}
 
 
 class Relay:
@@ -102,7 +102,7 @@ async def test_doors_are_opened_told_and_released(relay: Relay, tasks: TaskSet) 
     doors.want("office", [ROBOT, CLOCK])
     await until(lambda: doors.door(CLOCK) is not None)
     assert relay.table.open_for == {ROBOT: "/master", CLOCK: "/master"}
-    assert doors.way("office") == ("/relay", Way("up", 12.5, 3, "tls/r:7447", 2))
+    assert doors.way("office") == ("/relay", PeerWay("up", 12.5, 3, "tls/r:7447", 2))
     assert relay.masters == {"/master/kitchen": "http://kitchen:11311/"}
     doors.want("office", [CLOCK])
     await until(lambda: relay.table.open_for == {CLOCK: "/master"})

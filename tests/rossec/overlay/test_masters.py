@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from ca.errors import HintedError
-from rossec.master.state.forwarded_ports import Target, Way
+from rossec.master.state.forwarded_ports import PeerWay, Target
 from rossec.overlay import forwarded_ports
 from rossec.overlay.forwarded_ports import DoorTable, OpenDoors
 from rossec.overlay.masters import OwnMasters, RelayMember
@@ -15,7 +15,7 @@ from tests.support.site import Site
 from tests.support.witness import until
 
 KITCHEN = "/master/kitchen"
-WAYS = {"office": Way("idle", 0, 0, "", 0)}
+WAYS = {"office": PeerWay("idle", 0, 0, "", 0)}
 
 
 async def carry(_: forwarded_ports.PeerTarget, sock: object) -> None:

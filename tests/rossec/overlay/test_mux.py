@@ -18,10 +18,10 @@ from rossec.overlay.mux import (
     Data,
     End,
     Mux,
-    Opened,
-    Refused,
+    OpeningRefused,
     Reset,
     Role,
+    StreamOpened,
     StreamTarget,
     credit_unit,
     data_head,
@@ -42,7 +42,7 @@ def opened(now: float = 0.0) -> tuple[Mux, Mux]:
     caller, called = pair()
     number, unit = caller.open(ROBOT, now)
     assert number == 0
-    assert called.receive(unit, now) == [Opened(0, ROBOT)]
+    assert called.receive(unit, now) == [StreamOpened(0, ROBOT)]
     return caller, called
 
 
@@ -168,30 +168,30 @@ def test_only_the_caller_opens() -> None:
 
 def test_new_streams_are_few_until_they_grow_old_or_end() -> None:
     called = Mux(Role.CALLED)
-    assert all(isinstance(event, Opened) for event in fill(called, YOUNG))
+    assert all(isinstance(event, StreamOpened) for event in fill(called, YOUNG))
     refused = StreamTarget(NODE, f"/n{YOUNG}")
-    assert fill(called, 1, first=YOUNG) == [Refused(YOUNG, refused, reset_unit(YOUNG))]
+    assert fill(called, 1, first=YOUNG) == [OpeningRefused(YOUNG, refused, reset_unit(YOUNG))]
     assert YOUNG not in called
     called.connected(3)
     called.receive(reset_unit(3), 0)
     (event,) = fill(called, 1, first=YOUNG + 1)
-    assert isinstance(event, Opened)
+    assert isinstance(event, StreamOpened)
     (event,) = fill(called, 1, now=YOUNG_SECONDS + 0.1, first=YOUNG + 2)
-    assert isinstance(event, Opened)
+    assert isinstance(event, StreamOpened)
 
 
 def test_a_stream_that_is_over_counts_until_its_target_is_looked_for_no_more() -> None:
     called = Mux(Role.CALLED)
     for number in range(YOUNG):
         (event,) = fill(called, 1, first=number)
-        assert isinstance(event, Opened)
+        assert isinstance(event, StreamOpened)
         called.receive(reset_unit(number), 0)
     assert len(called) == 0
     (event,) = fill(called, 1, now=2 * YOUNG_SECONDS, first=YOUNG)
-    assert isinstance(event, Refused)
+    assert isinstance(event, OpeningRefused)
     called.connected(7)
     (event,) = fill(called, 1, first=YOUNG + 1)
-    assert isinstance(event, Opened)
+    assert isinstance(event, StreamOpened)
 
 
 def test_a_stream_whose_target_answered_twice_is_not_new() -> None:
@@ -202,11 +202,11 @@ def test_a_stream_whose_target_answered_twice_is_not_new() -> None:
     data(called, 0, b"2")
     data(called, 0, b"more of it")
     (event,) = fill(called, 1, first=YOUNG)
-    assert isinstance(event, Refused)
+    assert isinstance(event, OpeningRefused)
     called.receive(data(caller, 0, b"3"), 0)
     data(called, 0, b"4")
     (event,) = fill(called, 1, first=YOUNG + 1)
-    assert isinstance(event, Opened)
+    assert isinstance(event, StreamOpened)
 
 
 def test_the_caller_waits_longer_than_the_other_side_counts() -> None:
@@ -242,7 +242,7 @@ def test_numbers_are_never_used_again() -> None:
     called.receive(caller.reset(0), 0)
     number, unit = caller.open(ROBOT, 0)
     assert number == 1
-    assert called.receive(unit, 0) == [Opened(1, ROBOT)]
+    assert called.receive(unit, 0) == [StreamOpened(1, ROBOT)]
     assert not caller.used_up
     last = Mux(Role.CALLER, first=LAST_STREAM)
     assert last.open(ROBOT, 0)[0] == LAST_STREAM

@@ -10,7 +10,17 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from rossec.overlay.mux import MAX_DATA, MOST, NODE, Data, Mux, Opened, Refused, Role, StreamTarget
+from rossec.overlay.mux import (
+    MAX_DATA,
+    MOST,
+    NODE,
+    Data,
+    Mux,
+    OpeningRefused,
+    Role,
+    StreamOpened,
+    StreamTarget,
+)
 
 ROBOT = StreamTarget(NODE, "/robot")
 
@@ -40,9 +50,9 @@ class BothSides(RuleBasedStateMachine):
                     self.got.setdefault((other, stream), bytearray()).extend(payload)
                     key = side, stream
                     self.not_taken[key] = self.not_taken.get(key, 0) + len(payload)
-                case Opened(stream, _):
+                case StreamOpened(stream, _):
                     self.sides[side].connected(stream)
-                case Refused():
+                case OpeningRefused():
                     pytest.fail("a caller that keeps the limits is refused")
                 case _:
                     pass

@@ -13,7 +13,7 @@ from rossec.errors import ChannelError, HandshakeTimeout, PeerUnreachable, Relay
 from rossec.net.aio import SecureStream, WireProtocol, connect, serve
 from rossec.overlay.documents import Peer
 from rossec.overlay.mux import NODE, Role, StreamTarget
-from rossec.overlay.relay import IDLE_FOR, LinkState, PeerLink
+from rossec.overlay.relay import IDLE_FOR, PeerLink, PeerLinkState
 from rossec.overlay.streams import Streams
 from tests.support.contexts import context
 from tests.support.relays import echo, program, to_port
@@ -84,12 +84,12 @@ async def used(link: PeerLink, far: FarRelay) -> tuple[asyncio.StreamReader, asy
 
 async def test_it_is_dialled_with_the_first_connection_and_carries_the_others() -> None:
     async with linked() as (link, far):
-        assert (link.state, link.stream, link.carried, far.dialled) == (LinkState.IDLE, None, 0, 0)
+        assert (link.state, link.stream, link.carried, far.dialled) == (PeerLinkState.IDLE, None, 0, 0)
         ends = [await used(link, far) for _ in range(3)]
         for reader, writer, _ in ends:
             writer.write(b"ping")
             assert await reader.readexactly(4) == b"ping"
-        assert (link.state, link.carried, far.dialled) == (LinkState.LINKED, 3, 1)
+        assert (link.state, link.carried, far.dialled) == (PeerLinkState.LINKED, 3, 1)
         assert link.stream is not None
         for _, writer, carrying in ends:
             writer.close()
@@ -116,7 +116,7 @@ async def test_a_failure_is_told_to_all_and_not_tried_again_at_once(failure: Exc
             for each in waiting:
                 with pytest.raises(RelayRefused, match=error):
                     await each
-        assert (far.dialled, link.state) == (1, LinkState.FAILED)
+        assert (far.dialled, link.state) == (1, PeerLinkState.FAILED)
         assert link.error == error
         assert link.hint
         now[0] += 0.5
@@ -128,7 +128,7 @@ async def test_a_failure_is_told_to_all_and_not_tried_again_at_once(failure: Exc
         reader, writer, _ = await used(link, far)
         writer.write(b"x")
         assert await reader.readexactly(1) == b"x"
-        assert (link.state, link.error, link.hint) == (LinkState.LINKED, "", "")
+        assert (link.state, link.error, link.hint) == (PeerLinkState.LINKED, "", "")
 
 
 async def test_the_connection_is_closed_when_there_is_no_link() -> None:
@@ -147,7 +147,7 @@ async def test_a_link_that_breaks_is_made_anew_for_the_next_connection() -> None
         await reader.readexactly(1)
         far.links[0].abort("broken")
         await carrying
-        await until(lambda: link.state is LinkState.FAILED)
+        await until(lambda: link.state is PeerLinkState.FAILED)
         assert link.stream is None
         reader, writer, _ = await used(link, far)
         writer.write(b"y")
@@ -168,7 +168,7 @@ async def test_a_peer_that_refuses_after_the_handshake_is_not_dialled_at_once_ag
             writer.close()
             with contextlib.suppress(RelayRefused):
                 await carrying
-            await until(lambda: link.state is LinkState.FAILED)
+            await until(lambda: link.state is PeerLinkState.FAILED)
             with pytest.raises(RelayRefused):
                 await (await used(link, far))[2]
             assert far.dialled == attempt
@@ -190,11 +190,11 @@ async def test_a_link_that_is_not_used_is_closed_after_a_while() -> None:
         now[0] += asyncio.get_running_loop().time() + 2 * IDLE_FOR
         link.tick()
         await asyncio.sleep(0.05)
-        assert link.state is LinkState.LINKED  # it carries one
+        assert link.state is PeerLinkState.LINKED  # it carries one
         writer.close()
         await carrying
         now[0] += asyncio.get_running_loop().time() + 2 * IDLE_FOR
         link.tick()
-        await until(lambda: link.state is LinkState.IDLE)
+        await until(lambda: link.state is PeerLinkState.IDLE)
         assert link.error == ""
         link.tick()

@@ -12,10 +12,10 @@ from rossec.errors import ProtocolViolation, RelayRefused, StreamRefused
 from rossec.host.addresses import is_near, is_relayed, source_for
 from rossec.overlay import targets as module
 from rossec.overlay.mux import MASTER, NODE, SERVICE, StreamTarget
-from rossec.overlay.targets import Peer, Targets, dial_from
+from rossec.overlay.targets import LinkPeer, Targets, dial_from
 from tests.support.relays import carried, linked
 
-PEER = Peer("clinic", "/remote/clinic/relay")
+PEER = LinkPeer("clinic", "/remote/clinic/relay")
 SOURCE = source_for(PEER.name)
 HTTP, TCPROS = WireProtocol.HTTP, WireProtocol.TCPROS
 

@@ -15,7 +15,7 @@ from grants.errors import GrantError, GrantMissing
 from grants.model import Right
 from grants.renewal import MIN_TICKET, Delegation, sign_delegation
 from rossec.errors import AnswerMalformed
-from rossec.master.rights.renewals import Delegate
+from rossec.master.rights.renewals import TicketSigner
 from rossec.participant.access import Access
 from rossec.participant.renewals import GRANT_RETRY, MAX_GRANTS_PER_CALL, MasterCall, Renewals, due_at, renew
 from tests.support.authority import DAY, EnrolledNode, Site
@@ -38,7 +38,7 @@ class World:
         self.list = b""
         self.at(0, self.site.revoke())
         self.calls: list[tuple[str, Any]] = []
-        self.delegate = Delegate(self.site.anchor, self.master.credentials.signer)
+        self.delegate = TicketSigner(self.site.anchor, self.master.credentials.signer)
         self.delegate.take(self.site.delegation(self.master))
         self.later = 0
 
@@ -115,7 +115,7 @@ async def test_with_tickets_of_a_minute_a_node_always_holds_a_valid_one(world: W
     delegation = Delegation(
         "home", world.master.thumbprint, world.now - 1, world.now + DAY, MIN_TICKET, bytes(16)
     )
-    world.delegate = Delegate(world.site.anchor, world.master.credentials.signer)
+    world.delegate = TicketSigner(world.site.anchor, world.master.credentials.signer)
     world.delegate.take(sign_delegation(world.site.signer, delegation))
     world.hold(lifetime=50)
     least = 60

@@ -11,7 +11,7 @@ from ca.encoding import encode
 from grants.errors import GrantMissing
 from grants.model import Right
 from rossec import clock
-from rossec.channel.negotiation import GrantsPresented, IdentityRenewed, RenewalRefused
+from rossec.channel.negotiation import GrantsPresented, IdentityRenewed, PresentedRenewalRefused
 from rossec.clock import Clock
 from rossec.errors import ConnectionHeaderRefused, IdentityRefused
 from rossec.participant import authorized
@@ -227,7 +227,7 @@ def test_a_renewed_identity_moves_the_end(grants: RenewedGrants) -> None:
 
 def test_a_refused_certificate_is_logged(grants: RenewedGrants, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
-    opened(grants).stream.tell(RenewalRefused(IdentityRefused("of another node")))
+    opened(grants).stream.tell(PresentedRenewalRefused(IdentityRefused("of another node")))
     assert "/viewer (/word) presents a certificate that is refused: of another node" in caplog.text
 
 

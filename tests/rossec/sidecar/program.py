@@ -14,7 +14,7 @@ from rossec.participant.handshakes import Fields
 from rossec.ros import tcpros
 from rossec.ros.names import parse_uri, read
 from rossec.sidecar.callers import Callers
-from rossec.sidecar.core.layers import Endpoint, parse_endpoint
+from rossec.sidecar.core.layers import ListeningAddress, parse_endpoint
 from rossec.sidecar.loopback_port import LoopbackPort, PlainStream
 from rossec.sidecar.pump import split_header
 from rossec.sidecar.server import Sidecar
@@ -73,7 +73,7 @@ class Program:
         assert answer[0] == 1, answer
         return answer[2]
 
-    async def connect(self, endpoint: Endpoint, fields: Fields) -> tuple[PlainStream, Fields]:
+    async def connect(self, endpoint: ListeningAddress, fields: Fields) -> tuple[PlainStream, Fields]:
         """Connect for TCPROS; the stream and the header of the answer."""
         stream = PlainStream(await dial(endpoint.host, endpoint.port, 10))
         await stream.send(tcpros.encode(fields | {"callerid": self.name.encode()}))
@@ -86,7 +86,7 @@ class Program:
         assert isinstance(answer, list)
         assert answer[0] == 1, answer
         _, host, port = answer[2]
-        endpoint = Endpoint(WireProtocol.TCPROS, host, port)
+        endpoint = ListeningAddress(WireProtocol.TCPROS, host, port)
         return await self.connect(endpoint, {"topic": topic.encode(), "type": b"*", "md5sum": b"*"})
 
     async def call(self, uri: object, service: str) -> tuple[PlainStream, Fields]:

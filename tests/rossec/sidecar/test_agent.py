@@ -10,7 +10,7 @@ from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.clock import Clock
 from rossec.errors import HangUp, RossecError
-from rossec.sidecar.core.layers import Endpoint, local_endpoint
+from rossec.sidecar.core.layers import ListeningAddress, local_endpoint
 from tests.rossec.sidecar.program import Program, sidecar, string_message
 from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, receive_bytes, wait_closed
 from tests.support.site import Site
@@ -78,7 +78,7 @@ async def test_old_ports_are_evicted(pair: SidecarPair, monkeypatch: pytest.Monk
         agent = (pair.talker_sidecar if name == "/talker" else pair.listener_sidecar)._agent_for(name)
         for pool in (agent._ingress.ports, agent._egress.ports):
             monkeypatch.setattr(pool, "_limit", 4)
-        remotes = [Endpoint(WireProtocol.TCPROS, "127.0.0.9", port) for port in range(1, 9)]
+        remotes = [ListeningAddress(WireProtocol.TCPROS, "127.0.0.9", port) for port in range(1, 9)]
         ports = [
             agent.state.endpoints.add_egress(remote, agent.open_egress(remote)).port for remote in remotes
         ]
@@ -156,7 +156,7 @@ async def test_a_dead_program_does_not_replace_a_new_one_of_its_name(
             assert stream is not None
             stream.abort("a cable is pulled")
         await until(lambda: "/talker: connected to the master again" in caplog.text, within=30)
-        endpoint = Endpoint(
+        endpoint = ListeningAddress(
             WireProtocol.HTTP,
             "127.0.0.1",
             agent.open_ingress(local_endpoint(WireProtocol.HTTP, successor.slave.port)),

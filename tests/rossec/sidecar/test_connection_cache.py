@@ -7,11 +7,11 @@ import pytest
 
 from rossec.channel.opening import WireProtocol
 from rossec.sidecar import server
-from rossec.sidecar.core.layers import Endpoint
+from rossec.sidecar.core.layers import ListeningAddress
 from rossec.sidecar.server import ConnectionCache
 from tests.support.witness import until
 
-ENDPOINT = Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)
+ENDPOINT = ListeningAddress(WireProtocol.HTTP, "10.0.0.7", 6000)
 
 
 class FakeClient:

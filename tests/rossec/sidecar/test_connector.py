@@ -10,7 +10,7 @@ from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
 from rossec.net.aio import SecureStream
 from rossec.sidecar import loopback_port
-from rossec.sidecar.core.layers import Endpoint
+from rossec.sidecar.core.layers import ListeningAddress
 from rossec.sidecar.loopback_port import free_port
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar
@@ -45,7 +45,7 @@ async def test_a_revoked_peer_is_refused_before_anything_is_sent(
         await start_agent(running, "/robot")
         await start_agent(running, "/viewer")
         server = robot._connector.listen(ignore, "127.0.0.1", WireProtocol.HTTP)
-        endpoint = Endpoint(WireProtocol.HTTP, "127.0.0.1", server.port)
+        endpoint = ListeningAddress(WireProtocol.HTTP, "127.0.0.1", server.port)
         stream = await viewer.dial(endpoint)
         assert stream.peer.name == "/robot"
         stream.abort("enough")

@@ -12,7 +12,7 @@ from rossec.net.aio.client import dial
 from rossec.ros import tcpros
 from rossec.ros.names import parse_uri
 from rossec.sidecar import egress as module
-from rossec.sidecar.core.layers import Endpoint, parse_endpoint
+from rossec.sidecar.core.layers import ListeningAddress, parse_endpoint
 from rossec.sidecar.loopback_port import PlainStream
 from tests.rossec.sidecar.program import string_message
 from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, receive_bytes, wait_closed
@@ -21,7 +21,7 @@ from tests.support.gateways import SERVED, STRING, two_sites
 from tests.support.witness import until
 
 
-async def provide(pair: SidecarPair) -> Endpoint:
+async def provide(pair: SidecarPair) -> ListeningAddress:
     """The talker provides /say; the listener's loopback port for it."""
     uri = f"rosrpc://127.0.0.1:{pair.talker.topics.port}"
     await pair.talker.register("registerService", "/say", uri)
@@ -108,7 +108,7 @@ async def test_a_topic_that_could_not_be_connected_is_subscribed_again(pair: Sid
     answer = await pair.listener.ask(uris[0], "requestTopic", "/word", [["TCPROS"]])
     assert isinstance(answer, list)
     await pair.talker.topics.close()
-    topics = Endpoint(WireProtocol.TCPROS, *answer[2][1:])
+    topics = ListeningAddress(WireProtocol.TCPROS, *answer[2][1:])
     with pytest.raises(RossecError):
         await pair.listener.connect(topics, {"topic": b"/word", "type": b"*", "md5sum": b"*"})
 

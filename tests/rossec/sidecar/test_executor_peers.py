@@ -16,9 +16,9 @@ from rossec.sidecar.core.layers import (
     Event,
     Layer,
     NoAnswer,
-    Opened,
     OpenIngress,
     PeerAuthenticated,
+    PortOpened,
     Suspend,
 )
 from rossec.sidecar.executor import run_layer
@@ -64,7 +64,7 @@ async def test_a_peer_out_of_reach_is_said_for_calls_and_topics() -> None:
 
 async def test_ingress_ports_are_opened_and_suspended() -> None:
     services = FakeServices()
-    assert await outcome(services, OpenIngress(PEER)) == Opened(PEER.port)
+    assert await outcome(services, OpenIngress(PEER)) == PortOpened(PEER.port)
     assert services.closed == []
     assert await outcome(services, Suspend(PEER)) == CommandDone()
     assert services.closed == [PEER]

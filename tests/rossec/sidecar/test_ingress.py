@@ -14,7 +14,7 @@ from rossec.participant.access import FIELD
 from rossec.participant.delivery import Wishes, inflated
 from rossec.ros import tcpros
 from rossec.ros.names import parse_uri
-from rossec.sidecar.core.layers import Endpoint, local_endpoint
+from rossec.sidecar.core.layers import ListeningAddress, local_endpoint
 from rossec.sidecar.loopback_port import LoopbackPort
 from rossec.sidecar.pump import split_header
 from rossec.sidecar.server import Agent
@@ -102,12 +102,12 @@ async def test_the_port_of_a_dead_program_refuses_callers(pair: SidecarPair) -> 
         await dial(*parse_uri(again[2]), 10)
 
 
-async def ingress_endpoint(pair: SidecarPair, protocol: WireProtocol) -> tuple[Agent, Endpoint]:
+async def ingress_endpoint(pair: SidecarPair, protocol: WireProtocol) -> tuple[Agent, ListeningAddress]:
     """The listener's agent, and the endpoint at which peers reach the talker."""
     await connect(pair)
     ports = pair.talker_sidecar._agent_for("/talker")._ingress.ports
     (port,) = (server.port for endpoint, server in ports._ports.items() if endpoint.protocol is protocol)
-    return pair.listener_sidecar._agent_for("/listener"), Endpoint(protocol, "127.0.0.1", port)
+    return pair.listener_sidecar._agent_for("/listener"), ListeningAddress(protocol, "127.0.0.1", port)
 
 
 async def test_a_subscriber_that_sends_data_is_disconnected(pair: SidecarPair) -> None:
@@ -211,7 +211,7 @@ async def test_a_reused_port_of_the_same_identity_gets_another_network_port(pair
             assert is_closed(old)
 
 
-def is_closed(endpoint: Endpoint) -> bool:
+def is_closed(endpoint: ListeningAddress) -> bool:
     """Whether the port refuses callers, as that of a dead node."""
     try:
         socket.create_connection((endpoint.host, endpoint.port), 5).close()

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.approvals.statement import Kind, Statement
+from ca.approvals.statement import Statement, StatementKind
 from ca.errors import ApprovalOutdated, ApprovalOver, NotVerified, PasskeyUnknown, RequestClosed
 from rossec.authority.console.approving import KINDS, WAITS
 from rossec.authority.console.messages import PREPARED
@@ -26,7 +26,7 @@ def test_a_statement_says_what_would_be_done(acts: Acts) -> None:
     prepared = acts.asks(csr=csr)
     statement = Statement.from_bytes(prepared.statement)
     assert (prepared.id, prepared.challenge) == (statement.id, statement.challenge)
-    assert (statement.kind, statement.domain) == (Kind.ENROLL, "home")
+    assert (statement.kind, statement.domain) == (StatementKind.ENROLL, "home")
     assert (statement.made, prepared.until) == (NOW, NOW + 300)
     assert prepared.payload == csr
     assert (prepared.rp_id, prepared.credentials) == ("localhost", (acts.phone.id,))

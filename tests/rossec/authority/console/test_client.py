@@ -12,11 +12,11 @@ from grants.document import peek, read_scope
 from rossec.authority.console import client as module
 from rossec.authority.console import messages as views
 from rossec.authority.console.client import ConsoleClient
-from rossec.authority.console.messages import Assertion, Registration
+from rossec.authority.console.messages import PasskeyAssertion, PasskeyRegistration
 from rossec.errors import AuthorityLocked, KeyMessageRefused, KeyServiceFailed, PeerUserRefused
 from tests.support.consoleservice import FakeHome, fake_service
 
-ASSERTION = Assertion(b"\5" * 32, b"{}", b"data", b"signature")
+ASSERTION = PasskeyAssertion(b"\5" * 32, b"{}", b"data", b"signature")
 
 
 @pytest.fixture
@@ -90,7 +90,7 @@ async def test_who_looks(home: FakeHome, client: ConsoleClient) -> None:
     assert await client.login(challenge.id, ASSERTION) == "Anna's phone"
     await client.redeem(home.add_code())
     challenge = await client.new_passkey("http://localhost:7411", "localhost")
-    new = Registration(challenge.id, home.add_code(), "Ben's phone", b"{}", b"o")
+    new = PasskeyRegistration(challenge.id, home.add_code(), "Ben's phone", b"{}", b"o")
     assert isinstance(await client.add_passkey(new), views.PhoneView)
     proposal = await client.propose_passkey(new._replace(code=await client.phone_link()))
     assert proposal in await client.proposals()

@@ -5,14 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from ca.approvals.statement import Kind
+from ca.approvals.statement import StatementKind
 from ca.encoding import Value, decode, encode
 from ca.errors import StoreError
 from grants import document
 from grants import document as claims
 from grants.document import GRANT
 from grants.model import ID_SIZE
-from rossec.authority.console.grant_requests import Answer, Questions
+from rossec.authority.console.grant_requests import GrantAnswer, Questions
 from rossec.authority.console.messages import ApprovalView, GrantQuestion, many
 from rossec.authority.console.queries import RecordQueries
 from rossec.authority.requests import GrantRequestStore
@@ -40,7 +40,7 @@ def signed(acts: Acts) -> list[bytes]:
 def test_grants_are_signed_as_they_were_shown(acts: Acts) -> None:
     question = acts.ask("/map")
     prepared = acts.prepare("grant", question, "", 3600)
-    shown = Answer.from_bytes(prepared.payload)
+    shown = GrantAnswer.from_bytes(prepared.payload)
     acts.pass_time(200)
     outcome = acts.touch(prepared)
     assert (outcome.state, outcome.result) == (
@@ -64,7 +64,7 @@ def test_a_coarser_answer_restricts_the_grant(acts: Acts) -> None:
     assert permission.restriction is not None
     assert permission.restriction.filters
     views = many(ApprovalView, RecordQueries(acts.work, acts.access.last_used).approvals(9))
-    (view,) = [each for each in views if each.kind == Kind.GRANT]
+    (view,) = [each for each in views if each.kind == StatementKind.GRANT]
     for said in (view.sentence, view.result):
         assert said.startswith("/map may subscribe /pose (not all of it), until 20")
 
@@ -217,9 +217,9 @@ def test_an_intermediate_and_wrong_arguments_are_refused(acts: Acts) -> None:
 )
 def test_a_payload_of_another_form_is_refused(value: Value) -> None:
     with pytest.raises(ConfigurationError, match="malformed"):
-        Answer.from_bytes(encode(value))
+        GrantAnswer.from_bytes(encode(value))
 
 
 def test_a_payload_comes_back() -> None:
-    answer = Answer(sha256(b"p").digest(), ((2, "/pose"),), ((b"claims", "a"), (b"more", "")))
-    assert Answer.from_bytes(answer.to_bytes()) == answer
+    answer = GrantAnswer(sha256(b"p").digest(), ((2, "/pose"),), ((b"claims", "a"), (b"more", "")))
+    assert GrantAnswer.from_bytes(answer.to_bytes()) == answer

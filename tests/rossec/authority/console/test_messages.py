@@ -5,7 +5,7 @@ import pytest
 from ca.encoding import Value, encode
 from rossec.authority.console import messages
 from rossec.authority.console.messages import OPERATIONS, PREPARED, checked, read_request
-from rossec.authority.keyservice.messages import Request
+from rossec.authority.keyservice.messages import ServiceRequest
 from rossec.errors import KeyMessageRefused, KeyServiceRefused
 
 ONE: dict[type, Value] = {bytes: b"x", str: "x", int: 1, bool: True, list: []}
@@ -14,7 +14,7 @@ ONE: dict[type, Value] = {bytes: b"x", str: "x", int: 1, bool: True, list: []}
 @pytest.mark.parametrize("operation", sorted(OPERATIONS.keys() - {"prepare"}))
 def test_read_request_takes_exactly_the_types_of_the_table(operation: str) -> None:
     arguments = [ONE[kind] for kind in OPERATIONS[operation].arguments]
-    assert read_request(encode([1, operation, *arguments])) == Request(operation, tuple(arguments))
+    assert read_request(encode([1, operation, *arguments])) == ServiceRequest(operation, tuple(arguments))
     for wrong in ([*arguments, 1], *_changed(arguments)):
         with pytest.raises(KeyMessageRefused):
             read_request(encode([1, operation, *wrong]))

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import pytest
 
 from ca.approvals.passkeys import Approval, Assertion
-from ca.approvals.statement import Invitation, Kind, NewPasskey
+from ca.approvals.statement import Invitation, NewPasskey, StatementKind
 from ca.encoding import Value
 from ca.store.log import ApprovalState
 from grants.document import peek
@@ -140,7 +140,7 @@ def test_phones_and_approvals(site: ConsoleWork, reading: RecordQueries) -> None
     assert (ben.name, ben.last_used, ben.added_by, ben.ended) == ("Ben's", 0, "Ann's phone", "")
     (view,) = many(ApprovalView, ask(reading, "approvals", 9))
     assert view == ApprovalView(
-        given.id, int(Kind.PASSKEY), "phone Ben's", "Ann's phone", NOW + 3, "waiting", ""
+        given.id, int(StatementKind.PASSKEY), "phone Ben's", "Ann's phone", NOW + 3, "waiting", ""
     )
     store.approvals.end(given.id, ApprovalState.DONE, "added", NOW + 4)
     store.remove_passkey(ann.id, "", NOW + 6)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ca.approvals.statement import Enroll, Kind, RevokeMaster, Statement
+from ca.approvals.statement import Enroll, RevokeMaster, Statement, StatementKind
 from ca.errors import ApprovalOutdated
 from rossec.authority.console import messages
 from rossec.authority.console.approving import MAX_OF_KIND, PreparedStatement, Statements
@@ -24,7 +24,9 @@ def statements(time: Time) -> Statements:
     return Statements(lambda: time.elapsed)
 
 
-def add(statements: Statements, number: int = 1, kind: Kind = Kind.ENROLL, owner: str = "") -> Statement:
+def add(
+    statements: Statements, number: int = 1, kind: StatementKind = StatementKind.ENROLL, owner: str = ""
+) -> Statement:
     statement = state(WHATS[kind], id=number.to_bytes(16))
     statements.add(PreparedStatement(statement, b"payload", ("arguments",)), owner)
     return statement
@@ -56,7 +58,7 @@ def test_it_ends_by_both_clocks(statements: Statements, time: Time) -> None:
 
 
 def test_there_are_few_of_each_kind_and_the_oldest_goes(statements: Statements) -> None:
-    other = add(statements, 1000, Kind.REVOKE_MASTER)
+    other = add(statements, 1000, StatementKind.REVOKE_MASTER)
     made = [add(statements, number) for number in range(MAX_OF_KIND + 1)]
     with pytest.raises(ApprovalOutdated):
         statements.take(made[0].id, NOW)

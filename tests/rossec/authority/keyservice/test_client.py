@@ -15,7 +15,7 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice import client as module
 from rossec.authority.keyservice import messages
 from rossec.authority.keyservice.client import KeyServiceClient, RemoteSigner, running_signer
-from rossec.authority.keyservice.messages import SOCKET, Request
+from rossec.authority.keyservice.messages import SOCKET, ServiceRequest
 from rossec.errors import (
     AuthorityLocked,
     KeyMessageRefused,
@@ -94,7 +94,7 @@ def test_refusals_come_back_as_what_they_are(home: AuthorityHome, service: Runni
     with pytest.raises(KeyServiceRefused, match="may be tried in"):
         client.unlock(PASSPHRASE, 60)
     with pytest.raises(SigningRefused):
-        client.ask(Request("sign", (b"a challenge",)))
+        client.ask(ServiceRequest("sign", (b"a challenge",)))
     assert service.audit[0].startswith("failed to unlock for user")
     client.close()
 

@@ -11,7 +11,7 @@ import pytest
 
 from ca.encoding import Value
 from ca.enrollment.invitation import JoinClaim
-from ca.enrollment.join import Named, Refused, RefuseReason, Waiting, WaitReason, write
+from ca.enrollment.join import Named, RefusedMessage, RefuseReason, WaitingMessage, WaitReason, write
 from ca.errors import JoinBusy, JoinRefused
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import invite
@@ -36,7 +36,7 @@ class Served:
     def __init__(self, face: FrontEnd) -> None:
         ours, self._theirs = socket.socketpair()
         self.said: asyncio.Queue[Value] = asyncio.Queue()
-        self.answer: Value = write(Refused(RefuseReason.ENDED))
+        self.answer: Value = write(RefusedMessage(RefuseReason.ENDED))
         self.requests: list[Value] = []
         handlers: Mapping[str, Handler] = {
             "ready": self.say,
@@ -107,10 +107,10 @@ async def test_claims_are_passed_on_as_bounded_bytes(home: AuthorityHome) -> Non
         (claim,) = served.requests
         assert isinstance(claim, bytes)
         assert JoinClaim.from_bytes(claim).metadata == b"<node/>"
-        served.answer = write(Refused(RefuseReason.UNNAMED))
+        served.answer = write(RefusedMessage(RefuseReason.UNNAMED))
         with pytest.raises(JoinRefused, match="no rules"):
             await ask_name(code, b"<node/>", now)
-        served.answer = write(Waiting(WaitReason.LOCKED))
+        served.answer = write(WaitingMessage(WaitReason.LOCKED))
         with pytest.raises(JoinBusy):
             await ask_name(code, b"<node/>", now)
 

@@ -8,7 +8,7 @@ from typing import cast
 import pytest
 
 from ca.encoding import Value
-from ca.enrollment.join import Issued, Named, Refused, RefuseReason, read
+from ca.enrollment.join import Issued, Named, RefusedMessage, RefuseReason, read
 from ca.errors import EncodingError
 from rossec.authority.keyservice import network
 from rossec.authority.keyservice import network as module
@@ -16,7 +16,7 @@ from rossec.authority.keyservice.inner_channel import Handler
 from rossec.authority.keyservice.network import NetworkWork
 from rossec.authority.keyservice.process import FrontEndProcess
 from rossec.authority.keyservice.work import AuthorityWork
-from rossec.authority.session import MasterCall
+from rossec.authority.session import StatementCall
 from rossec.clock import now
 from rossec.errors import KeyServiceRefused, NotDelivered, RulesRefused
 from rossec.home import NodeHome
@@ -146,7 +146,7 @@ async def test_a_master_that_fails_slowly_is_not_called_for_a_while(
     monkeypatch.setattr(module, "SLOW", 0.0)
     monkeypatch.setattr(module, "PAUSE", 0.3)
     playing = Playing(tmp_path, applies=False)
-    call = MasterCall(NodeHome(tmp_path / "x", "/ca"), "rossec.x", (b"a",), "the list", "later")
+    call = StatementCall(NodeHome(tmp_path / "x", "/ca"), "rossec.x", (b"a",), "the list", "later")
     running = asyncio.ensure_future(playing.network.run())
     await asyncio.sleep(0.05)
     playing.face.error = TimeoutError()
@@ -165,7 +165,7 @@ async def test_a_master_that_fails_slowly_is_not_called_for_a_while(
 async def test_a_call_that_fails_is_not_delivered(tmp_path: Path) -> None:
     playing = Playing(tmp_path, applies=False)
     node = NodeHome(tmp_path / "x", "/ca")
-    call = MasterCall(node, "rossec.x", (b"a", [b"b"]), "the list", "later")
+    call = StatementCall(node, "rossec.x", (b"a", [b"b"]), "the list", "later")
     with pytest.raises(NotDelivered, match="not started"):
         playing.network.deliver(call)
     running = asyncio.ensure_future(playing.network.run())
@@ -191,7 +191,7 @@ async def test_an_answer_that_is_waited_for_and_fails_stops_no_other_call(
     monkeypatch.setattr(AuthorityWork, "maintain", lambda _: None)  # whose calls would fail too
     playing = Playing(tmp_path, applies=False)
     node = NodeHome(tmp_path / "x", "/ca")
-    call = MasterCall(node, "rossec.watchGraph", ("", 0), "a question", "later", waits=True)
+    call = StatementCall(node, "rossec.watchGraph", ("", 0), "a question", "later", waits=True)
     running = asyncio.ensure_future(playing.network.run())
     await asyncio.sleep(0.05)
     playing.face.error = TimeoutError()
@@ -218,9 +218,9 @@ async def test_nodes_are_named_by_the_rules_of_the_authority(tmp_path: Path) -> 
             named = read(cast("bytes", await face.name(working.claim(code, METADATA))))
             assert named == Named("/fleet/a")
             for metadata, name, answer in (
-                (METADATA, "/fleet/b", Refused(RefuseReason.NAME)),
-                (METADATA.replace(b"fleet", b"other"), "/fleet/a", Refused(RefuseReason.NAME)),
-                (b"<node>", "/fleet/a", Refused(RefuseReason.METADATA)),
+                (METADATA, "/fleet/b", RefusedMessage(RefuseReason.NAME)),
+                (METADATA.replace(b"fleet", b"other"), "/fleet/a", RefusedMessage(RefuseReason.NAME)),
+                (b"<node>", "/fleet/a", RefusedMessage(RefuseReason.METADATA)),
             ):
                 face.joins.put_nowait(working.request(code, name, metadata))
                 assert read(cast("bytes", await face.answers.get())) == answer
@@ -240,7 +240,7 @@ async def test_what_was_issued_is_repeated_whatever_the_rules_say_now(tmp_path: 
     try:
         async with asyncio.timeout(60):
             face.joins.put_nowait(request)
-            unnamed = Refused(RefuseReason.UNNAMED)
+            unnamed = RefusedMessage(RefuseReason.UNNAMED)
             assert read(cast("bytes", await face.answers.get())) == unnamed
             working.work.join(request)
             face.joins.put_nowait(request)

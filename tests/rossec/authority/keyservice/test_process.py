@@ -13,7 +13,13 @@ from rossec.authority.home import AUDIT_FILE, AuthorityHome
 from rossec.authority.keyservice import process as module
 from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.authority.keyservice.operations import KeyOperations
-from rossec.authority.keyservice.process import Caller, KeyServiceProcess, admit_all, audit_to, operations_of
+from rossec.authority.keyservice.process import (
+    AuditedCaller,
+    KeyServiceProcess,
+    admit_all,
+    audit_to,
+    operations_of,
+)
 from rossec.errors import KeyServiceRefused
 from rossec.host.audit import audit_written
 from tests.support.commands import PASSPHRASE
@@ -56,9 +62,9 @@ def test_a_line_that_is_not_written_is_a_refusal(
 
 
 async def test_codes_for_a_phone_are_made_where_there_is_a_console(home: AuthorityHome) -> None:
-    callers: list[Caller] = []
+    callers: list[AuditedCaller] = []
 
-    def make(caller: Caller) -> str:
+    def make(caller: AuditedCaller) -> str:
         callers.append(caller)
         return "a code"
 

@@ -35,7 +35,7 @@ from tests.vectors.make_things import STATEMENTS
 NOW = 1_800_000_000
 SIGNER = new_signer()
 ROOT = Authority(SIGNER, create_root(SIGNER, "home", now=NOW, serial=7))
-OWNER = messages.Authority(ROOT.anchor.subject, "home")
+OWNER = messages.ServedAuthority(ROOT.anchor.subject, "home")
 
 
 class Recorder:
@@ -162,4 +162,4 @@ def test_a_certificate_of_another_domain_is_refused() -> None:
     recorder = Recorder()
     certificate(recorder)
     with pytest.raises(SigningRefused):
-        kind_of(recorder.message, messages.Authority(ROOT.anchor.subject, "garden"))
+        kind_of(recorder.message, messages.ServedAuthority(ROOT.anchor.subject, "garden"))

@@ -10,15 +10,15 @@ import pytest
 from ca.encoding import Value
 from rossec.authority.keyservice import messages
 from rossec.authority.keyservice import process as module
-from rossec.authority.keyservice.messages import Request, write_request
-from rossec.authority.keyservice.process import Caller, KeyServer, SocketRules
+from rossec.authority.keyservice.messages import ServiceRequest, write_request
+from rossec.authority.keyservice.process import AuditedCaller, KeyServer, SocketRules
 from rossec.errors import ConfigurationError, KeyMessageRefused, KeyServiceRefused, PeerUserRefused
 from rossec.host.local_sockets import UnixPeer
 
-STATUS = write_request(Request("status"))
+STATUS = write_request(ServiceRequest("status"))
 
 
-async def carry_out(request: Request, caller: Caller) -> Value:
+async def carry_out(request: ServiceRequest, caller: AuditedCaller) -> Value:
     if request.operation == "lock":
         raise KeyServiceRefused("not now", "later")
     if request.operation == "sign":
@@ -66,7 +66,7 @@ async def test_requests_of_one_connection_are_answered_in_order(path: Path) -> N
 
 async def test_a_refusal_does_not_end_the_connection(path: Path) -> None:
     reader, writer = await asyncio.open_unix_connection(path)
-    writer.write(write_request(Request("lock")) + STATUS)
+    writer.write(write_request(ServiceRequest("lock")) + STATUS)
     with pytest.raises(KeyServiceRefused, match="not now"):
         await answer(reader)
     assert await answer(reader)
@@ -96,7 +96,7 @@ async def test_what_is_malformed_is_refused_and_ends_the_connection(path: Path, 
 
 async def test_a_crash_ends_one_connection(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with pytest.raises(asyncio.IncompleteReadError):
-        await exchange(path, write_request(Request("sign", (b"x",))))
+        await exchange(path, write_request(ServiceRequest("sign", (b"x",))))
     assert "a connection to the service ended" in caplog.text
     assert await exchange(path, STATUS)
 
@@ -147,7 +147,7 @@ async def test_callers_are_bounded(tmp_path: Path) -> None:
 
 
 async def test_rules_say_what_a_request_is_and_how_long(tmp_path: Path) -> None:
-    def read_request(body: bytes) -> Request:
+    def read_request(body: bytes) -> ServiceRequest:
         return messages.read_request(body, {"nodes": ()})
 
     path = tmp_path / "x.sock"

@@ -13,9 +13,9 @@ from ca.enrollment.join import (
     Issued,
     LiveIdentity,
     NodeJoin,
-    Refused,
+    RefusedMessage,
     RefuseReason,
-    Waiting,
+    WaitingMessage,
     WaitReason,
     read,
 )
@@ -26,7 +26,7 @@ from rossec.authority.invitations import invite
 from rossec.authority.keyservice.operations import KeyOperations
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.keyservice.work import AuthorityWork
-from rossec.authority.session import MasterCall
+from rossec.authority.session import StatementCall
 from rossec.errors import NotDelivered
 from rossec.home import NodeHome
 from tests.support.domains import foreign
@@ -56,7 +56,7 @@ class Working:
         self.operations.unlock(SECRET, 0, "a test")
         self.work = AuthorityWork(root, self.operations, self.deliver, None, lambda: self.now)
 
-    def deliver(self, call: MasterCall) -> object:
+    def deliver(self, call: StatementCall) -> object:
         if not self.reachable or call.method == "rossec.revocationStanding":  # an older master
             raise NotDelivered("no master", call.hint)
         self.calls.append(call.method)
@@ -114,7 +114,7 @@ def test_a_claim_is_answered_for_an_invitation_that_is_proved(working: Working) 
     claim = JoinClaim.from_bytes(working.claim(code, b"<node/>"))
     assert working.work.allowed_pattern(claim) == "/fleet/*"
     forged = replace(claim, metadata=b"<other/>")
-    assert working.work.allowed_pattern(forged) == Refused(RefuseReason.REFUSED)
+    assert working.work.allowed_pattern(forged) == RefusedMessage(RefuseReason.REFUSED)
     request = JoinRequest.from_bytes(working.request(code))
     assert not working.work.was_issued(request)
     working.work.join(request.to_bytes())
@@ -128,7 +128,7 @@ def test_what_is_no_request_changes_nothing(working: Working) -> None:
     request = JoinRequest.from_bytes(working.request(working.invite()))
     forged = JoinRequest(request.invitation, b"t" * 32, request.name, request.csr, request.proof).to_bytes()
     answer, name = working.work.join(forged)
-    assert (read(answer), name) == (Refused(RefuseReason.REFUSED), None)
+    assert (read(answer), name) == (RefusedMessage(RefuseReason.REFUSED), None)
     assert len(working.audit) == lines, "nothing was signed"
 
 
@@ -136,7 +136,7 @@ def test_joins_wait_while_it_is_locked(working: Working) -> None:
     request = working.request(working.invite())
     working.operations.held.lock()
     answer, name = working.work.join(request)
-    assert (read(answer), name) == (Waiting(WaitReason.LOCKED), None)
+    assert (read(answer), name) == (WaitingMessage(WaitReason.LOCKED), None)
     working.operations.unlock(SECRET, 0, "a test")
     assert working.work.join(request)[1] == "/fleet/a"
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from ca.revocation.trust_status import open_statement
-from rossec.authority.session import MasterCall
+from rossec.authority.session import StatementCall
 from tests.rossec.authority.keyservice.test_work import Working
 
 LIST = "rossec.updateRevocations"
@@ -14,7 +14,7 @@ class Telling(Working):
 
     has_list = True
 
-    def deliver(self, call: MasterCall) -> object:
+    def deliver(self, call: StatementCall) -> object:
         if call.method != "rossec.revocationStanding":
             return super().deliver(call)
         newest = open_statement(self.home.revocation_list(), self.home.own_key())

@@ -10,7 +10,7 @@ import pytest
 
 from rossec.cli import demo
 from rossec.demo.environment import DemoEnvironment, DemoFailed
-from rossec.demo.steps import WaitingNode
+from rossec.demo.steps import EnrollingNode
 from tests.support.commands import Shell, refused
 
 
@@ -30,9 +30,9 @@ def play(monkeypatch: pytest.MonkeyPatch, ends: bool) -> list[Path]:
         os.kill(os.getpid(), signal.SIGINT)
         await asyncio.Event().wait()
 
-    async def show_code(demo: DemoEnvironment) -> WaitingNode:
+    async def show_code(demo: DemoEnvironment) -> EnrollingNode:
         other = DemoEnvironment(demo.root / "fridge", demo.printer, {}, demo.run)
-        return WaitingNode("ROSSEC:CODE", other)
+        return EnrollingNode("ROSSEC:CODE", other)
 
     monkeypatch.setattr(demo, "show_code", show_code)
     monkeypatch.setattr(demo, "begin_story", begin_story)

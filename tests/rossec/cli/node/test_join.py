@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from ca.enrollment import invitation
-from ca.enrollment.join import Refused, RefuseReason, Waiting, WaitReason
+from ca.enrollment.join import RefusedMessage, RefuseReason, WaitingMessage, WaitReason
 from ca.errors import CertificateExpired
 from rossec.cli.node import enroll as module
 from rossec.home import NodeHome
@@ -129,13 +129,13 @@ def test_the_name_is_required_for_a_pattern(shell: Shell, pasted: Pasted) -> Non
 @pytest.mark.parametrize(
     ("answer", "code", "error", "hint"),
     [
-        (Waiting(WaitReason.LOCKED), 5, "the authority is locked", "rossec ca unlock"),
-        (Waiting(WaitReason.PERSON), 5, "a person has to approve", "rossec ca requests"),
-        (Refused(RefuseReason.ENDED), 1, "is used up", "rossec ca invite"),
+        (WaitingMessage(WaitReason.LOCKED), 5, "the authority is locked", "rossec ca unlock"),
+        (WaitingMessage(WaitReason.PERSON), 5, "a person has to approve", "rossec ca requests"),
+        (RefusedMessage(RefuseReason.ENDED), 1, "is used up", "rossec ca invite"),
     ],
 )
 def test_an_answer_that_is_no_identity(
-    shell: Shell, pasted: Pasted, answer: Waiting | Refused, code: int, error: str, hint: str
+    shell: Shell, pasted: Pasted, answer: WaitingMessage | RefusedMessage, code: int, error: str, hint: str
 ) -> None:
     with JoinPort(shell.root, PASSPHRASE) as port:
         line = invited(shell, port, "/robot")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from grants.policy.difference import Kind, Moment
+from grants.policy.difference import ChangeKind, Moment
 from rossec.authority.policyfile import PlanOptions, PolicyFile, PolicyPlan, make_plan
 from rossec.authority.signing import SKEW
 from rossec.cli.policy import check
@@ -75,7 +75,7 @@ def test_programs_get_each_right_of_each_node(site: Site) -> None:
     shown = check.as_json(plan(site, POLICY))
     assert isinstance(shown["changes"], list)
     assert [row["node"] for row in shown["changes"]] == [f"/n{n}" for n in range(1, 6)]
-    assert shown["changes"][0]["kind"] == Kind.NEW
+    assert shown["changes"][0]["kind"] == ChangeKind.NEW
     assert shown["withheld"] == [
         {
             "node": "/n1",

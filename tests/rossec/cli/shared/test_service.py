@@ -10,7 +10,7 @@ from ca.certificates import Identity
 from rossec.authority.grant_operations import RefusedDeposit
 from rossec.authority.home import AuthorityHome
 from rossec.authority.service import AuthorityService
-from rossec.authority.session import MasterCall
+from rossec.authority.session import StatementCall
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment
 from rossec.cli.shared.service import call_master, deliver_grant, pass_service, say_deposited, service_of
@@ -148,7 +148,7 @@ async def test_a_call_at_the_master_has_a_value_or_a_reason(
         await serve_calls(stream, Answers(value))
 
     async with serve(handle, "127.0.0.1", 0, own, WireProtocol.HTTP) as server:
-        call = MasterCall(node, "a.method", ([b"x"],), "the grants", "later", within=0.5)
+        call = StatementCall(node, "a.method", ([b"x"],), "the grants", "later", within=0.5)
         uri = f"http://127.0.0.1:{server.port}"
         made = asyncio.to_thread(call_master, Environment(shell.environ), uri, call)
         if isinstance(outcome, str):

@@ -8,7 +8,7 @@ from grants.model import Permission, Right
 from rossec.authority.console.messages import FactView, QuestionAnswer
 from rossec.console.pages.decisions import DENIED
 from rossec.console.rendering import to_base64url
-from rossec.console.server.control import Settings
+from rossec.console.server.control import WebSettings
 from rossec.errors import KeyServiceRefused
 from tests.support.consolehome import HOSTILE
 from tests.support.consolepages import ORIGIN, Browser
@@ -139,5 +139,5 @@ def test_texts_of_a_node_are_data() -> None:
 
 
 def test_a_screen_that_only_shows_offers_no_buttons() -> None:
-    browser = Browser(settings=Settings("home", (ORIGIN,), read_only=True)).log_in()
+    browser = Browser(settings=WebSettings("home", (ORIGIN,), read_only=True)).log_in()
     assert "<form" not in browser.get(PATH).text

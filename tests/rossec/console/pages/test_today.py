@@ -5,7 +5,7 @@ import pytest
 from ca.encoding import encode
 from grants.model import Right
 from rossec.authority.console.messages import AskedRight, GrantQuestion, IdentityRequestView, Proposal
-from rossec.console.pages.today import Counts, counts
+from rossec.console.pages.today import TodayCounts, counts
 from rossec.console.rendering import to_base64url
 from rossec.errors import KeyServiceRefused
 from tests.support.consolehome import NOW, FakeHome, as_service, demo
@@ -151,7 +151,7 @@ def test_what_is_new_since_the_log_was_looked_at_is_counted() -> None:
 
 
 def test_the_counts_are_of_topics_that_are_sent() -> None:
-    assert counts(demo().matrix) == Counts(1, 3, 2)
+    assert counts(demo().matrix) == TodayCounts(1, 3, 2)
 
 
 def test_it_needs_a_session() -> None:

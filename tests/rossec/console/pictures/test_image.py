@@ -12,17 +12,17 @@ from PIL import Image
 from grants.model import Restriction, filter_rules
 from rossec.console import samples
 from rossec.console.pictures import looks
-from rossec.console.pictures.svg import Element
-from rossec.console.samples import Sample, SeenTopic, see
+from rossec.console.pictures.svg import SvgElement
+from rossec.console.samples import SeenTopic, SyntheticSample, see
 from tests.support.drawings import checked
 
 
 def picture(**fields: Any) -> SeenTopic:
     given = {"height": 2, "width": 2, "step": 2, "encoding": "mono8", "data": np.zeros(4, np.uint8)}
-    return SeenTopic("/a", "/c", looks.IMAGE_TYPE, 1, (Sample(0, given | fields),))
+    return SeenTopic("/a", "/c", looks.IMAGE_TYPE, 1, (SyntheticSample(0, given | fields),))
 
 
-def decoded(drawn: Element | None) -> Image.Image:
+def decoded(drawn: SvgElement | None) -> Image.Image:
     checked(drawn)
     found = re.search(r"base64,([A-Za-z0-9+/=]+)", str(drawn))
     assert found is not None

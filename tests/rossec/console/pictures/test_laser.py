@@ -5,7 +5,7 @@ import math
 from grants.model import Restriction, filter_rules
 from rossec.console import samples
 from rossec.console.pictures import looks
-from rossec.console.samples import Sample, SeenTopic, see
+from rossec.console.samples import SeenTopic, SyntheticSample, see
 from tests.support.drawings import checked, classes, texts
 
 
@@ -17,7 +17,7 @@ def seen(*restrictions: Restriction) -> SeenTopic:
 
 def scan(*ranges: float) -> SeenTopic:
     fields = {"angle_min": 0.0, "angle_increment": 0.1, "ranges": list(ranges)}
-    return SeenTopic("/doctor", "/scan", looks.SCAN_TYPE, 1, (Sample(0, fields),))
+    return SeenTopic("/doctor", "/scan", looks.SCAN_TYPE, 1, (SyntheticSample(0, fields),))
 
 
 def test_every_ray_is_a_point() -> None:

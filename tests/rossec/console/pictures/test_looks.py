@@ -7,7 +7,7 @@ import pytest
 
 from grants.model import Restriction, filter_rules
 from rossec.console import samples
-from rossec.console.matrix import Access, Cell
+from rossec.console.matrix import Cell, TopicAccess
 from rossec.console.pictures import looks
 from rossec.console.pictures import looks as image
 from rossec.console.pictures import looks as laser
@@ -28,7 +28,7 @@ def compare(kind: str, *ways: Restriction | None) -> Comparison:
         Cell(
             f"/node_{at}",
             "/robot/topic",
-            Access.COARSE if way else Access.ALL,
+            TopicAccess.COARSE if way else TopicAccess.ALL,
             "said",
             "",
             (b"g",),
@@ -59,7 +59,7 @@ def test_receivers_that_see_the_same_share_a_look() -> None:
 def test_who_sees_nothing_has_no_look() -> None:
     recorded = samples.recorded("/robot/topic", POSE)
     assert recorded is not None
-    assert looks.compare(recorded, [Cell("/a", "/t", Access.ENDED)]).looks == ()
+    assert looks.compare(recorded, [Cell("/a", "/t", TopicAccess.ENDED)]).looks == ()
 
 
 def test_a_place_that_was_removed_is_said_and_the_fields_are_shown() -> None:
@@ -107,14 +107,14 @@ def test_a_grant_for_another_type_gets_nothing() -> None:
 
 def test_messages_of_an_unknown_type_have_no_look() -> None:
     recorded = Recorded("/t", "my_msgs/Own", ((0.0, b"x"),))
-    assert looks.compare(recorded, [Cell("/a", "/t", Access.ALL)]).looks == ()
+    assert looks.compare(recorded, [Cell("/a", "/t", TopicAccess.ALL)]).looks == ()
 
 
 def test_messages_that_never_pass_are_said() -> None:
     recorded = samples.recorded("/t", POSE)
     assert recorded is not None
     never = Restriction(POSE, ('msg.header.frame_id == "elsewhere"',))
-    cell = Cell("/a", "/t", Access.COARSE, "only when", "", (b"g",), (never,))
+    cell = Cell("/a", "/t", TopicAccess.COARSE, "only when", "", (b"g",), (never,))
     (look,) = looks.compare(recorded._replace(is_made_up=False), [cell]).looks
     assert look.heading == "gets none of these"
     assert look.caption == "none of 240 messages passed: only when"
@@ -156,6 +156,6 @@ def test_strange_numbers_of_a_robot_are_drawn_or_left_out(kind: str, value: floa
     except MessageError:  # float32 has no such number
         return
     recorded = Recorded("/t", kind, messages)
-    (look,) = looks.compare(recorded, [Cell("/a", "/t", Access.ALL)]).looks
+    (look,) = looks.compare(recorded, [Cell("/a", "/t", TopicAccess.ALL)]).looks
     if look.picture is not None:
         checked(look.picture)

@@ -7,7 +7,7 @@ import pytest
 from grants.model import Restriction, filter_rules
 from rossec.console import samples
 from rossec.console.pictures import place
-from rossec.console.samples import Sample, SeenTopic, see
+from rossec.console.samples import SeenTopic, SyntheticSample, see
 from tests.support.consolehome import COARSE, POSE
 from tests.support.drawings import checked, classes, texts
 
@@ -32,7 +32,9 @@ def seen(kind: str = POSE, *restrictions: Restriction) -> SeenTopic:
 
 
 def poses(*points: tuple[float, float]) -> SeenTopic:
-    samples = tuple(Sample(at, {"pose": {"position": {"x": x, "y": y}}}) for at, (x, y) in enumerate(points))
+    samples = tuple(
+        SyntheticSample(at, {"pose": {"position": {"x": x, "y": y}}}) for at, (x, y) in enumerate(points)
+    )
     return SeenTopic("/doctor", "/pose", POSE, len(samples), samples)
 
 
@@ -114,7 +116,7 @@ def test_strange_places_stay_in_the_frame(points: list[tuple[float, float]]) -> 
 
 
 def test_a_type_without_a_place_has_none() -> None:
-    other = SeenTopic("/a", "/b", "std_msgs/Float64", 1, (Sample(0, {"data": 1.0}),))
+    other = SeenTopic("/a", "/b", "std_msgs/Float64", 1, (SyntheticSample(0, {"data": 1.0}),))
     assert place.frame_of([other]) is None
     assert place.places(other) == 0
     assert place.cells_of([Restriction("std_msgs/Float64", (), (), 1.0)]) == []

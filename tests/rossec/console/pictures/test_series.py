@@ -5,12 +5,12 @@ from typing import Any
 
 from rossec.console import samples
 from rossec.console.pictures import looks
-from rossec.console.samples import Sample, SeenTopic, see
+from rossec.console.samples import SeenTopic, SyntheticSample, see
 from tests.support.drawings import checked, texts
 
 
 def values(*given: Any) -> SeenTopic:
-    samples = tuple(Sample(at, {"seq": at, "data": value}) for at, value in enumerate(given))
+    samples = tuple(SyntheticSample(at, {"seq": at, "data": value}) for at, value in enumerate(given))
     return SeenTopic("/doctor", "/t", "std_msgs/Float64", len(samples), samples)
 
 

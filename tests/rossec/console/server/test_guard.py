@@ -20,8 +20,8 @@ from rossec.console.app import (
     broken_rule,
     is_by_person,
 )
-from rossec.console.rendering import PUBLIC, SESSION, Access, Match, Page, PageTable
-from rossec.console.server.control import Settings
+from rossec.console.rendering import PUBLIC, SESSION, Match, Page, PageAccess, PageTable
+from rossec.console.server.control import WebSettings
 from rossec.console.sessions import COOKIE, KnownPhones
 from rossec.errors import PeerUserRefused
 from tests.support.consolepages import ORIGIN, Browser
@@ -56,7 +56,7 @@ every_route = pytest.mark.parametrize(("page", "method"), CASES, ids=named)
 @every_route
 def test_without_a_session_only_public_pages_are_there(browser: Browser, page: Page, method: str) -> None:
     answer = browser.request(method, address(page))
-    if page.access is Access.PUBLIC:
+    if page.access is PageAccess.PUBLIC:
         assert answer.status_code != 303 or answer.headers["location"] != "/login"
     else:
         assert (answer.status_code, answer.headers["location"]) == (303, "/login")
@@ -163,7 +163,7 @@ def test_every_page_asks_for_a_session_but_those_before_it() -> None:
 
 
 def test_headers_of_a_name_with_a_real_certificate() -> None:
-    browser = Browser(settings=Settings("home", (ORIGIN,), hsts=True))
+    browser = Browser(settings=WebSettings("home", (ORIGIN,), hsts=True))
     check_headers(browser.get("/login"), **{"Strict-Transport-Security": HSTS})
     assert "Strict-Transport-Security" not in Browser().get("/login").headers
 

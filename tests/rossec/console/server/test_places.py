@@ -5,10 +5,10 @@ from functools import partial
 import pytest
 
 from rossec.console.server import serving
-from rossec.console.server.serving import ConnectionShares, Place
+from rossec.console.server.serving import ConnectionPlace, ConnectionShares
 
 
-def take(all_places: ConnectionShares, address: str, *, is_other_user: bool = False) -> Place:
+def take(all_places: ConnectionShares, address: str, *, is_other_user: bool = False) -> ConnectionPlace:
     place = all_places.take(address, is_other_user=is_other_user)
     assert place is not None
     return place

@@ -10,7 +10,7 @@ import pytest
 
 from rossec.console.app import HEADERS
 from rossec.console.server import supervisor as module
-from rossec.console.server.control import Settings
+from rossec.console.server.control import WebSettings
 from rossec.console.server.supervisor import WebOptions, WebProcess
 from rossec.errors import ConfigurationError
 from tests.support.consoleprocess import UNMEASURED, ask, listening, running_web
@@ -80,7 +80,7 @@ async def test_it_ends_with_its_supervisor(tmp_path: Path) -> None:
 
 async def test_one_that_does_not_start_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "START", 0.01)
-    settings = Settings("home", ("http://localhost:1",))
+    settings = WebSettings("home", ("http://localhost:1",))
     with listening() as sock:
         web = WebProcess(WebOptions(settings, tmp_path / "no"), [sock], UNMEASURED, module="no")
         with pytest.raises(ConfigurationError, match="does not start"):
@@ -103,7 +103,7 @@ async def test_one_that_breaks_the_protocol_is_killed(
         given.append(b"bundle")
         await asyncio.Event().wait()
 
-    options = WebOptions(Settings("home", ("https://localhost:1",)), tmp_path / "no")
+    options = WebOptions(WebSettings("home", ("https://localhost:1",)), tmp_path / "no")
     with listening() as sock:
         web = WebProcess(options, [sock], UNMEASURED, certificates, "tests.support.takenweb")
         task = asyncio.ensure_future(web.run())

@@ -6,7 +6,7 @@ import pytest
 
 from rossec.master.api import arguments as arg
 from rossec.master.api.arguments import ArgumentRefused, Check
-from rossec.master.state.forwarded_ports import AT_ONCE, MAX_PEERS, Door, Target, Way
+from rossec.master.state.forwarded_ports import AT_ONCE, MAX_PEERS, Door, PeerWay, Target
 
 WAY = {"state": "up", "rtt_ms": 12.5, "retransmissions": 3, "router": "tls/r:7447", "streams": 2}
 DOOR = ["office", "node", "/robot", "127.0.0.1", 7001]
@@ -74,7 +74,7 @@ def test_doors_are_bounded() -> None:
 
 
 def test_ways_by_peer() -> None:
-    assert arg.ways("it")({"office": WAY}, "/relay") == {"office": Way(**WAY)}  # type: ignore[arg-type]
+    assert arg.ways("it")({"office": WAY}, "/relay") == {"office": PeerWay(**WAY)}  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

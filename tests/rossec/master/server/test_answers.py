@@ -10,7 +10,7 @@ import pytest
 
 from grants.document import grant_id
 from rossec.errors import AnswerRefused
-from rossec.master.api.methods import Turns
+from rossec.master.api.methods import TurnClock
 from rossec.master.rights.caller import NAMES_PER_YIELD
 from rossec.master.state.forwarded_ports import Target
 from tests.rossec.master.world import SlaveNode, T, World, ends, until
@@ -25,7 +25,7 @@ async def slow() -> AsyncIterator[World]:
     """A master whose turns are one step long."""
     async with AsyncExitStack() as exit_stack:
         world, ticks = World(exit_stack), count()
-        await world.start(Turns(lambda: next(ticks)))
+        await world.start(TurnClock(lambda: next(ticks)))
         yield world
 
 

@@ -17,13 +17,13 @@ from rossec.sidecar.core.layers import (
     CallPeer,
     CommandDone,
     ConnectPeer,
-    Endpoint,
     HeaderArrived,
     Layer,
+    ListeningAddress,
     NoAnswer,
-    Opened,
     OpenEgress,
     PeerAuthenticated,
+    PortOpened,
     UnexpectedEvent,
 )
 from rossec.sidecar.core.node_connections import AdmittedConnection, connect_to_peer, handle_program_call
@@ -33,7 +33,7 @@ from tests.support.openaccess import PROOF, OpenAccess
 from tests.support.site import Site
 
 ALIAS, SERVED, ORIGIN = "/remote/hospital/word", "/gateway/hospital/word", "/word"
-API = Endpoint(WireProtocol.HTTP, PEER.host, PEER.port)
+API = ListeningAddress(WireProtocol.HTTP, PEER.host, PEER.port)
 ASKED = ("/robot", ALIAS, [["TCPROS"]])
 
 
@@ -168,7 +168,7 @@ def test_a_gateways_topic_is_requested_by_the_served_name(setup: AgentSetup) -> 
         handle_program_call(setup.agent, API, "requestTopic", ASKED),
         (AuthenticatePeer(API), PeerAuthenticated(gateway)),
         (request, Answered([1, "ready", ["TCPROS", "10.0.0.7", 6001]], gateway)),
-        (OpenEgress(PEER), Opened(8001)),
+        (OpenEgress(PEER), PortOpened(8001)),
     )
     assert answer == [1, "ready", ["TCPROS", "127.0.0.1", 8001]]
 

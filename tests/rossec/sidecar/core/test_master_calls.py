@@ -13,11 +13,11 @@ from rossec.sidecar.core.layers import (
     Answered,
     CallMaster,
     CommandDone,
-    Endpoint,
+    ListeningAddress,
     NoAnswer,
-    Opened,
     OpenEgress,
     OpenIngress,
+    PortOpened,
     RawResponse,
     UnexpectedEvent,
     local_endpoint,
@@ -39,13 +39,13 @@ def test_the_programs_own_uri_is_returned_byte_for_byte(setup: AgentSetup) -> No
 def test_another_program_of_the_same_identity_is_reached_through_the_channel(setup: AgentSetup) -> None:
     """Its messages must pass the guard too."""
     setup.agent.endpoints.add_ingress(local_endpoint(WireProtocol.HTTP, 5555), 7777)
-    other = Endpoint(WireProtocol.HTTP, HOST, 7777)
+    other = ListeningAddress(WireProtocol.HTTP, HOST, 7777)
     params = ("/robot", "/scan", "pkg/Type", INGRESS_URI)
     answer = run_layer(
         handle_call(setup.agent, "registerSubscriber", ("/robot", "/scan", "pkg/Type", OWN_URI)),
-        (OpenIngress(SLAVE), Opened(7000)),
+        (OpenIngress(SLAVE), PortOpened(7000)),
         (CallMaster("registerSubscriber", params), Answered([1, "ok", [other.uri]])),
-        (OpenEgress(other), Opened(8000)),
+        (OpenEgress(other), PortOpened(8000)),
     )
     assert answer == [1, "ok", ["http://127.0.0.1:8000/"]]
 
@@ -53,8 +53,8 @@ def test_another_program_of_the_same_identity_is_reached_through_the_channel(set
 def test_a_service_is_registered_with_the_slave_api(setup: AgentSetup) -> None:
     answer = run_layer(
         handle_call(setup.agent, "registerService", ("/robot", "/say", "rosrpc://127.0.0.1:5001", OWN_URI)),
-        (OpenIngress(SLAVE), Opened(7000)),
-        (OpenIngress(SERVICE), Opened(7001)),
+        (OpenIngress(SLAVE), PortOpened(7000)),
+        (OpenIngress(SERVICE), PortOpened(7001)),
         (CallMaster("registerService", ("/robot", "/say", f"rosrpc://{HOST}:7001", INGRESS_URI)), OK),
     )
     assert answer == [1, "done", 0]
@@ -102,14 +102,14 @@ def test_lookups_return_egress_uris(setup: AgentSetup) -> None:
     answer = run_layer(
         handle_call(agent, "lookupNode", ("/robot", "/viewer")),
         (CallMaster("lookupNode", ("/robot", "/viewer")), Answered([1, "node api", PEER.uri])),
-        (OpenEgress(PEER, probe=True), Opened(8000)),
+        (OpenEgress(PEER, probe=True), PortOpened(8000)),
     )
     assert answer == [1, "node api", "http://127.0.0.1:8000/"]
-    remote = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6001)
+    remote = ListeningAddress(WireProtocol.TCPROS, "10.0.0.7", 6001)
     answer = run_layer(
         handle_call(agent, "lookupService", ("/robot", "/say")),
         (CallMaster("lookupService", ("/robot", "/say")), Answered([1, "x", remote.uri])),
-        (OpenEgress(remote), Opened(8001)),
+        (OpenEgress(remote), PortOpened(8001)),
     )
     assert answer == [1, "rosrpc URI: [rosrpc://127.0.0.1:8001]", "rosrpc://127.0.0.1:8001"]
     for method in ("lookupNode", "lookupService"):
@@ -237,7 +237,7 @@ def test_an_anonymous_program_uses_the_wildcard(setup: AgentSetup) -> None:
     params = ("/rviz_12_34", "/x", "pkg/Type", OWN_URI)
     run_layer(
         handle_call(anonymous.agent, "registerPublisher", params),
-        (OpenIngress(SLAVE), Opened(7000)),
+        (OpenIngress(SLAVE), PortOpened(7000)),
         (CallMaster("registerPublisher", (*params[:3], INGRESS_URI)), Answered([1, "", []])),
     )
     assert replace(anonymous.agent).name_for("/rvizx") == "/rviz"
@@ -265,11 +265,11 @@ def test_a_program_subscribes_to_an_alias_by_its_local_name(setup: AgentSetup) -
     alias = "/remote/hospital/scan"
     answer = run_layer(
         handle_call(setup.agent, "registerSubscriber", ("/robot", alias, "pkg/Type", OWN_URI)),
-        (OpenIngress(SLAVE), Opened(7000)),
+        (OpenIngress(SLAVE), PortOpened(7000)),
         (
             CallMaster("registerSubscriber", ("/robot", alias, "pkg/Type", INGRESS_URI)),
             Answered([1, "ok", [PEER.uri]]),
         ),
-        (OpenEgress(PEER), Opened(8000)),
+        (OpenEgress(PEER), PortOpened(8000)),
     )
     assert answer == [1, "ok", ["http://127.0.0.1:8000/"]]

@@ -15,9 +15,9 @@ from rossec.sidecar.core.layers import (
     CallProgram,
     CommandDone,
     NoAnswer,
-    Opened,
     OpenEgress,
     OpenIngress,
+    PortOpened,
     Probe,
     Suspend,
     local_endpoint,
@@ -63,8 +63,8 @@ def test_a_service_is_unregistered_by_its_own_address(setup: AgentSetup) -> None
     params = ("/robot", "/say", outside, INGRESS_URI)
     run_layer(
         handle_call(setup.agent, "registerService", ("/robot", "/say", SERVICE.uri, OWN_URI)),
-        (OpenIngress(SLAVE), Opened(7000)),
-        (OpenIngress(SERVICE), Opened(7001)),
+        (OpenIngress(SLAVE), PortOpened(7000)),
+        (OpenIngress(SERVICE), PortOpened(7001)),
         (CallMaster("registerService", params), OK),
     )
     other = local_endpoint(WireProtocol.TCPROS, 5002)
@@ -86,7 +86,7 @@ def test_a_program_on_a_reused_port_has_none_of_the_old_registrations(tmp_path: 
     params = ("/robot_2", "/word", "pkg/Type", INGRESS_URI)
     run_layer(
         handle_call(setup.agent, "registerPublisher", ("/robot_2", "/word", "pkg/Type", OWN_URI)),
-        (OpenIngress(SLAVE), Opened(7000)),
+        (OpenIngress(SLAVE), PortOpened(7000)),
         (CallMaster("registerPublisher", params), OK),
     )
     run_layer(restore(setup.agent, has()), ALIVE, (CallMaster("registerPublisher", params), OK))
@@ -100,7 +100,7 @@ def test_registrations_are_made_again_with_a_restarted_master(setup: AgentSetup)
         restore(setup.agent, has()),
         ALIVE,
         (CallMaster("registerSubscriber", params), Answered([1, "ok", [PEER.uri]])),
-        (OpenEgress(PEER), Opened(8000)),
+        (OpenEgress(PEER), PortOpened(8000)),
         (CallProgram(SLAVE, "publisherUpdate", update), NoAnswer("gone", dead=True)),
         (Suspend(SLAVE), CommandDone()),
     )
@@ -130,7 +130,7 @@ def test_resubscribing_sends_the_publishers_again(setup: AgentSetup) -> None:
             CallMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", INGRESS_URI)),
             Answered([1, "ok", [PEER.uri]]),
         ),
-        (OpenEgress(PEER), Opened(8000)),
+        (OpenEgress(PEER), PortOpened(8000)),
         (
             CallProgram(SLAVE, "publisherUpdate", ("/master", "/scan", ["http://127.0.0.1:8000/"])),
             Answered([1, "", 0]),
@@ -152,7 +152,7 @@ def test_a_publisher_missing_at_a_new_master_is_kept_for_a_grace_period(setup: A
         restore(setup.agent, has()),
         ALIVE,
         (register_again, Answered([1, "ok", []])),
-        (OpenEgress(PEER), Opened(8000)),
+        (OpenEgress(PEER), PortOpened(8000)),
         publisher_update(inside_uri),
     )
     assert run_layer(drop_expired_publishers(setup.agent)) is None
@@ -172,7 +172,7 @@ REFUSED = Answered([-1, "rossec: /robot needs the right publish on /pose", []])
 def refuse(setup: AgentSetup, params: tuple[str, ...] = PUBLISHER, answer: Answered = REFUSED) -> None:
     run_layer(
         handle_call(setup.agent, "registerPublisher", (*params[:3], OWN_URI)),
-        (OpenIngress(SLAVE), Opened(7000)),
+        (OpenIngress(SLAVE), PortOpened(7000)),
         (CallMaster("registerPublisher", params), answer),
     )
 
@@ -202,7 +202,7 @@ def test_what_a_program_works_without_succeeds_for_it(
     status = f"rossec: /robot needs the right publish on {topic}: {reason}"
     answer = run_layer(
         handle_call(setup.agent, "registerPublisher", (*params[:3], OWN_URI)),
-        (OpenIngress(SLAVE), Opened(7000)),
+        (OpenIngress(SLAVE), PortOpened(7000)),
         (CallMaster("registerPublisher", params), Answered([-1, status, []])),
     )
     assert answer == [code, status, []]

@@ -16,13 +16,13 @@ from rossec.sidecar.core.layers import (
     CallPeer,
     CallProgram,
     CommandDone,
-    Endpoint,
     Event,
     Layer,
+    ListeningAddress,
     NoAnswer,
-    Opened,
     OpenEgress,
     OpenIngress,
+    PortOpened,
     Probe,
     RawResponse,
     Suspend,
@@ -34,7 +34,7 @@ from rossec.sidecar.core.node_connections import handle_peer_call, handle_progra
 from tests.rossec.sidecar.agent_setup import HOST, MASTER_URI, AgentSetup, run_layer
 
 SLAVE = local_endpoint(WireProtocol.HTTP, 5000)
-PEER = Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)
+PEER = ListeningAddress(WireProtocol.HTTP, "10.0.0.7", 6000)
 EGRESS_URI = "http://127.0.0.1:8000/"
 UDP = ["UDPROS", b"header", "host", 1, 1500]
 
@@ -52,7 +52,7 @@ def test_updates_of_the_master_are_forwarded(setup: AgentSetup) -> None:
     params = ("/master", "/scan", [PEER.uri, "nonsense"])
     answer = run_layer(
         peer_call(setup, "publisherUpdate", *params[1:], peer="/master"),
-        (OpenEgress(PEER), Opened(8000)),
+        (OpenEgress(PEER), PortOpened(8000)),
         (
             CallProgram(SLAVE, "publisherUpdate", ("/master", "/scan", ["http://127.0.0.1:8000/"])),
             Answered([1, "", 0]),
@@ -105,7 +105,7 @@ def test_the_same_port_is_offered_for_every_topic(setup: AgentSetup, topic: obje
     answer = run_layer(
         peer_call(setup, "requestTopic", topic, [UDP, ["TCPROS"]]),
         (Probe(SLAVE), CommandDone()),
-        (OpenIngress(topic_endpoint(SLAVE)), Opened(7001)),
+        (OpenIngress(topic_endpoint(SLAVE)), PortOpened(7001)),
     )
     assert answer == [1, "ready", ["TCPROS", HOST, 7001]]
 
@@ -147,7 +147,7 @@ def test_answers_of_a_program_name_ingress_endpoints(setup: AgentSetup) -> None:
         [4, SLAVE.uri, "i", "INTRAPROCESS", "/loop", True],
         [5, 7, "i"],
     ]
-    ingress = ((OpenIngress(SLAVE), Opened(7000)),)
+    ingress = ((OpenIngress(SLAVE), PortOpened(7000)),)
     own = f"http://{HOST}:7000/"
     seen = [[1, PEER.uri, *info[0][2:]], *info[1:3], [4, own, *info[3][2:]], info[4]]
     for method, value, script, expected in (
@@ -227,14 +227,14 @@ def test_calls_of_a_program_have_a_certified_caller_id_and_its_grants(setup: Age
 
 def test_the_topics_of_a_peer_get_an_egress_port(setup: AgentSetup) -> None:
     params = ("/robot", "/scan", [["TCPROS"]])
-    remote = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6001)
+    remote = ListeningAddress(WireProtocol.TCPROS, "10.0.0.7", 6001)
     answer = run_layer(
         handle_program_call(setup.agent, PEER, "requestTopic", params),
         (
             CallPeer(PEER, "requestTopic", params, None),
             Answered([1, "ready", ["TCPROS", remote.host, remote.port]]),
         ),
-        (OpenEgress(remote), Opened(8001)),
+        (OpenEgress(remote), PortOpened(8001)),
     )
     assert answer == [1, "ready", ["TCPROS", "127.0.0.1", 8001]]
 
@@ -242,14 +242,14 @@ def test_the_topics_of_a_peer_get_an_egress_port(setup: AgentSetup) -> None:
 @pytest.mark.parametrize(
     ("method", "value", "script", "expected"),
     [
-        ("getUri", "http://x:1/", [(OpenEgress(PEER), Opened(8000))], "http://127.0.0.1:8000/"),
+        ("getUri", "http://x:1/", [(OpenEgress(PEER), PortOpened(8000))], "http://127.0.0.1:8000/"),
         ("getMasterUri", "http://x:1/", [], MASTER_URI),
         ("getBusInfo", [[1], [2, "/x", "o"]], [], [[1], [2, "/x", "o"]]),
         ("getBusInfo", 7, [], 7),
         (
             "getBusInfo",
             [[1, PEER.uri, "i", "TCPROS"], [2, PEER.uri, "i", "TCPROS"], [3, "odd", "i"]],
-            [(OpenEgress(PEER), Opened(8000))],
+            [(OpenEgress(PEER), PortOpened(8000))],
             [[1, EGRESS_URI, "i", "TCPROS"], [2, EGRESS_URI, "i", "TCPROS"], [3, "odd", "i"]],
         ),
     ],
@@ -275,7 +275,7 @@ def test_a_peer_cannot_open_any_number_of_ports(setup: AgentSetup) -> None:
     layer = handle_program_call(setup.agent, PEER, "getBusInfo", ("/robot",))
     request = CallPeer(PEER, "getBusInfo", ("/robot",), Right.GRAPH)
     egress = [
-        (OpenEgress(Endpoint(WireProtocol.HTTP, "10.0.0.7", port)), Opened(8000 + port))
+        (OpenEgress(ListeningAddress(WireProtocol.HTTP, "10.0.0.7", port)), PortOpened(8000 + port))
         for port in range(1, 65)
     ]
     answer = run_layer(layer, (request, Answered([1, "", [[1, uri, "i"] for uri in uris]])), *egress)

@@ -13,11 +13,11 @@ from rossec.sidecar.core.layers import (
     AuthenticatePeer,
     CallPeer,
     CallProgram,
-    Endpoint,
     Layer,
-    Opened,
+    ListeningAddress,
     OpenEgress,
     PeerAuthenticated,
+    PortOpened,
     local_endpoint,
 )
 from rossec.sidecar.core.node_connections import handle_peer_call, handle_program_call
@@ -25,7 +25,7 @@ from tests.rossec.sidecar.agent_setup import AgentSetup, run_layer
 from tests.support.openaccess import OpenAccess
 
 SLAVE = local_endpoint(WireProtocol.HTTP, 5000)
-PEER = Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)
+PEER = ListeningAddress(WireProtocol.HTTP, "10.0.0.7", 6000)
 EGRESS_URI = "http://127.0.0.1:8000/"
 ALIAS = "/remote/hospital/scan"
 AUTHENTICATE = AuthenticatePeer(PEER)
@@ -45,12 +45,12 @@ def foreign_call(setup: AgentSetup, method: str, *params: object) -> Layer[objec
 def test_a_peer_is_asked_for_a_topic_by_the_name_at_its_origin(setup: AgentSetup) -> None:
     request = CallPeer(PEER, "requestTopic", ("/robot", "/scan", [["TCPROS"]]), None)
     params = ("/robot", ALIAS, [["TCPROS"]])
-    remote = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6001)
+    remote = ListeningAddress(WireProtocol.TCPROS, "10.0.0.7", 6001)
     answer = run_layer(
         handle_program_call(setup.agent, PEER, "requestTopic", params),
         (AUTHENTICATE, PeerAuthenticated(foreigner(setup))),
         (request, Answered([1, "ready", ["TCPROS", "10.0.0.7", 6001]], foreigner(setup))),
-        (OpenEgress(remote), Opened(8001)),
+        (OpenEgress(remote), PortOpened(8001)),
     )
     assert answer == [1, "ready", ["TCPROS", "127.0.0.1", 8001]]
     with pytest.raises(NameRefused, match="names no origin"):
@@ -89,7 +89,7 @@ def test_a_program_reads_what_a_foreign_node_says_in_local_names(setup: AgentSet
         (
             "getBusInfo",
             rows,
-            ((OpenEgress(Endpoint(WireProtocol.HTTP, "10.0.0.9", 6000)), Opened(8000)),),
+            ((OpenEgress(ListeningAddress(WireProtocol.HTTP, "10.0.0.9", 6000)), PortOpened(8000)),),
             [
                 [1, EGRESS_URI, "i", "TCPROS", ALIAS, True],
                 [2, "/remote/hospital/display", "o", "TCPROS", ALIAS, True],
