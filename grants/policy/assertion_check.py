@@ -31,10 +31,10 @@ from grants.model import TREE_RIGHTS, FilterRule, Right, Scalar, format_time
 from grants.policy.assertions import (
     EXACT,
     NOTHING,
+    CheckedClaim,
     PolicyTest,
     Says,
     SeenField,
-    TestClaim,
     Value,
     below,
     read_back,
@@ -285,7 +285,7 @@ def _word(description: Description, verdict: Verdict, seen: SeenField) -> str:
 
 
 @dataclass(frozen=True)
-class TestOutcome:
+class CheckOutcome:
     """Of one claim, or of one field."""
 
     line: int
@@ -299,7 +299,7 @@ class TestOutcome:
         return not self.failure
 
 
-def check_tests(policy: Policy, layout_of: LayoutOf) -> list[TestOutcome]:
+def check_tests(policy: Policy, layout_of: LayoutOf) -> list[CheckOutcome]:
     """The outcome of every test of `policy`, in the order of the file."""
     checker = _Checker(policy, layout_of)
     return [outcome for each in policy.tests for outcome in checker.outcomes(each)]
@@ -323,7 +323,7 @@ class _Checker:
         self._decider = Decider(policy)
         self._layout_of = layout_of
 
-    def outcomes(self, test: PolicyTest) -> Iterator[TestOutcome]:
+    def outcomes(self, test: PolicyTest) -> Iterator[CheckOutcome]:
         for claim in test.claims:
             checks = self._variants(test) if claim.says is Says.MAY_NOT else [test]
             yield _first_failure(self._claim(each, claim) for each in checks)
@@ -353,7 +353,7 @@ class _Checker:
         }
         return [replace(test, subject=each) for each in found]
 
-    def _claim(self, test: PolicyTest, claim: TestClaim) -> TestOutcome:
+    def _claim(self, test: PolicyTest, claim: CheckedClaim) -> CheckOutcome:
         node, what = _shown(test.subject), f"{claim.right.label} {claim.name}"
         says = f"{claim.says.replace('_', ' ')} {what}"
         verdict = self._decider.decide(test.subject, claim.right, claim.name)
@@ -362,9 +362,9 @@ class _Checker:
         except (GrantError, ValueError, struct.error, OverflowError) as error:
             failure, needed = f"{what} cannot be tried: {error}", "correct the test"
         rules = tuple(dict.fromkeys(rule.id for rule in verdict.rules))
-        return TestOutcome(claim.line, node, says, failure and f"{node} {failure}", rules, needed)
+        return CheckOutcome(claim.line, node, says, failure and f"{node} {failure}", rules, needed)
 
-    def _refuted(self, test: PolicyTest, claim: TestClaim, verdict: Verdict) -> tuple[str, str]:
+    def _refuted(self, test: PolicyTest, claim: CheckedClaim, verdict: Verdict) -> tuple[str, str]:
         # Why the claim does not hold, and what would be needed; empty if it holds.
         what = f"{claim.right.label} {claim.name}"
         wanted = {Says.MAY: Effect.ALLOW, Says.MAY_NOT: Effect.DENY, Says.ASKS: Effect.PROMPT}
@@ -386,7 +386,7 @@ class _Checker:
                 return f"may not {what} at {format_time(now)}: not true: {closed}", needed
         return "", ""
 
-    def _some_allowed(self, subject: Subject, claim: TestClaim) -> tuple[str, str]:
+    def _some_allowed(self, subject: Subject, claim: CheckedClaim) -> tuple[str, str]:
         # No part of it may be given: who sets /safety/max_speed has set a part of /safety.
         name = resolve(claim.name, subject.name, tail=subject.tail)
         if name is None:
@@ -424,7 +424,7 @@ class _Checker:
                     return text
         return ""
 
-    def _seen(self, test: PolicyTest, seen: SeenField) -> TestOutcome:
+    def _seen(self, test: PolicyTest, seen: SeenField) -> CheckOutcome:
         node = shown(test.subject.name)
         if isinstance(seen.limit, float):
             limit, more = f"no finer than {seen.limit:g}", f"finer than {seen.limit:g}"
@@ -437,20 +437,20 @@ class _Checker:
         if not verdict:
             failure = f"{node} may not subscribe {seen.topic}: {_decided(verdict)}"
             needed = f"if it is to see nothing, write {seen.topic}: {NOTHING}"
-            return TestOutcome(seen.line, node, says, failure, rules, needed)
+            return CheckOutcome(seen.line, node, says, failure, rules, needed)
         try:
             found = seen_too_well(self._policy, self._layout_of, verdict, seen)
         except GrantError as error:
             failure = f"{node}: {seen.path} of {seen.topic} cannot be tried: {error}"
-            return TestOutcome(seen.line, node, says, failure, rules, error.hint or "correct the test")
+            return CheckOutcome(seen.line, node, says, failure, rules, error.hint or "correct the test")
         if not found:
-            return TestOutcome(seen.line, node, says, "", rules)
+            return CheckOutcome(seen.line, node, says, "", rules)
         failure = f"{node} sees {found} of {seen.topic} {more}: {_decided(verdict)}"
         needed = f"a filter on {seen.path} in {' and '.join(rules)}"
-        return TestOutcome(seen.line, node, says, failure, rules, needed)
+        return CheckOutcome(seen.line, node, says, failure, rules, needed)
 
 
-def _first_failure(outcomes: Iterable[TestOutcome]) -> TestOutcome:
+def _first_failure(outcomes: Iterable[CheckOutcome]) -> CheckOutcome:
     # The first that does not hold, else the first.
     found = list(outcomes)
     return next((each for each in found if not each), found[0])

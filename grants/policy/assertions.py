@@ -113,7 +113,7 @@ class Says(StrEnum):
 
 
 @dataclass(frozen=True)
-class TestClaim:
+class CheckedClaim:
     says: Says
     right: Right
     name: str
@@ -131,7 +131,7 @@ class SeenField:
 @dataclass(frozen=True)
 class PolicyTest:
     subject: Subject  # the node; of an identity that is a pattern, one that it covers
-    claims: tuple[TestClaim, ...] = ()
+    claims: tuple[CheckedClaim, ...] = ()
     seen: tuple[SeenField, ...] = ()
     at: tuple[int, ...] = ()  # seconds since the epoch; none: conditions are not evaluated
     message: Mapping[str, Value] = field(default_factory=dict)  # by path, for conditions on messages
@@ -189,9 +189,9 @@ class _Reader:
         name = source.subject(part, "who", self._mistakes)
         return [] if name is None else [(Subject(name, bytes(32)), "")]
 
-    def _claims(self, part: Part | None, says: Says) -> list[TestClaim]:
+    def _claims(self, part: Part | None, says: Says) -> list[CheckedClaim]:
         rights = source.mapping(part, says.value, self._mistakes)
-        found: list[TestClaim] = []
+        found: list[CheckedClaim] = []
         for label, (key, value) in rights.entries.items() if rights is not None else ():
             if label not in RIGHTS:
                 message = f"unknown right {label[:60]!r} in {says.value}"
@@ -200,10 +200,10 @@ class _Reader:
             for item in source.items(value):
                 name = source.own_pattern(item, label, RIGHTS[label], self._mistakes)
                 if name is not None:
-                    found.append(TestClaim(says, RIGHTS[label], name, item.line))
+                    found.append(CheckedClaim(says, RIGHTS[label], name, item.line))
         return found
 
-    def _seen(self, part: Part | None, claims: list[TestClaim]) -> list[SeenField]:
+    def _seen(self, part: Part | None, claims: list[CheckedClaim]) -> list[SeenField]:
         topics = source.mapping(part, "sees", self._mistakes)
         found: list[SeenField] = []
         for key, value in topics.entries.values() if topics is not None else ():
@@ -211,7 +211,7 @@ class _Reader:
             if topic is None:
                 continue
             if isinstance(value, YamlScalar) and value.value == NOTHING:
-                claims.append(TestClaim(Says.MAY_NOT, Right.SUBSCRIBE, topic, key.line))
+                claims.append(CheckedClaim(Says.MAY_NOT, Right.SUBSCRIBE, topic, key.line))
                 continue
             fields = source.mapping(value, f"sees {topic}", self._mistakes)
             for path, (at, limit) in fields.entries.items() if fields is not None else ():

@@ -49,8 +49,8 @@ READY: Final = b"\x00"  # the body of the first frame of a process, once it is c
 # What lies below these is not for rules: identities that nodes trust, those of the own services, names of
 # other domains (`/remote`), and topics that every node may use without a grant.
 RESERVED: Final = frozenset(
-    """remote master ca relay gateway router console border namespace sidecar rossec rosout rosout_agg
-    clock""".split()  # noqa: SIM905 - read as a text
+    """remote master ca relay gateway router console border namespace sidecar rosout rosout_agg clock
+    rossec""".split()  # noqa: SIM905 - read as a text
 )
 THESIS_DEFAULTS: Final = ("unknown-group", "unknown-node", "unknown-location")
 # Only encodings in which ASCII is ASCII: others could hide a document type.

@@ -8,7 +8,7 @@ import click
 from ca.names import shown
 from ca.revocation.lists import MAX_ENTRIES
 from grants.errors import PolicyRefused
-from grants.policy.assertion_check import TestOutcome, check_tests
+from grants.policy.assertion_check import CheckOutcome, check_tests
 from grants.policy.difference import Change, ChangeKind, Contradiction
 from grants.policy.learn import beginning
 from grants.policy.lint import lint as advise
@@ -221,7 +221,7 @@ def test(environment: Environment, file: Path | None, as_json: bool) -> None:
         say(f"assertions that hold: {len(outcomes)}" if outcomes else f"{path} has no tests")
 
 
-def _row(outcome: TestOutcome) -> dict[str, object]:
+def _row(outcome: CheckOutcome) -> dict[str, object]:
     return {
         "line": outcome.line,
         "node": outcome.node,

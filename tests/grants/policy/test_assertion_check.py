@@ -3,7 +3,7 @@
 import pytest
 
 from grants.errors import PolicyRefused
-from grants.policy.assertion_check import TestOutcome, check_tests, require_tests
+from grants.policy.assertion_check import CheckOutcome, check_tests, require_tests
 from rossec.authority.policyfile import layout_of
 from tests.grants.policy.policies import policy
 
@@ -28,7 +28,7 @@ tests:
 """
 
 
-def outcomes(test: str, text: str = TEXT) -> list[TestOutcome]:
+def outcomes(test: str, text: str = TEXT) -> list[CheckOutcome]:
     return check_tests(policy(f"{text}  - {test}\n"), layout_of)
 
 

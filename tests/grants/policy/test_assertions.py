@@ -3,7 +3,7 @@
 import pytest
 
 from grants.model import Right
-from grants.policy.assertions import PolicyTest, Says, SeenField, TestClaim
+from grants.policy.assertions import CheckedClaim, PolicyTest, Says, SeenField
 from grants.policy.model import Subject
 from tests.grants.policy.policies import HEADER, HEATING_KEY, mistakes, policy
 
@@ -32,11 +32,11 @@ def test_every_part_is_read() -> None:
     )
     assert found.subject == Subject("/heating", HEATING_KEY)
     assert found.claims == (
-        TestClaim(Says.MAY, Right.SUBSCRIBE, "/robot/pose", 10),
-        TestClaim(Says.MAY, Right.SUBSCRIBE, "/clock", 10),
-        TestClaim(Says.MAY_NOT, Right.PUBLISH, "/cmd_vel", 11),
-        TestClaim(Says.ASKS, Right.CALL, "/door", 12),
-        TestClaim(Says.MAY_NOT, Right.SUBSCRIBE, "/img", 13),
+        CheckedClaim(Says.MAY, Right.SUBSCRIBE, "/robot/pose", 10),
+        CheckedClaim(Says.MAY, Right.SUBSCRIBE, "/clock", 10),
+        CheckedClaim(Says.MAY_NOT, Right.PUBLISH, "/cmd_vel", 11),
+        CheckedClaim(Says.ASKS, Right.CALL, "/door", 12),
+        CheckedClaim(Says.MAY_NOT, Right.SUBSCRIBE, "/img", 13),
     )
     assert found.seen == (
         SeenField("/robot/pose", "pose.position", 2.0, 13),

@@ -13,7 +13,7 @@ from grants.decision import Reach, authorize
 from grants.errors import GrantMissing
 from grants.model import MESSAGE_RIGHTS, TREE_RIGHTS, Grant, Restriction, Right
 from grants.policy.assertion_check import check_tests
-from grants.policy.assertions import PolicyTest, Says, TestClaim
+from grants.policy.assertions import CheckedClaim, PolicyTest, Says
 from grants.policy.decision import Decider
 from grants.policy.model import Clause, Effect, Policy, PolicyRule, Subject
 from grants.policy.wanted import WantedState, in_force
@@ -92,7 +92,7 @@ def test_what_is_said_of_a_right_is_what_every_grant_gives(
 def test_what_a_test_says_may_not_be_is_given_by_no_grant(
     policy: Policy, asking: Subject, asked: Right, about: str
 ) -> None:
-    claim = TestClaim(Says.MAY_NOT, asked, about, 1)
+    claim = CheckedClaim(Says.MAY_NOT, asked, about, 1)
     test = PolicyTest(Subject(asking.name, KEYS[0]), (claim,))
     (outcome,) = check_tests(replace(policy, tests=(test,)), layout_of)
     if not outcome:

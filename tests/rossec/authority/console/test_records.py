@@ -97,4 +97,4 @@ def test_every_view_survives_its_encoding() -> None:
     for view in found:
         assert from_value(type(view), decode(encode(to_value(view)))) == view
     shown = {type(view).__name__ for view in found}
-    assert {"NodeView", "GrantQuestion", "PolicyView", "ListStanding"} <= shown <= vars(messages).keys()
+    assert {"NodeView", "GrantQuestion", "PolicyView", "ListProgress"} <= shown <= vars(messages).keys()
