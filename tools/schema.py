@@ -2,6 +2,6 @@
 
 from pathlib import Path
 
-from grants.policy import read
+from grants.policy import schema
 
-Path(read.__file__).with_name("policy.schema.json").write_text(read.schema_text())
+Path(schema.__file__).with_name("policy.schema.json").write_text(schema.text())

@@ -9,13 +9,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final, NamedTuple, TypeAlias
 
 from grants.model import Grant, Permission, Right
-from rossec.authority.console.messages import DenialView, EventView, GrantQuestion, NodeView
+from rossec.authority.console.views import DenialView, EventView, GrantQuestion, NodeView
 from rossec.console import words
-from rossec.console.matrix import ShownGrant
-from rossec.peer_limits import printable
+from rossec.console.matrix import HeldGrant
+from rossec.ros.text import printable
 
 
-class SentencePart(NamedTuple):
+class Part(NamedTuple):
     """A piece of a sentence; a name is one of ROS, shown as such."""
 
     text: str
@@ -23,10 +23,12 @@ class SentencePart(NamedTuple):
 
     @property
     def is_glued(self) -> bool:
+        """Whether it follows without a space."""
         return not self.is_name and self.text[:1] in (",", ":")
 
     @property
     def spaced(self) -> str:
+        """The text as it follows another part."""
         return self.text if self.is_glued else f" {self.text}"
 
 
@@ -39,16 +41,17 @@ class Sentence(NamedTuple):
     at: int
     tone: str
     verb: str
-    parts: tuple[SentencePart, ...]
+    parts: tuple[Part, ...]
     number: int
     node: str
 
     @property
     def text(self) -> str:
+        """The whole of it, as plain text."""
         return self.verb + "".join(part.spaced for part in self.parts)
 
 
-class KnownIds(NamedTuple):
+class Known(NamedTuple):
     """What the ids in log entries mean: grants by id, nodes by key, questions by id, all in hex.
 
     `ending`: ids of what was ended and may still be used.
@@ -62,11 +65,12 @@ class KnownIds(NamedTuple):
     @classmethod
     def of(
         cls,
-        held: Iterable[ShownGrant] = (),
+        held: Iterable[HeldGrant] = (),
         nodes: Iterable[NodeView] = (),
         questions: Iterable[GrantQuestion] = (),
         ending: frozenset[str] = frozenset(),
-    ) -> "KnownIds":
+    ) -> "Known":
+        """The ids in these views."""
         asked: dict[str, tuple[GrantQuestion, ...]] = {}
         for each in questions:
             number = each.request.hex()
@@ -79,19 +83,16 @@ class KnownIds(NamedTuple):
         )
 
 
-_Told: TypeAlias = tuple[str, str, tuple[SentencePart, ...]] | None
-_Tell: TypeAlias = Callable[[EventView, KnownIds], _Told]
+_Told: TypeAlias = tuple[str, str, tuple[Part, ...]] | None
+_Tell: TypeAlias = Callable[[EventView, Known], _Told]
 
 
-def story(events: Sequence[EventView], denials: Iterable[DenialView], known: KnownIds) -> list[Sentence]:
+def story(
+    events: Sequence[EventView], denials: Iterable[DenialView], known: Known
+) -> list[Sentence]:
     """Everything that has a sentence, newest first; equal denials are one with a number."""
     certified = {each.subject: each.number for each in sorted(events) if each.what == "certificate"}
-
-    def repeats(event: EventView) -> bool:
-        answered = certified.get(event.subject, -1) > event.number
-        return event.what in _FOLDED or (event.what in ("pending", "approved") and answered)
-
-    told = [_event(each, known) for each in events if not repeats(each)]
+    told = [_event(each, known) for each in events if not _repeats(each, certified)]
     found = [each for each in told if each is not None]
     return sorted([*found, *refusals(denials)], key=lambda each: (-each.at, -each.number))
 
@@ -101,16 +102,20 @@ def refusals(denials: Iterable[DenialView]) -> list[Sentence]:
     groups: dict[tuple[str, int, str], list[int]] = {}
     for denial in denials:
         groups.setdefault((denial.node, denial.right, denial.name), []).append(denial.at)
-    found = []
-    for (node, right, name), times in groups.items():
-        often = f", {len(times)} times" if len(times) > 1 else ""
-        asked, end = (
-            SentencePart(f"asked to {wanted(right)}"),
-            SentencePart(f"without being allowed to{often}"),
-        )
-        parts = (_name(node), asked, _name(name), end)
-        found.append(Sentence(max(times), "refused", "Refused", parts, -1, node))
-    return found
+    return [
+        Sentence(max(times), "refused", "Refused", _denial(node, right, name, len(times)), -1, node)
+        for (node, right, name), times in groups.items()
+    ]
+
+
+def _denial(node: str, right: int, name: str, times: int) -> tuple[Part, ...]:
+    often = f", {times} times" if times > 1 else ""
+    return (
+        _name(node),
+        Part(f"asked to {wanted(right)}"),
+        _name(name),
+        Part(f"without being allowed to{often}"),
+    )
 
 
 def wanted(right: int) -> str:
@@ -118,157 +123,179 @@ def wanted(right: int) -> str:
     return words.rights(Right(right)) if 0 < right < 256 else f"do something ({right}) with"
 
 
-def permission(given: Permission) -> tuple[SentencePart, ...]:
+def permission(given: Permission) -> tuple[Part, ...]:
     """`see /robot/pose (coarse)`."""
     coarse = given.restriction is not None and given.restriction.restricts_messages
     return (
-        SentencePart(words.rights(given.rights)),
-        SentencePart(words.topic(given.pattern), is_name=True),
-        *([SentencePart("(coarse)")] if coarse else []),
+        Part(words.rights(given.rights)),
+        Part(words.topic(given.pattern), is_name=True),
+        *([Part("(coarse)")] if coarse else []),
     )
 
 
-def permissions(given: Iterable[Permission], limit: int = 4) -> tuple[SentencePart, ...]:
+def permissions(given: Iterable[Permission], limit: int = 4) -> tuple[Part, ...]:
     """As `permission` for all, in the order of the grant; those with the same rights together."""
     groups: dict[tuple[Right, bool], list[Permission]] = {}
     for each in given:
         coarse = each.restriction is not None and each.restriction.restricts_messages
         groups.setdefault((each.rights, coarse), []).append(each)
-    parts: list[SentencePart] = []
+    parts: list[Part] = []
     for (rights, coarse), members in groups.items():
-        parts += [*([SentencePart("and")] if parts else []), SentencePart(words.rights(rights))]
+        parts += [*([Part("and")] if parts else []), Part(words.rights(rights))]
         parts += _listed([words.topic(each.pattern) for each in members], limit)
-        parts += [SentencePart("(coarse)")] * coarse
+        parts += [Part("(coarse)")] * coarse
     return tuple(parts)
 
 
-def _listed(names: list[str], limit: int) -> list[SentencePart]:
-    parts: list[SentencePart] = []
+def _listed(names: list[str], limit: int) -> list[Part]:
+    """The names with commas between them; a part that is a comma follows without a space."""
+    parts: list[Part] = []
     for name in names[:limit]:
-        parts += [*([SentencePart(",")] if parts else []), SentencePart(name, is_name=True)]
-    return [*parts, SentencePart(f"and {len(names) - limit} more")] if len(names) > limit else parts
+        parts += [*([Part(",")] if parts else []), Part(name, is_name=True)]
+    return [*parts, Part(f"and {len(names) - limit} more")] if len(names) > limit else parts
 
 
-def _name(text: str) -> SentencePart:
-    return SentencePart(words.name(text), is_name=True)
+def _name(text: str) -> Part:
+    return Part(words.name(text), is_name=True)
 
 
-def _because(reason: str) -> tuple[SentencePart, ...]:
-    return (SentencePart(f": {printable(reason, 200)}"),) if reason else ()
+def _because(reason: str) -> tuple[Part, ...]:
+    return (Part(f": {printable(reason, 200)}"),) if reason else ()
 
 
-def _event(event: EventView, known: KnownIds) -> Sentence | None:
+def _repeats(event: EventView, certified: Mapping[str, int]) -> bool:
+    """Whether another entry says it: a name that was given, and asked for before."""
+    answered = certified.get(event.subject, -1) > event.number
+    return event.what in _FOLDED or (event.what in ("pending", "approved") and answered)
+
+
+def _event(event: EventView, known: Known) -> Sentence | None:
     told = _TELL.get(event.what, _unknown)(event, known)
     if told is None:
         return None
     tone, verb, parts = told
-    node, grant = known.nodes.get(event.subject, ""), known.grants.get(event.subject)
-    node = node if grant is None else grant.subject
-    node = event.subject if event.subject.startswith("/") else node
+    node = event.subject if event.subject.startswith("/") else _node_of(event, known)
     return Sentence(event.at, tone, verb, parts, event.number, node)
 
 
-def _unknown(event: EventView, known: KnownIds) -> _Told:
+def _node_of(event: EventView, known: Known) -> str:
+    grant = known.grants.get(event.subject)
+    return known.nodes.get(event.subject, "") if grant is None else grant.subject
+
+
+def _unknown(event: EventView, known: Known) -> _Told:
     shown = known.nodes.get(event.subject, event.subject)
-    detail = (SentencePart(printable(event.detail, 200)),) if event.detail else ()
+    detail = (Part(printable(event.detail, 200)),) if event.detail else ()
     return "note", printable(event.what, 40).capitalize(), (_name(shown), *detail)
 
 
-def _grant(event: EventView, known: KnownIds) -> _Told:
+def _grant(event: EventView, known: Known) -> _Told:
     grant = known.grants.get(event.detail)
     if grant is None:
-        return "allowed", "Allowed", (_name(event.subject), SentencePart("got a right that has ended"))
-    parts = (_name(event.subject), SentencePart("may"), *permissions(grant.permissions))
+        return "allowed", "Allowed", (_name(event.subject), Part("got a right that has ended"))
+    parts = (_name(event.subject), Part("may"), *permissions(grant.permissions))
     return "allowed", "Allowed", parts
 
 
-def _revocation(event: EventView, known: KnownIds) -> _Told:
+def _revocation(event: EventView, known: Known) -> _Told:
     grant, node = known.grants.get(event.subject), known.nodes.get(event.subject)
     why = _because(event.detail)
     if event.subject in known.ending and (grant is not None or node is not None):
-        still: tuple[SentencePart, ...] = (
-            _name(node or ""),
-            SentencePart("may still do what it was allowed"),
-        )
-        if grant is not None:
-            still = (_name(grant.subject), SentencePart("may still"), *permissions(grant.permissions))
-        return "ended", "Ending", (*still, SentencePart(", until every node has heard"), *why)
+        return "ended", "Ending", (*_may_still(grant, node or ""), *why)
     if grant is not None:
-        gone = (_name(grant.subject), SentencePart("may no longer"), *permissions(grant.permissions))
+        gone = (_name(grant.subject), Part("may no longer"), *permissions(grant.permissions))
         return "ended", "Ended", (*gone, *why)
     if node is not None:
-        return "ended", "Removed", (_name(node), SentencePart("does not belong here any more"), *why)
-    return "ended", "Ended", (SentencePart(f"what has the number {event.subject[:8]}"), *why)
+        return "ended", "Removed", (_name(node), Part("does not belong here any more"), *why)
+    return "ended", "Ended", (Part(f"what has the number {event.subject[:8]}"), *why)
 
 
-def _grant_request(event: EventView, known: KnownIds) -> _Told:
+def _may_still(grant: Grant | None, node: str) -> tuple[Part, ...]:
+    until = Part(", until every node has heard")
+    if grant is None:
+        return (_name(node), Part("may still do what it was allowed"), until)
+    return (_name(grant.subject), Part("may still"), *permissions(grant.permissions), until)
+
+
+def _grant_request(event: EventView, known: Known) -> _Told:
     found = known.questions.get(event.detail)
     if found is None:
-        return "asked", "Asked", (_name(event.subject), SentencePart("asked for a right; it is answered"))
-    rights = [Permission(each.pattern, Right(each.right)) for asked in found for each in asked.rights]
-    return "asked", "Asked", (_name(event.subject), SentencePart("asked to"), *permissions(rights))
+        return "asked", "Asked", (_name(event.subject), Part("asked for a right; it is answered"))
+    rights = [
+        Permission(each.pattern, Right(each.right)) for asked in found for each in asked.rights
+    ]
+    return "asked", "Asked", (_name(event.subject), Part("asked to"), *permissions(rights))
 
 
-def _decision(event: EventView, _known: KnownIds) -> _Told:
+def _decision(event: EventView, _known: Known) -> _Told:
     answer, _, pattern = event.detail.rpartition(" ")
     if answer == "granted":
         return None  # the grant has an entry of its own
     said = "was denied what it asked for:" if answer == "denied" else f"asked, {answer}:"
-    return "refused", "Denied", (_name(event.subject), SentencePart(said), _name(pattern))
+    return "refused", "Denied", (_name(event.subject), Part(said), _name(pattern))
 
 
-def _collected(event: EventView, _: KnownIds) -> _Told:
+def _collected(event: EventView, _: Known) -> _Told:
     if event.detail not in ("pending", "approved"):
         return None
-    return "note", "Expired", (_name(event.subject), SentencePart("asked to join and got no answer"))
+    return "note", "Expired", (_name(event.subject), Part("asked to join and got no answer"))
 
 
-def _about(tone: str, verb: str, text: str, *, why: bool = True) -> _Tell:
-    def tell(event: EventView, _: KnownIds) -> _Told:
-        return (
-            tone,
-            verb,
-            (_name(event.subject), SentencePart(text), *(_because(event.detail) if why else ())),
-        )
+def _about(tone: str, verb: str, text: str) -> _Tell:
+    """Says `text` of the subject, and why if there is a reason."""
+
+    def tell(event: EventView, _: Known) -> _Told:
+        return tone, verb, (_name(event.subject), Part(text), *_because(event.detail))
 
     return tell
 
 
 def _plain(tone: str, verb: str, before: str) -> _Tell:
-    def tell(event: EventView, _: KnownIds) -> _Told:
-        return tone, verb, (SentencePart(before), _name(event.subject))
+    """Says `before`, then the subject; the detail is for programs."""
+
+    def tell(event: EventView, _: Known) -> _Told:
+        return tone, verb, (Part(before), _name(event.subject))
 
     return tell
 
 
-def _pending(event: EventView, _: KnownIds) -> _Told:
-    source = (SentencePart(f"from {printable(event.detail, 80)}"),) if event.detail else ()
-    return "asked", "Asked", (_name(event.subject), SentencePart("asked to join"), *source)
+def _pending(event: EventView, _: Known) -> _Told:
+    source = (Part(f"from {printable(event.detail, 80)}"),) if event.detail else ()
+    return "asked", "Asked", (_name(event.subject), Part("asked to join"), *source)
 
 
-def _restored(event: EventView, _: KnownIds) -> _Told:
-    return "note", "Restored", (SentencePart(f"the record was put back {printable(event.detail, 80)}"),)
+def _certificate(event: EventView, _: Known) -> _Told:
+    return "joined", "Joined", (_name(event.subject), Part("belongs here now"))
 
 
-def _passkey(event: EventView, _: KnownIds) -> _Told:
-    return "joined", "Phone", (SentencePart(printable(event.subject, 80)), SentencePart("can approve now"))
+def _joined_by_code(event: EventView, _: Known) -> _Told:
+    return "note", "Code used", (_name(event.subject), Part("came with a join code"))
 
 
-def _domain(event: EventView, _: KnownIds) -> _Told:
-    called = SentencePart(f"is trusted as far as was said, and called {printable(event.detail, 40)}")
-    return "allowed", "Domain", (SentencePart(printable(event.subject, 80)), called)
+def _restored(event: EventView, _: Known) -> _Told:
+    text = f"the record was put back {printable(event.detail, 80)}"
+    return "note", "Restored", (Part(text),)
 
 
-def _approval(event: EventView, _: KnownIds) -> _Told:
+def _passkey(event: EventView, _: Known) -> _Told:
+    return "joined", "Phone", (Part(printable(event.subject, 80)), Part("can approve now"))
+
+
+def _domain(event: EventView, _: Known) -> _Told:
+    called = Part(f"is trusted as far as was said, and called {printable(event.detail, 40)}")
+    return "allowed", "Domain", (Part(printable(event.subject, 80)), called)
+
+
+def _approval(event: EventView, _: Known) -> _Told:
     what = printable(event.detail.split(" ")[0], 40)
-    phone = SentencePart(printable(event.subject, 80))
-    return "allowed", "Approved", (SentencePart(APPROVED.get(what, what)), SentencePart("with"), phone)
+    phone = Part(printable(event.subject, 80))
+    return "allowed", "Approved", (Part(APPROVED.get(what, what)), Part("with"), phone)
 
 
-def _approval_ended(event: EventView, _: KnownIds) -> _Told:
+def _approval_ended(event: EventView, _: Known) -> _Told:
     if event.detail.startswith("done"):
         return None  # what it made has entries of its own
-    return "note", "Approval", (SentencePart(printable(event.detail, 200)),)
+    return "note", "Approval", (Part(printable(event.detail, 200)),)
 
 
 APPROVED: Final[Mapping[str, str]] = {
@@ -288,14 +315,14 @@ _TELL: Final[Mapping[str, _Tell]] = {
     "approved": _about("allowed", "Approved", "may join"),
     "denied": _about("refused", "Denied", "may not join"),
     "collected": _collected,
-    "certificate": _about("joined", "Joined", "belongs here now", why=False),
+    "certificate": _certificate,
     "grant": _grant,
     "revocation": _revocation,
     "list": _plain("note", "Signed", "the list of ended rights, number"),
     "grant request": _grant_request,
     "decision": _decision,
     "invitation": _plain("allowed", "Join code", "made for"),
-    "join": _about("note", "Code used", "came with a join code", why=False),
+    "join": _joined_by_code,
     "invitation ended": _about("ended", "Ended", "can no longer be joined with its code"),
     "imported": _plain("note", "Imported", "from an intermediate:"),
     "restored": _restored,

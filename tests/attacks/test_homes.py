@@ -33,12 +33,8 @@ def rossec(home: Path, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         (sys.executable, "-m", "rossec", *words),
         env={**os.environ, "ROSSEC_HOME": str(home), "ROS_IP": "127.0.0.1"},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-        stdin=subprocess.DEVNULL,
-    )
+        capture_output=True, text=True, check=False, timeout=300, stdin=subprocess.DEVNULL,
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -129,8 +125,10 @@ ROBOT = ("nodes", "robot")
         (given("ca"), "the authority", "ca belongs to nobody"),
         (given("ca", "ca.db"), "the authority", "ca.db belongs to nobody"),
     ],
-)
-def test_a_part_of_the_home_that_others_can_write(home: Path, change: Change, words: str, said: str) -> None:
+)  # fmt: skip
+def test_a_part_of_the_home_that_others_can_write(
+    home: Path, change: Change, words: str, said: str
+) -> None:
     path = home / "nodes" / "robot" / "grants"
     (path / f"{'00' * 16}.grant").write_bytes(b"something")
     change(home)
@@ -163,13 +161,9 @@ def test_a_configuration_that_others_can_write(home: Path, mode: int) -> None:
         "except Exception as error: raise SystemExit(str(error))"
     )
     done = subprocess.run(
-        (sys.executable, "-c", program),
-        env={**os.environ, "ROSSEC_HOME": str(home)},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )
+        (sys.executable, "-c", program), env={**os.environ, "ROSSEC_HOME": str(home)},
+        capture_output=True, text=True, check=False, timeout=300,
+    )  # fmt: skip
     refused(done, f"rossec.toml {said}")
 
 

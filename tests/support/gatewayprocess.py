@@ -26,8 +26,9 @@ class GatewayProcess:
         command = self.place.rossec("gateway", "--name", self.name, "--json", *self._words)
         with self._log.open("ab") as log:
             process = self._process = await asyncio.create_subprocess_exec(
-                *command, env=self.place.environ, stdin=asyncio.subprocess.DEVNULL, stdout=log, stderr=log
-            )
+                *command, env=self.place.environ,
+                stdin=asyncio.subprocess.DEVNULL, stdout=log, stderr=log,
+            )  # fmt: skip
 
         def up() -> bool:
             assert process.returncode is None, self.said()
@@ -69,7 +70,9 @@ class GatewayProcess:
 
 
 @contextlib.asynccontextmanager
-async def gateway_of(place: Place, *words: str, name: str = "/gateway") -> AsyncIterator[GatewayProcess]:
+async def gateway_of(
+    place: Place, *words: str, name: str = "/gateway"
+) -> AsyncIterator[GatewayProcess]:
     """A gateway that runs; `words`: what it shall serve."""
     made = GatewayProcess(place, words, name)
     try:

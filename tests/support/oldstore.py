@@ -55,9 +55,7 @@ def _fill(db: sqlite3.Connection, number: int, key: bytes) -> None:
     db.execute("INSERT INTO revocation VALUES (?, ?, ?)", (entry, "lost", at))
     db.execute("INSERT INTO list VALUES (?, ?, ?, ?)", (1, number + 1, b"list", at))
     for line in (
-        ("certificate", name, key.hex()),
-        ("grant", name, entry.hex()),
-        ("revocation", entry.hex(), "lost"),
-        ("list", f"1.{number + 1}", ""),
-    ):
+        ("certificate", name, key.hex()), ("grant", name, entry.hex()),
+        ("revocation", entry.hex(), "lost"), ("list", f"1.{number + 1}", ""),
+    ):  # fmt: skip
         db.execute("INSERT INTO log (at, what, subject, detail) VALUES (?, ?, ?, ?)", (at, *line))

@@ -12,12 +12,13 @@ from contextlib import closing
 from functools import partial
 from pathlib import Path
 
-from rossec.authority.console.access import ConsoleAccess
-from rossec.authority.console.messages import LoginChallenge, from_value
+from rossec.authority.console.access import Access
+from rossec.authority.console.records import from_value
+from rossec.authority.console.views import LoginChallenge
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.keyservice.work import AuthorityWork
-from rossec.authority.session import StatementCall
+from rossec.authority.master_call import MasterCall
 from rossec.errors import NotDelivered
 from tests.support.commands import PASSPHRASE
 from tests.support.consolework import NOW, ask
@@ -27,15 +28,15 @@ from tests.support.passkeys import ORIGIN, RP_ID, Passkey
 PHONE = Passkey(counts=False)
 
 
-def no_master(call: StatementCall) -> object:
+def no_master(call: MasterCall) -> object:
     raise NotDelivered(call.what)
 
 
-def start(root: Path) -> ConsoleAccess:
+def start(root: Path) -> Access:
     """What a service that was started knows."""
     operations = operations_of(AuthorityHome.at(root), lambda _: None)
     work = AuthorityWork(root, operations, no_master, now=lambda: NOW)
-    return ConsoleAccess(work, lambda _: None)
+    return Access(work, lambda _: None)
 
 
 def add(root: Path) -> None:

@@ -89,8 +89,9 @@ def record(
     for isolation in _ISOLATION:
         own = [sys.executable, "-m", "tests.support.recorder", str(file), marker.decode()]
         done = subprocess.run(
-            [*isolation, *own, *command], env=env, text=True, capture_output=True, timeout=90, check=False
-        )
+            [*isolation, *own, *command],
+            env=env, text=True, capture_output=True, timeout=90, check=False,
+        )  # fmt: skip
         if file.exists():
             return _load(file), done
         errors += done.stderr

@@ -2,8 +2,9 @@ from hashlib import sha256
 
 import pytest
 
+from ca.cose import Profile
 from ca.encoding import Value, encode
-from ca.enrollment.invitation import (
+from ca.enrollment.join_transcript import (
     MAX_STATEMENT,
     check_claim,
     check_live,
@@ -14,7 +15,6 @@ from ca.enrollment.invitation import (
     transcript,
 )
 from ca.errors import JoinRefused, NotTheAuthority
-from ca.keys.signing import Profile
 from tests.support.pki import new_signer
 
 ID, ONE, TWO = bytes(32), b"1" * 16, b"2" * 16

@@ -1,5 +1,5 @@
 from grants.filters.layout import Array, Primitive, Struct
-from grants.filters.operators import (
+from grants.filters.treatments import (
     ArrayTreatment,
     Constant,
     FieldTreatment,

@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rossec.border.conversations import MAX_OBSERVATIONS, MAX_RESOURCES
-from rossec.border.resources import (
+from rossec.border.links import (
     CBOR_BODY,
     MAX_LIST,
     PUBLISHER,
@@ -17,6 +16,7 @@ from rossec.border.resources import (
     Resource,
     read_links,
 )
+from rossec.border.quotas import MAX_OBSERVATIONS, MAX_RESOURCES
 from rossec.errors import ThingLinksRefused
 
 LAMP = "/things/lamp"

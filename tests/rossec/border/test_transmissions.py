@@ -2,7 +2,8 @@
 
 import pytest
 
-from rossec.border.messages import ACK_TIMEOUT, MAX_RETRANSMIT, Address, Timers, Transmissions
+from rossec.border.timers import Timers
+from rossec.border.transmissions import ACK_TIMEOUT, MAX_RETRANSMIT, Address, Transmissions
 
 THING: Address = ("::1", 5683, 0, 0)
 

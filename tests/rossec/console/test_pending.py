@@ -2,10 +2,11 @@
 
 import pytest
 
-from rossec.console.approvals import MAX_PENDING, PendingActs, ProposedAct
+from rossec.console.approving import Act
+from rossec.console.pending import MAX_PENDING, PendingActs
 from rossec.errors import HttpRefused
 
-ACT = ProposedAct("passkey", [b"a"], "/phones")
+ACT = Act("passkey", [b"a"], "/phones")
 
 
 def test_an_act_is_found_in_its_session_until_it_is_done() -> None:

@@ -1,11 +1,12 @@
 """Rules for tests."""
 
-from rossec.naming import rule_runner
-from rossec.naming.requests import NameKind, NameRequest
+from rossec.naming import shipped
+from rossec.naming.frames import NameRequest
+from rossec.naming.metadata import Kind
 
-RULES = rule_runner.shipped_rules()
-PHONE = rule_runner.shipped_example("phone.xml")
-NODE = (NameKind.NODE, "")
+RULES = shipped.rules()
+PHONE = shipped.example("phone.xml")
+NODE = (Kind.NODE, "")
 
 
 def sheet(body: str, *, attributes: str = "", top: str = "") -> bytes:

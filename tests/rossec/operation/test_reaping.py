@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from rossec.host.runner import reap
+from rossec.operation.reaping import reap
 
 
 def sleeping(seconds: float) -> "subprocess.Popen[bytes]":

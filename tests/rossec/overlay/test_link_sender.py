@@ -5,7 +5,8 @@ import pytest
 from rossec.channel.records import Bytes
 from rossec.errors import LinkEnded
 from rossec.overlay.link_frames import MAX_BODY, MAX_RANGES
-from rossec.overlay.link_halves import FIRST_WINDOW, MOST_FRAMES, Sender
+from rossec.overlay.link_sender import MOST_FRAMES, Sender
+from rossec.overlay.link_timing import FIRST_WINDOW
 
 MANY = 1 << 30
 

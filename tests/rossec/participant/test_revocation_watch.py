@@ -6,11 +6,10 @@ from typing import Any
 import pytest
 
 from ca.errors import RevocationsStale
-from ca.revocation.lists import Timestamp, digest
-from ca.revocation.trust_status import Revocations
+from ca.revocation.state import Revocations, Timestamp, digest
 from rossec import clock
 from rossec.clock import Clock
-from rossec.participant.connections import ConnectionWatchdog
+from rossec.participant.revocation_watch import ConnectionWatchdog
 from tests.support.site import Site
 from tests.support.witness import until
 

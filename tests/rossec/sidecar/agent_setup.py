@@ -5,12 +5,14 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from ca.certificates import Identity
-from ca.revocation.lists import Timestamp, digest
-from ca.revocation.trust_status import Revocations
+from ca.revocation.state import Revocations, Timestamp, digest
 from rossec.participant.access import Access
 from rossec.participant.host_types import known_type
-from rossec.participant.registrations import PublisherGrace
-from rossec.sidecar.core.layers import AgentState, Command, EndpointMap, Event
+from rossec.participant.publisher_grace import PublisherGrace
+from rossec.sidecar.core.commands import Command
+from rossec.sidecar.core.endpoints import EndpointMap
+from rossec.sidecar.core.events import Event
+from rossec.sidecar.core.layers import AgentState
 from tests.support.domains import alone
 from tests.support.site import Site
 

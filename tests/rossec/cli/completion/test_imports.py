@@ -11,25 +11,10 @@ from rossec.cli.main import rossec
 from tests.rossec.cli.tables import all_commands
 
 FORBIDDEN: Final = (
-    "asyncio",
-    "ca.store",
-    "cbor2",
-    "cryptography",
-    "grants",
-    "http",
-    "multiprocessing",
-    "numpy",
-    "rosbags",
-    "rossec.authority",
-    "rossec.channel",
-    "rossec.net",
-    "ruamel",
-    "select",
-    "socket",
-    "ssl",
-    "subprocess",
-    "urllib.request",
-)
+    "asyncio", "ca.store", "cbor2", "cryptography", "grants", "http", "multiprocessing", "numpy",
+    "rosbags", "rossec.authority", "rossec.channel", "rossec.net", "ruamel", "select", "socket",
+    "ssl", "subprocess", "urllib.request",
+)  # fmt: skip
 PROGRAM: Final = """
 import json, sys
 held = set(sys.modules)
@@ -57,13 +42,9 @@ def lines() -> list[str]:
 
 def completed(home: Path, asked: list[str]) -> tuple[int, list[str]]:
     done = subprocess.run(
-        [sys.executable, "-I", "-c", PROGRAM, str(home)],
-        env={},  # no coverage, which imports more
-        input=json.dumps(asked),
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+        [sys.executable, "-I", "-c", PROGRAM, str(home)], env={},  # no coverage, which imports more
+        input=json.dumps(asked), capture_output=True, text=True, check=True,
+    )  # fmt: skip
     count, modules = json.loads(done.stdout)
     return count, modules
 

@@ -25,7 +25,9 @@ def home(tmp_path: Path) -> Path:
 
 
 def answer(home: Path, shell: str, line: str) -> list[str]:
-    environ = {"ROSSEC_HOME": str(home), "_ROSSEC_COMPLETE": f"{shell}_complete", "COMP_LINE": line}
+    environ = {
+        "ROSSEC_HOME": str(home), "_ROSSEC_COMPLETE": f"{shell}_complete", "COMP_LINE": line,
+    }  # fmt: skip
     return main.complete(environ).splitlines()
 
 
@@ -63,11 +65,9 @@ def test_an_unknown_shell_gets_nothing(home: Path) -> None:
 
 def test_scripts_of_click_are_answered_too(home: Path) -> None:
     environ = {
-        "ROSSEC_HOME": str(home),
-        "_ROSSEC_COMPLETE": "bash_complete",
-        "COMP_WORDS": "rossec\nnode\nshow\n/robot2",
-        "COMP_CWORD": "3",
-    }
+        "ROSSEC_HOME": str(home), "_ROSSEC_COMPLETE": "bash_complete",
+        "COMP_WORDS": "rossec\nnode\nshow\n/robot2", "COMP_CWORD": "3",
+    }  # fmt: skip
     assert main.complete(environ) == "plain,/robot2\n"
     assert main.complete({**environ, "COMP_CWORD": "1"}).startswith("plain,node")
 

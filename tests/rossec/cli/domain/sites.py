@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from ca.domains.trust import Anchors, DomainList
+from ca.domains.anchors import Anchors
+from ca.domains.lists import DomainList
 from rossec.authority.home import AuthorityHome
 from tests.support.commands import Said, Shell
 

@@ -15,8 +15,9 @@ def test_the_figure_of_the_thesis(empty: Shell, tmp_path: Path) -> None:
     assert "topic ~output2 is /n1/raum3/lamps/wallwasher" in said.err
     before = out.read_bytes()
     refused(
-        empty("namespace", "launch", str(FIGURE), "--out", str(out)), "exists and is not overwritten", "--out"
-    )
+        empty("namespace", "launch", str(FIGURE), "--out", str(out)),
+        "exists and is not overwritten", "--out",
+    )  # fmt: skip
     assert out.read_bytes() == before
 
 

@@ -3,14 +3,14 @@ from typing import Any
 import click
 import pytest
 
-from rossec.cli.ca import sign
+from rossec.cli.shared import signing_options
 
 
 def parsed(*arguments: str, multiple: bool = False) -> Any:
     @click.command()
-    @sign.identity_lifetime
-    @sign.replace_key(multiple=multiple)
-    @sign.anonymous
+    @signing_options.identity_lifetime
+    @signing_options.replace_key(multiple=multiple)
+    @signing_options.anonymous
     def command(**values: object) -> dict[str, object]:
         return values
 

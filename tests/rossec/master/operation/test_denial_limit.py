@@ -5,8 +5,13 @@ from collections.abc import Mapping
 
 import pytest
 
-from rossec.host.audit import LEFT_OUT
-from rossec.master.operation.admin import DENIALS, MAX_NODES, DenialRateLimit, denials_limited
+from rossec.master.operation.denial_limit import (
+    DENIALS,
+    MAX_NODES,
+    DenialRateLimit,
+    denials_limited,
+)
+from rossec.operation.audit import LEFT_OUT
 
 
 class Lines:
@@ -71,7 +76,9 @@ def test_the_number_of_nodes_is_bounded(lines: Lines) -> None:
 
 
 @pytest.mark.parametrize("args", [(), {"a": 1}])
-def test_lines_without_a_node_are_limited(lines: Lines, args: tuple[()] | Mapping[str, object]) -> None:
+def test_lines_without_a_node_are_limited(
+    lines: Lines, args: tuple[()] | Mapping[str, object]
+) -> None:
     record = logging.makeLogRecord({"msg": "x", "args": args})
     assert sum(lines.limit.filter(record) for _ in range(500)) == 200
 

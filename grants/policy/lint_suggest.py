@@ -1,0 +1,185 @@
+"""What to write instead: treatments that lint suggests, each tried against the message type first.
+
+Advice that `rossec policy check` refuses is worse than none, so no text is made by rule of thumb:
+a candidate is compiled together with the other filters of the topic, and the first that compiles
+is suggested. If none does, the advice names the field and leaves the treatment to the reader.
+"""
+
+import json
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+from grants.errors import GrantError
+from grants.filters.compile import compile_filter
+from grants.filters.presets import preset
+from grants.model import FilterRule, Scalar
+from grants.policy.lint_facts import Aspect
+from grants.policy.lint_findings import Suggestion
+from grants.policy.lint_views import View
+from grants.policy.privacy import leaf_paths
+
+COARSE_STEP: Final = 4.0  # metres, as the preset coarse-position
+COARSE_DEGREES: Final = 0.02  # about two kilometres
+COARSE_JOINT: Final = 0.5  # radians
+COARSE_TIME: Final = 60  # seconds
+COARSE_RATE: Final = 0.03
+ACROSS: Final = 16
+BLOCK: Final = 32
+LEVELS: Final = 8
+ROOM_REACH: Final = 0.5  # metres
+SHARE: Final = 2  # the hysteresis is this part of a step
+
+_TELLING: Final = (
+    Aspect.POSITION, Aspect.HEADING, Aspect.MOVEMENT, Aspect.COVARIANCE, Aspect.SURROUNDINGS,
+    Aspect.IMAGE, Aspect.JOINT, Aspect.JOINT_RATE, Aspect.STATE, Aspect.WARMTH, Aspect.HUMIDITY,
+    Aspect.LIGHT, Aspect.SOUND,
+)  # fmt: skip
+
+Closed = tuple[str, str, tuple[Suggestion, ...]]
+
+
+def closing(view: View, open_fields: Sequence[str]) -> Closed:
+    """Close `open_fields`: the path to name, the text to add, and the same as a change.
+
+    The widest message that holds nothing else comes first: `twist` rather than its thirteen leaves.
+    """
+    for paths in _wholes(view, open_fields):
+        rules = tuple(_closed(view, path) for path in paths)
+        if fits(view, rules):
+            return paths[0], ", ".join(map(written, rules)), changes(view, rules)
+    return open_fields[0], "a treatment of it, in a filter that does not overlap", ()
+
+
+def _wholes(view: View, open_fields: Sequence[str]) -> Iterable[list[str]]:
+    """Ways to name all of the leaves, the shortest first."""
+    depth = max(path.count(".") for path in open_fields)
+    for steps in range(1, depth + 1):
+        paths = list(dict.fromkeys(_first_steps(path, steps) for path in open_fields))
+        if all(_is_only(view, path, open_fields) for path in paths):
+            yield paths
+    yield list(open_fields)
+
+
+def _first_steps(path: str, steps: int) -> str:
+    return ".".join(path.split(".")[:steps]).removesuffix("[*]")
+
+
+def _is_only(view: View, path: str, open_fields: Sequence[str]) -> bool:
+    """Whether all below `path` are of the open fields."""
+    leaves = leaf_paths(view.layout) if view.layout is not None else []
+    return all(leaf in open_fields for leaf in leaves if _is_below(leaf, path))
+
+
+def _is_below(leaf: str, path: str) -> bool:
+    bare = leaf.replace("[*]", "")
+    above = path.replace("[*]", "")
+    return bare == above or bare.startswith(f"{above}.")
+
+
+def _closed(view: View, path: str) -> FilterRule:
+    match view.aspects.get(path):
+        case Aspect.TIME:
+            return FilterRule(path, "round", (("step", COARSE_TIME),))
+        case Aspect.IMAGE if view.layout is not None and view.layout.type_name.endswith("/Image"):
+            squares = (("across", ACROSS), ("block", BLOCK), ("levels", LEVELS))
+            return FilterRule(path, "pixelate", squares)
+        case _:
+            return FilterRule(path, "clear")
+
+
+def replacing(
+    view: View, old: FilterRule, better: FilterRule
+) -> tuple[str, tuple[Suggestion, ...]]:
+    """The text of `better` in place of the filter `old`, else of a cleared field."""
+    for candidate in (better, FilterRule(old.path, "clear")):
+        if fits(view, (candidate,), old):
+            return written(candidate), changes(view, (candidate,), old)
+    return "another treatment", ()
+
+
+def coarsening(view: View) -> tuple[str, tuple[Suggestion, ...]]:
+    """A filter for a topic that is seen exactly: a preset for its type, else cleared fields."""
+    if view.is_below_pattern:
+        return f"name the topics it needs instead of {view.verdict.clauses[0].pattern}", ()
+    if view.layout is None:
+        return f"withhold {view.topic}, or add its type to types and filter it", ()
+    begin = f"filter {view.topic} as well"
+    try:
+        found = preset("coarse-position").restriction(view.layout)
+    except GrantError:
+        return closing_all(view, view.exact(*_TELLING) or view.exact(Aspect.NAME))
+    suggestions = [*changes(view, found.filters)] if fits(view, found.filters) else []
+    if suggestions and found.slot is not None:
+        suggestions.append(Suggestion(view.rule.id, rate=1 / found.slot))
+    return f"{begin}: {{use: coarse-position}}", (*suggestions,)
+
+
+def closing_all(view: View, telling: Sequence[str]) -> tuple[str, tuple[Suggestion, ...]]:
+    """Filters that close these leaves of a topic that is seen exactly."""
+    if view.is_below_pattern:
+        return f"name the topics it needs instead of {view.verdict.clauses[0].pattern}", ()
+    rules, begin = _cleared(view, telling), f"filter {view.topic} as well"
+    if not fits(view, rules):
+        return begin, ()
+    return f"{begin}: {', '.join(map(written, rules))}", changes(view, rules)
+
+
+def _cleared(view: View, telling: Sequence[str]) -> tuple[FilterRule, ...]:
+    arrays = dict.fromkeys(path.partition("[*]")[0] for path in telling if "[*]" in path)
+    alone = [path for path in telling if "[*]" not in path]
+    wholes = next(iter(_wholes(view, alone)), []) if alone else []
+    return tuple(_closed(view, path) for path in (*arrays, *wholes))
+
+
+def limiting(view: View, rate: float = COARSE_RATE) -> tuple[str, tuple[Suggestion, ...]]:
+    """A rate for the rule that filters the topic."""
+    return f"add limit: {{rate: {rate:g}}}", (Suggestion(view.rule.id, rate=rate),)
+
+
+def fits(view: View, rules: Iterable[FilterRule], beside: FilterRule | None = None) -> bool:
+    """Whether the filters of one rule compile with `rules` in place of those of the same paths.
+
+    Args:
+        view: of the topic.
+        rules: the new filters.
+        beside: a filter of the rule that gets them; without, it is the first that has any.
+    """
+    new = {rule.path: rule for rule in rules}
+    if view.layout is None or not new:
+        return False
+    restriction = view.place(beside)[1].restriction
+    old = {rule.path: rule for rule in restriction.filters} if restriction is not None else {}
+    try:
+        compile_filter(view.layout, (old | new).values())
+    except GrantError:
+        return False
+    return True
+
+
+def changes(
+    view: View, rules: Iterable[FilterRule], beside: FilterRule | None = None
+) -> tuple[Suggestion, ...]:
+    """The same as changes of that rule, if it names the topic itself."""
+    rule, clause = view.place(beside)
+    if clause.pattern != view.topic:
+        return ()
+    return tuple(Suggestion(rule.id, clause.written or clause.pattern, each) for each in rules)
+
+
+def written(rule: FilterRule) -> str:
+    """As in a policy: `header.stamp: {round: 10}`."""
+    path = f'"{rule.path}"' if "[" in rule.path else rule.path
+    parameters = dict(rule.parameters)
+    if not parameters:
+        return f"{path}: {{{rule.operator}: true}}"
+    if len(parameters) == 1 and rule.operator != "rooms":
+        [value] = parameters.values()
+        return f"{path}: {{{rule.operator}: {_scalar(value)}}}"
+    names = sorted(parameters, key=lambda name: (name == "hysteresis", name))
+    named = ", ".join(f"{name}: {_scalar(parameters[name])}" for name in names)
+    return f"{path}: {{{rule.operator}: {{{named}}}}}"
+
+
+def _scalar(value: Scalar) -> str:
+    plain = not isinstance(value, str) or value.isidentifier()
+    return str(value) if plain else json.dumps(value)

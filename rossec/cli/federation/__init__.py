@@ -1,0 +1,1 @@
+"""`rossec federation`: which other masters this one follows."""

@@ -1,0 +1,60 @@
+"""`rossec run`: secure a program that was not written for rossec."""
+
+import json
+import os
+import signal
+import sys
+
+import click
+
+from ca.names import check_name
+from rossec.cli.shared.context import Environment, pass_environment
+
+
+@click.command(context_settings={"allow_interspersed_args": False})
+@click.option("--as", "identity", metavar="NAME", help="the identity all its nodes use")
+@click.option("--each", is_flag=True, help="nodes that are enrolled use their own identity")
+@click.argument("command", nargs=-1, required=True, type=click.UNPROCESSED)
+@click.pass_context
+@pass_environment
+def run(
+    environment: Environment,
+    context: click.Context,
+    identity: str | None,
+    each: bool,
+    command: tuple[str, ...],
+) -> None:
+    """Run COMMAND, a ROS program in any language, behind a sidecar of its own.
+
+    Without --as each node uses the identity that is enrolled for its name. Ends as COMMAND does.
+    """
+    exec_sidecar(
+        environment, context, identity=identity, each=each or identity is None, command=command
+    )
+
+
+def exec_sidecar(
+    environment: Environment,
+    context: click.Context,
+    *,
+    identity: str | None,
+    each: bool,
+    command: tuple[str, ...] = (),
+    port: int = 0,
+    users: list[int] | None = None,
+) -> None:
+    """Replace this process: the sidecar needs a fraction of what the command line has loaded."""
+    options = {
+        "identity": None if identity is None else check_name(identity),
+        "each": each,
+        "command": list(command),
+        "port": port,
+        "users": users or [],
+        "verbose": bool(context.find_root().params.get("verbose")),
+    }
+    arguments = [sys.executable, "-I", "-m", "rossec.sidecar", json.dumps(options)]
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # until it can end quietly
+    try:
+        os.execve(sys.executable, arguments, dict(environment.variables))  # noqa: S606 - no shell
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)

@@ -1,0 +1,125 @@
+"""Whether anything changed: one question a second to the service, for all open pages.
+
+A stream has numbers only, so it tells nothing that the page itself would not: the service's number,
+and how often something changed in this console. Between them it says every few seconds whether the
+service answers (`alive`, `silent`), so that a page knows when it is old. The service is asked only
+while a page waits. A stream ends with its session; there are at most 100 of them.
+"""
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator, Awaitable, Callable
+from typing import Final
+
+from ca.errors import HintedError
+from rossec.authority.console.views import Status
+from rossec.errors import HttpRefused
+from rossec.net.aio.tasks import TaskSet
+
+PERIOD: Final = 1.0  # seconds between two questions
+BEAT: Final = 5.0  # seconds after which a stream without news shows that it lives
+MAX_STREAMS: Final = 100
+_COMMENT: Final = b":\n\n"  # ignored by browsers; a connection that is gone shows at the write
+ALIVE: Final = b"event: alive\ndata: 1\n\n"
+SILENT: Final = b"event: silent\ndata: 1\n\n"  # the service does not answer this console
+_log = logging.getLogger("rossec.console")
+
+
+class NewsFeed:
+    """The newest `Status.number`, and the streams that wait for it.
+
+    Args:
+        status: asks the service.
+    """
+
+    def __init__(self, status: Callable[[], Awaitable[Status]], period: float = PERIOD) -> None:
+        self._status, self._period = status, period
+        self._news = asyncio.Condition()
+        self._tasks = TaskSet()
+        self._streams = 0
+        self._number: int | None = None
+        self._own = self._told_own = 0
+        self._answered = float("-inf")  # when the service did last, by the loop's clock
+
+    @property
+    def number(self) -> str | None:
+        """As of the last question; None: nobody waits, so nobody asked."""
+        return None if self._number is None else f"{self._number}.{self._own}"
+
+    async def ask(self) -> str:
+        """The number as of now, for a page that is made from here on; empty: nobody answers.
+
+        What changes while the page is made is news to it then.
+        """
+        try:
+            return f"{(await self._status()).number}.{self._own}"
+        except HintedError:
+            return ""
+
+    def changed(self) -> None:
+        """Note that something changed in this console; the streams say so within a second."""
+        self._own += 1
+
+    @property
+    def streams(self) -> int:
+        """How many there are."""
+        return self._streams
+
+    def open(self, is_valid: Callable[[], bool], beat: float = BEAT) -> AsyncIterator[bytes]:
+        """A stream: server-sent events, until `is_valid` says no.
+
+        Raises:
+            HttpRefused: there are too many.
+        """
+        if self._streams >= MAX_STREAMS:
+            raise HttpRefused("too many pages are open", "close some of them", status=503)
+        return self._events(is_valid, beat)
+
+    async def close(self) -> None:
+        """Stop asking."""
+        await self._tasks.close()
+
+    async def _events(self, is_valid: Callable[[], bool], beat: float) -> AsyncIterator[bytes]:
+        self._streams += 1
+        try:
+            told: str | None = None
+            yield _COMMENT
+            while is_valid():
+                if not len(self._tasks):
+                    self._tasks.spawn(self._poll(), "news")
+                if self.number is not None and self.number != told:
+                    told = self.number
+                    yield f"data: {told}\n\n".encode()
+                elif not await self._wait(told, beat):
+                    yield self._sign()
+        finally:
+            self._streams -= 1
+
+    def _sign(self) -> bytes:
+        patience = BEAT + 2 * self._period
+        is_answered = asyncio.get_running_loop().time() - self._answered < patience
+        return ALIVE if is_answered else SILENT
+
+    async def _wait(self, told: str | None, beat: float) -> bool:
+        """Wait for another number than `told`; whether there is one."""
+        try:
+            async with asyncio.timeout(beat), self._news:
+                await self._news.wait_for(lambda: self.number not in {None, told})
+        except TimeoutError:
+            return False
+        return True
+
+    async def _poll(self) -> None:
+        while self._streams:
+            before = self.number
+            try:
+                self._number = (await self._status()).number
+                self._answered = asyncio.get_running_loop().time()
+            except HintedError as error:  # the page that is loaded next says so
+                _log.info("no news: %s", error)
+            if self.number != before or self._own != self._told_own:
+                self._told_own = self._own
+                async with self._news:
+                    self._news.notify_all()
+            await asyncio.sleep(self._period)
+        self._number = None
